@@ -1,0 +1,2 @@
+//! softarm
+pub mod mechanics;

@@ -1,0 +1,68 @@
+//! Energies and momenta of a state.
+
+use nalgebra::Vector3;
+
+use super::configuration::State;
+use super::rod::Rod;
+
+/// The three parts of the energy, J.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Energy {
+    /// `Σ |p|²/(2m) + ½ π·J⁻¹π`
+    pub kinetic: f64,
+    /// Elastic energy of the elements.
+    pub elastic: f64,
+    /// Potential energy of gravity, `-Σ m g·x`.
+    pub potential: f64,
+}
+
+impl Energy {
+    /// Energy of a state, with its momenta at the same instant as its configuration.
+    #[must_use]
+    pub fn of(rod: &Rod, state: &State) -> Self {
+        let configuration = &state.configuration;
+        Self {
+            kinetic: kinetic_energy(rod, state),
+            elastic: rod.elastic_energy(&configuration.positions, &configuration.rotations),
+            potential: rod.gravity_energy(&configuration.positions),
+        }
+    }
+
+    /// Sum of the parts.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.kinetic + self.elastic + self.potential
+    }
+}
+
+/// `Σ |p|²/(2m) + ½ π·J⁻¹π`, J.
+#[must_use]
+pub fn kinetic_energy(rod: &Rod, state: &State) -> f64 {
+    rod.nodes
+        .iter()
+        .zip(&state.linear_momentum)
+        .zip(&state.angular_momentum)
+        .map(|((node, p), pi)| {
+            0.5 * (p.norm_squared() / node.mass + pi.dot(&pi.component_div(&node.rotary)))
+        })
+        .sum()
+}
+
+/// Total linear momentum `Σ p`, kg m/s.
+#[must_use]
+pub fn linear_momentum(state: &State) -> Vector3<f64> {
+    state.linear_momentum.iter().sum()
+}
+
+/// Total angular momentum about the origin, `Σ x × p + R π`, spatial, kg m²/s.
+#[must_use]
+pub fn angular_momentum(state: &State) -> Vector3<f64> {
+    let configuration = &state.configuration;
+    configuration
+        .positions
+        .iter()
+        .zip(&configuration.rotations)
+        .zip(state.linear_momentum.iter().zip(&state.angular_momentum))
+        .map(|((x, r), (p, pi))| x.cross(p) + r * pi)
+        .sum()
+}

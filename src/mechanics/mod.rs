@@ -1,0 +1,22 @@
+//! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
+
+pub mod configuration;
+pub mod energy;
+pub mod forces;
+pub mod integrator;
+pub mod linearization;
+pub mod load;
+pub mod rod;
+pub mod rotation;
+pub mod stability;
+pub mod strain;
+
+pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
+pub use energy::Energy;
+pub use integrator::{Integrator, StepError, TimeGrid};
+pub use load::{Load, LoadFrame, Wrench};
+pub use rod::{
+    BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,
+    SectionProfile,
+};
+pub use strain::StrainRule;

@@ -1,0 +1,476 @@
+//! The discrete rod: what it is made of, where it is held, what acts on it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::configuration::Configuration;
+use super::load::Load;
+use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
+use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
+
+/// Stiffness and inertia of a cross-section, per unit of rest length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// `diag(GA, GA, EA)`, N.
+    pub linear_stiffness: Vector3<f64>,
+    /// `diag(EI, EI, GJ)`, N m².
+    pub angular_stiffness: Vector3<f64>,
+    /// `ρA`, kg/m.
+    pub mass: f64,
+    /// `diag(ρI₁, ρI₂, ρJ)`, kg m, body frame.
+    pub rotary: Vector3<f64>,
+}
+
+/// A homogeneous, isotropic, linearly elastic material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// `E`, Pa.
+    pub youngs_modulus: f64,
+    /// `G`, Pa.
+    pub shear_modulus: f64,
+    /// `ρ`, kg/m³.
+    pub density: f64,
+    /// Factor on the shear area: `GA = factor G π r²`; 1 as in the paper, 27/28 after Cowper for a circle.
+    pub shear_factor: f64,
+}
+
+impl Section {
+    /// Full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
+    #[must_use]
+    pub fn circle(material: &Material, radius: f64) -> Self {
+        let area = std::f64::consts::PI * radius * radius;
+        let second_moment = 0.25 * area * radius * radius;
+        let shear = material.shear_factor * material.shear_modulus * area;
+        let bending = material.youngs_modulus * second_moment;
+        Self {
+            linear_stiffness: Vector3::new(shear, shear, material.youngs_modulus * area),
+            angular_stiffness: Vector3::new(
+                bending,
+                bending,
+                material.shear_modulus * 2.0 * second_moment,
+            ),
+            mass: material.density * area,
+            rotary: material.density * second_moment * Vector3::new(1.0, 1.0, 2.0),
+        }
+    }
+}
+
+/// The cross-section as a function of the arc coordinate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SectionProfile {
+    /// The same section everywhere.
+    Uniform(Section),
+    /// Full circles whose radius goes linearly from base to tip.
+    TaperedCircle {
+        /// Material of the whole rod.
+        material: Material,
+        /// Radius at the base, m.
+        base_radius: f64,
+        /// Radius at the tip, m.
+        tip_radius: f64,
+    },
+}
+
+impl SectionProfile {
+    /// Section at the fraction `s` of the length (0 at the base, 1 at the tip).
+    #[must_use]
+    pub fn at(&self, s: f64) -> Section {
+        match self {
+            Self::Uniform(section) => *section,
+            Self::TaperedCircle {
+                material,
+                base_radius,
+                tip_radius,
+            } => Section::circle(material, base_radius + (tip_radius - base_radius) * s),
+        }
+    }
+
+    /// Mass (kg) and inertia (kg m²) between the fractions `from` and `to` of a rod of length `length`: Simpson's
+    /// rule, exact for the mass of a linear taper.
+    fn inertia_between(&self, from: f64, to: f64, length: f64) -> NodeInertia {
+        let (a, m, b) = (self.at(from), self.at(0.5 * (from + to)), self.at(to));
+        let weight = (to - from) * length / 6.0;
+        NodeInertia {
+            mass: weight * (a.mass + 4.0 * m.mass + b.mass),
+            rotary: weight * (a.rotary + 4.0 * m.rotary + b.rotary),
+        }
+    }
+}
+
+/// How the base node (node 0) is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BaseCondition {
+    /// Position and rotation fixed.
+    Clamped,
+    /// No constraint.
+    Free,
+}
+
+/// Lumped inertia of a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NodeInertia {
+    /// Mass, kg.
+    pub mass: f64,
+    /// Principal moments of inertia, body frame, kg m².
+    pub rotary: Vector3<f64>,
+}
+
+/// What a rod is built from; see [`Rod::new`].
+#[derive(Clone, Debug)]
+pub struct RodParameters {
+    /// Rest length, m.
+    pub length: f64,
+    /// Number of elements, at least 1.
+    pub n_elements: usize,
+    /// How strains follow from the nodes.
+    pub strain_rule: StrainRule,
+    /// Cross-section along the rod.
+    pub section: SectionProfile,
+    /// Stress-free curvature `κ`, 1/m, body frame.
+    pub rest_curvature: Vector3<f64>,
+    /// Stress-free stretch (1: the rod is as long as `length`).
+    pub rest_stretch: f64,
+    /// How node 0 is held.
+    pub base: BaseCondition,
+    /// Position of the base, m.
+    pub base_position: Vector3<f64>,
+    /// Rotation of the base, body to space; the rod starts along its third column.
+    pub base_rotation: Matrix3<f64>,
+    /// Acceleration of gravity, m/s².
+    pub gravity: Vector3<f64>,
+    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
+    pub viscous_damping: f64,
+    /// Given loads.
+    pub loads: Vec<Load>,
+}
+
+/// Reference magnitudes of a rod, from the section at its base; used to make residuals dimensionless.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scales {
+    /// Rest length `L`, m.
+    pub length: f64,
+    /// `EI/L²`, N.
+    pub force: f64,
+    /// `EI/L`, N m.
+    pub moment: f64,
+    /// `L² sqrt(ρA/EI)`, s.
+    pub time: f64,
+}
+
+/// A rod of `K` elements and `K + 1` nodes.
+#[derive(Clone, Debug)]
+pub struct Rod {
+    /// How strains follow from the nodes.
+    pub strain_rule: StrainRule,
+    /// The elements, from base to tip.
+    pub elements: Vec<Element>,
+    /// Lumped inertia of the nodes (trapezoidal rule: each element gives a half to each end).
+    pub nodes: Vec<NodeInertia>,
+    /// The share of each element in the inertia of its two ends.
+    pub element_inertia: Vec<[NodeInertia; 2]>,
+    /// How node 0 is held.
+    pub base: BaseCondition,
+    /// Stress-free configuration, starting at the base pose.
+    pub rest: Configuration,
+    /// Acceleration of gravity, m/s².
+    pub gravity: Vector3<f64>,
+    /// Viscous damping, 1/s.
+    pub viscous_damping: f64,
+    /// Given loads.
+    pub loads: Vec<Load>,
+    /// Reference magnitudes.
+    pub scales: Scales,
+}
+
+/// A parameter that no rod can have.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{parameter}: {value} is not {expected}")]
+pub struct RodError {
+    /// Name of the field of [`RodParameters`].
+    pub parameter: &'static str,
+    /// The offending value.
+    pub value: f64,
+    /// What it should have been.
+    pub expected: &'static str,
+}
+
+fn require(
+    parameter: &'static str,
+    value: f64,
+    holds: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), RodError> {
+    if value.is_finite() && holds(value) {
+        Ok(())
+    } else {
+        Err(RodError {
+            parameter,
+            value,
+            expected,
+        })
+    }
+}
+
+impl Rod {
+    /// Builds the discrete rod in its stress-free shape.
+    ///
+    /// # Errors
+    /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
+    /// not exist, or half a turn or more of rest curvature per element.
+    pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
+        let p = parameters;
+        let positive = |x: f64| x > 0.0;
+        require("length", p.length, positive, "a positive length")?;
+        require(
+            "n_elements",
+            p.n_elements as f64,
+            |k| k >= 1.0,
+            "at least one element",
+        )?;
+        require(
+            "rest_stretch",
+            p.rest_stretch,
+            positive,
+            "a positive stretch",
+        )?;
+        require(
+            "viscous_damping",
+            p.viscous_damping,
+            |c| c >= 0.0,
+            "a non-negative damping",
+        )?;
+        for i in 0..3 {
+            require("gravity", p.gravity[i], |_| true, "finite")?;
+            require("base_position", p.base_position[i], |_| true, "finite")?;
+            require("rest_curvature", p.rest_curvature[i], |_| true, "finite")?;
+        }
+        for s in [0.0, 0.5, 1.0] {
+            let section = p.section.at(s);
+            require("section mass", section.mass, positive, "positive")?;
+            for i in 0..3 {
+                let section = &section;
+                require(
+                    "section linear stiffness",
+                    section.linear_stiffness[i],
+                    positive,
+                    "positive",
+                )?;
+                require(
+                    "section angular stiffness",
+                    section.angular_stiffness[i],
+                    positive,
+                    "positive",
+                )?;
+                require(
+                    "section rotary inertia",
+                    section.rotary[i],
+                    positive,
+                    "positive",
+                )?;
+            }
+        }
+        let k = p.n_elements;
+        for load in &p.loads {
+            require(
+                "load node",
+                load.node as f64,
+                |node| node <= k as f64,
+                "a node of the rod",
+            )?;
+        }
+        let l = p.length / k as f64;
+        let psi = p.rest_curvature * l;
+        require(
+            "rest_curvature",
+            psi.norm(),
+            |angle| angle < std::f64::consts::PI,
+            "less than half a turn per element",
+        )?;
+
+        let rest = rest_shape(p, l);
+        let n = k as f64;
+        let elements = (0..k)
+            .map(|q| {
+                let section = p.section.at((q as f64 + 0.5) / n);
+                Element {
+                    length: l,
+                    linear_stiffness: section.linear_stiffness,
+                    angular_stiffness: section.angular_stiffness,
+                    rest: rest_strain(p, l, &rest, q),
+                }
+            })
+            .collect();
+        let element_inertia: Vec<_> = (0..k)
+            .map(|q| {
+                let start = q as f64 / n;
+                let (middle, end) = (start + 0.5 / n, start + 1.0 / n);
+                [
+                    p.section.inertia_between(start, middle, p.length),
+                    p.section.inertia_between(middle, end, p.length),
+                ]
+            })
+            .collect();
+        let mut nodes = vec![
+            NodeInertia {
+                mass: 0.0,
+                rotary: Vector3::zeros()
+            };
+            k + 1
+        ];
+        for (q, ends) in element_inertia.iter().enumerate() {
+            for (end, share) in ends.iter().enumerate() {
+                nodes[q + end].mass += share.mass;
+                nodes[q + end].rotary += share.rotary;
+            }
+        }
+        let root = p.section.at(0.0);
+        let bending = root.angular_stiffness.x;
+        Ok(Self {
+            strain_rule: p.strain_rule,
+            elements,
+            nodes,
+            element_inertia,
+            base: p.base,
+            rest,
+            gravity: p.gravity,
+            viscous_damping: p.viscous_damping,
+            loads: p.loads.clone(),
+            scales: Scales {
+                length: p.length,
+                force: bending / (p.length * p.length),
+                moment: bending / p.length,
+                time: p.length * p.length * (root.mass / bending).sqrt(),
+            },
+        })
+    }
+
+    /// `K + 1`.
+    #[must_use]
+    pub fn n_nodes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// `K`.
+    #[must_use]
+    pub fn n_elements(&self) -> usize {
+        self.elements.len()
+    }
+
+    /// Index of the tip node, `K`.
+    #[must_use]
+    pub fn tip(&self) -> usize {
+        self.elements.len()
+    }
+
+    /// First node that moves: 1 for a clamped rod, 0 for a free one.
+    #[must_use]
+    pub fn first_free_node(&self) -> usize {
+        match self.base {
+            BaseCondition::Clamped => 1,
+            BaseCondition::Free => 0,
+        }
+    }
+
+    /// Total mass, kg.
+    #[must_use]
+    pub fn mass(&self) -> f64 {
+        self.nodes.iter().map(|node| node.mass).sum()
+    }
+
+    /// Pose of element `q` in a configuration.
+    #[inline]
+    #[must_use]
+    pub fn element_pose<'a>(
+        q: usize,
+        positions: &[Vector3<f64>],
+        rotations: &'a [Matrix3<f64>],
+    ) -> ElementPose<'a> {
+        ElementPose {
+            dx: positions[q + 1] - positions[q],
+            rotation_a: &rotations[q],
+            rotation_b: &rotations[q + 1],
+        }
+    }
+
+    /// Elastic energy of a configuration, J.
+    #[must_use]
+    pub fn elastic_energy(&self, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) -> f64 {
+        self.elements
+            .iter()
+            .enumerate()
+            .map(|(q, element)| {
+                element.energy(
+                    self.strain_rule,
+                    &Self::element_pose(q, positions, rotations),
+                )
+            })
+            .sum()
+    }
+
+    /// Potential energy of gravity, J: `-Σ m g·x`.
+    #[must_use]
+    pub fn gravity_energy(&self, positions: &[Vector3<f64>]) -> f64 {
+        -self
+            .nodes
+            .iter()
+            .zip(positions)
+            .map(|(node, x)| node.mass * self.gravity.dot(x))
+            .sum::<f64>()
+    }
+
+    /// Dilatation `e_q = |x_{q+1} - x_q| / l` of every element (the paper's equation (58)).
+    #[must_use]
+    pub fn dilatation(&self, positions: &[Vector3<f64>]) -> Vec<f64> {
+        self.elements
+            .iter()
+            .zip(positions.windows(2))
+            .map(|(element, ends)| (ends[1] - ends[0]).norm() / element.length)
+            .collect()
+    }
+
+    /// Factor by which the trapezoidal rule stiffens bending beyond `EI`, largest over the elements: `GA l²/(4 EI)`.
+    #[must_use]
+    pub fn locking_ratio(&self) -> f64 {
+        self.elements
+            .iter()
+            .map(|e| {
+                let bending = e.angular_stiffness.x.min(e.angular_stiffness.y);
+                e.linear_stiffness.x * e.length * e.length / (4.0 * bending)
+            })
+            .fold(0.0, f64::max)
+    }
+}
+
+/// The stress-free shape: constant curvature and stretch from the base pose on.
+fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
+    let psi = p.rest_curvature * l;
+    let turn = exp(&psi);
+    let c = InverseTangentCoefficients::at(psi.norm_squared());
+    // |ψ| < π, so S is regular.
+    let step = log_tangent(&psi, &c)
+        .try_inverse()
+        .unwrap_or_else(Matrix3::identity)
+        * Vector3::new(0.0, 0.0, p.rest_stretch * l);
+    let mut shape = Configuration {
+        positions: vec![p.base_position],
+        rotations: vec![p.base_rotation],
+    };
+    for q in 0..p.n_elements {
+        let rotation = shape.rotations[q];
+        shape.positions.push(shape.positions[q] + rotation * step);
+        shape.rotations.push(rotation * turn);
+    }
+    shape
+}
+
+/// Rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.
+fn rest_strain(p: &RodParameters, l: f64, rest: &Configuration, q: usize) -> ElementStrain {
+    if p.strain_rule == StrainRule::Helical {
+        let v = Vector3::new(0.0, 0.0, p.rest_stretch);
+        return ElementStrain {
+            linear: [v, v],
+            curvature: p.rest_curvature,
+        };
+    }
+    p.strain_rule
+        .strain(l, &Rod::element_pose(q, &rest.positions, &rest.rotations))
+}

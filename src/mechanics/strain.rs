@@ -1,0 +1,524 @@
+//! Strain rules: the elastic energy of one element, its gradient, and the derivative of that gradient.
+//!
+//! An element joins node `a` to node `b`. Its energy depends on `dx = x_b - x_a` (spatial), `R_a` and `R_b`; variations
+//! are `δR = R η̂` (body frame). A gradient is `(F, M_a, M_b)` with
+//! `δU = F·(δx_b - δx_a) + M_a·η_a + M_b·η_b`, so the element pulls node `b` with `-F` and node `a` with `+F`.
+//!
+//! Two rules (notation of the paper, section 4.1):
+//!
+//! * [`StrainRule::Trapezoidal`], equations (59)-(62): strains `v_i = R_iᵀ dx / l` at both ends, half weight each, and
+//!   `ψ = cay⁻¹(R_aᵀ R_b)`. It stiffens bending to `EI + GA l²/4` (shear locking).
+//! * [`StrainRule::Helical`]: one constant strain per element from the exponential of SE(3), `ψ = log(R_aᵀ R_b)`,
+//!   `v = S(ψ) R_aᵀ dx / l`. Arcs and helices are represented exactly; there is no locking.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use super::rotation::{InverseTangentCoefficients, cay_inverse, hat, log, log_tangent};
+
+/// How the strains of an element follow from its two end nodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StrainRule {
+    /// One constant strain per element, from the exponential of SE(3).
+    Helical,
+    /// The paper's rule: strains at the two ends, half weight each.
+    Trapezoidal,
+}
+
+/// Relative pose of an element's ends and what both rules need of it.
+#[derive(Clone, Copy, Debug)]
+pub struct ElementPose<'a> {
+    /// `x_b - x_a`, spatial, m.
+    pub dx: Vector3<f64>,
+    /// Rotation of node `a`, body to space.
+    pub rotation_a: &'a Matrix3<f64>,
+    /// Rotation of node `b`, body to space.
+    pub rotation_b: &'a Matrix3<f64>,
+}
+
+/// Strain measures of one element, per unit of rest length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ElementStrain {
+    /// `v` at node a and at node b (dimensionless; `e3` when straight and unstretched). Equal under the helical rule.
+    pub linear: [Vector3<f64>; 2],
+    /// `ψ/l`, 1/m, body frame.
+    pub curvature: Vector3<f64>,
+}
+
+/// Stiffness and stress-free strain of one element.
+#[derive(Clone, Copy, Debug)]
+pub struct Element {
+    /// Rest length `l`, m.
+    pub length: f64,
+    /// `diag(GA, GA, EA)`, N.
+    pub linear_stiffness: Vector3<f64>,
+    /// `diag(EI₁, EI₂, GJ)`, N m².
+    pub angular_stiffness: Vector3<f64>,
+    /// Strain at which the element is free of stress.
+    pub rest: ElementStrain,
+}
+
+/// Gradient of an element's energy: `δU = F·(δx_b - δx_a) + M_a·η_a + M_b·η_b`.
+#[derive(Clone, Copy, Debug)]
+pub struct ElementGradient {
+    /// `F`, spatial, N.
+    pub force: Vector3<f64>,
+    /// `M_a`, body frame of node a, N m.
+    pub moment_a: Vector3<f64>,
+    /// `M_b`, body frame of node b, N m.
+    pub moment_b: Vector3<f64>,
+}
+
+/// Derivative of `(F, M_a, M_b)` along `(δx_b - δx_a, η_a, η_b)`, each component in its own body frame.
+///
+/// Not symmetric where moments are not zero: left-invariant fields do not commute.
+pub type ElementStiffness = SMatrix<f64, 9, 9>;
+
+impl StrainRule {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Helical => "helical",
+            Self::Trapezoidal => "trapezoidal",
+        }
+    }
+
+    /// Strains of an element of rest length `length` in the given pose.
+    #[must_use]
+    pub fn strain(self, length: f64, pose: &ElementPose) -> ElementStrain {
+        let relative = pose.rotation_a.transpose() * pose.rotation_b;
+        match self {
+            Self::Helical => {
+                let psi = log(&relative);
+                let y = pose.rotation_a.transpose() * pose.dx;
+                let c = InverseTangentCoefficients::at(psi.norm_squared());
+                let v = log_tangent(&psi, &c) * y / length;
+                ElementStrain {
+                    linear: [v, v],
+                    curvature: psi / length,
+                }
+            }
+            Self::Trapezoidal => ElementStrain {
+                linear: [
+                    pose.rotation_a.transpose() * pose.dx / length,
+                    pose.rotation_b.transpose() * pose.dx / length,
+                ],
+                curvature: cay_inverse(&relative) / length,
+            },
+        }
+    }
+}
+
+impl Element {
+    /// Elastic energy, J: `(l/4) Σ_ends ε·C₁ε + (l/2) κ·C₂κ` with `ε = v - v_rest`, `κ = ψ/l - κ_rest`.
+    #[must_use]
+    pub fn energy(&self, rule: StrainRule, pose: &ElementPose) -> f64 {
+        let strain = rule.strain(self.length, pose);
+        let linear: f64 = (0..2)
+            .map(|end| {
+                let eps = strain.linear[end] - self.rest.linear[end];
+                eps.dot(&self.linear_stiffness.component_mul(&eps))
+            })
+            .sum();
+        let kappa = strain.curvature - self.rest.curvature;
+        let angular = kappa.dot(&self.angular_stiffness.component_mul(&kappa));
+        self.length * (0.25 * linear + 0.5 * angular)
+    }
+
+    /// Gradient of the energy.
+    #[inline]
+    #[must_use]
+    pub fn gradient(&self, rule: StrainRule, pose: &ElementPose) -> ElementGradient {
+        match rule {
+            StrainRule::Helical => self.helical(pose).gradient(),
+            StrainRule::Trapezoidal => self.trapezoidal(pose).gradient(),
+        }
+    }
+
+    /// Gradient of the energy and its derivative.
+    #[must_use]
+    pub fn stiffness(
+        &self,
+        rule: StrainRule,
+        pose: &ElementPose,
+    ) -> (ElementGradient, ElementStiffness) {
+        match rule {
+            StrainRule::Helical => {
+                let terms = self.helical(pose);
+                (terms.gradient(), terms.stiffness(self))
+            }
+            StrainRule::Trapezoidal => {
+                let terms = self.trapezoidal(pose);
+                (terms.gradient(), terms.stiffness(self))
+            }
+        }
+    }
+
+    fn helical<'a>(&self, pose: &ElementPose<'a>) -> HelicalTerms<'a> {
+        let psi = log(&(pose.rotation_a.transpose() * pose.rotation_b));
+        let y = pose.rotation_a.transpose() * pose.dx;
+        let c = InverseTangentCoefficients::at(psi.norm_squared());
+        let s = log_tangent(&psi, &c);
+        let v = s * y / self.length;
+        let n = self
+            .linear_stiffness
+            .component_mul(&(v - self.rest.linear[0]));
+        let m = self
+            .angular_stiffness
+            .component_mul(&(psi / self.length - self.rest.curvature));
+        HelicalTerms {
+            rotation_a: pose.rotation_a,
+            psi,
+            y,
+            c,
+            s,
+            n,
+            mu: m + tangent_derivative(&psi, &y, &c, -1.0).transpose() * n,
+            w: s.transpose() * n,
+        }
+    }
+
+    fn trapezoidal<'a>(&self, pose: &ElementPose<'a>) -> TrapezoidalTerms<'a> {
+        let v = [pose.rotation_a, pose.rotation_b].map(|r| r.transpose() * pose.dx / self.length);
+        let n = [0, 1].map(|end| {
+            self.linear_stiffness
+                .component_mul(&(v[end] - self.rest.linear[end]))
+        });
+        let psi = cay_inverse(&(pose.rotation_a.transpose() * pose.rotation_b));
+        let y = self
+            .angular_stiffness
+            .component_mul(&(psi / self.length - self.rest.curvature));
+        TrapezoidalTerms {
+            rotations: [pose.rotation_a, pose.rotation_b],
+            length: self.length,
+            v,
+            n,
+            psi,
+            y,
+            p: Matrix3::identity() + 0.5 * hat(&psi) + 0.25 * psi * psi.transpose(),
+        }
+    }
+}
+
+/// `∂(S(ψ) y)/∂ψ` for `sign = -1` and `∂(S(ψ)ᵀ y)/∂ψ` for `sign = +1`.
+///
+/// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`.
+#[inline]
+fn tangent_derivative(
+    psi: &Vector3<f64>,
+    y: &Vector3<f64>,
+    c: &InverseTangentCoefficients,
+    sign: f64,
+) -> Matrix3<f64> {
+    let along = psi.dot(y);
+    let double_cross = psi * along - y * psi.norm_squared();
+    hat(y) * (-0.5 * sign)
+        + c.value
+            * (Matrix3::from_diagonal_element(along) + psi * y.transpose()
+                - 2.0 * y * psi.transpose())
+        + c.slope * double_cross * psi.transpose()
+}
+
+/// Intermediate quantities of the helical rule; see the [module documentation](self).
+struct HelicalTerms<'a> {
+    rotation_a: &'a Matrix3<f64>,
+    psi: Vector3<f64>,
+    /// `R_aᵀ dx`
+    y: Vector3<f64>,
+    c: InverseTangentCoefficients,
+    /// `S(ψ)`
+    s: Matrix3<f64>,
+    /// Internal force `C₁ (v - v_rest)`, body.
+    n: Vector3<f64>,
+    /// `∂U/∂ψ = m + ∂(n·S(ψ)y)/∂ψ`
+    mu: Vector3<f64>,
+    /// `Sᵀ n`
+    w: Vector3<f64>,
+}
+
+impl HelicalTerms<'_> {
+    #[inline]
+    fn gradient(&self) -> ElementGradient {
+        ElementGradient {
+            force: self.rotation_a * self.w,
+            moment_a: self.w.cross(&self.y) - self.s.transpose() * self.mu,
+            moment_b: self.s * self.mu,
+        }
+    }
+
+    fn stiffness(&self, element: &Element) -> ElementStiffness {
+        let Self {
+            psi,
+            y,
+            c,
+            s,
+            n,
+            mu,
+            w,
+            ..
+        } = self;
+        let r = self.rotation_a;
+        let s_t = s.transpose();
+        let r_t = r.transpose();
+        let y_hat = hat(y);
+        let w_hat = hat(w);
+        let c1 = Matrix3::from_diagonal(&(element.linear_stiffness / element.length));
+        let c2 = Matrix3::from_diagonal(&(element.angular_stiffness / element.length));
+        let g = tangent_derivative(psi, y, c, -1.0);
+        let g_t = tangent_derivative(psi, n, c, 1.0);
+
+        // Everything as a function of (δψ, δy): dn = C₁/l (G δψ + S δy).
+        let dn_dpsi = c1 * g;
+        let dn_dy = c1 * s;
+        let dw_dpsi = s_t * dn_dpsi + g_t;
+        let dw_dy = s_t * dn_dy;
+        let dmu_dpsi = c2 + g.transpose() * dn_dpsi + self.curvature_of_coupling();
+        let dmu_dy = g.transpose() * dn_dy + g_t.transpose();
+
+        // Gradient components: F = R_a w, M_a = w × y - Sᵀ μ, M_b = S μ.
+        let mb_dpsi = s * dmu_dpsi + tangent_derivative(psi, mu, c, -1.0);
+        let mb_dy = s * dmu_dy;
+        let ma_dpsi = -(s_t * dmu_dpsi) - tangent_derivative(psi, mu, c, 1.0) - y_hat * dw_dpsi;
+        let ma_dy = -(s_t * dmu_dy) - y_hat * dw_dy + w_hat;
+
+        // Chain rule: δψ = Sᵀ η_b - S η_a, δy = R_aᵀ δdx + ŷ η_a, and R_a itself turns with η_a.
+        let mut k = ElementStiffness::zeros();
+        let mut set = |row: usize,
+                       along_psi: &Matrix3<f64>,
+                       along_y: &Matrix3<f64>,
+                       frame: Option<&Matrix3<f64>>,
+                       own: &Matrix3<f64>| {
+            let mut blocks = [
+                along_y * r_t,
+                along_y * y_hat - along_psi * s + own,
+                along_psi * s_t,
+            ];
+            if let Some(frame) = frame {
+                blocks = blocks.map(|b| frame * b);
+            }
+            for (column, block) in blocks.iter().enumerate() {
+                k.fixed_view_mut::<3, 3>(row, 3 * column).copy_from(block);
+            }
+        };
+        set(0, &dw_dpsi, &dw_dy, Some(r), &(-w_hat));
+        set(3, &ma_dpsi, &ma_dy, None, &Matrix3::zeros());
+        set(6, &mb_dpsi, &mb_dy, None, &Matrix3::zeros());
+        k
+    }
+
+    /// `∂²(n·S(ψ)y)/∂ψ²` at fixed `n`, `y`: symmetric.
+    fn curvature_of_coupling(&self) -> Matrix3<f64> {
+        let Self { psi, y, n, c, .. } = self;
+        let p = psi.dot(n);
+        let r = psi.dot(y);
+        let s = n.dot(y);
+        let q = p * r - psi.norm_squared() * s;
+        let grad_q = n * r + y * p - psi * (2.0 * s);
+        let hess_q =
+            n * y.transpose() + y * n.transpose() - Matrix3::from_diagonal_element(2.0 * s);
+        c.value * hess_q
+            + c.slope * (psi * grad_q.transpose() + grad_q * psi.transpose())
+            + q * (Matrix3::from_diagonal_element(c.slope) + c.bend * psi * psi.transpose())
+    }
+}
+
+/// Intermediate quantities of the trapezoidal rule.
+struct TrapezoidalTerms<'a> {
+    rotations: [&'a Matrix3<f64>; 2],
+    length: f64,
+    v: [Vector3<f64>; 2],
+    /// Internal forces `C₁ (v - v_rest)` at the two ends, body.
+    n: [Vector3<f64>; 2],
+    psi: Vector3<f64>,
+    /// Internal moment `C₂ (ψ/l - κ_rest)`.
+    y: Vector3<f64>,
+    /// `P = I + ψ̂/2 + ψψᵀ/4`: `δψ = P η_b - Pᵀ η_a`.
+    p: Matrix3<f64>,
+}
+
+impl TrapezoidalTerms<'_> {
+    #[inline]
+    fn gradient(&self) -> ElementGradient {
+        let force = 0.5 * (self.rotations[0] * self.n[0] + self.rotations[1] * self.n[1]);
+        let shear = [0, 1].map(|end| 0.5 * self.length * self.n[end].cross(&self.v[end]));
+        ElementGradient {
+            force,
+            moment_a: shear[0] - self.p * self.y,
+            moment_b: shear[1] + self.p.transpose() * self.y,
+        }
+    }
+
+    fn stiffness(&self, element: &Element) -> ElementStiffness {
+        let mut k = ElementStiffness::zeros();
+        let c1 = Matrix3::from_diagonal(&element.linear_stiffness);
+        for end in 0..2 {
+            let r = self.rotations[end];
+            let v_hat = hat(&self.v[end]);
+            // B = C₁ v̂ - n̂; the force turns with B, the moment with Bᵀ.
+            let b = c1 * v_hat - hat(&self.n[end]);
+            let at = 3 + 3 * end;
+            let mut force = k.fixed_view_mut::<3, 3>(0, 0);
+            force += (r * c1 * r.transpose()) * (0.5 / self.length);
+            k.fixed_view_mut::<3, 3>(0, at).copy_from(&(0.5 * r * b));
+            k.fixed_view_mut::<3, 3>(at, 0)
+                .copy_from(&(0.5 * b.transpose() * r.transpose()));
+            k.fixed_view_mut::<3, 3>(at, at)
+                .copy_from(&((0.5 * self.length) * b.transpose() * v_hat));
+        }
+        let Self { psi, y, p, .. } = self;
+        let c2 = Matrix3::from_diagonal(&(element.angular_stiffness / element.length));
+        let outer = 0.25 * (Matrix3::from_diagonal_element(psi.dot(y)) + psi * y.transpose());
+        let half_y = 0.5 * hat(y);
+        // d(Pᵀ y) and d(P y) along δψ, and δψ along the ends.
+        let mb_dpsi = p.transpose() * c2 + half_y + outer;
+        let ma_dpsi = -(p * c2 - half_y + outer);
+        for (row, along_psi) in [(3, ma_dpsi), (6, mb_dpsi)] {
+            let mut near = k.fixed_view_mut::<3, 3>(row, 3);
+            near -= along_psi * p.transpose();
+            let mut far = k.fixed_view_mut::<3, 3>(row, 6);
+            far += along_psi * p;
+        }
+        k
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::mechanics::rotation::exp;
+    use proptest::prelude::*;
+
+    const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
+
+    fn element() -> Element {
+        Element {
+            length: 0.13,
+            linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
+            angular_stiffness: Vector3::new(0.03, 0.02, 0.05),
+            rest: ElementStrain {
+                linear: [
+                    Vector3::new(0.1, -0.05, 1.1),
+                    Vector3::new(0.05, 0.02, 0.95),
+                ],
+                curvature: Vector3::new(0.4, -0.2, 0.6),
+            },
+        }
+    }
+
+    /// The helical rule has one rest strain.
+    fn element_for(rule: StrainRule) -> Element {
+        let mut e = element();
+        if rule == StrainRule::Helical {
+            e.rest.linear[1] = e.rest.linear[0];
+        }
+        e
+    }
+
+    #[derive(Clone, Debug)]
+    struct Pose {
+        dx: Vector3<f64>,
+        a: Matrix3<f64>,
+        b: Matrix3<f64>,
+    }
+
+    impl Pose {
+        fn view(&self) -> ElementPose<'_> {
+            ElementPose {
+                dx: self.dx,
+                rotation_a: &self.a,
+                rotation_b: &self.b,
+            }
+        }
+
+        fn moved(&self, d: &SMatrix<f64, 9, 1>, h: f64) -> Self {
+            Self {
+                dx: self.dx + d.fixed_rows::<3>(0) * h,
+                a: self.a * exp(&(d.fixed_rows::<3>(3) * h)),
+                b: self.b * exp(&(d.fixed_rows::<3>(6) * h)),
+            }
+        }
+    }
+
+    prop_compose! {
+        fn pose()(
+            a in proptest::array::uniform3(-1.5..1.5f64),
+            psi in proptest::array::uniform3(-1.0..1.0f64),
+            scale in prop_oneof![Just(0.0), Just(1e-9), Just(1e-3), Just(0.1), 0.0..1.6f64],
+            v in proptest::array::uniform3(-0.4..0.4f64),
+        ) -> Pose {
+            let a = exp(&Vector3::from(a));
+            let b = a * exp(&(Vector3::from(psi) * scale));
+            Pose { dx: a * (Vector3::from(v) + Vector3::z()) * 0.13, a, b }
+        }
+    }
+
+    fn direction() -> impl Strategy<Value = SMatrix<f64, 9, 1>> {
+        proptest::collection::vec(-1.0..1.0f64, 9)
+            .prop_map(|v| SMatrix::<f64, 9, 1>::from_column_slice(&v))
+    }
+
+    fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
+        let mut out = SMatrix::<f64, 9, 1>::zeros();
+        out.fixed_rows_mut::<3>(0).copy_from(&g.force);
+        out.fixed_rows_mut::<3>(3).copy_from(&g.moment_a);
+        out.fixed_rows_mut::<3>(6).copy_from(&g.moment_b);
+        out
+    }
+
+    /// Remainders of a first-order expansion at steps h and h/2; their ratio is 4 when the derivative is right.
+    fn taylor_ratio(remainder: impl Fn(f64) -> f64, scale: f64) -> Option<f64> {
+        let (coarse, fine) = (remainder(2e-3), remainder(1e-3));
+        (coarse > 1e-9 * scale).then(|| coarse / fine)
+    }
+
+    proptest! {
+        /// Taylor test: halving h divides the remainder of the energy's linearization by four.
+        #[test]
+        fn gradient_is_the_derivative_of_the_energy(pose in pose(), d in direction()) {
+            for rule in RULES {
+                let e = element_for(rule);
+                let g = flat(&e.gradient(rule, &pose.view()));
+                let u = e.energy(rule, &pose.view());
+                let remainder = |h: f64| (e.energy(rule, &pose.moved(&d, h).view()) - u - h * g.dot(&d)).abs();
+                if let Some(ratio) = taylor_ratio(remainder, u + g.norm()) {
+                    prop_assert!((3.5..4.5).contains(&ratio) || remainder(1e-3) < 2e-7 * (u + g.norm()), "{rule:?} ratio {ratio}");
+                }
+            }
+        }
+
+        /// Central differences of the gradient agree with the stiffness to the difference's own error.
+        #[test]
+        fn stiffness_is_the_derivative_of_the_gradient(pose in pose(), d in direction()) {
+            for rule in RULES {
+                let e = element_for(rule);
+                let (g, k) = e.stiffness(rule, &pose.view());
+                let again = e.gradient(rule, &pose.view());
+                prop_assert_eq!(flat(&g), flat(&again));
+                let h = 3e-5;
+                let plus = flat(&e.gradient(rule, &pose.moved(&d, h).view()));
+                let minus = flat(&e.gradient(rule, &pose.moved(&d, -h).view()));
+                let error = ((plus - minus) / (2.0 * h) - k * d).norm();
+                prop_assert!(error < 3e-7 * (k * d).norm().max(k.norm() * 0.1), "{rule:?} error {error}");
+            }
+        }
+
+        /// A rigid motion of both ends changes neither the energy nor, seen from the bodies, the moments.
+        #[test]
+        fn energy_is_objective(pose in pose(), turn in proptest::array::uniform3(-3.0..3.0f64)) {
+            let turn = exp(&Vector3::from(turn));
+            let moved = Pose { dx: turn * pose.dx, a: turn * pose.a, b: turn * pose.b };
+            for rule in RULES {
+                let e = element_for(rule);
+                let (u, u_moved) = (e.energy(rule, &pose.view()), e.energy(rule, &moved.view()));
+                prop_assert!((u - u_moved).abs() < 1e-12 * (1.0 + u));
+                let (g, g_moved) = (e.gradient(rule, &pose.view()), e.gradient(rule, &moved.view()));
+                prop_assert!((turn * g.force - g_moved.force).norm() < 1e-11 * (1.0 + g.force.norm()));
+                prop_assert!((g.moment_a - g_moved.moment_a).norm() < 1e-11);
+                prop_assert!((g.moment_b - g_moved.moment_b).norm() < 1e-11);
+                // Balance of moments about node a: R_a M_a + R_b M_b + dx × F = 0.
+                let balance = pose.a * g.moment_a + pose.b * g.moment_b + pose.dx.cross(&g.force);
+                prop_assert!(balance.norm() < 1e-12);
+            }
+        }
+    }
+}

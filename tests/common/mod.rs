@@ -1,0 +1,123 @@
+//! Rods and random states that several tests share.
+#![allow(dead_code)]
+
+use nalgebra::{Matrix3, Vector3};
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{
+    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
+    StrainRule, TimeGrid, Trajectory,
+};
+
+pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
+
+/// L = 1 m, r = 0.05 m, E = 1 MPa, G = E/3, density 1000, the silicone-like arm of the notes and scenes.
+pub const SILICONE: Material = Material {
+    youngs_modulus: 1e6,
+    shear_modulus: 1e6 / 3.0,
+    density: 1000.0,
+    shear_factor: 1.0,
+};
+
+/// A clamped, straight, undamped silicone arm along e3 without gravity.
+pub fn soft_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    RodParameters {
+        length: 1.0,
+        n_elements,
+        strain_rule,
+        section: SectionProfile::Uniform(Section::circle(&SILICONE, 0.05)),
+        rest_curvature: Vector3::zeros(),
+        rest_stretch: 1.0,
+        base: BaseCondition::Clamped,
+        base_position: Vector3::zeros(),
+        base_rotation: Matrix3::identity(),
+        gravity: Vector3::zeros(),
+        viscous_damping: 0.0,
+        loads: Vec::new(),
+    }
+}
+
+/// Everything at once: taper, rest curvature and stretch, oblique base, gravity, damping, dead and follower loads.
+pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    RodParameters {
+        section: SectionProfile::TaperedCircle {
+            material: SILICONE,
+            base_radius: 0.06,
+            tip_radius: 0.03,
+        },
+        rest_curvature: Vector3::new(0.3, -0.2, 0.5),
+        rest_stretch: 1.02,
+        base_rotation: exp(&Vector3::new(0.4, -0.8, 0.3)),
+        gravity: Vector3::new(1.0, -3.0, 5.0),
+        viscous_damping: 1.7,
+        loads: vec![
+            Load {
+                node: n_elements,
+                force: Vector3::new(0.3, 0.1, -0.2),
+                moment: Vector3::new(0.02, -0.05, 0.03),
+                frame: LoadFrame::Spatial,
+                profile: vec![(0.0, 0.5), (0.3, 1.5)],
+            },
+            Load {
+                node: n_elements / 2,
+                force: Vector3::new(0.2, -0.3, 0.1),
+                moment: Vector3::new(0.04, 0.01, -0.02),
+                frame: LoadFrame::Body,
+                profile: Vec::new(),
+            },
+        ],
+        ..soft_arm(strain_rule, n_elements)
+    }
+}
+
+/// A small deterministic generator (splitmix64), uniform in [-1, 1).
+pub struct Dice(pub u64);
+
+impl Dice {
+    pub fn roll(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^= z >> 31;
+        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    pub fn vector(&mut self, size: f64) -> Vector3<f64> {
+        Vector3::new(self.roll(), self.roll(), self.roll()) * size
+    }
+}
+
+/// A state away from rest: strains of order `size`, velocities of order `speed` (m/s, and rad/s tenfold).
+pub fn random_state(rod: &Rod, size: f64, speed: f64, dice: &mut Dice) -> State {
+    let mut state = State::at_rest(rod.rest.clone());
+    let l = rod.elements[0].length;
+    for q in rod.first_free_node()..rod.n_nodes() {
+        state.configuration.positions[q] += dice.vector(size * l);
+        state.configuration.rotations[q] *= exp(&dice.vector(size));
+        state.linear_momentum[q] = dice.vector(speed) * rod.nodes[q].mass;
+        state.angular_momentum[q] = dice
+            .vector(10.0 * speed)
+            .component_mul(&rod.nodes[q].rotary);
+    }
+    state
+}
+
+/// A lifted trajectory: it starts in `initial` and wanders, without obeying any dynamics.
+pub fn random_trajectory(
+    rod: &Rod,
+    initial: &State,
+    grid: TimeGrid,
+    dice: &mut Dice,
+) -> Trajectory {
+    let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
+    let mut configuration = initial.configuration.clone();
+    trajectory.push(&configuration);
+    for _ in 0..grid.n_steps {
+        for q in rod.first_free_node()..rod.n_nodes() {
+            configuration.positions[q] += dice.vector(0.5 * grid.step);
+            configuration.rotations[q] *= exp(&dice.vector(5.0 * grid.step));
+        }
+        trajectory.push(&configuration);
+    }
+    trajectory
+}
