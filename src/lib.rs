@@ -1,2 +1,4 @@
 //! softarm
 pub mod mechanics;
+pub mod output;
+pub mod scene;

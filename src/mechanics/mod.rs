@@ -1,13 +1,16 @@
 //! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
 
+mod block_tridiagonal;
 pub mod configuration;
 pub mod energy;
+pub mod equilibrium;
 pub mod forces;
 pub mod integrator;
 pub mod linearization;
 pub mod load;
 pub mod rod;
 pub mod rotation;
+pub mod sensitivity;
 pub mod stability;
 pub mod strain;
 

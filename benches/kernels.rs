@@ -1,0 +1,153 @@
+//! Speed of the two kernels that everything rests on, in the units of the targets: nanoseconds per node-step of the
+//! forward simulation, and GFlop/s of the sensitivity sweep. Run with `cargo bench --bench kernels`.
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use std::time::Instant;
+
+use common::{RULES, soft_arm};
+use divan::counter::ItemsCount;
+use softarm::mechanics::linearization::{Motion, defects};
+use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
+use softarm::mechanics::stability::stable_step;
+use softarm::mechanics::{Integrator, Rod, State, StrainRule, TimeGrid, Trajectory, Wrench};
+
+fn main() {
+    println!("SIMD level chosen at run time: {:?}", pulp::Arch::new());
+    for rule in RULES {
+        let rod = Rod::new(&soft_arm(rule, 20)).expect("a valid rod");
+        let n_steps = 1000;
+        let ns = median(9, || simulate(&rod, n_steps)) * 1e9 / (n_steps * rod.n_nodes()) as f64;
+        println!(
+            "{:12} forward      K = 20          {ns:8.1} ns per node-step",
+            rule.name()
+        );
+        for n_threads in [1, 2] {
+            let case = SensitivityCase::new(&rod, n_steps, 20);
+            let seconds = median(9, || {
+                case.run(n_threads);
+            });
+            let flops = case.run(n_threads) as f64;
+            println!(
+                "{:12} sensitivity  K = 20, N = 1000, 120 columns, {n_threads} thread(s) {:8.2} ms  {:6.1} GFlop/s on the columns",
+                rule.name(),
+                seconds * 1e3,
+                flops / seconds * 1e-9
+            );
+        }
+    }
+    divan::main();
+}
+
+fn median(runs: usize, mut work: impl FnMut()) -> f64 {
+    work();
+    let mut times: Vec<f64> = (0..runs)
+        .map(|_| {
+            let start = Instant::now();
+            work();
+            start.elapsed().as_secs_f64()
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[runs / 2]
+}
+
+fn simulate(rod: &Rod, n_steps: usize) {
+    let mut integrator = Integrator::new(
+        rod,
+        0.7 * stable_step(rod),
+        State::at_rest(rod.rest.clone()),
+    );
+    let wrench = Wrench {
+        force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
+        ..Wrench::default()
+    };
+    for _ in 0..n_steps {
+        integrator.advance([wrench; 2]).expect("a stable step");
+    }
+    divan::black_box(integrator.state());
+}
+
+struct SensitivityCase<'a> {
+    rod: &'a Rod,
+    grid: TimeGrid,
+    initial: State,
+    trajectory: Trajectory,
+    blocks: Blocks,
+}
+
+struct Blocks {
+    n_blocks: usize,
+    n_steps: usize,
+}
+
+impl ControlColumns for Blocks {
+    fn n_columns(&self) -> usize {
+        6 * self.n_blocks
+    }
+
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, f64)) {
+        let block = (k * self.n_blocks / self.n_steps).min(self.n_blocks - 1);
+        for component in 0..6 {
+            visit(6 * block + component, component, 1.0);
+        }
+    }
+
+    fn n_started(&self, k: usize) -> usize {
+        6 * ((k * self.n_blocks / self.n_steps).min(self.n_blocks - 1) + 1)
+    }
+}
+
+impl<'a> SensitivityCase<'a> {
+    fn new(rod: &'a Rod, n_steps: usize, n_blocks: usize) -> Self {
+        let initial = State::at_rest(rod.rest.clone());
+        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), n_steps + 1);
+        for _ in 0..=n_steps {
+            trajectory.push(&initial.configuration);
+        }
+        Self {
+            rod,
+            grid: TimeGrid {
+                step: 0.7 * stable_step(rod),
+                n_steps,
+            },
+            initial,
+            trajectory,
+            blocks: Blocks { n_blocks, n_steps },
+        }
+    }
+
+    fn run(&self, n_threads: usize) -> u64 {
+        let motion = Motion {
+            rod: self.rod,
+            grid: self.grid,
+            initial: &self.initial,
+        };
+        let control = vec![Wrench::default(); self.grid.n_steps + 1];
+        let d = defects(&motion, &self.trajectory, &control).expect("a rod at rest");
+        sensitivities(&motion, &self.trajectory, &d, &self.blocks, n_threads)
+            .expect("a rod at rest")
+            .flops
+    }
+}
+
+/// Forward simulation of 1000 steps; an item is a node-step.
+#[divan::bench(args = [10, 20, 40, 160])]
+fn forward_helical(bencher: divan::Bencher, n_elements: usize) {
+    let rod = Rod::new(&soft_arm(StrainRule::Helical, n_elements)).expect("a valid rod");
+    bencher
+        .counter(ItemsCount::new(1000 * (n_elements + 1)))
+        .bench(|| simulate(&rod, 1000));
+}
+
+/// All sensitivities of 20 blocks over 1000 steps, one thread; an item is a floating-point operation on the columns.
+#[divan::bench(args = [10, 20, 40], sample_count = 20)]
+fn sensitivity_helical(bencher: divan::Bencher, n_elements: usize) {
+    let rod = Rod::new(&soft_arm(StrainRule::Helical, n_elements)).expect("a valid rod");
+    let case = SensitivityCase::new(&rod, 1000, 20);
+    let flops = case.run(1);
+    bencher
+        .counter(ItemsCount::new(flops))
+        .bench(|| case.run(1));
+}

@@ -1,0 +1,466 @@
+//! Static equilibrium of a clamped rod under its loads, gravity, and springs on the tip.
+//!
+//! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in
+//! coordinates in which the elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU
+//! solves the equilibrium itself. Loads whose work has no potential (body-fixed forces, spatial moments) enter the
+//! minimization at their current direction and Newton exactly.
+
+use std::cell::RefCell;
+
+use argmin::core::{CostFunction, Error as ArgminError, Executor, Gradient, State as _};
+use argmin::solver::linesearch::MoreThuenteLineSearch;
+use argmin::solver::quasinewton::LBFGS;
+use faer::linalg::solvers::Solve as _;
+use faer::sparse::{SparseColMat, Triplet};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use super::block_tridiagonal::BlockCholesky;
+use super::configuration::Configuration;
+use super::forces::NodalForces;
+use super::load::Wrench;
+use super::rod::{BaseCondition, Rod};
+use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+
+/// Springs that pull the tip to a place and an orientation.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TipSpring {
+    /// Target position, and stiffness, N/m: energy `½ k |x - x*|²`.
+    pub position: Option<(Vector3<f64>, f64)>,
+    /// Target rotation, and stiffness, N m: energy `½ k |log(R*ᵀ R)|²`.
+    pub rotation: Option<(Matrix3<f64>, f64)>,
+}
+
+impl TipSpring {
+    /// Wrench of the springs on a tip at `x`, `r`.
+    #[must_use]
+    pub fn wrench(&self, x: &Vector3<f64>, r: &Matrix3<f64>) -> Wrench {
+        Wrench {
+            force: self
+                .position
+                .map_or_else(Vector3::zeros, |(target, k)| (target - x) * k),
+            moment: self.rotation.map_or_else(Vector3::zeros, |(target, k)| {
+                // The gradient of ½|ψ|² along a body rotation is S ψ = ψ.
+                -k * log(&(target.transpose() * r))
+            }),
+        }
+    }
+
+    fn energy(&self, x: &Vector3<f64>, r: &Matrix3<f64>) -> f64 {
+        let stretch = self
+            .position
+            .map_or(0.0, |(target, k)| 0.5 * k * (target - x).norm_squared());
+        let turn = self.rotation.map_or(0.0, |(target, k)| {
+            0.5 * k * log(&(target.transpose() * r)).norm_squared()
+        });
+        stretch + turn
+    }
+
+    /// Derivative of minus the wrench along `(δx, η)` of the tip.
+    fn stiffness(&self, r: &Matrix3<f64>) -> Matrix6<f64> {
+        let mut k = Matrix6::zeros();
+        if let Some((_, stiffness)) = self.position {
+            k.fixed_view_mut::<3, 3>(0, 0)
+                .copy_from(&Matrix3::from_diagonal_element(stiffness));
+        }
+        if let Some((target, stiffness)) = self.rotation {
+            let psi = log(&(target.transpose() * r));
+            let c = InverseTangentCoefficients::at(psi.norm_squared());
+            k.fixed_view_mut::<3, 3>(3, 3)
+                .copy_from(&(stiffness * log_tangent(&psi, &c).transpose()));
+        }
+        k
+    }
+}
+
+/// Why no equilibrium was found.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EquilibriumError {
+    /// A free rod has no place to rest.
+    #[error("base.kind: a static equilibrium needs a clamped base")]
+    FreeBase,
+    /// The iteration limit was reached.
+    #[error(
+        "no static equilibrium within {iterations} iterations: residual {residual:.3e} of the rod's force scale EI/L²; \
+         apply the load in smaller parts"
+    )]
+    NotConverged {
+        /// Iterations spent.
+        iterations: usize,
+        /// Scaled residual that remained.
+        residual: f64,
+    },
+}
+
+/// Scaled residual at which Newton's method is done; rounding of the stiffest element is near 1e-13 of EA.
+const TOLERANCE: f64 = 1e-9;
+const OUTER_LIMIT: usize = 200;
+const LBFGS_ITERATIONS: u64 = 30;
+const LBFGS_MEMORY: usize = 12;
+/// Newton steps that turn a node further than this are left to the minimization.
+const LARGEST_NEWTON_TURN: f64 = 0.5;
+
+/// Finds an equilibrium from `start`, with loads at their value at time `t`.
+///
+/// # Errors
+/// [`EquilibriumError`] for a free base or when the iterations run out.
+pub fn static_equilibrium(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &TipSpring,
+) -> Result<Configuration, EquilibriumError> {
+    if rod.base == BaseCondition::Free {
+        return Err(EquilibriumError::FreeBase);
+    }
+    let mut center = start.clone();
+    let mut statics = Statics::new(rod, t, *spring);
+    let mut residual = statics.residual(&center);
+    for _ in 0..OUTER_LIMIT {
+        let size = statics.scaled(&residual);
+        if size <= TOLERANCE {
+            return Ok(center);
+        }
+        if let Some((trial, trial_residual)) = statics.newton(&center, &residual) {
+            if statics.scaled(&trial_residual) < 0.5 * size {
+                center = trial;
+                residual = trial_residual;
+                continue;
+            }
+            // At rounding already: nothing more can be gained.
+            if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
+                return Ok(center);
+            }
+        }
+        center = statics.minimize(&center);
+        residual = statics.residual(&center);
+    }
+    Err(EquilibriumError::NotConverged {
+        iterations: OUTER_LIMIT,
+        residual: statics.scaled(&residual),
+    })
+}
+
+struct Statics<'a> {
+    rod: &'a Rod,
+    t: f64,
+    spring: TipSpring,
+    forces: NodalForces,
+}
+
+/// Blocks of the tangent stiffness over `(δx, η)` of the free nodes.
+struct TangentStiffness {
+    diagonal: Vec<Matrix6<f64>>,
+    below: Vec<Matrix6<f64>>,
+    above: Vec<Matrix6<f64>>,
+}
+
+impl<'a> Statics<'a> {
+    fn new(rod: &'a Rod, t: f64, spring: TipSpring) -> Self {
+        Self {
+            rod,
+            t,
+            spring,
+            forces: NodalForces::zeros(rod.n_nodes()),
+        }
+    }
+
+    /// Unbalanced force and moment on every free node (node 1 first).
+    fn residual(&mut self, at: &Configuration) -> Vec<Vector6<f64>> {
+        self.forces
+            .evaluate(self.rod, &at.positions, &at.rotations, self.t);
+        let tip = self.rod.tip();
+        let pull = self.spring.wrench(&at.positions[tip], &at.rotations[tip]);
+        self.forces.forces[tip] += pull.force;
+        self.forces.moments[tip] += pull.moment;
+        (1..self.rod.n_nodes())
+            .map(|q| {
+                let (f, m) = (&self.forces.forces[q], &self.forces.moments[q]);
+                Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
+            })
+            .collect()
+    }
+
+    /// Largest component, forces over `EI/L²` and moments over `EI/L`.
+    fn scaled(&self, residual: &[Vector6<f64>]) -> f64 {
+        let scales = &self.rod.scales;
+        let mut largest: f64 = 0.0;
+        for r in residual {
+            let force = r.fixed_rows::<3>(0).norm() / scales.force;
+            let moment = r.fixed_rows::<3>(3).norm() / scales.moment;
+            let size = force.max(moment);
+            if size.is_nan() {
+                return f64::INFINITY;
+            }
+            largest = largest.max(size);
+        }
+        largest
+    }
+
+    fn stiffness(&self, at: &Configuration) -> TangentStiffness {
+        let rod = self.rod;
+        let k = rod.n_elements();
+        let mut out = TangentStiffness {
+            diagonal: vec![Matrix6::zeros(); k],
+            below: vec![Matrix6::zeros(); k - 1],
+            above: vec![Matrix6::zeros(); k - 1],
+        };
+        for (q, element) in rod.elements.iter().enumerate() {
+            let (_, s) = element.stiffness(
+                rod.strain_rule,
+                &Rod::element_pose(q, &at.positions, &at.rotations),
+            );
+            let block = |row: usize, column: usize| s.fixed_view::<3, 3>(row, column);
+            // Node b = q + 1 is free node q; node a = q is free node q - 1 (fixed for q = 0).
+            let b = &mut out.diagonal[q];
+            add(b, 0, 0, &block(0, 0).into());
+            add(b, 0, 3, &block(0, 6).into());
+            add(b, 3, 0, &block(6, 0).into());
+            add(b, 3, 3, &block(6, 6).into());
+            if q == 0 {
+                continue;
+            }
+            let a = &mut out.diagonal[q - 1];
+            add(a, 0, 0, &block(0, 0).into());
+            add(a, 0, 3, &-block(0, 3));
+            add(a, 3, 0, &-block(3, 0));
+            add(a, 3, 3, &block(3, 3).into());
+            // Row b, column a.
+            let ba = &mut out.below[q - 1];
+            add(ba, 0, 0, &-block(0, 0));
+            add(ba, 0, 3, &block(0, 3).into());
+            add(ba, 3, 0, &-block(6, 0));
+            add(ba, 3, 3, &block(6, 3).into());
+            let ab = &mut out.above[q - 1];
+            add(ab, 0, 0, &-block(0, 0));
+            add(ab, 0, 3, &-block(0, 6));
+            add(ab, 3, 0, &block(3, 0).into());
+            add(ab, 3, 3, &block(3, 6).into());
+        }
+        for load in &rod.loads {
+            if load.node > 0 {
+                let (force, moment) = load.wrench_derivative(self.t, &at.rotations[load.node]);
+                add(&mut out.diagonal[load.node - 1], 0, 3, &-force);
+                add(&mut out.diagonal[load.node - 1], 3, 3, &-moment);
+            }
+        }
+        out.diagonal[k - 1] += self.spring.stiffness(&at.rotations[rod.tip()]);
+        out
+    }
+
+    /// One full Newton step; `None` when the matrix is singular or the step is too long to be trusted.
+    fn newton(
+        &mut self,
+        at: &Configuration,
+        residual: &[Vector6<f64>],
+    ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
+        let k = self.stiffness(at);
+        let n = 6 * k.diagonal.len();
+        let mut triplets = Vec::with_capacity(3 * 36 * k.diagonal.len());
+        let mut put = |row: usize, column: usize, block: &Matrix6<f64>| {
+            for i in 0..6 {
+                for j in 0..6 {
+                    triplets.push(Triplet::new(6 * row + i, 6 * column + j, block[(i, j)]));
+                }
+            }
+        };
+        for (i, block) in k.diagonal.iter().enumerate() {
+            put(i, i, block);
+        }
+        for i in 0..k.below.len() {
+            put(i + 1, i, &k.below[i]);
+            put(i, i + 1, &k.above[i]);
+        }
+        let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &triplets).ok()?;
+        let factor = matrix.sp_lu().ok()?;
+        let right = faer::Mat::from_fn(n, 1, |i, _| residual[i / 6][i % 6]);
+        let solution = factor.solve(&right);
+        let step: Vec<Vector6<f64>> = (0..k.diagonal.len())
+            .map(|q| Vector6::from_fn(|i, _| solution[(6 * q + i, 0)]))
+            .collect();
+        let l = self.rod.elements[0].length;
+        let reach = l * k.diagonal.len() as f64;
+        if !step.iter().all(|s| {
+            s.fixed_rows::<3>(3).norm() < LARGEST_NEWTON_TURN
+                && s.fixed_rows::<3>(0).norm() < LARGEST_NEWTON_TURN * reach
+        }) {
+            return None;
+        }
+        let trial = moved(at, &step);
+        let residual = self.residual(&trial);
+        Some((trial, residual))
+    }
+
+    /// A stage of L-BFGS from `center`, on the energy with non-conservative loads frozen.
+    fn minimize(&mut self, center: &Configuration) -> Configuration {
+        let k = self.stiffness(center);
+        let symmetric: Vec<_> = k
+            .diagonal
+            .iter()
+            .map(|d| 0.5 * (d + d.transpose()))
+            .collect();
+        let below: Vec<_> = k
+            .below
+            .iter()
+            .zip(&k.above)
+            .map(|(b, a)| 0.5 * (b + a.transpose()))
+            .collect();
+        // Shift an indefinite stiffness until it can be factored; the shift is relative to each diagonal.
+        let mut shift = 0.0;
+        let factor = loop {
+            let shifted: Vec<_> = symmetric
+                .iter()
+                .map(|d| {
+                    let diagonal = d.diagonal().abs() + Vector6::repeat(f64::MIN_POSITIVE);
+                    d + Matrix6::from_diagonal(&(diagonal * shift))
+                })
+                .collect();
+            if let Some(factor) = BlockCholesky::new(&shifted, &below) {
+                break factor;
+            }
+            if shift > 1e12 {
+                return center.clone();
+            }
+            shift = if shift == 0.0 { 1e-6 } else { 10.0 * shift };
+        };
+        let frozen: Vec<Wrench> = frozen_loads(self.rod, center, self.t);
+        let problem = PotentialEnergy {
+            rod: self.rod,
+            spring: self.spring,
+            center,
+            frozen,
+            factor: &factor,
+            forces: RefCell::new(NodalForces::zeros(self.rod.n_nodes())),
+            t: self.t,
+        };
+        let n = 6 * k.diagonal.len();
+        let run = LBFGS::new(MoreThuenteLineSearch::new(), LBFGS_MEMORY)
+            .with_tolerance_grad(1e-12)
+            .and_then(|solver| {
+                Executor::new(problem, solver)
+                    .configure(|state| state.param(vec![0.0; n]).max_iters(LBFGS_ITERATIONS))
+                    .timer(false)
+                    .run()
+            });
+        // A line search that cannot improve ends the stage; the caller sees no progress and stops.
+        let Ok(result) = run else {
+            return center.clone();
+        };
+        let Some(z) = result.state().get_best_param() else {
+            return center.clone();
+        };
+        let mut step = blocks(z);
+        factor.solve_lower_transposed(&mut step);
+        moved(center, &step)
+    }
+}
+
+fn add(m: &mut Matrix6<f64>, row: usize, column: usize, block: &Matrix3<f64>) {
+    let mut view = m.fixed_view_mut::<3, 3>(row, column);
+    view += block;
+}
+
+fn blocks(flat: &[f64]) -> Vec<Vector6<f64>> {
+    flat.chunks_exact(6)
+        .map(Vector6::from_column_slice)
+        .collect()
+}
+
+/// `x + δx`, `R exp(η)` on the free nodes.
+fn moved(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
+    let mut out = at.clone();
+    for (q, s) in step.iter().enumerate() {
+        out.positions[q + 1] += s.fixed_rows::<3>(0);
+        out.rotations[q + 1] *= exp(&s.fixed_rows::<3>(3).into());
+    }
+    out
+}
+
+/// The rod's loads as wrenches at `center`, summed per node.
+fn frozen_loads(rod: &Rod, center: &Configuration, t: f64) -> Vec<Wrench> {
+    let mut out = vec![Wrench::default(); rod.n_nodes()];
+    for load in &rod.loads {
+        let wrench = load.wrench(t, &center.rotations[load.node]);
+        out[load.node].force += wrench.force;
+        out[load.node].moment += wrench.moment;
+    }
+    out
+}
+
+/// Potential energy over `z`, where `(δx, η) = L⁻ᵀ z` and `L Lᵀ` is the stiffness at the center.
+struct PotentialEnergy<'a> {
+    rod: &'a Rod,
+    spring: TipSpring,
+    center: &'a Configuration,
+    frozen: Vec<Wrench>,
+    factor: &'a BlockCholesky,
+    forces: RefCell<NodalForces>,
+    t: f64,
+}
+
+impl PotentialEnergy<'_> {
+    fn step(&self, z: &[f64]) -> Vec<Vector6<f64>> {
+        let mut step = blocks(z);
+        self.factor.solve_lower_transposed(&mut step);
+        step
+    }
+}
+
+impl CostFunction for PotentialEnergy<'_> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, z: &Vec<f64>) -> Result<f64, ArgminError> {
+        let step = self.step(z);
+        let at = moved(self.center, &step);
+        let tip = self.rod.tip();
+        let mut energy = self.rod.elastic_energy(&at.positions, &at.rotations)
+            + self.rod.gravity_energy(&at.positions)
+            + self.spring.energy(&at.positions[tip], &at.rotations[tip]);
+        for (load, s) in self.frozen.iter().skip(1).zip(&step) {
+            energy -=
+                load.force.dot(&s.fixed_rows::<3>(0)) + load.moment.dot(&s.fixed_rows::<3>(3));
+        }
+        Ok(energy)
+    }
+}
+
+impl Gradient for PotentialEnergy<'_> {
+    type Param = Vec<f64>;
+    type Gradient = Vec<f64>;
+
+    fn gradient(&self, z: &Vec<f64>) -> Result<Vec<f64>, ArgminError> {
+        let step = self.step(z);
+        let at = moved(self.center, &step);
+        let tip = self.rod.tip();
+        let mut forces = self.forces.borrow_mut();
+        forces.evaluate(self.rod, &at.positions, &at.rotations, self.t);
+        // The loads in `forces` are those at the displaced rotations; put the frozen ones in their place.
+        for load in &self.rod.loads {
+            let wrench = load.wrench(self.t, &at.rotations[load.node]);
+            forces.forces[load.node] -= wrench.force;
+            forces.moments[load.node] -= wrench.moment;
+        }
+        let pull = self.spring.wrench(&at.positions[tip], &at.rotations[tip]);
+        forces.forces[tip] += pull.force;
+        forces.moments[tip] += pull.moment;
+        let mut gradient: Vec<Vector6<f64>> = step
+            .iter()
+            .enumerate()
+            .map(|(i, s)| {
+                let q = i + 1;
+                let eta: Vector3<f64> = s.fixed_rows::<3>(3).into();
+                let c = InverseTangentCoefficients::at(eta.norm_squared());
+                // The body tangent of exp is the inverse of Sᵀ; its transpose pulls moments back to the chart.
+                let chart = log_tangent(&eta, &c)
+                    .try_inverse()
+                    .unwrap_or_else(Matrix3::identity)
+                    * forces.moments[q];
+                let force = -forces.forces[q] - self.frozen[q].force;
+                let moment = -chart - self.frozen[q].moment;
+                Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
+            })
+            .collect();
+        self.factor.solve_lower(&mut gradient);
+        Ok(gradient.iter().flat_map(|g| g.iter().copied()).collect())
+    }
+}

@@ -1,0 +1,218 @@
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::OutputError;
+
+/// The tip force and moment on one interval of time: a row of `controls.csv`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ControlRow {
+    /// Start of the interval, in seconds.
+    pub t_start: f64,
+    /// End of the interval, in seconds.
+    pub t_end: f64,
+    /// Force along x, spatial frame, in newtons.
+    pub fx: f64,
+    /// Force along y, spatial frame, in newtons.
+    pub fy: f64,
+    /// Force along z, spatial frame, in newtons.
+    pub fz: f64,
+    /// Moment about the first director, body frame, in newton meters.
+    pub mx: f64,
+    /// Moment about the second director, body frame, in newton meters.
+    pub my: f64,
+    /// Moment about the third director, body frame, in newton meters.
+    pub mz: f64,
+}
+
+const COLUMNS: [&str; 8] = ["t_start", "t_end", "fx", "fy", "fz", "mx", "my", "mz"];
+
+impl ControlRow {
+    fn values(&self) -> [f64; 8] {
+        [
+            self.t_start,
+            self.t_end,
+            self.fx,
+            self.fy,
+            self.fz,
+            self.mx,
+            self.my,
+            self.mz,
+        ]
+    }
+
+    /// Every number is finite and the interval does not end before it starts.
+    fn validate(&self) -> Result<(), String> {
+        for (name, value) in COLUMNS.iter().zip(self.values()) {
+            if !value.is_finite() {
+                return Err(format!("{name}: {value} is not a finite number"));
+            }
+        }
+        if self.t_end < self.t_start {
+            return Err(format!(
+                "the interval ends at t_end = {} s, before its start at t_start = {} s",
+                self.t_end, self.t_start
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Writes the rows with a header; every number in the shortest form that reads back as the same `f64`.
+pub fn write_controls(path: &Path, rows: &[ControlRow]) -> Result<(), OutputError> {
+    for (index, row) in rows.iter().enumerate() {
+        row.validate().map_err(|reason| OutputError::Malformed {
+            path: path.to_path_buf(),
+            line: Some(index as u64 + 2),
+            reason,
+        })?;
+    }
+    let file = File::create(path).map_err(OutputError::io(path, "cannot write"))?;
+    let mut writer = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(file);
+    let written = writer
+        .write_record(COLUMNS)
+        .and_then(|()| rows.iter().try_for_each(|row| writer.serialize(row)));
+    written.map_err(|error| csv_error(path, "cannot write", error))?;
+    writer
+        .into_inner()
+        .map_err(csv::IntoInnerError::into_error)
+        .and_then(|mut file| file.flush())
+        .map_err(OutputError::io(path, "cannot write"))
+}
+
+/// Reads what [`write_controls`] writes; columns may stand in any order, and others beside them.
+pub fn read_controls(path: &Path) -> Result<Vec<ControlRow>, OutputError> {
+    let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
+    let mut reader = csv::Reader::from_reader(file);
+    let read_error = |error| csv_error(path, "cannot read", error);
+    let malformed = |line, reason| OutputError::Malformed {
+        path: path.to_path_buf(),
+        line: Some(line),
+        reason,
+    };
+
+    let header = reader.headers().map_err(read_error)?.clone();
+    if let Some(column) = COLUMNS
+        .iter()
+        .find(|&&column| !header.iter().any(|name| name == column))
+    {
+        let expected = COLUMNS.join(",");
+        return Err(malformed(
+            1,
+            format!("no column {column}; expected {expected}"),
+        ));
+    }
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(read_error)?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let row: ControlRow = record.deserialize(Some(&header)).map_err(read_error)?;
+        row.validate().map_err(|reason| malformed(line, reason))?;
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+fn csv_error(path: &Path, action: &'static str, error: csv::Error) -> OutputError {
+    let line = error.position().map(csv::Position::line);
+    match error.into_kind() {
+        csv::ErrorKind::Io(source) => OutputError::io(path, action)(source),
+        csv::ErrorKind::Deserialize { err, .. } => OutputError::Malformed {
+            path: path.to_path_buf(),
+            line,
+            reason: match err.field() {
+                Some(field) => {
+                    let column = field as usize + 1;
+                    format!("column {column}: {}", err.kind())
+                }
+                None => err.kind().to_string(),
+            },
+        },
+        csv::ErrorKind::UnequalLengths {
+            expected_len, len, ..
+        } => OutputError::Malformed {
+            path: path.to_path_buf(),
+            line,
+            reason: format!("{len} fields instead of {expected_len}"),
+        },
+        csv::ErrorKind::Utf8 { .. } => OutputError::Malformed {
+            path: path.to_path_buf(),
+            line,
+            reason: "not UTF-8 text".into(),
+        },
+        other => OutputError::Malformed {
+            path: path.to_path_buf(),
+            line,
+            reason: format!("{other:?}"),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(start: f64) -> ControlRow {
+        ControlRow {
+            t_start: start,
+            t_end: start + 0.1,
+            fx: 1.0 / 3.0,
+            fy: -5e-324,
+            fz: f64::MAX,
+            mx: -0.0,
+            my: 6.02e23,
+            mz: 0.1 + 0.2,
+        }
+    }
+
+    /// Thirds, subnormals, the largest number and negative zero come back with the same bits.
+    #[test]
+    fn csv_round_trip_is_exact() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("controls.csv");
+        for rows in [vec![], vec![row(0.0)], vec![row(0.0), row(0.1), row(0.2)]] {
+            write_controls(&path, &rows).unwrap();
+            let text = std::fs::read_to_string(&path).unwrap();
+            assert_eq!(text.lines().next(), Some("t_start,t_end,fx,fy,fz,mx,my,mz"));
+            let read = read_controls(&path).unwrap();
+            let bits = |rows: &[ControlRow]| -> Vec<_> {
+                rows.iter().map(|r| r.values().map(f64::to_bits)).collect()
+            };
+            assert_eq!(bits(&read), bits(&rows));
+        }
+    }
+
+    /// A bad file is refused with the line and what is wrong with it.
+    #[test]
+    fn errors_name_the_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("controls.csv");
+        let header = "t_start,t_end,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0,0\n";
+        let cases = [
+            (
+                "t_start,t_end,fx,fy,fz,mx,my\n".to_string(),
+                ":1: no column mz",
+            ),
+            (format!("{header}1,2,0,zero,0,0,0,0\n"), ":3: column 4: "),
+            (format!("{header}1,2,0,0\n"), ":3: 4 fields instead of 8"),
+            (format!("{header}1,2,0,0,0,NaN,0,0\n"), ":3: mx: NaN is not"),
+            (
+                format!("{header}2,1,0,0,0,0,0,0\n"),
+                ":3: the interval ends",
+            ),
+        ];
+        for (text, message) in cases {
+            std::fs::write(&path, text).unwrap();
+            let error = read_controls(&path).unwrap_err().to_string();
+            assert!(error.contains(&format!("controls.csv{message}")), "{error}");
+        }
+        let mut bad = row(0.0);
+        bad.my = f64::NAN;
+        let error = write_controls(&path, &[row(0.0), bad]).unwrap_err();
+        assert!(error.to_string().contains(":3: my: NaN"), "{error}");
+    }
+}

@@ -1,0 +1,387 @@
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::path::Path;
+
+use npyz::npz::{NpzArchive, NpzWriter, NpzWriterBuilder, file_name_from_array_name};
+use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
+
+use super::OutputError;
+
+/// A motion of the arm, sampled at `n` times: the content of `trajectory.npz`.
+///
+/// All arrays are flat in C order, with `K + 1 = n_nodes` nodes and `K` elements.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionRecord {
+    /// Nodes of the arm, base to tip, at least two.
+    pub n_nodes: usize,
+    /// `[n]` times in seconds, in order.
+    pub t: Vec<f64>,
+    /// `[n, K+1, 3]` positions in meters; `x` in the file.
+    pub x: Vec<f64>,
+    /// `[n, K+1, 3, 3]` rotations from body to space, row-major; column `i` is director `d_i`; `R` in the file.
+    pub rotation: Vec<f64>,
+    /// `[n, 3]` control force on the tip, spatial frame, in newtons.
+    pub tip_force: Vec<f64>,
+    /// `[n, 3]` control moment on the tip, body frame, in newton meters.
+    pub tip_moment: Vec<f64>,
+    /// `[n, 3]` kinetic, elastic and potential energy in joules.
+    pub energy: Vec<f64>,
+    /// `[n, K]` current over rest length of each element.
+    pub dilatation: Vec<f64>,
+}
+
+impl MotionRecord {
+    /// Number of sampled times.
+    pub fn n_rows(&self) -> usize {
+        self.t.len()
+    }
+
+    /// Writes the arrays as a numpy archive; the same record gives the same bytes.
+    pub fn write_npz(&self, path: &Path) -> Result<(), OutputError> {
+        self.validate(path)?;
+        let io_error = || OutputError::io(path, "cannot write");
+        let file = File::create(path).map_err(io_error())?;
+        let mut archive = NpzWriter::new(BufWriter::new(file));
+        for (name, shape, values) in self.arrays() {
+            write_array(&mut archive, name, &shape, values).map_err(io_error())?;
+        }
+        let mut writer = archive
+            .zip_writer()
+            .finish()
+            .map_err(|error| io_error()(error.into()))?;
+        writer.flush().map_err(io_error())
+    }
+
+    /// Reads what [`write_npz`](Self::write_npz) writes; refuses wrong shapes, missing arrays and non-finite numbers.
+    pub fn read_npz(path: &Path) -> Result<Self, OutputError> {
+        let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
+        let mut archive = NpzArchive::new(BufReader::new(file)).map_err(|error| {
+            OutputError::malformed(path, format!("not a numpy archive: {error}"))
+        })?;
+        let mut read = |name: &str, expected: &[Option<usize>]| {
+            read_array(&mut archive, name, expected)
+                .map_err(|reason| OutputError::malformed(path, format!("array {name}: {reason}")))
+        };
+
+        let (shape, t) = read("t", &[None])?;
+        let n = Some(shape[0]);
+        let (shape, x) = read("x", &[n, None, Some(3)])?;
+        let n_nodes = shape[1];
+        let record = Self {
+            n_nodes,
+            t,
+            x,
+            rotation: read("R", &[n, Some(n_nodes), Some(3), Some(3)])?.1,
+            tip_force: read("tip_force", &[n, Some(3)])?.1,
+            tip_moment: read("tip_moment", &[n, Some(3)])?.1,
+            energy: read("energy", &[n, Some(3)])?.1,
+            dilatation: read("dilatation", &[n, Some(n_nodes.saturating_sub(1))])?.1,
+        };
+        record.validate(path)?;
+        Ok(record)
+    }
+
+    /// Row numbers of at most `max_rows` rows, evenly spread, the first and the last among them.
+    ///
+    /// A record of two rows or more keeps at least these two.
+    pub(super) fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
+        let n = self.n_rows();
+        let kept = max_rows.max(2).min(n);
+        if kept < 2 {
+            return (0..n).collect();
+        }
+        (0..kept).map(|i| i * (n - 1) / (kept - 1)).collect()
+    }
+
+    /// Name, shape and values of every array of the file, in the order of the file.
+    fn arrays(&self) -> [(&'static str, Vec<usize>, &[f64]); 7] {
+        let n = self.n_rows();
+        let nodes = self.n_nodes;
+        [
+            ("t", vec![n], &self.t),
+            ("x", vec![n, nodes, 3], &self.x),
+            ("R", vec![n, nodes, 3, 3], &self.rotation),
+            ("tip_force", vec![n, 3], &self.tip_force),
+            ("tip_moment", vec![n, 3], &self.tip_moment),
+            ("energy", vec![n, 3], &self.energy),
+            (
+                "dilatation",
+                vec![n, nodes.saturating_sub(1)],
+                &self.dilatation,
+            ),
+        ]
+    }
+
+    /// Sizes agree, every number is finite, time does not run backward.
+    fn validate(&self, path: &Path) -> Result<(), OutputError> {
+        let malformed = |reason: String| Err(OutputError::malformed(path, reason));
+        if self.n_nodes < 2 {
+            return malformed(format!("an arm of {} nodes; needs two", self.n_nodes));
+        }
+        if self.t.is_empty() {
+            return malformed("array t: no rows".into());
+        }
+        for (name, shape, values) in self.arrays() {
+            let size: usize = shape.iter().product();
+            if values.len() != size {
+                return malformed(format!(
+                    "array {name}: {} numbers do not fill the shape {shape:?}",
+                    values.len()
+                ));
+            }
+            if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+                let row = index * self.n_rows() / size;
+                return malformed(format!(
+                    "array {name}: {} in row {row}, not a finite number",
+                    values[index]
+                ));
+            }
+        }
+        if let Some(row) = self.t.windows(2).position(|pair| pair[1] < pair[0]) {
+            return malformed(format!(
+                "array t: runs backward from {} to {} s after row {row}",
+                self.t[row],
+                self.t[row + 1]
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Fastest deflate: mantissas do not compress, but zeros of planar motions and held controls do.
+const DEFLATE_LEVEL: i32 = 1;
+
+fn write_array(
+    archive: &mut NpzWriter<BufWriter<File>>,
+    name: &str,
+    shape: &[usize],
+    values: &[f64],
+) -> io::Result<()> {
+    // Through memory, because the compressor is slow with eight bytes at a time.
+    let mut bytes = Vec::with_capacity(size_of_val(values) + 128);
+    let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
+    let mut array = WriteOptions::<f64>::new()
+        .default_dtype()
+        .shape(&shape)
+        .writer(&mut bytes)
+        .begin_nd()?;
+    array.extend(values.iter().copied())?;
+    array.finish()?;
+
+    let options = default_options(NpzWriter::<BufWriter<File>>::array::<f64>)
+        .last_modified_time(Default::default()) // 1980, instead of the clock
+        .compression_level(Some(DEFLATE_LEVEL))
+        .large_file(bytes.len() as u64 > u64::from(u32::MAX) / 2);
+    let zip = archive.zip_writer();
+    zip.start_file(file_name_from_array_name(name), options)?;
+    zip.write_all(&bytes)
+}
+
+/// The default of the zip options that [`NpzWriter::array`] takes: npyz does not re-export their type,
+/// so it is inferred from the signature.
+fn default_options<O: Default>(
+    _: impl for<'a> Fn(
+        &'a mut NpzWriter<BufWriter<File>>,
+        &str,
+        O,
+    ) -> io::Result<NpzWriterBuilder<'a, f64, BufWriter<File>>>,
+) -> O {
+    O::default()
+}
+
+/// Shape and values of an array; `None` in `expected` admits any size in that dimension.
+fn read_array(
+    archive: &mut NpzArchive<BufReader<File>>,
+    name: &str,
+    expected: &[Option<usize>],
+) -> Result<(Vec<usize>, Vec<f64>), String> {
+    let array = archive
+        .by_name(name)
+        .map_err(|error| error.to_string())?
+        .ok_or("missing")?;
+    let shape: Vec<usize> = array.shape().iter().map(|&size| size as usize).collect();
+    let matches = shape.len() == expected.len()
+        && shape
+            .iter()
+            .zip(expected)
+            .all(|(size, expected)| expected.is_none_or(|expected| *size == expected));
+    if !matches {
+        let expected: Vec<String> = expected
+            .iter()
+            .map(|size| size.map_or("any".into(), |size| size.to_string()))
+            .collect();
+        return Err(format!("shape {shape:?}, not [{}]", expected.join(", ")));
+    }
+    if array.order() != Order::C && shape.len() > 1 {
+        return Err("in Fortran order; save it in C order".into());
+    }
+    let header = array.header().clone();
+    let mut bytes = array.into_inner();
+    let numbers = NpyFile::with_header(header, &mut bytes)
+        .data::<f64>()
+        .map_err(|error| error.to_string())?;
+    // Not `into_vec`: it would reserve whatever the header claims.
+    let mut values = Vec::new();
+    for value in numbers {
+        values.push(value.map_err(|error| error.to_string())?);
+    }
+    // The archive compares its checksum only where the array ends.
+    match bytes.read(&mut [0]) {
+        Ok(0) => {}
+        Ok(_) => return Err("longer than its shape".into()),
+        Err(error) => return Err(error.to_string()),
+    }
+    Ok((shape, values))
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A record whose numbers span magnitudes, signs and subnormals.
+    pub(in crate::output) fn record(n: usize, n_nodes: usize) -> MotionRecord {
+        let mut state = 1_u64;
+        let mut numbers = |len: usize| -> Vec<f64> {
+            (0..len)
+                .map(|_| {
+                    state = state
+                        .wrapping_mul(6_364_136_223_846_793_005)
+                        .wrapping_add(1);
+                    let mantissa = (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5;
+                    mantissa * 10_f64.powi((state % 600) as i32 - 320)
+                })
+                .collect()
+        };
+        MotionRecord {
+            n_nodes,
+            t: (0..n).map(|row| row as f64 * 0.1).collect(),
+            x: numbers(n * n_nodes * 3),
+            rotation: numbers(n * n_nodes * 9),
+            tip_force: numbers(n * 3),
+            tip_moment: numbers(n * 3),
+            energy: numbers(n * 3),
+            dilatation: numbers(n * (n_nodes - 1)),
+        }
+    }
+
+    fn bits(values: &[f64]) -> Vec<u64> {
+        values.iter().map(|value| value.to_bits()).collect()
+    }
+
+    /// Any finite numbers come back with the same bits, and the same record gives the same bytes.
+    #[test]
+    fn npz_round_trip_is_exact() {
+        let folder = tempfile::tempdir().unwrap();
+        let [first, second] = ["a.npz", "b.npz"].map(|name| folder.path().join(name));
+        let record = record(7, 4);
+        record.write_npz(&first).unwrap();
+        let read = MotionRecord::read_npz(&first).unwrap();
+        assert_eq!(read.n_nodes, record.n_nodes);
+        for (a, b) in read.arrays().iter().zip(record.arrays()) {
+            assert_eq!((a.0, &a.1, bits(a.2)), (b.0, &b.1, bits(b.2)));
+        }
+        read.write_npz(&second).unwrap();
+        assert_eq!(
+            std::fs::read(&first).unwrap(),
+            std::fs::read(&second).unwrap()
+        );
+        // Bytes 10 to 13 of the first local header: time and date, 1980-01-01 00:00 in the format of MS-DOS.
+        assert_eq!(std::fs::read(&first).unwrap()[10..14], [0, 0, 0x21, 0]);
+    }
+
+    /// What cannot be read back is not written: sizes that disagree, non-finite numbers, time running backward.
+    #[test]
+    fn inconsistent_records_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectory.npz");
+        type Spoil = fn(&mut MotionRecord);
+        let cases: [(Spoil, &str); 5] = [
+            (|r| r.x.truncate(5), "array x: 5 numbers"),
+            (
+                |r| r.energy[4] = f64::NAN,
+                "array energy: NaN in row 1, not a finite number",
+            ),
+            (
+                |r| r.rotation[0] = f64::INFINITY,
+                "array R: inf in row 0, not a finite number",
+            ),
+            (|r| r.t[2] = 0.0, "array t: runs backward"),
+            (|r| r.t.clear(), "array t: no rows"),
+        ];
+        for (spoil, message) in cases {
+            let mut record = record(3, 4);
+            spoil(&mut record);
+            let error = record.write_npz(&path).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+            assert!(error.contains("trajectory.npz"), "{error}");
+            assert!(!path.exists());
+        }
+    }
+
+    /// Changes an array of the archive, or leaves it out.
+    type Change = fn(&str, &mut Vec<usize>, &mut Vec<f64>) -> bool;
+
+    /// Archives by others: a missing array, a wrong shape and a NaN are named; a file that breaks off,
+    /// a text file and no file are refused.
+    #[test]
+    fn foreign_archives_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectory.npz");
+        let record = record(3, 4);
+        let error_after = |change: Change| {
+            let mut archive = NpzWriter::new(BufWriter::new(File::create(&path).unwrap()));
+            for (name, mut shape, values) in record.arrays() {
+                let mut values = values.to_vec();
+                if change(name, &mut shape, &mut values) {
+                    write_array(&mut archive, name, &shape, &values).unwrap();
+                }
+            }
+            drop(archive);
+            MotionRecord::read_npz(&path).unwrap_err().to_string()
+        };
+
+        let error = error_after(|name, _, _| name != "dilatation");
+        assert!(error.contains("array dilatation: missing"), "{error}");
+        let error = error_after(|name, shape, _| {
+            if name == "R" {
+                *shape = vec![3, 4, 9];
+            }
+            true
+        });
+        assert!(
+            error.contains("array R: shape [3, 4, 9], not [3, 4, 3, 3]"),
+            "{error}"
+        );
+        let error = error_after(|name, _, values| {
+            if name == "tip_force" {
+                values[8] = f64::NAN;
+            }
+            true
+        });
+        assert!(error.contains("array tip_force: NaN in row 2"), "{error}");
+
+        record.write_npz(&path).unwrap();
+        let intact = std::fs::read(&path).unwrap();
+        for cut in (0..intact.len()).step_by(13) {
+            std::fs::write(&path, &intact[..cut]).unwrap();
+            assert!(MotionRecord::read_npz(&path).is_err());
+        }
+        std::fs::write(&path, "t,x\n").unwrap();
+        let error = MotionRecord::read_npz(&path).unwrap_err().to_string();
+        assert!(error.contains("not a numpy archive"), "{error}");
+        let absent = folder.path().join("absent.npz");
+        let error = MotionRecord::read_npz(&absent).unwrap_err();
+        assert!(matches!(error, OutputError::Io { .. }), "{error}");
+    }
+
+    /// Thinning keeps the first and the last row, at most as many as asked, in order and without repetition.
+    #[test]
+    fn thinning_keeps_both_ends() {
+        for (n, max_rows) in [(1, 5), (2, 1), (5, 5), (1000, 240), (241, 240), (7, 0)] {
+            let rows = record(n, 2).thinned_rows(max_rows);
+            assert_eq!((rows[0], *rows.last().unwrap()), (0, n - 1));
+            assert!(rows.len() <= max_rows.max(2));
+            assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
+        }
+    }
+}

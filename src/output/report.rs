@@ -1,0 +1,391 @@
+use serde::Serialize;
+use serde_json::Value;
+
+use super::{ControlRow, MotionRecord};
+
+/// What `report.html` shows; sections without data are absent from the page.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportData {
+    /// Name of the scene.
+    pub title: String,
+    /// What was run.
+    pub command: ReportCommand,
+    /// The outcome, beside the title.
+    pub verdict: ReportVerdict,
+    /// Label and value pairs.
+    pub facts: Vec<(String, String)>,
+    /// The summary, shown as it is in a folded section.
+    pub summary: Value,
+    /// The arm that moves.
+    pub arm: ReportArm,
+    /// Its motion, thin enough to draw.
+    pub motion: ReportMotion,
+    /// Where the tip should go.
+    pub target: Option<ReportTarget>,
+    /// Force and moment on the tip.
+    pub controls: Option<ReportControls>,
+    /// Energies over time.
+    pub energy: Option<ReportEnergy>,
+    /// The way to the solution; empty for a simulation.
+    pub iterations: Vec<ReportIteration>,
+    /// What was checked afterwards, with the verdicts.
+    pub checks: Vec<ReportCheck>,
+}
+
+/// The verb that made the result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ReportCommand {
+    /// Forward simulation.
+    Simulate,
+    /// Optimal control.
+    Solve,
+    /// Closed loop in simulation.
+    Mpc,
+}
+
+/// The outcome in a few words.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportVerdict {
+    /// As in "certified".
+    pub text: String,
+    /// Whether it is good news.
+    pub ok: bool,
+}
+
+/// What the picture of the arm needs beside its motion.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportArm {
+    /// Radius at each node in meters; empty if the scene has none, and a thin arm is drawn.
+    pub radius: Vec<f64>,
+    /// Position of the clamp in meters; `None` for a free arm.
+    pub base: Option<[f64; 3]>,
+    /// Acceleration of gravity in m/s²: the picture's vertical; zero means that z is up.
+    pub gravity: [f64; 3],
+}
+
+/// The frames of the picture: `n` times of `K + 1` nodes.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportMotion {
+    /// `[n]` times in seconds.
+    pub t: Vec<f64>,
+    /// `[n][K+1]` positions in meters, as accurate as a picture needs.
+    pub x: Vec<Vec<[f32; 3]>>,
+    /// `[n][K+1]` first directors: unit vectors across the arm.
+    pub d1: Vec<Vec<[f32; 3]>>,
+    /// `[n]` tip positions in meters, in full precision for the distance to the target.
+    pub tip: Vec<[f64; 3]>,
+}
+
+impl ReportMotion {
+    /// At most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
+    pub fn thinned(record: &MotionRecord, max_frames: usize) -> Self {
+        let nodes = record.n_nodes;
+        let node_vectors = |values: &[f64], row: usize, stride: usize, parts: [usize; 3]| {
+            (0..nodes)
+                .map(|node| parts.map(|part| values[(row * nodes + node) * stride + part] as f32))
+                .collect()
+        };
+        let rows = record.thinned_rows(max_frames);
+        Self {
+            t: rows.iter().map(|&row| record.t[row]).collect(),
+            x: rows
+                .iter()
+                .map(|&row| node_vectors(&record.x, row, 3, [0, 1, 2]))
+                .collect(),
+            d1: rows
+                .iter()
+                .map(|&row| node_vectors(&record.rotation, row, 9, [0, 3, 6]))
+                .collect(),
+            tip: rows
+                .iter()
+                .map(|&row| [0, 1, 2].map(|part| record.x[((row + 1) * nodes - 1) * 3 + part]))
+                .collect(),
+        }
+    }
+}
+
+/// The tip's task.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportTarget {
+    /// Position in meters.
+    pub position: Option<[f64; 3]>,
+    /// Directors `d1, d2, d3` in the spatial frame.
+    pub directions: Option<[[f64; 3]; 3]>,
+}
+
+/// How a control runs between its values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Hold {
+    /// Constant on each block.
+    Constant,
+    /// Linear from knot to knot.
+    Linear,
+}
+
+/// A limit on a force or a moment.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Bound {
+    /// On the Euclidean norm.
+    Norm(f64),
+    /// On the magnitude of each component.
+    Axes([f64; 3]),
+}
+
+/// Force and moment on the tip over time.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportControls {
+    /// How the values are to be read.
+    pub hold: Hold,
+    /// In seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
+    pub t: Vec<f64>,
+    /// `[m]` forces in newtons, spatial frame.
+    pub force: Vec<[f64; 3]>,
+    /// `[m]` moments in newton meters, body frame.
+    pub moment: Vec<[f64; 3]>,
+    /// Limit on the force.
+    pub force_bound: Option<Bound>,
+    /// Limit on the moment.
+    pub moment_bound: Option<Bound>,
+}
+
+impl ReportControls {
+    /// Held controls from the rows of `controls.csv`, which follow each other without gaps; no bounds.
+    pub fn held(rows: &[ControlRow]) -> Self {
+        Self {
+            hold: Hold::Constant,
+            t: rows
+                .iter()
+                .map(|row| row.t_start)
+                .chain(rows.last().map(|row| row.t_end))
+                .collect(),
+            force: rows.iter().map(|row| [row.fx, row.fy, row.fz]).collect(),
+            moment: rows.iter().map(|row| [row.mx, row.my, row.mz]).collect(),
+            force_bound: None,
+            moment_bound: None,
+        }
+    }
+}
+
+/// Energies over time, in joules.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportEnergy {
+    /// `[n]` times in seconds.
+    pub t: Vec<f64>,
+    /// `[n]` kinetic energy.
+    pub kinetic: Vec<f64>,
+    /// `[n]` elastic energy.
+    pub elastic: Vec<f64>,
+    /// `[n]` potential energy of gravity.
+    pub potential: Vec<f64>,
+}
+
+impl ReportEnergy {
+    /// At most `max_rows` rows of the record (two at least), the first and the last among them.
+    pub fn thinned(record: &MotionRecord, max_rows: usize) -> Self {
+        let rows = record.thinned_rows(max_rows);
+        let column = |part: usize| -> Vec<f64> {
+            rows.iter()
+                .map(|row| record.energy[row * 3 + part])
+                .collect()
+        };
+        Self {
+            t: rows.iter().map(|&row| record.t[row]).collect(),
+            kinetic: column(0),
+            elastic: column(1),
+            potential: column(2),
+        }
+    }
+}
+
+/// One SQP iteration.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportIteration {
+    /// Its number.
+    pub iteration: usize,
+    /// Value of the objective.
+    pub objective: f64,
+    /// KKT residual: gradient of the Lagrangian.
+    pub stationarity: f64,
+    /// KKT residual: constraint violation.
+    pub feasibility: f64,
+    /// KKT residual: complementarity.
+    pub complementarity: f64,
+    /// Fraction of the direction that was taken.
+    pub step_length: f64,
+    /// Kind of step, as in "full" or "restoration".
+    pub kind: String,
+}
+
+/// One check of the result.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportCheck {
+    /// Its name.
+    pub name: String,
+    /// What was found, with its unit.
+    pub value: String,
+    /// What is allowed, with its unit.
+    pub limit: String,
+    /// Whether it passed.
+    pub ok: bool,
+    /// What it says about the result, in a sentence.
+    pub meaning: String,
+}
+
+const TEMPLATE: &str = include_str!("report_template.html");
+
+/// The page: one HTML document that loads nothing else and works from a file.
+///
+/// The same data give the same text. Non-finite numbers become gaps in the charts.
+pub fn render_report(data: &ReportData) -> String {
+    let json = serde_json::to_string(data).expect("structs, vectors and JSON values serialize");
+    // The data first: a title that spells a placeholder is then only text.
+    TEMPLATE
+        .replacen("{{data}}", &escape_json(&json), 1)
+        .replacen("{{title}}", &escape_html(&data.title), 1)
+}
+
+/// JSON that means the same and cannot end or open anything in a `<script>` element.
+fn escape_json(json: &str) -> String {
+    json.replace('<', "\\u003c")
+        .replace('>', "\\u003e")
+        .replace('&', "\\u0026")
+        .replace('\u{2028}', "\\u2028")
+        .replace('\u{2029}', "\\u2029")
+}
+
+fn escape_html(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::motion::tests::record;
+    use super::*;
+
+    fn data() -> ReportData {
+        let motion = record(5, 3);
+        ReportData {
+            title: "reach".into(),
+            command: ReportCommand::Solve,
+            verdict: ReportVerdict {
+                text: "certified".into(),
+                ok: true,
+            },
+            facts: vec![("elements".into(), "2".into())],
+            summary: serde_json::json!({"schema_version": 1}),
+            arm: ReportArm {
+                radius: vec![0.01; 3],
+                base: Some([0.0; 3]),
+                gravity: [0.0, 0.0, -9.81],
+            },
+            motion: ReportMotion::thinned(&motion, 240),
+            target: Some(ReportTarget {
+                position: Some([0.3, 0.0, 0.1]),
+                directions: None,
+            }),
+            controls: None,
+            energy: Some(ReportEnergy::thinned(&motion, 240)),
+            iterations: vec![],
+            checks: vec![],
+        }
+    }
+
+    fn embedded_json(page: &str) -> Value {
+        let (_, rest) = page
+            .split_once(r#"<script id="data" type="application/json">"#)
+            .unwrap();
+        let (json, _) = rest.split_once("</script>").unwrap();
+        serde_json::from_str(json).unwrap()
+    }
+
+    /// Strings that end scripts, open comments or spell placeholders arrive as text, and open no element.
+    #[test]
+    fn hostile_strings_stay_text() {
+        let hostile = "</script><script>alert(1)</script><!-- <img src=x onerror=alert(2)> \
+                       & \u{2028} {{title}} {{data}} ]]> \" ' \\";
+        let mut spoiled = data();
+        spoiled.title = hostile.into();
+        spoiled.verdict.text = hostile.into();
+        spoiled.facts = vec![(hostile.into(), hostile.into())];
+        spoiled.summary = serde_json::json!({ hostile: hostile });
+        let page = render_report(&spoiled);
+        let tags = |text: &str| text.matches('<').count();
+        assert_eq!(tags(&page), tags(TEMPLATE));
+        assert!(!page.contains("<!--"));
+        let json = embedded_json(&page);
+        assert_eq!(json["title"], hostile);
+        assert_eq!(json["verdict"]["text"], hostile);
+        assert_eq!(json["facts"][0][1], hostile);
+        assert_eq!(json["summary"][hostile], hostile);
+    }
+
+    /// The same data give the same bytes.
+    #[test]
+    fn page_is_deterministic() {
+        assert_eq!(render_report(&data()), render_report(&data()));
+    }
+
+    /// Nothing in the page names another resource, and its policy forbids loading one.
+    #[test]
+    fn page_is_self_contained() {
+        let page = render_report(&data());
+        for load in [
+            "http://", "https://", "src=", "href=", "url(", "@import", "import(",
+        ] {
+            assert!(!page.contains(load), "{load}");
+        }
+        assert!(page.contains("default-src 'none'"));
+    }
+
+    /// Non-finite numbers become null, so that the page still parses.
+    #[test]
+    fn non_finite_numbers_become_null() {
+        let mut spoiled = data();
+        if let Some(energy) = &mut spoiled.energy {
+            energy.kinetic[1] = f64::NAN;
+            energy.elastic[1] = f64::INFINITY;
+        }
+        let json = embedded_json(&render_report(&spoiled));
+        assert!(json["energy"]["kinetic"][1].is_null());
+        assert!(json["energy"]["elastic"][1].is_null());
+    }
+
+    /// Frames take positions, the first column of the rotations, and the tip from the rows that are kept.
+    #[test]
+    fn frames_are_rows_of_the_record() {
+        let record = record(9, 3);
+        let motion = ReportMotion::thinned(&record, 3);
+        assert_eq!(motion.t, [record.t[0], record.t[4], record.t[8]]);
+        let (row, node) = (4, 1);
+        let at = (row * 3 + node) * 9;
+        let d1 = [0, 3, 6].map(|part| record.rotation[at + part] as f32);
+        assert_eq!(motion.d1[1][node], d1);
+        let tip = (row * 3 + 2) * 3;
+        assert_eq!(motion.tip[1], record.x[tip..tip + 3]);
+        assert_eq!(motion.x[1][2], motion.tip[1].map(|part| part as f32));
+    }
+
+    /// Blocks become edges and values: one edge more than values.
+    #[test]
+    fn rows_become_blocks() {
+        let row = |t_start, fx| ControlRow {
+            t_start,
+            t_end: t_start + 0.5,
+            fx,
+            fy: 0.0,
+            fz: 0.0,
+            mx: 0.0,
+            my: 0.0,
+            mz: 1.0,
+        };
+        let controls = ReportControls::held(&[row(0.0, 1.0), row(0.5, 2.0)]);
+        assert_eq!(controls.t, [0.0, 0.5, 1.0]);
+        assert_eq!(controls.force, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        assert_eq!(controls.moment, [[0.0, 0.0, 1.0]; 2]);
+    }
+}

@@ -1,0 +1,32 @@
+//! The scenes that come with the program.
+
+/// Name and text of every built-in scene, the one to start with first.
+const SCENES: [(&str, &str); 5] = [
+    ("reach", include_str!("../../examples/scenes/reach.toml")),
+    (
+        "reach-tapered",
+        include_str!("../../examples/scenes/reach-tapered.toml"),
+    ),
+    (
+        "reach-3d",
+        include_str!("../../examples/scenes/reach-3d.toml"),
+    ),
+    (
+        "paper-arm",
+        include_str!("../../examples/scenes/paper-arm.toml"),
+    ),
+    ("swing", include_str!("../../examples/scenes/swing.toml")),
+];
+
+/// The names of the built-in scenes, the one to start with first.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    SCENES.iter().map(|(name, _)| *name)
+}
+
+/// The commented text of a built-in scene.
+pub fn text(name: &str) -> Option<&'static str> {
+    SCENES
+        .iter()
+        .find(|(known, _)| *known == name)
+        .map(|(_, text)| *text)
+}

@@ -1,0 +1,584 @@
+//! Ranges and relations between keys: what the types of a scene cannot say.
+
+use super::model::{
+    Base, BaseKind, Bound, Control, Damping, Load, LoadNode, Material, Objective, Rod, RodModel,
+    Scene, Section, Solver, Task, Time, TimeStep,
+};
+use super::{SceneError, SceneSource};
+
+/// Elements beyond this number are a typing error rather than a wish.
+const MOST_ELEMENTS: usize = 5000;
+
+/// Blocks and iterations beyond this number are a typing error rather than a wish.
+const LARGEST_COUNT: usize = 1_000_000;
+
+/// Steps beyond this number would run for days.
+const MOST_STEPS: f64 = 1e10;
+
+/// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
+const LARGEST_STRETCH: f64 = 1.3;
+
+impl Scene {
+    /// Whether every number is finite and within range, and no key contradicts another; `source` says where they
+    /// are written. Whatever was read by [`Scene::load`] or [`Scene::from_toml`] has passed this check.
+    pub fn check(&self, source: &SceneSource) -> Result<(), SceneError> {
+        let keys = Keys { source };
+        keys.check_rod(&self.rod)?;
+        keys.check_base(&self.base)?;
+        if let Some(gravity) = &self.gravity {
+            keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
+        }
+        if let Some(damping) = &self.damping {
+            keys.check_damping(damping)?;
+        }
+        for (index, load) in self.load.iter().enumerate() {
+            keys.check_load(load, index, self.rod.elements)?;
+        }
+        keys.check_time(&self.time)?;
+        if let Some(task) = &self.task {
+            keys.check_task(task, self)?;
+        }
+        if let Some(control) = &self.control {
+            keys.check_control(control)?;
+        }
+        if let Some(objective) = &self.objective {
+            keys.check_objective(objective)?;
+        }
+        if let Some(solver) = &self.solver {
+            keys.check_solver(solver)?;
+        }
+        if let Some(rate) = self.output.as_ref().and_then(|output| output.rate_hz) {
+            keys.positive("output.rate_hz", rate, "rate", "Hz")?;
+        }
+        Ok(())
+    }
+}
+
+/// The keys of a scene, by dotted path. Each method names the key that does not hold.
+struct Keys<'a> {
+    source: &'a SceneSource,
+}
+
+type Checked = Result<(), SceneError>;
+
+impl Keys<'_> {
+    fn check_rod(&self, rod: &Rod) -> Checked {
+        self.positive("rod.length_m", rod.length_m, "length", "meters")?;
+        self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
+        if rod.model != RodModel::Standard {
+            return Err(self.unavailable("rod.model", "this model is", "use \"standard\""));
+        }
+        match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
+            (Some(material), Some(section), None, None) => {
+                self.check_material(material)?;
+                self.check_section(section)?;
+                if rod.display_radius_m.is_some() {
+                    return Err(self.contradiction("rod.display_radius_m", "rod.section"));
+                }
+            }
+            (None, None, Some(stiffness), Some(inertia)) => {
+                self.positive("rod.stiffness.ea_n", stiffness.ea_n, "stiffness", "N")?;
+                self.positive("rod.stiffness.ga_n", stiffness.ga_n, "stiffness", "N")?;
+                self.positive(
+                    "rod.stiffness.ei_n_m2",
+                    stiffness.ei_n_m2,
+                    "stiffness",
+                    "N m²",
+                )?;
+                self.positive(
+                    "rod.stiffness.gj_n_m2",
+                    stiffness.gj_n_m2,
+                    "stiffness",
+                    "N m²",
+                )?;
+                self.positive(
+                    "rod.inertia.mass_kg_m",
+                    inertia.mass_kg_m,
+                    "mass per length",
+                    "kg/m",
+                )?;
+                for (axis, rotary) in inertia.rotary_kg_m.into_iter().enumerate() {
+                    self.positive(
+                        &format!("rod.inertia.rotary_kg_m.{axis}"),
+                        rotary,
+                        "rotary inertia",
+                        "kg m",
+                    )?;
+                }
+                self.positive_if_given(
+                    "rod.display_radius_m",
+                    rod.display_radius_m,
+                    "radius",
+                    "meters",
+                )?;
+            }
+            (Some(_), _, Some(_), _) => {
+                return Err(self.contradiction("rod.stiffness", "rod.material"));
+            }
+            (Some(_), _, _, Some(_)) => {
+                return Err(self.contradiction("rod.inertia", "rod.material"));
+            }
+            (_, Some(_), Some(_), _) => {
+                return Err(self.contradiction("rod.stiffness", "rod.section"));
+            }
+            (_, Some(_), _, Some(_)) => {
+                return Err(self.contradiction("rod.inertia", "rod.section"));
+            }
+            (Some(_), None, None, None) => {
+                return Err(self.missing("rod.section", "goes with rod.material"));
+            }
+            (None, Some(_), None, None) => {
+                return Err(self.missing("rod.material", "goes with rod.section"));
+            }
+            (None, None, Some(_), None) => {
+                return Err(self.missing("rod.inertia", "goes with rod.stiffness"));
+            }
+            (None, None, None, Some(_)) => {
+                return Err(self.missing("rod.stiffness", "goes with rod.inertia"));
+            }
+            (None, None, None, None) => {
+                return Err(self.missing(
+                    "rod.material",
+                    "a rod has either rod.material and rod.section, or rod.stiffness and rod.inertia",
+                ));
+            }
+        }
+        if let Some(reference) = &rod.reference {
+            self.finite("rod.reference.curvature_1_m", &reference.curvature_1_m)?;
+            self.positive("rod.reference.stretch", reference.stretch, "stretch", "")?;
+        }
+        Ok(())
+    }
+
+    fn check_material(&self, material: &Material) -> Checked {
+        self.positive(
+            "rod.material.youngs_modulus_pa",
+            material.youngs_modulus_pa,
+            "Young's modulus",
+            "Pa",
+        )?;
+        match (material.poisson_ratio, material.shear_modulus_pa) {
+            (Some(ratio), None) => {
+                if !(ratio > -1.0 && ratio <= 0.5) {
+                    let message = format!("{} is not a Poisson's ratio", number(ratio));
+                    return Err(self
+                        .source
+                        .error_at("rod.material.poisson_ratio", message, None)
+                        .expecting("expected a number above -1 and up to 0.5"));
+                }
+            }
+            (None, Some(modulus)) => {
+                self.positive(
+                    "rod.material.shear_modulus_pa",
+                    modulus,
+                    "shear modulus",
+                    "Pa",
+                )?;
+            }
+            (Some(_), Some(_)) => {
+                return Err(self.contradiction(
+                    "rod.material.shear_modulus_pa",
+                    "rod.material.poisson_ratio",
+                ));
+            }
+            (None, None) => {
+                return Err(self.missing(
+                    "rod.material.poisson_ratio",
+                    "or else give rod.material.shear_modulus_pa",
+                ));
+            }
+        }
+        self.positive(
+            "rod.material.density_kg_m3",
+            material.density_kg_m3,
+            "density",
+            "kg/m³",
+        )?;
+        self.positive(
+            "rod.material.shear_factor",
+            material.shear_factor,
+            "factor",
+            "",
+        )
+    }
+
+    fn check_section(&self, section: &Section) -> Checked {
+        let [radius, base, tip] = [
+            "rod.section.radius_m",
+            "rod.section.radius_base_m",
+            "rod.section.radius_tip_m",
+        ];
+        self.positive_if_given(radius, section.radius_m, "radius", "meters")?;
+        self.positive_if_given(base, section.radius_base_m, "radius", "meters")?;
+        self.positive_if_given(tip, section.radius_tip_m, "radius", "meters")?;
+        match (
+            section.radius_m,
+            section.radius_base_m,
+            section.radius_tip_m,
+        ) {
+            (Some(_), None, None) | (None, Some(_), Some(_)) => Ok(()),
+            (Some(_), Some(_), _) => Err(self.contradiction(base, radius)),
+            (Some(_), None, Some(_)) => Err(self.contradiction(tip, radius)),
+            (None, Some(_), None) => Err(self.missing(tip, "goes with rod.section.radius_base_m")),
+            (None, None, Some(_)) => Err(self.missing(base, "goes with rod.section.radius_tip_m")),
+            (None, None, None) => Err(self.missing(
+                radius,
+                "or else give rod.section.radius_base_m and rod.section.radius_tip_m",
+            )),
+        }
+    }
+
+    fn check_base(&self, base: &Base) -> Checked {
+        self.finite("base.position_m", &base.position_m)?;
+        if let Some(direction) = &base.direction {
+            self.nonzero("base.direction", direction)?;
+        }
+        if let Some(roll) = base.roll_rad {
+            self.finite_number("base.roll_rad", roll)?;
+        }
+        if let Some(orientation) = &base.orientation_wxyz {
+            self.nonzero("base.orientation_wxyz", orientation)?;
+            if base.direction.is_some() {
+                return Err(self.contradiction("base.orientation_wxyz", "base.direction"));
+            }
+            if base.roll_rad.is_some() {
+                return Err(self.contradiction("base.orientation_wxyz", "base.roll_rad"));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_damping(&self, damping: &Damping) -> Checked {
+        self.not_negative(
+            "damping.viscous_1_s",
+            damping.viscous_1_s,
+            "damping rate",
+            "1/s",
+        )?;
+        self.not_negative("damping.internal_s", damping.internal_s, "time", "seconds")?;
+        if damping.internal_s > 0.0 {
+            return Err(self.unavailable("damping.internal_s", "internal damping is", "use 0"));
+        }
+        Ok(())
+    }
+
+    fn check_load(&self, load: &Load, index: usize, elements: usize) -> Checked {
+        if let LoadNode::Index(node) = load.node
+            && node > elements
+        {
+            let message = format!("there is no node {node}");
+            return Err(self
+                .source
+                .error_at(&format!("load.{index}.node"), message, None)
+                .expecting(format!("expected 0 (base) to {elements} (tip)")));
+        }
+        self.finite(&format!("load.{index}.force_n"), &load.force_n)?;
+        self.finite(&format!("load.{index}.moment_n_m"), &load.moment_n_m)?;
+        let Some(profile) = &load.profile else {
+            return Ok(());
+        };
+        let key = format!("load.{index}.profile");
+        if profile.is_empty() {
+            let help = "leave the profile out for a constant load".to_string();
+            return Err(self
+                .source
+                .error_at(&key, "a profile without points", Some(help)));
+        }
+        for (point, pair) in profile.iter().enumerate() {
+            self.finite(&format!("{key}.{point}"), pair)?;
+        }
+        for (point, pair) in profile.windows(2).enumerate() {
+            if pair[1][0] <= pair[0][0] {
+                let message = format!(
+                    "{} s does not come after {} s",
+                    number(pair[1][0]),
+                    number(pair[0][0])
+                );
+                return Err(self
+                    .source
+                    .error_at(&format!("{key}.{}", point + 1), message, None)
+                    .expecting("expected increasing times"));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_time(&self, time: &Time) -> Checked {
+        self.not_negative("time.end_s", time.end_s, "duration", "seconds")?;
+        let TimeStep::Seconds(step) = time.step_s else {
+            return Ok(());
+        };
+        self.positive("time.step_s", step, "time step", "seconds")?;
+        if time.end_s > 0.0 && step > time.end_s {
+            let message = format!(
+                "a step of {} s is longer than time.end_s, {} s",
+                number(step),
+                number(time.end_s)
+            );
+            return Err(self.source.error_at("time.step_s", message, None));
+        }
+        if time.end_s / step > MOST_STEPS {
+            let message = format!(
+                "makes {} steps up to time.end_s, {} s",
+                number(time.end_s / step),
+                number(time.end_s)
+            );
+            return Err(self
+                .source
+                .error_at("time.step_s", message, None)
+                .expecting(format!("expected at most {} steps", number(MOST_STEPS))));
+        }
+        Ok(())
+    }
+
+    fn check_task(&self, task: &Task, scene: &Scene) -> Checked {
+        if task.position_m.is_none() && task.orientation_wxyz.is_none() {
+            return Err(self.missing(
+                "task.position_m",
+                "or else, or as well, give task.orientation_wxyz",
+            ));
+        }
+        if let Some(position) = &task.position_m {
+            self.finite("task.position_m", position)?;
+            self.check_reach(position, scene)?;
+        }
+        if let Some(orientation) = &task.orientation_wxyz {
+            self.nonzero("task.orientation_wxyz", orientation)?;
+        }
+        let end = scene.time.end_s;
+        if let Some(instant) = task.at_s {
+            self.positive("task.at_s", instant, "instant", "seconds")?;
+            if instant > end {
+                let message = format!("{} s is after the end of the scene", number(instant));
+                return Err(self
+                    .source
+                    .error_at("task.at_s", message, None)
+                    .expecting(format!("expected at most time.end_s, {}", number(end))));
+            }
+        } else if end == 0.0 {
+            let message = "a task cannot be reached in no time";
+            return Err(self
+                .source
+                .error_at("time.end_s", message, None)
+                .expecting("expected a positive duration"));
+        }
+        self.positive_if_given("task.weight", task.weight, "weight", "")?;
+        if task.hard && task.weight.is_some() {
+            let help = "set task.hard = false to make the task a term of the objective".to_string();
+            return Err(self.source.error_at(
+                "task.weight",
+                "a hard task has no weight",
+                Some(help),
+            ));
+        }
+        Ok(())
+    }
+
+    fn check_reach(&self, position: &[f64; 3], scene: &Scene) -> Checked {
+        let stretch = scene
+            .rod
+            .reference
+            .as_ref()
+            .map_or(1.0, |reference| reference.stretch.max(1.0));
+        let reach = LARGEST_STRETCH * stretch * scene.rod.length_m;
+        let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
+        let distance = x.hypot(y).hypot(z);
+        if scene.base.kind == BaseKind::Clamped && distance > reach {
+            let message = format!("{} m from the base is out of reach", rounded(distance));
+            let help = format!(
+                "rod.length_m is {} and base.position_m is the clamped end",
+                number(scene.rod.length_m)
+            );
+            return Err(self
+                .source
+                .error_at("task.position_m", message, Some(help))
+                .expecting(format!(
+                    "expected at most {} m, the largest reach of this arm",
+                    rounded(reach)
+                )));
+        }
+        Ok(())
+    }
+
+    fn check_control(&self, control: &Control) -> Checked {
+        self.count("control.blocks", control.blocks, LARGEST_COUNT)?;
+        for (key, bound, unit) in [
+            ("control.force_max_n", control.force_max_n, "N"),
+            ("control.moment_max_n_m", control.moment_max_n_m, "N m"),
+        ] {
+            match bound {
+                None => {}
+                Some(Bound::Norm(norm)) => self.not_negative(key, norm, "bound", unit)?,
+                Some(Bound::PerAxis(bounds)) => {
+                    for (axis, bound) in bounds.into_iter().enumerate() {
+                        self.not_negative(&format!("{key}.{axis}"), bound, "bound", unit)?;
+                    }
+                }
+            }
+        }
+        let is_zero = |bound: Option<Bound>| match bound {
+            None => false,
+            Some(Bound::Norm(norm)) => norm == 0.0,
+            Some(Bound::PerAxis(bounds)) => bounds == [0.0; 3],
+        };
+        if is_zero(control.force_max_n) && is_zero(control.moment_max_n_m) {
+            let message =
+                "both this and control.force_max_n are 0, so that there is nothing to control";
+            return Err(self
+                .source
+                .error_at("control.moment_max_n_m", message, None));
+        }
+        Ok(())
+    }
+
+    fn check_objective(&self, objective: &Objective) -> Checked {
+        self.not_negative("objective.effort", objective.effort, "weight", "")?;
+        self.not_negative("objective.rate", objective.rate, "weight", "")?;
+        if objective.effort == 0.0 && objective.rate == 0.0 {
+            let message =
+                "both this and objective.rate are 0, so that there is nothing to make small";
+            return Err(self.source.error_at("objective.effort", message, None));
+        }
+        self.positive_if_given(
+            "objective.force_scale_n",
+            objective.force_scale_n,
+            "force",
+            "N",
+        )?;
+        self.positive_if_given(
+            "objective.moment_scale_n_m",
+            objective.moment_scale_n_m,
+            "moment",
+            "N m",
+        )
+    }
+
+    fn check_solver(&self, solver: &Solver) -> Checked {
+        self.positive("solver.tolerance", solver.tolerance, "tolerance", "")?;
+        self.count(
+            "solver.max_iterations",
+            solver.max_iterations,
+            LARGEST_COUNT,
+        )?;
+        self.positive_if_given(
+            "solver.deadline_s",
+            solver.deadline_s,
+            "duration",
+            "seconds",
+        )
+    }
+
+    fn positive(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
+        if !value.is_finite() || value <= 0.0 {
+            return Err(self.out_of_range(key, value, &format!("positive {quantity}"), unit));
+        }
+        Ok(())
+    }
+
+    fn positive_if_given(
+        &self,
+        key: &str,
+        value: Option<f64>,
+        quantity: &str,
+        unit: &str,
+    ) -> Checked {
+        value.map_or(Ok(()), |value| self.positive(key, value, quantity, unit))
+    }
+
+    fn not_negative(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
+        if !value.is_finite() || value < 0.0 {
+            return Err(self.out_of_range(key, value, &format!("non-negative {quantity}"), unit));
+        }
+        Ok(())
+    }
+
+    /// `unit` is empty for numbers without one.
+    fn out_of_range(&self, key: &str, value: f64, quantity: &str, unit: &str) -> SceneError {
+        let unit = if unit.is_empty() {
+            String::new()
+        } else {
+            format!(" in {unit}")
+        };
+        self.source
+            .error_at(key, format!("{} is not a {quantity}", number(value)), None)
+            .expecting(format!("expected a {quantity}{unit}"))
+    }
+
+    fn count(&self, key: &str, value: usize, most: usize) -> Checked {
+        if !(1..=most).contains(&value) {
+            return Err(self
+                .source
+                .error_at(key, format!("{value} is out of range"), None)
+                .expecting(format!("expected a whole number from 1 to {most}")));
+        }
+        Ok(())
+    }
+
+    fn finite_number(&self, key: &str, value: f64) -> Checked {
+        if !value.is_finite() {
+            let message = format!("{value} is not a finite number");
+            return Err(self
+                .source
+                .error_at(key, message, None)
+                .expecting("expected a finite number"));
+        }
+        Ok(())
+    }
+
+    fn finite(&self, key: &str, values: &[f64]) -> Checked {
+        for (index, value) in values.iter().enumerate() {
+            self.finite_number(&format!("{key}.{index}"), *value)?;
+        }
+        Ok(())
+    }
+
+    fn nonzero(&self, key: &str, values: &[f64]) -> Checked {
+        self.finite(key, values)?;
+        if values.iter().all(|value| *value == 0.0) {
+            return Err(self
+                .source
+                .error_at(key, "all components are zero", None)
+                .expecting("expected any other vector"));
+        }
+        Ok(())
+    }
+
+    fn missing(&self, key: &str, relation: &str) -> SceneError {
+        self.source
+            .error_at(key, format!("missing; {relation}"), None)
+    }
+
+    fn contradiction(&self, key: &str, other: &str) -> SceneError {
+        self.source.error_at(
+            key,
+            format!("contradicts {other}"),
+            Some("give one or the other".to_string()),
+        )
+    }
+
+    fn unavailable(&self, key: &str, what: &str, instead: &str) -> SceneError {
+        self.source.error_at(
+            key,
+            format!("{what} not available in this version; {instead}"),
+            None,
+        )
+    }
+}
+
+/// The shortest digits that read back as the same number, in powers of ten where it is very large or small.
+fn number(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() || (1e-4..1e7).contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
+/// Four significant digits or so, for derived lengths.
+fn rounded(value: f64) -> String {
+    if (0.1..1e4).contains(&value) {
+        format!("{value:.3}")
+    } else {
+        format!("{value:.3e}")
+    }
+}

@@ -1,0 +1,252 @@
+//! What is wrong with a scene, and where.
+
+use std::fmt;
+use std::ops::Range;
+
+/// What is wrong with a scene: the key, the place it was written at, what was expected and what may help.
+///
+/// Displayed, it is a diagnosis of a few lines, of bounded length whatever the input was:
+/// ```text
+/// error: rod.length_m: -1 is not a positive length
+///   --> my.toml:3:12
+///    |
+///  3 | length_m = -1
+///    |            ^^ expected a positive length in meters
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneError(Box<Diagnosis>);
+
+#[derive(Clone, Debug, PartialEq)]
+struct Diagnosis {
+    key: Option<String>,
+    message: String,
+    place: Place,
+    expected: Option<String>,
+    help: Option<String>,
+}
+
+/// Where a value was written.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Place {
+    /// Somewhere in the source of this name, or nowhere in it because it is missing.
+    Source(String),
+    /// In this `KEY=VALUE`.
+    Override(String),
+    /// In a line of the source.
+    Line(Line),
+}
+
+/// A marked piece of a line of text.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Line {
+    source: String,
+    /// Line and column count from 1, the column in characters.
+    number: usize,
+    column: usize,
+    /// The part of the line that is shown, and the marked characters of it.
+    shown: String,
+    marked: Range<usize>,
+}
+
+impl SceneError {
+    pub(super) fn new(key: Option<&str>, message: impl Into<String>, place: Place) -> SceneError {
+        SceneError(Box::new(Diagnosis {
+            key: key.map(excerpt),
+            message: message.into(),
+            place,
+            expected: None,
+            help: None,
+        }))
+    }
+
+    /// An error about a source as a whole: a file that cannot be read, a text that is empty.
+    pub(super) fn of_source(name: &str, message: impl Into<String>) -> SceneError {
+        SceneError::new(None, message, Place::Source(excerpt(name)))
+    }
+
+    /// Adds what was expected, which is shown beside the marked text.
+    pub fn expecting(mut self, expected: impl Into<String>) -> SceneError {
+        self.0.expected = Some(expected.into());
+        self
+    }
+
+    /// Adds what the user may do now.
+    pub fn with_help(mut self, help: impl Into<String>) -> SceneError {
+        self.0.help = Some(help.into());
+        self
+    }
+
+    /// The dotted path of the key that is wrong or missing, if the error is about one.
+    pub fn key(&self) -> Option<&str> {
+        self.0.key.as_deref()
+    }
+
+    /// The line of the text, counted from 1, if the error is in a line.
+    pub fn line(&self) -> Option<usize> {
+        match &self.0.place {
+            Place::Line(line) => Some(line.number),
+            Place::Source(_) | Place::Override(_) => None,
+        }
+    }
+
+    /// The column, counted from 1 in characters, if the error is in a line.
+    pub fn column(&self) -> Option<usize> {
+        match &self.0.place {
+            Place::Line(line) => Some(line.column),
+            Place::Source(_) | Place::Override(_) => None,
+        }
+    }
+
+    /// What is wrong, in one sentence, without the key and the place.
+    pub fn message(&self) -> &str {
+        &self.0.message
+    }
+
+    /// What was expected instead, where that adds to the message.
+    pub fn expected(&self) -> Option<&str> {
+        self.0.expected.as_deref()
+    }
+
+    /// What the user may do now.
+    pub fn help(&self) -> Option<&str> {
+        self.0.help.as_deref()
+    }
+}
+
+impl std::error::Error for SceneError {}
+
+impl fmt::Display for SceneError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Diagnosis {
+            key,
+            message,
+            place,
+            expected,
+            help,
+        } = &*self.0;
+        match key {
+            Some(key) => write!(f, "error: {key}: {message}")?,
+            None => write!(f, "error: {message}")?,
+        }
+        match place {
+            Place::Line(line) => {
+                let Line {
+                    source,
+                    number,
+                    column,
+                    shown,
+                    marked,
+                } = line;
+                let width = number.to_string().len() + 1;
+                let indent = " ".repeat(marked.start);
+                let carets = "^".repeat(marked.len().max(1));
+                write!(
+                    f,
+                    "\n {:width$}--> {source}:{number}:{column}",
+                    "",
+                    width = width - 1
+                )?;
+                write!(
+                    f,
+                    "\n {:width$}|\n {number} | {shown}\n {:width$}| {indent}{carets}",
+                    "", ""
+                )?;
+                if let Some(expected) = expected {
+                    write!(f, " {expected}")?;
+                }
+            }
+            Place::Source(name) => write!(f, "\n  --> {name}")?,
+            Place::Override(text) => write!(f, "\n  --> --set {text}")?,
+        }
+        if let (Place::Source(_) | Place::Override(_), Some(expected)) = (place, expected) {
+            write!(f, "\n   = {expected}")?;
+        }
+        if let Some(help) = help {
+            write!(f, "\nhelp: {help}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Line {
+    /// The line of `text` in which `span` begins, shortened around the marked bytes where it is long.
+    pub(super) fn at(source: &str, text: &str, span: Range<usize>) -> Line {
+        let start = floor_char_boundary(text, span.start);
+        let end = floor_char_boundary(text, span.end).max(start);
+        let line_start = text[..start].rfind('\n').map_or(0, |newline| newline + 1);
+        let line_end = text[start..]
+            .find('\n')
+            .map_or(text.len(), |newline| start + newline);
+        let before = text[line_start..start].chars().count();
+        let width = text[start..end.min(line_end)].trim_end().chars().count();
+
+        let first = (before + EXCERPT_LENGTH / 3).saturating_sub(EXCERPT_LENGTH);
+        let line = text[line_start..line_end].trim_end();
+        let shown: String = line
+            .chars()
+            .skip(first)
+            .take(EXCERPT_LENGTH)
+            .map(printable)
+            .collect();
+        let room = shown.chars().count().saturating_sub(before - first);
+        Line {
+            source: excerpt(source),
+            number: text[..line_start].matches('\n').count() + 1,
+            column: before + 1,
+            marked: before - first..before - first + width.min(room),
+            shown,
+        }
+    }
+}
+
+/// The greatest character boundary of `text` that is not after `index`.
+fn floor_char_boundary(text: &str, index: usize) -> usize {
+    (0..=index.min(text.len()))
+        .rev()
+        .find(|&i| text.is_char_boundary(i))
+        .unwrap_or(0)
+}
+
+/// No more than this many characters of what the user wrote are quoted in one place.
+const EXCERPT_LENGTH: usize = 120;
+
+/// `text` in a form that is safe to print: one line, no control characters, no more than a line of it.
+pub(super) fn excerpt(text: &str) -> String {
+    let mut quoted: String = text.chars().take(EXCERPT_LENGTH).map(printable).collect();
+    if text.chars().nth(EXCERPT_LENGTH).is_some() {
+        quoted.push('…');
+    }
+    quoted
+}
+
+/// Control characters could move the cursor, and directional marks could reorder the line.
+fn printable(character: char) -> char {
+    match character {
+        '\t' => ' ',
+        '\u{200b}'..='\u{200f}'
+        | '\u{2028}'..='\u{202e}'
+        | '\u{2066}'..='\u{2069}'
+        | '\u{feff}' => '\u{fffd}',
+        character if character.is_control() => '\u{fffd}',
+        character => character,
+    }
+}
+
+/// The known word that `word` was most likely meant to be.
+pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    const CLOSE_ENOUGH: f64 = 0.8; // 1 is equal; separates `lenght` from words that merely share letters
+    if word.len() > EXCERPT_LENGTH {
+        return None;
+    }
+    known
+        .into_iter()
+        .map(|candidate| {
+            (
+                strsim::jaro_winkler(&word.to_lowercase(), candidate),
+                candidate,
+            )
+        })
+        .filter(|(similarity, _)| *similarity > CLOSE_ENOUGH)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| candidate)
+}

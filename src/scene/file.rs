@@ -1,0 +1,64 @@
+//! The file that a scene is read from: found, not too large, and text.
+
+use super::builtin;
+use super::error::{SceneError, excerpt, nearest};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// A scene is some kilobytes; what is longer than this is not a scene.
+const LARGEST_FILE: u64 = 1 << 20;
+
+pub(super) const EXAMPLE_HELP: &str =
+    "`softarm example reach` prints a commented scene to start from";
+
+/// The text of the file at `path`, of which no more than the allowed length is ever read.
+pub(super) fn read(path: &str) -> Result<String, SceneError> {
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(LARGEST_FILE + 1).read_to_end(&mut bytes))
+        .map_err(|error| SceneError::of_source(path, format!("cannot be read: {error}")))?;
+    if bytes.len() as u64 > LARGEST_FILE {
+        return Err(
+            SceneError::of_source(path, "larger than 1 MiB, which is no scene file")
+                .with_help(EXAMPLE_HELP),
+        );
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let position = error.utf8_error().valid_up_to();
+        SceneError::of_source(
+            path,
+            format!("not UTF-8 text (the byte at offset {position} is invalid)"),
+        )
+        .with_help(EXAMPLE_HELP)
+    })
+}
+
+/// `path` is a directory; a result directory holds the scene that it was computed from.
+pub(super) fn directory_error(path: &Path, name: &str) -> SceneError {
+    let error = SceneError::of_source(name, "a directory, not a scene file");
+    if path.join("scene.toml").is_file() {
+        let inside = path.join("scene.toml");
+        error.with_help(format!(
+            "did you mean `{}`?",
+            excerpt(&inside.to_string_lossy())
+        ))
+    } else {
+        error
+    }
+}
+
+/// `name` is neither a readable file nor a built-in scene.
+pub(super) fn missing_error(name: &str, reason: &std::io::Error) -> SceneError {
+    if reason.kind() != std::io::ErrorKind::NotFound {
+        return SceneError::of_source(name, format!("cannot be read: {reason}"));
+    }
+    let known: Vec<&str> = builtin::names().collect();
+    let list = format!("built-in scenes: {}", known.join(", "));
+    let stem = name.strip_suffix(".toml").unwrap_or(name);
+    let help = match nearest(stem, known.iter().copied()) {
+        Some(near) => format!("did you mean `{near}`? {list}"),
+        None => list,
+    };
+    SceneError::of_source(name, "no file and no built-in scene of this name").with_help(help)
+}

@@ -1,0 +1,95 @@
+//! What a user writes: the scene file, its keys, and errors that point at the line.
+//!
+//! A scene is TOML in SI units; every key of a physical quantity ends in its unit. It flows one way:
+//! a name or path and overrides become text ([`SceneSource`]), the text becomes a [`Scene`], and the scene is
+//! checked. A [`Scene`] that came from [`Scene::load`] or [`Scene::from_toml`] has passed [`Scene::check`], so that
+//! its numbers are finite and within range. The source stays beside the scene for as long as something may still
+//! be found wrong with it: [`SceneSource::error_at`] names the line, or the override, that a value came from.
+//!
+//! A section that is absent is a feature that the scene does not need; it is `None` here, and nothing is paid for it.
+
+pub mod builtin;
+mod check;
+mod error;
+mod file;
+mod model;
+mod overrides;
+mod reader;
+mod source;
+
+pub use error::SceneError;
+pub use model::{
+    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Load,
+    LoadFrame, LoadNode, Material, Objective, Output, Reference, Rod, RodModel, Scene, Section,
+    Solver, Stiffness, StrainRule, Task, Time, TimeStep,
+};
+pub use source::SceneSource;
+
+use overrides::Override;
+use std::path::Path;
+
+/// Features that scene files may come to describe, and this version does not have.
+const UNAVAILABLE_SECTIONS: [&str; 2] = ["obstacle", "mpc"];
+
+impl Scene {
+    /// Reads the scene file at `name_or_path`, or the built-in scene of that name where there is no such file.
+    ///
+    /// Each override is `KEY=VALUE` with a dotted key, as in `rod.elements=40` or `load.0.force_n=[0, 0, 1]`; the
+    /// value is TOML, or else a bare word.
+    pub fn load(
+        name_or_path: &str,
+        overrides: &[String],
+    ) -> Result<(Scene, SceneSource), SceneError> {
+        let path = Path::new(name_or_path);
+        match (std::fs::metadata(path), builtin::text(name_or_path)) {
+            (Ok(metadata), _) if !metadata.is_dir() => {
+                Scene::from_toml(name_or_path, &file::read(name_or_path)?, overrides)
+            }
+            (_, Some(text)) => Scene::from_toml(name_or_path, text, overrides),
+            (Ok(_), None) => Err(file::directory_error(path, name_or_path)),
+            (Err(error), None) => Err(file::missing_error(name_or_path, &error)),
+        }
+    }
+
+    /// Reads a scene from its text; `name` stands for the text in errors. Overrides are as for [`Scene::load`].
+    pub fn from_toml(
+        name: &str,
+        text: &str,
+        overrides: &[String],
+    ) -> Result<(Scene, SceneSource), SceneError> {
+        let source = SceneSource::new(name, text, overrides);
+        if source.text.trim().is_empty() {
+            return Err(
+                SceneError::of_source(name, "the scene is empty").with_help(file::EXAMPLE_HELP)
+            );
+        }
+        let mut table = toml::from_str::<toml::Table>(&source.text)
+            .map_err(|error| source.syntax_error(&error))?;
+        for text in overrides {
+            Override::parse(text)?.apply(&mut table)?;
+        }
+        for section in UNAVAILABLE_SECTIONS {
+            if table.contains_key(section) {
+                return Err(source.error_at(section, "not available in this version", None));
+            }
+        }
+        let scene: Scene = reader::read(&toml::Value::Table(table))
+            .map_err(|misfit| source.misfit_error(misfit))?;
+        scene.check(&source)?;
+        Ok((scene, source))
+    }
+
+    /// The scene as text, with every default written out; it reads back as an equal scene.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self)
+            .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
+    }
+
+    /// JSON Schema of the scene file, for editors and other programs.
+    pub fn schema() -> serde_json::Value {
+        schemars::schema_for!(Scene).to_value()
+    }
+}
+
+#[cfg(test)]
+mod tests;

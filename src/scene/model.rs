@@ -1,0 +1,639 @@
+//! The sections and keys of a scene. The doc comments of this file are the descriptions in the JSON Schema.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A soft arm, what acts on it, and what it should do. SI units throughout.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// The arm.
+    pub rod: Rod,
+    /// Where the first node is, and whether it is held. Default: clamped at the origin, the arm along +z.
+    #[serde(default)]
+    pub base: Base,
+    /// Uniform gravity. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<Gravity>,
+    /// Damping. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub damping: Option<Damping>,
+    /// Prescribed forces and moments on nodes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub load: Vec<Load>,
+    /// Duration and time step.
+    pub time: Time,
+    /// Where the tip should be, and when. Absent: there is nothing to reach.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<Task>,
+    /// The tip force and moment that the optimizer may choose. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub control: Option<Control>,
+    /// What the optimizer makes small. Absent: the defaults.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub objective: Option<Objective>,
+    /// How the optimizer works. Absent: the defaults.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub solver: Option<Solver>,
+    /// What is written. Absent: every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub output: Option<Output>,
+}
+
+/// A straight or curved rod with a circular section, or with stiffness and inertia given directly.
+///
+/// Either `material` and `section`, or `stiffness` and `inertia`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rod {
+    /// Rest length in m, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub length_m: f64,
+    /// Number of elements, 1 to 5000; there is one node more than elements.
+    #[schemars(range(min = 1, max = 5000))]
+    pub elements: usize,
+    /// How strains follow from the nodes.
+    #[serde(default)]
+    pub strain: StrainRule,
+    /// How axial stretch enters stiffness and inertia.
+    #[serde(default)]
+    pub model: RodModel,
+    /// Radius in m that pictures show when the rod has no `section`; has no effect on the motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub display_radius_m: Option<f64>,
+    /// What the rod is made of; goes with `section`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub material: Option<Material>,
+    /// The circular section; goes with `material`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub section: Option<Section>,
+    /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stiffness: Option<Stiffness>,
+    /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertia: Option<Inertia>,
+    /// Stress-free shape. Absent: straight and unstretched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<Reference>,
+}
+
+/// How the strains of an element follow from its two nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum StrainRule {
+    /// One constant strain per element; arcs and helices are exact, and elements may be long.
+    #[default]
+    Helical,
+    /// Strains at both ends with half weight each; locks in shear unless elements are shorter than the radius.
+    Trapezoidal,
+}
+
+/// How axial stretch enters stiffness and inertia.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RodModel {
+    /// The section keeps its size as the rod stretches.
+    #[default]
+    Standard,
+    /// The section thins as the rod stretches, at frozen stretch in the equations of motion.
+    Dilatation,
+    /// The section thins as the rod stretches, with every derivative kept.
+    Consistent,
+}
+
+/// A homogeneous elastic material.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Material {
+    /// Young's modulus in Pa, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub youngs_modulus_pa: f64,
+    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = -1, "maximum" = 0.5))]
+    pub poisson_ratio: Option<f64>,
+    /// Shear modulus in Pa, positive; either this or `poisson_ratio`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub shear_modulus_pa: Option<f64>,
+    /// Density in kg/m³, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub density_kg_m3: f64,
+    /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub shear_factor: f64,
+}
+
+/// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Section {
+    /// Radius in m all along the rod, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub radius_m: Option<f64>,
+    /// Radius in m at the base, positive; goes with `radius_tip_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub radius_base_m: Option<f64>,
+    /// Radius in m at the tip, positive; goes with `radius_base_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub radius_tip_m: Option<f64>,
+}
+
+/// Stiffness of a section that is the same in both transverse directions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stiffness {
+    /// Axial stiffness E A in N, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub ea_n: f64,
+    /// Shear stiffness G A in N, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub ga_n: f64,
+    /// Bending stiffness E I in N m², positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub ei_n_m2: f64,
+    /// Torsional stiffness G J in N m², positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub gj_n_m2: f64,
+}
+
+/// Inertia of a section, per length of the rod.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Inertia {
+    /// Mass per length in kg/m, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub mass_kg_m: f64,
+    /// Principal rotary inertias per length in kg m (kg m² per m): about the two transverse axes, then about the
+    /// rod's own axis; all positive.
+    pub rotary_kg_m: [f64; 3],
+}
+
+/// The shape in which the rod carries no stress, the same all along.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.
+    #[serde(default)]
+    pub curvature_1_m: [f64; 3],
+    /// Stress-free length over `length_m`, positive, default 1.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub stretch: f64,
+}
+
+/// The first node: where it is, how it is turned, and whether it is held.
+///
+/// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Base {
+    /// Whether the base is held in place.
+    pub kind: BaseKind,
+    /// Position in m. Default: the origin.
+    pub position_m: [f64; 3],
+    /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f64; 3]>,
+    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roll_rad: Option<f64>,
+    /// Orientation of the base as a quaternion, scalar first, of any length but zero; instead of `direction` and
+    /// `roll_rad`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+}
+
+/// Whether the base is held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum BaseKind {
+    /// Position and orientation are held.
+    #[default]
+    Clamped,
+    /// The base moves like any other node.
+    Free,
+}
+
+/// Uniform gravity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Gravity {
+    /// Acceleration in m/s², spatial frame.
+    pub acceleration_m_s2: [f64; 3],
+}
+
+/// Damping of the motion.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Damping {
+    /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
+    /// angular momentum.
+    #[schemars(range(min = 0.0))]
+    pub viscous_1_s: f64,
+    /// Kelvin-Voigt time in s: stress in proportion to the rate of strain. This version has only 0, the default.
+    #[schemars(range(min = 0.0, max = 0.0))]
+    pub internal_s: f64,
+}
+
+/// A prescribed force and moment on one node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Load {
+    /// The node that is loaded: "tip", "base", or an index that counts from 0 at the base.
+    pub node: LoadNode,
+    /// Force in N. Default: none.
+    #[serde(default)]
+    pub force_n: [f64; 3],
+    /// Moment in N m. Default: none.
+    #[serde(default)]
+    pub moment_n_m: [f64; 3],
+    /// The frame that `force_n` and `moment_n_m` are given in.
+    #[serde(default)]
+    pub frame: LoadFrame,
+    /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
+    /// Absent: always 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A node of the rod.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
+pub enum LoadNode {
+    /// The last node.
+    Tip,
+    /// The first node.
+    Base,
+    /// The node of this index, from 0 at the base to `elements` at the tip.
+    Index(usize),
+}
+
+/// "tip", "base", or the index of a node, from 0 at the base.
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(
+    untagged,
+    expecting = "expected \"tip\", \"base\", or the index of a node"
+)]
+#[schemars(rename = "LoadNode")]
+enum LoadNodeKey {
+    End(RodEnd),
+    Index(usize),
+}
+
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[schemars(inline)]
+enum RodEnd {
+    Tip,
+    Base,
+}
+
+impl From<LoadNodeKey> for LoadNode {
+    fn from(key: LoadNodeKey) -> LoadNode {
+        match key {
+            LoadNodeKey::End(RodEnd::Tip) => LoadNode::Tip,
+            LoadNodeKey::End(RodEnd::Base) => LoadNode::Base,
+            LoadNodeKey::Index(index) => LoadNode::Index(index),
+        }
+    }
+}
+
+impl From<LoadNode> for LoadNodeKey {
+    fn from(node: LoadNode) -> LoadNodeKey {
+        match node {
+            LoadNode::Tip => LoadNodeKey::End(RodEnd::Tip),
+            LoadNode::Base => LoadNodeKey::End(RodEnd::Base),
+            LoadNode::Index(index) => LoadNodeKey::Index(index),
+        }
+    }
+}
+
+/// The frame that a load is given in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum LoadFrame {
+    /// The load keeps its direction in space.
+    #[default]
+    Spatial,
+    /// The load turns with the node.
+    Body,
+}
+
+/// Duration and time step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Time {
+    /// Duration in s, from t = 0; not negative.
+    #[schemars(range(min = 0.0))]
+    pub end_s: f64,
+    /// Time step in s, or "auto": a step that is stable for this rod. Default: "auto".
+    #[serde(default)]
+    pub step_s: TimeStep,
+}
+
+/// The time step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "TimeStepKey", into = "TimeStepKey")]
+pub enum TimeStep {
+    /// A step that is stable for this rod.
+    #[default]
+    Auto,
+    /// This many seconds, positive.
+    Seconds(f64),
+}
+
+/// A positive number of seconds, or "auto".
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected a number of seconds or \"auto\"")]
+#[schemars(rename = "TimeStep")]
+enum TimeStepKey {
+    Word(AutoWord),
+    Seconds(#[schemars(extend("exclusiveMinimum" = 0))] f64),
+}
+
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[schemars(inline)]
+enum AutoWord {
+    Auto,
+}
+
+impl From<TimeStepKey> for TimeStep {
+    fn from(key: TimeStepKey) -> TimeStep {
+        match key {
+            TimeStepKey::Word(AutoWord::Auto) => TimeStep::Auto,
+            TimeStepKey::Seconds(seconds) => TimeStep::Seconds(seconds),
+        }
+    }
+}
+
+impl From<TimeStep> for TimeStepKey {
+    fn from(step: TimeStep) -> TimeStepKey {
+        match step {
+            TimeStep::Auto => TimeStepKey::Word(AutoWord::Auto),
+            TimeStep::Seconds(seconds) => TimeStepKey::Seconds(seconds),
+        }
+    }
+}
+
+/// Where the tip should be: a position, an orientation, or both.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Task {
+    /// Position of the tip in m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<[f64; 3]>,
+    /// Orientation of the tip as a quaternion, scalar first, of any length but zero.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// When, in s; above 0 and up to `time.end_s`, which is the default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub at_s: Option<f64>,
+    /// Whether the whole arm should be at rest then. Default: true.
+    #[serde(default = "yes")]
+    pub at_rest: bool,
+    /// Whether the task is a constraint (true, the default) or a term of the objective.
+    #[serde(default = "yes")]
+    pub hard: bool,
+    /// Weight of that term, positive, default 1; only with `hard = false`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: Option<f64>,
+}
+
+/// The tip force and moment that the optimizer may choose, on blocks of equal duration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Control {
+    /// Number of blocks, at least 1.
+    #[schemars(range(min = 1))]
+    pub blocks: usize,
+    /// The course of the controls within a block.
+    #[serde(default)]
+    pub hold: Hold,
+    /// Largest tip force in N; 0 means no force. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<Bound>,
+    /// Largest tip moment in N m; 0 means no moment. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_max_n_m: Option<Bound>,
+}
+
+/// The course of the controls within a block.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Hold {
+    /// Constant in each block.
+    #[default]
+    Constant,
+    /// Linear between the ends of blocks.
+    Linear,
+}
+
+/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(
+    untagged,
+    expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
+)]
+pub enum Bound {
+    /// On the Euclidean norm.
+    Norm(f64),
+    /// On the magnitude of each component.
+    PerAxis([f64; 3]),
+}
+
+/// What the optimizer makes small.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Objective {
+    /// Weight of the squared controls, integrated over time; not negative, default 1.
+    #[schemars(range(min = 0.0))]
+    pub effort: f64,
+    /// Weight of the squared changes of the controls from block to block; not negative, default 0.
+    #[schemars(range(min = 0.0))]
+    pub rate: f64,
+    /// Force in N that counts as 1, positive. Absent: chosen from the rod.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub force_scale_n: Option<f64>,
+    /// Moment in N m that counts as 1, positive. Absent: chosen from the rod.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub moment_scale_n_m: Option<f64>,
+}
+
+/// How the optimizer works.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Solver {
+    /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance: f64,
+    /// Iterations after which to give up, at least 1, default 100.
+    #[schemars(range(min = 1))]
+    pub max_iterations: usize,
+    /// The second derivatives that the quadratic model uses.
+    pub hessian: Hessian,
+    /// Where the iteration starts.
+    pub guess: Guess,
+    /// Wall-clock time in s after which the best iterate is returned, positive. Absent: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub deadline_s: Option<f64>,
+}
+
+/// The second derivatives that the quadratic model uses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Hessian {
+    /// Gauss-Newton far from the solution, exact near it.
+    #[default]
+    Auto,
+    /// Of the objective alone.
+    GaussNewton,
+    /// Of the Lagrangian.
+    Exact,
+}
+
+/// Where the iteration starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Guess {
+    /// From a static shape that meets the task.
+    #[default]
+    Static,
+    /// From the arm at rest and no controls.
+    Rest,
+}
+
+/// What is written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Output {
+    /// Rows of the trajectory per second, positive. Absent: every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub rate_hz: Option<f64>,
+}
+
+impl Default for Base {
+    fn default() -> Base {
+        Base {
+            kind: BaseKind::default(),
+            position_m: [0.0; 3],
+            direction: None,
+            roll_rad: None,
+            orientation_wxyz: None,
+        }
+    }
+}
+
+impl Default for Objective {
+    fn default() -> Objective {
+        Objective {
+            effort: 1.0,
+            rate: 0.0,
+            force_scale_n: None,
+            moment_scale_n_m: None,
+        }
+    }
+}
+
+impl Default for Solver {
+    fn default() -> Solver {
+        Solver {
+            tolerance: 1e-6,
+            max_iterations: 100,
+            hessian: Hessian::default(),
+            guess: Guess::default(),
+            deadline_s: None,
+        }
+    }
+}
+
+impl Material {
+    /// Shear modulus in Pa: as given, or `E / (2 (1 + ν))`.
+    pub fn shear_modulus(&self) -> Option<f64> {
+        let from_ratio = |ratio: f64| self.youngs_modulus_pa / (2.0 * (1.0 + ratio));
+        self.shear_modulus_pa.or(self.poisson_ratio.map(from_ratio))
+    }
+}
+
+impl Section {
+    /// Radii in m at the base and at the tip.
+    pub fn radii(&self) -> Option<[f64; 2]> {
+        match (self.radius_m, self.radius_base_m, self.radius_tip_m) {
+            (Some(radius), None, None) => Some([radius, radius]),
+            (None, Some(base), Some(tip)) => Some([base, tip]),
+            _ => None,
+        }
+    }
+}
+
+impl Base {
+    /// The base's orientation as a unit quaternion, scalar first: the rotation from its body frame to the spatial
+    /// frame. With a direction `d` it is the shortest rotation of e3 onto `d` times the rotation by `roll` about e3;
+    /// for `d = -e3` the shortest rotation is the half turn about e1.
+    pub fn unit_quaternion(&self) -> [f64; 4] {
+        if let Some(orientation) = self.orientation_wxyz {
+            return normalized(orientation);
+        }
+        let [x, y, z] = normalized(self.direction.unwrap_or([0.0, 0.0, 1.0]));
+        // 1 + z, without cancellation where d is close to -e3.
+        let one_plus_z = if z < 0.0 {
+            (x * x + y * y) / (1.0 - z)
+        } else {
+            1.0 + z
+        };
+        let [w, i, j, _] = if one_plus_z > 0.0 {
+            normalized([one_plus_z, -y, x, 0.0])
+        } else {
+            [0.0, 1.0, 0.0, 0.0]
+        };
+        let (sin, cos) = (0.5 * self.roll_rad.unwrap_or(0.0)).sin_cos();
+        [w * cos, i * cos + j * sin, j * cos - i * sin, w * sin]
+    }
+}
+
+impl Task {
+    /// The task's weight where it is a term of the objective.
+    pub fn soft_weight(&self) -> Option<f64> {
+        (!self.hard).then(|| self.weight.unwrap_or(1.0))
+    }
+
+    /// When the tip should be there, in s, given the duration of the scene.
+    pub fn instant(&self, end_s: f64) -> f64 {
+        self.at_s.unwrap_or(end_s)
+    }
+}
+
+/// The vector divided by its norm; scaled first, so that neither huge nor tiny components overflow or vanish.
+fn normalized<const N: usize>(vector: [f64; N]) -> [f64; N] {
+    let largest = vector
+        .iter()
+        .fold(0.0, |largest: f64, component| largest.max(component.abs()));
+    let scaled = vector.map(|component| component / largest);
+    let norm = scaled
+        .iter()
+        .map(|component| component * component)
+        .sum::<f64>()
+        .sqrt();
+    scaled.map(|component| component / norm)
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn yes() -> bool {
+    true
+}

@@ -1,0 +1,272 @@
+//! What holds for every scene that can be read. What cannot be read is in `tests/scene_errors.rs`.
+
+use super::*;
+use proptest::prelude::*;
+
+fn builtin_scene(name: &str, overrides: &[&str]) -> Scene {
+    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    match Scene::load(name, &overrides) {
+        Ok((scene, _)) => scene,
+        Err(error) => panic!("{name}: {error}"),
+    }
+}
+
+/// Every built-in scene loads, and its resolved text loads back to an equal scene.
+#[test]
+fn builtin_scenes_round_trip() {
+    for name in builtin::names() {
+        let scene = builtin_scene(name, &[]);
+        let text = scene.to_toml();
+        let (again, _) = Scene::from_toml(name, &text, &[])
+            .unwrap_or_else(|error| panic!("{name}: {error}\n{text}"));
+        assert_eq!(scene, again, "{text}");
+    }
+}
+
+/// A scene with every optional key set round-trips as well, whichever form its choices have.
+#[test]
+fn full_scene_round_trips() {
+    let overrides = [
+        "rod.strain=trapezoidal",
+        "rod.reference={curvature_1_m = [0.1, 0, -2], stretch = 0.9}",
+        "base={kind = 'free', position_m = [1, 2, 3], orientation_wxyz = [1, 1, 0, 0]}",
+        "gravity.acceleration_m_s2=[0, 0, -9.81]",
+        "load.0={node = 7, moment_n_m = [0, 1, 0], frame = 'body', profile = [[0, 0], [0.1, 1]]}",
+        "load.1.node=base",
+        "time.step_s=1e-4",
+        "task={orientation_wxyz = [1, 0, 0, 0], at_s = 0.5, at_rest = false, hard = false, weight = 3}",
+        "control={blocks = 7, hold = 'linear', force_max_n = [1, 2, 0], moment_max_n_m = 0}",
+        "objective={effort = 0, rate = 2, force_scale_n = 3, moment_scale_n_m = 4}",
+        "solver={tolerance = 1e-9, max_iterations = 7, hessian = 'gauss-newton', guess = 'rest', deadline_s = 2}",
+        "output.rate_hz=50",
+    ];
+    let scene = builtin_scene("reach", &overrides);
+    assert_eq!(scene.load[0].node, LoadNode::Index(7));
+    assert_eq!(scene.load[1].node, LoadNode::Base);
+    assert_eq!(scene.time.step_s, TimeStep::Seconds(1e-4));
+    let text = scene.to_toml();
+    assert_eq!(
+        Scene::from_toml("again", &text, &[]).map(|(again, _)| again),
+        Ok(scene),
+        "{text}"
+    );
+}
+
+proptest! {
+    /// Any positive length, however large or small, is written so that the same bits are read.
+    #[test]
+    fn floats_round_trip_exactly(length in (1_u64..0x7ff0_0000_0000_0000).prop_map(f64::from_bits)) {
+        let mut scene = builtin_scene("swing", &[]);
+        scene.rod.length_m = length;
+        let (again, _) = Scene::from_toml("again", &scene.to_toml(), &[])?;
+        prop_assert_eq!(again.rod.length_m.to_bits(), length.to_bits());
+    }
+}
+
+/// Absent sections stay absent in the resolved text; sections with defaults are written out.
+#[test]
+fn absent_sections_are_not_written() {
+    let text = builtin_scene("swing", &[]).to_toml();
+    for absent in [
+        "damping",
+        "gravity",
+        "task",
+        "control",
+        "objective",
+        "solver",
+        "output",
+        "reference",
+    ] {
+        assert!(!text.contains(absent), "{absent} in\n{text}");
+    }
+    for explicit in [
+        "strain = \"helical\"",
+        "model = \"standard\"",
+        "kind = \"clamped\"",
+        "step_s = \"auto\"",
+    ] {
+        assert!(text.contains(explicit), "{explicit} not in\n{text}");
+    }
+}
+
+/// An override reaches a key whether the text has it, has only its section, or has neither; words need no quotes.
+#[test]
+fn overrides_set_any_key() {
+    let scene = builtin_scene(
+        "swing",
+        &[
+            "rod.elements=40",
+            "rod.strain = trapezoidal",
+            "load.0.force_n=[0, 0, 1]",
+            "gravity.acceleration_m_s2=[1,2,3]",
+        ],
+    );
+    assert_eq!(scene.rod.elements, 40);
+    assert_eq!(scene.rod.strain, StrainRule::Trapezoidal);
+    assert_eq!(scene.load[0].force_n, [0.0, 0.0, 1.0]);
+    assert_eq!(
+        scene.gravity,
+        Some(Gravity {
+            acceleration_m_s2: [1.0, 2.0, 3.0]
+        })
+    );
+}
+
+/// The defaults are those that the documentation of the keys states.
+#[test]
+fn defaults_are_as_documented() {
+    let scene = builtin_scene("reach", &["solver.guess=rest", "damping={}"]);
+    assert_eq!(
+        scene
+            .rod
+            .material
+            .as_ref()
+            .map(|material| material.shear_factor),
+        Some(1.0)
+    );
+    assert_eq!(
+        scene.solver,
+        Some(Solver {
+            guess: Guess::Rest,
+            ..Solver::default()
+        })
+    );
+    assert_eq!(
+        (
+            Solver::default().tolerance,
+            Solver::default().max_iterations
+        ),
+        (1e-6, 100)
+    );
+    assert_eq!(
+        scene.damping,
+        Some(Damping {
+            viscous_1_s: 0.0,
+            internal_s: 0.0
+        })
+    );
+    let task = scene.task.unwrap_or_else(|| panic!("reach has a task"));
+    assert_eq!((task.instant(1.5), task.soft_weight()), (1.5, None));
+}
+
+/// The third column of the base's rotation is its direction, also close to and at the half turn; the roll turns the
+/// first two columns about it.
+#[test]
+fn base_quaternion_turns_e3_onto_the_direction() {
+    let directions = [
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, -3.0],
+        [1e-9, -2e-9, -1.0],
+        [1e-200, 0.0, 0.0],
+        [3e300, -2e300, 1e300],
+        [0.3, -0.4, 0.5],
+    ];
+    for direction in directions {
+        for roll in [0.0, 0.7, -3.0] {
+            let base = Base {
+                direction: Some(direction),
+                roll_rad: Some(roll),
+                ..Base::default()
+            };
+            let [w, x, y, z] = base.unit_quaternion();
+            let third_column = [
+                2.0 * (x * z + w * y),
+                2.0 * (y * z - w * x),
+                w * w - x * x - y * y + z * z,
+            ];
+            let largest = direction
+                .iter()
+                .fold(0.0, |largest: f64, component| largest.max(component.abs()));
+            let scaled = direction.map(|component| component / largest);
+            let norm = scaled
+                .iter()
+                .map(|component| component * component)
+                .sum::<f64>()
+                .sqrt();
+            for axis in 0..3 {
+                // A dozen operations on numbers up to 1.
+                let tolerance = 12.0 * f64::EPSILON;
+                assert!(
+                    (third_column[axis] - scaled[axis] / norm).abs() <= tolerance,
+                    "{direction:?} {third_column:?}"
+                );
+            }
+            assert!((w * w + x * x + y * y + z * z - 1.0).abs() <= 12.0 * f64::EPSILON);
+        }
+    }
+    let rolled = Base {
+        roll_rad: Some(1.0),
+        ..Base::default()
+    }
+    .unit_quaternion();
+    assert_eq!(rolled, [0.5_f64.cos(), 0.0, 0.0, 0.5_f64.sin()]);
+}
+
+/// An incompressible material has a third of its Young's modulus in shear.
+#[test]
+fn shear_modulus_follows_from_poisson_ratio() {
+    let material = builtin_scene("reach", &[]).rod.material;
+    assert_eq!(
+        material.and_then(|material| material.shear_modulus()),
+        Some(1e6 / 3.0)
+    );
+}
+
+/// Every section of the schema refuses unknown keys, and every key has a description.
+#[test]
+fn schema_is_strict_and_described() {
+    fn visit(schema: &serde_json::Value, path: &str, sections: &mut usize) {
+        if let Some(properties) = schema
+            .get("properties")
+            .and_then(|properties| properties.as_object())
+        {
+            *sections += 1;
+            assert_eq!(
+                schema["additionalProperties"],
+                serde_json::json!(false),
+                "{path}"
+            );
+            for (key, property) in properties {
+                assert!(
+                    property["description"].is_string(),
+                    "{path}.{key} has no description"
+                );
+            }
+        }
+        if let Some(definitions) = schema
+            .get("$defs")
+            .and_then(|definitions| definitions.as_object())
+        {
+            for (name, definition) in definitions {
+                assert!(
+                    definition["description"].is_string(),
+                    "{name} has no description"
+                );
+                visit(definition, name, sections);
+            }
+        }
+    }
+    let mut sections = 0;
+    visit(&Scene::schema(), "scene", &mut sections);
+    assert_eq!(sections, 17);
+}
+
+/// A position in the source is found for keys in tables, inline tables, arrays and arrays of tables.
+#[test]
+fn error_at_finds_nested_keys() {
+    let text = "[rod]\nreference = { curvature_1_m = [0, 0, 1] }\n\n[[load]]\nnode = 1\n[[load]]\nforce_n = [1, 2, 3]\n";
+    let source = SceneSource::new("nested.toml", text, &[]);
+    let position = |key: &str| {
+        let error = source.error_at(key, "is marked", None);
+        (error.line(), error.column())
+    };
+    assert_eq!(
+        position("rod.reference.curvature_1_m.2"),
+        (Some(2), Some(38))
+    );
+    assert_eq!(position("load.1.force_n"), (Some(7), Some(11)));
+    assert_eq!(position("load.1.moment_n_m"), (Some(6), Some(1)));
+    assert_eq!(position("load.0.node"), (Some(5), Some(8)));
+    assert_eq!(position("rod.stiffness.ea_n"), (Some(1), Some(1)));
+    assert_eq!(position("task"), (None, None));
+}
