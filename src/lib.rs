@@ -2,3 +2,5 @@
 pub mod mechanics;
 pub mod output;
 pub mod scene;
+pub mod control;
+pub mod sqp;

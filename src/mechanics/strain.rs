@@ -219,6 +219,15 @@ fn tangent_derivative(
         + c.slope * double_cross * psi.transpose()
 }
 
+/// Symmetric second derivative of `y·log(A)` along body rotations `A exp(ζ)` at `A = exp(ψ)`: the derivative of its
+/// gradient `S(ψ) y`, with `δψ = Sᵀ ζ`, made symmetric.
+#[must_use]
+pub fn log_second_derivative(psi: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f64> {
+    let c = InverseTangentCoefficients::at(psi.norm_squared());
+    let m = tangent_derivative(psi, y, &c, -1.0) * log_tangent(psi, &c).transpose();
+    0.5 * (m + m.transpose())
+}
+
 /// Intermediate quantities of the helical rule; see the [module documentation](self).
 struct HelicalTerms<'a> {
     rotation_a: &'a Matrix3<f64>,

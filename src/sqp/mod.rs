@@ -1,0 +1,13 @@
+//! Sequential quadratic programming for lifted programs. Knows no rod.
+
+pub mod globalization;
+pub mod hessian;
+pub mod program;
+pub mod quadratic_program;
+pub mod residual;
+pub mod solver;
+
+pub use hessian::{HessianChoice, HessianKind};
+pub use program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
+pub use residual::{KktResidual, Multipliers};
+pub use solver::{IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop, solve};

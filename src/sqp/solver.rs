@@ -1,0 +1,537 @@
+//! The loop.
+
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+use super::globalization::{Accepted, Departure, Filter};
+use super::hessian::{HessianChoice, HessianKind, ModelHessian};
+use super::program::{Evaluation, Failure, LiftedProgram, Linearization};
+use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
+use super::residual::{KktResidual, Multipliers, infinity_norm};
+
+/// What the solver may do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SqpSettings {
+    /// Largest scaled KKT residual of a converged point.
+    pub tolerance: f64,
+    /// Iterations, at most.
+    pub max_iterations: usize,
+    /// Which Hessian.
+    pub hessian: HessianChoice,
+    /// Time, at most.
+    pub deadline: Option<Duration>,
+}
+
+impl Default for SqpSettings {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-6,
+            max_iterations: 100,
+            hessian: HessianChoice::Auto,
+            deadline: None,
+        }
+    }
+}
+
+/// Why an observer stops a solve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// Ctrl-C.
+    Interrupted,
+    /// Out of time.
+    Deadline,
+}
+
+/// How a solve ended. Only the residual check can say `Converged`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SqpStatus {
+    /// The KKT residual is within the tolerance.
+    Converged,
+    /// The constraints cannot be met to first order from here; the multipliers say which pull against each other.
+    LocallyInfeasible,
+    /// Iterations used up.
+    IterationLimit,
+    /// No acceptable step, however short.
+    StepTooSmall,
+    /// Stopped from outside.
+    Stopped(Stop),
+    /// The model broke down at the start, or a subproblem could not be solved.
+    Failed(String),
+}
+
+/// One row of the iteration table: the point, and the step that left it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IterationRecord {
+    /// Counted from 0.
+    pub iteration: usize,
+    /// `J` at the point.
+    pub objective: f64,
+    /// KKT residual at the point.
+    pub residual: KktResidual,
+    /// Infeasibility that the globalization works on.
+    pub infeasibility: f64,
+    /// Norm of the step of the variables from here; 0 in the last row.
+    pub step_length: f64,
+    /// Hessian of the step.
+    pub hessian: HessianKind,
+    /// Second-order corrections of the step.
+    pub corrections: usize,
+    /// Whether the step's states were computed from its variables rather than moved linearly.
+    pub restored: bool,
+    /// Trust radius of the step.
+    pub trust_radius: f64,
+    /// Elastic weight of the subproblem.
+    pub elastic_weight: f64,
+    /// What the subproblem could not satisfy.
+    pub slack: f64,
+    /// Interior-point iterations of the subproblem.
+    pub qp_iterations: u32,
+    /// Seconds since the start.
+    pub elapsed: f64,
+}
+
+/// Seconds spent in each phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct PhaseTimes {
+    /// Linearization, sensitivities and condensing.
+    pub linearize: f64,
+    /// Hessian of the subproblem.
+    pub condense: f64,
+    /// Clarabel.
+    pub qp: f64,
+    /// Trial points, expansion and correction.
+    pub globalize: f64,
+}
+
+/// The end of a solve, whatever it was.
+#[derive(Clone, Debug)]
+pub struct SqpOutcome<P> {
+    /// How it ended.
+    pub status: SqpStatus,
+    /// The best point found: the last one if it converged, else the one with the smallest infeasibility.
+    pub point: P,
+    /// Multipliers at that point.
+    pub multipliers: Multipliers,
+    /// KKT residual at that point.
+    pub residual: KktResidual,
+    /// Objective at that point.
+    pub objective: f64,
+    /// One row per iteration.
+    pub history: Vec<IterationRecord>,
+    /// Where the time went.
+    pub phases: PhaseTimes,
+}
+
+/// Smallest and first elastic weight, relative to the size of the cost gradient.
+const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
+const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
+/// The weight is kept this much above the largest multiplier, so that it can come down again.
+const ELASTIC_MARGIN: f64 = 10.0;
+/// Slack that counts as none.
+const NO_SLACK: f64 = 1e-8;
+/// `Auto` uses the exact Hessian below this stationarity and infeasibility.
+const EXACT_BELOW: f64 = 0.3;
+/// Subproblems that promise less than this part of the infeasibility make no progress.
+const INFEASIBLE_PROGRESS: f64 = 1e-3;
+const INFEASIBLE_PATIENCE: usize = 3;
+/// First trust radius, relative to the first variables (at least to one).
+const FIRST_TRUST_RADIUS: f64 = 2.0;
+const SHRINK: f64 = 0.3;
+const GROW: f64 = 2.5;
+const SHRINKAGES: usize = 12;
+
+/// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
+pub fn solve<P: LiftedProgram>(
+    program: &P,
+    start: P::Point,
+    settings: &SqpSettings,
+    observer: &mut dyn FnMut(&IterationRecord) -> ControlFlow<Stop>,
+) -> SqpOutcome<P::Point> {
+    let mut run = match Run::begin(program, start, settings) {
+        Ok(run) => run,
+        Err((outcome, _)) => return *outcome,
+    };
+    for iteration in 0..=settings.max_iterations {
+        let linearization = match run.linearize() {
+            Ok(linearization) => linearization,
+            Err(failure) => return run.end(SqpStatus::Failed(failure.0)),
+        };
+        let residual = run.residual(&linearization);
+        run.record(iteration, residual);
+        if residual.max() <= settings.tolerance {
+            return run.finish(SqpStatus::Converged, observer);
+        }
+        if iteration == settings.max_iterations {
+            return run.finish(SqpStatus::IterationLimit, observer);
+        }
+        if let Some(stop) = run.out_of_time() {
+            return run.finish(SqpStatus::Stopped(stop), observer);
+        }
+        let step = match run.step(&linearization) {
+            Ok(step) => step,
+            Err(error) => return run.finish(SqpStatus::Failed(error.to_string()), observer),
+        };
+        match step {
+            Step::Taken => {}
+            Step::Refused => return run.finish(SqpStatus::StepTooSmall, observer),
+            Step::Infeasible => return run.finish(SqpStatus::LocallyInfeasible, observer),
+        }
+        if let ControlFlow::Break(stop) = run.show(observer) {
+            return run.end(SqpStatus::Stopped(stop));
+        }
+    }
+    run.end(SqpStatus::IterationLimit)
+}
+
+/// What an iteration did.
+enum Step {
+    Taken,
+    Refused,
+    Infeasible,
+}
+
+/// A solve in progress.
+struct Run<'a, P: LiftedProgram> {
+    program: &'a P,
+    settings: &'a SqpSettings,
+    started: Instant,
+    point: P::Point,
+    evaluation: Evaluation<P::Defects>,
+    multipliers: Multipliers,
+    filter: Filter,
+    elastic_weight: Option<f64>,
+    trust_radius: f64,
+    stuck: usize,
+    best: Best<P::Point>,
+    history: Vec<IterationRecord>,
+    phases: PhaseTimes,
+}
+
+/// The best point so far: least infeasible, and among feasible ones the cheapest.
+struct Best<Point> {
+    point: Point,
+    multipliers: Multipliers,
+    residual: KktResidual,
+    objective: f64,
+    infeasibility: f64,
+}
+
+const UNKNOWN_RESIDUAL: KktResidual = KktResidual {
+    stationarity: f64::INFINITY,
+    feasibility: f64::INFINITY,
+    complementarity: f64::INFINITY,
+};
+
+impl<'a, P: LiftedProgram> Run<'a, P> {
+    fn begin(
+        program: &'a P,
+        point: P::Point,
+        settings: &'a SqpSettings,
+    ) -> Result<Self, (Box<SqpOutcome<P::Point>>, Failure)> {
+        let started = Instant::now();
+        match program.evaluate(&point) {
+            Ok(evaluation) => {
+                let multipliers =
+                    Multipliers::zeros(evaluation.constraints.len(), program.sets());
+                Ok(Self {
+                    program,
+                    settings,
+                    started,
+                    filter: Filter::new(evaluation.infeasibility()),
+                    best: Best {
+                        point: point.clone(),
+                        multipliers: multipliers.clone(),
+                        residual: UNKNOWN_RESIDUAL,
+                        objective: evaluation.objective,
+                        infeasibility: f64::INFINITY,
+                    },
+                    trust_radius: FIRST_TRUST_RADIUS * norm(program.variables(&point)).max(1.0),
+                    point,
+                    evaluation,
+                    multipliers,
+                    elastic_weight: None,
+                    stuck: 0,
+                    history: Vec::new(),
+                    phases: PhaseTimes::default(),
+                })
+            }
+            Err(failure) => Err((
+                Box::new(SqpOutcome {
+                    status: SqpStatus::Failed(failure.0.clone()),
+                    point,
+                    multipliers: Multipliers::default(),
+                    residual: UNKNOWN_RESIDUAL,
+                    objective: f64::NAN,
+                    history: Vec::new(),
+                    phases: PhaseTimes::default(),
+                }),
+                failure,
+            )),
+        }
+    }
+
+    fn wants_curvature(&self) -> bool {
+        match self.settings.hessian {
+            HessianChoice::GaussNewton => false,
+            // Without multipliers there is no Lagrangian yet.
+            HessianChoice::Exact => !self.history.is_empty(),
+            HessianChoice::Auto => self.history.last().is_some_and(|last| {
+                last.residual.stationarity < EXACT_BELOW && last.infeasibility < EXACT_BELOW
+            }),
+        }
+    }
+
+    fn linearize(&mut self) -> Result<Linearization, Failure> {
+        let clock = Instant::now();
+        let multipliers = self
+            .wants_curvature()
+            .then_some(self.multipliers.constraints.as_slice());
+        let linearization = self
+            .program
+            .linearize(&self.point, &self.evaluation, multipliers);
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        linearization
+    }
+
+    fn residual(&self, linearization: &Linearization) -> KktResidual {
+        KktResidual::of(
+            linearization,
+            &self.evaluation.constraints,
+            self.evaluation.defect,
+            self.program.variables(&self.point),
+            self.program.sets(),
+            &self.multipliers,
+        )
+    }
+
+    fn record(&mut self, iteration: usize, residual: KktResidual) {
+        let infeasibility = self.evaluation.infeasibility();
+        self.history.push(IterationRecord {
+            iteration,
+            objective: self.evaluation.objective,
+            residual,
+            infeasibility,
+            step_length: 0.0,
+            hessian: HessianKind::GaussNewton,
+            corrections: 0,
+            restored: false,
+            trust_radius: self.trust_radius,
+            elastic_weight: self.elastic_weight.unwrap_or(0.0),
+            slack: 0.0,
+            qp_iterations: 0,
+            elapsed: self.started.elapsed().as_secs_f64(),
+        });
+        let feasible = self.settings.tolerance;
+        let better = if infeasibility.max(self.best.infeasibility) <= feasible {
+            residual.max() <= self.best.residual.max()
+        } else {
+            infeasibility <= self.best.infeasibility
+        };
+        if better {
+            self.best = Best {
+                point: self.point.clone(),
+                multipliers: self.multipliers.clone(),
+                residual,
+                objective: self.evaluation.objective,
+                infeasibility,
+            };
+        }
+    }
+
+    fn out_of_time(&self) -> Option<Stop> {
+        self.settings
+            .deadline
+            .filter(|&deadline| self.started.elapsed() >= deadline)
+            .map(|_| Stop::Deadline)
+    }
+
+    /// Subproblems of shrinking trust radius, until one's step is accepted.
+    fn step(&mut self, linearization: &Linearization) -> Result<Step, QpError> {
+        let clock = Instant::now();
+        let model = if linearization.curvature.is_some() {
+            ModelHessian::exact(linearization)
+        } else {
+            ModelHessian::gauss_newton(linearization)
+        };
+        self.phases.condense += clock.elapsed().as_secs_f64();
+        for _ in 0..=SHRINKAGES {
+            let solution = self.solve_subproblem(linearization, &model)?;
+            self.note_subproblem(&model, &solution);
+            if self.is_stuck(linearization, &solution) {
+                return Ok(Step::Infeasible);
+            }
+            let clock = Instant::now();
+            let accepted = self.search(linearization, &model, &solution);
+            self.phases.globalize += clock.elapsed().as_secs_f64();
+            let length = norm(&solution.change);
+            if let Some(accepted) = accepted {
+                self.take(accepted, &solution, length);
+                return Ok(Step::Taken);
+            }
+            self.trust_radius = SHRINK * length.min(self.trust_radius);
+            if self.out_of_time().is_some() {
+                break;
+            }
+        }
+        Ok(Step::Refused)
+    }
+
+    fn note_subproblem(&mut self, model: &ModelHessian, solution: &QpSolution) {
+        let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_radius);
+        if let Some(row) = self.history.last_mut() {
+            row.hessian = model.kind;
+            row.slack = solution.slack;
+            row.qp_iterations += solution.iterations;
+            row.elastic_weight = weight;
+            row.trust_radius = radius;
+        }
+    }
+
+    fn take(&mut self, accepted: Accepted<P>, solution: &QpSolution, length: f64) {
+        if let Some(row) = self.history.last_mut() {
+            row.step_length = length;
+            row.corrections = accepted.corrections;
+            row.restored = accepted.restored;
+        }
+        if accepted.corrections == 0 && length > 0.5 * self.trust_radius {
+            self.trust_radius *= GROW;
+        }
+        self.point = accepted.point;
+        self.evaluation = accepted.evaluation;
+        self.multipliers = solution.multipliers.clone();
+    }
+
+    fn solve_subproblem(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+    ) -> Result<QpSolution, QpError> {
+        let clock = Instant::now();
+        let unit = cost_unit(linearization);
+        let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
+        let solution = loop {
+            let solution = self.subproblem(linearization, model, weight).solve()?;
+            let largest = infinity_norm(&solution.multipliers.constraints);
+            let binding = solution.slack > NO_SLACK && largest > 0.9 * weight;
+            if binding && weight < LARGEST_ELASTIC_WEIGHT * unit {
+                weight *= 10.0;
+                continue;
+            }
+            if solution.slack <= NO_SLACK {
+                weight = (ELASTIC_MARGIN * largest).max(FIRST_ELASTIC_WEIGHT * unit);
+            }
+            break solution;
+        };
+        self.elastic_weight = Some(weight);
+        self.phases.qp += clock.elapsed().as_secs_f64();
+        Ok(solution)
+    }
+
+    fn subproblem<'b>(
+        &'b self,
+        linearization: &'b Linearization,
+        model: &'b ModelHessian,
+        elastic_weight: f64,
+    ) -> QuadraticProgram<'b> {
+        let time_limit = self
+            .settings
+            .deadline
+            .map_or(f64::INFINITY, |deadline| {
+                deadline
+                    .saturating_sub(self.started.elapsed())
+                    .as_secs_f64()
+                    .max(1e-3)
+            });
+        QuadraticProgram {
+            hessian: &model.matrix,
+            gradient: &model.gradient,
+            jacobian: &linearization.jacobian,
+            offset: &linearization.offset,
+            variables: self.program.variables(&self.point),
+            sets: self.program.sets(),
+            elastic_weight,
+            trust_radius: self.trust_radius,
+            time_limit,
+        }
+    }
+
+    /// Whether several subproblems in a row, at the largest weight, could not promise a smaller infeasibility.
+    fn is_stuck(&mut self, linearization: &Linearization, solution: &QpSolution) -> bool {
+        let violation: f64 = linearization.offset.iter().map(|c| c.abs()).sum();
+        let promised = violation - solution.slack;
+        let hopeless = solution.slack > self.settings.tolerance
+            && promised < INFEASIBLE_PROGRESS * violation
+            && self.evaluation.defect < INFEASIBLE_PROGRESS * violation;
+        self.stuck = if hopeless { self.stuck + 1 } else { 0 };
+        self.stuck >= INFEASIBLE_PATIENCE
+    }
+
+    fn search(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> Option<Accepted<P>> {
+        let weight = self.elastic_weight.unwrap_or(0.0);
+        let mut filter = self.filter.clone();
+        let departure = Departure {
+            point: &self.point,
+            evaluation: &self.evaluation,
+            linearization,
+        };
+        let accepted = filter.accept(
+            self.program,
+            &departure,
+            &self.subproblem(linearization, model, weight),
+            &solution.change,
+        );
+        self.filter = filter;
+        accepted
+    }
+
+    fn show(
+        &self,
+        observer: &mut dyn FnMut(&IterationRecord) -> ControlFlow<Stop>,
+    ) -> ControlFlow<Stop> {
+        self.history
+            .last()
+            .map_or(ControlFlow::Continue(()), |row| observer(row))
+    }
+
+    /// Shows the last row and ends.
+    fn finish(
+        self,
+        status: SqpStatus,
+        observer: &mut dyn FnMut(&IterationRecord) -> ControlFlow<Stop>,
+    ) -> SqpOutcome<P::Point> {
+        // Already ending: a request to stop changes nothing.
+        let _ = self.show(observer);
+        self.end(status)
+    }
+
+    fn end(self, status: SqpStatus) -> SqpOutcome<P::Point> {
+        SqpOutcome {
+            status,
+            point: self.best.point,
+            multipliers: self.best.multipliers,
+            residual: self.best.residual,
+            objective: self.best.objective,
+            history: self.history,
+            phases: self.phases,
+        }
+    }
+}
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
+fn cost_unit(linearization: &Linearization) -> f64 {
+    let diagonal = (0..linearization.gauss_newton.nrows())
+        .map(|i| linearization.gauss_newton[(i, i)])
+        .fold(0.0, f64::max);
+    diagonal
+        .max(infinity_norm(&linearization.gradient))
+        .max(f64::MIN_POSITIVE)
+}
