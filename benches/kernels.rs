@@ -8,7 +8,10 @@ use std::time::Instant;
 
 use common::{RULES, soft_arm};
 use divan::counter::ItemsCount;
-use softarm::mechanics::linearization::{Motion, defects};
+use softarm::mechanics::curvature::Multipliers;
+use softarm::mechanics::linearization::{
+    AdjointSweep, Motion, StateTangent, adjoint_sweep, defects,
+};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{Integrator, Rod, State, StrainRule, TimeGrid, Trajectory, Wrench};
@@ -25,16 +28,23 @@ fn main() {
         );
         for n_threads in [1, 2] {
             let case = SensitivityCase::new(&rod, n_steps, 20);
-            let seconds = median(9, || {
-                case.run(n_threads);
-            });
-            let flops = case.run(n_threads) as f64;
-            println!(
-                "{:12} sensitivity  K = 20, N = 1000, 120 columns, {n_threads} thread(s) {:8.2} ms  {:6.1} GFlop/s on the columns",
-                rule.name(),
-                seconds * 1e3,
-                flops / seconds * 1e-9
-            );
+            for curved in [false, true] {
+                let seconds = median(9, || {
+                    case.run(curved, n_threads);
+                });
+                let flops = case.run(curved, n_threads) as f64;
+                println!(
+                    "{:12} sensitivity  K = 20, N = 1000, 120 columns, {n_threads} thread(s) {} {:8.2} ms  {:6.1} GFlop/s on the columns",
+                    rule.name(),
+                    if curved {
+                        "with curvature"
+                    } else {
+                        "              "
+                    },
+                    seconds * 1e3,
+                    flops / seconds * 1e-9
+                );
+            }
         }
     }
     divan::main();
@@ -75,6 +85,8 @@ struct SensitivityCase<'a> {
     initial: State,
     trajectory: Trajectory,
     blocks: Blocks,
+    terminal: StateTangent,
+    adjoint: AdjointSweep,
 }
 
 struct Blocks {
@@ -106,19 +118,31 @@ impl<'a> SensitivityCase<'a> {
         for _ in 0..=n_steps {
             trajectory.push(&initial.configuration);
         }
+        let grid = TimeGrid {
+            step: 0.7 * stable_step(rod),
+            n_steps,
+        };
+        let mut terminal = StateTangent::zeros(rod.n_nodes());
+        terminal.positions[rod.tip()] = nalgebra::Vector3::new(1.0, 2.0, -1.0);
+        terminal.angular[rod.tip()] = nalgebra::Vector3::new(-3.0, 1.0, 2.0);
+        let motion = Motion {
+            rod,
+            grid,
+            initial: &initial,
+        };
+        let adjoint = adjoint_sweep(&motion, &trajectory, &terminal).expect("a rod at rest");
         Self {
             rod,
-            grid: TimeGrid {
-                step: 0.7 * stable_step(rod),
-                n_steps,
-            },
+            grid,
             initial,
             trajectory,
             blocks: Blocks { n_blocks, n_steps },
+            terminal,
+            adjoint,
         }
     }
 
-    fn run(&self, n_threads: usize) -> u64 {
+    fn run(&self, curved: bool, n_threads: usize) -> u64 {
         let motion = Motion {
             rod: self.rod,
             grid: self.grid,
@@ -126,9 +150,20 @@ impl<'a> SensitivityCase<'a> {
         };
         let control = vec![Wrench::default(); self.grid.n_steps + 1];
         let d = defects(&motion, &self.trajectory, &control).expect("a rod at rest");
-        sensitivities(&motion, &self.trajectory, &d, &self.blocks, n_threads)
-            .expect("a rod at rest")
-            .flops
+        let multipliers = curved.then_some(Multipliers {
+            adjoint: &self.adjoint,
+            terminal: &self.terminal,
+        });
+        sensitivities(
+            &motion,
+            &self.trajectory,
+            &d,
+            &self.blocks,
+            multipliers.as_ref(),
+            n_threads,
+        )
+        .expect("a rod at rest")
+        .flops
     }
 }
 
@@ -146,8 +181,8 @@ fn forward_helical(bencher: divan::Bencher, n_elements: usize) {
 fn sensitivity_helical(bencher: divan::Bencher, n_elements: usize) {
     let rod = Rod::new(&soft_arm(StrainRule::Helical, n_elements)).expect("a valid rod");
     let case = SensitivityCase::new(&rod, 1000, 20);
-    let flops = case.run(1);
+    let flops = case.run(false, 1);
     bencher
         .counter(ItemsCount::new(flops))
-        .bench(|| case.run(1));
+        .bench(|| case.run(false, 1));
 }

@@ -31,7 +31,7 @@ fn main() {
     let t = std::time::Instant::now();
     let (start, used) = first_point(&problem, guess).unwrap();
     println!("guess {used:?} {:?}", t.elapsed());
-    let program = Transcription::new(&problem, 2);
+    let program = Transcription::new(&problem, std::env::var("NT").map_or(2, |s| s.parse().unwrap()));
     let outcome = solve(&program, start, &SqpSettings { hessian: hess, max_iterations: 150, ..Default::default() }, &mut |r| {
         println!("{:3} J {:.6e} stat {:.2e} feas {:.2e} comp {:.2e} theta {:.2e} a {:.3} {:?} soc {} {} tr {:.1e} w {:.1e} slack {:.1e} qp {} t {:.3}", r.iteration, r.objective, r.residual.stationarity, r.residual.feasibility, r.residual.complementarity, r.infeasibility, r.step_length, r.hessian, r.corrections, if r.restored {"R"} else {"L"}, r.trust_radius, r.elastic_weight, r.slack, r.qp_iterations, r.elapsed);
         ControlFlow::Continue(())

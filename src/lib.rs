@@ -4,3 +4,4 @@ pub mod output;
 pub mod scene;
 pub mod control;
 pub mod sqp;
+pub mod verify;

@@ -76,8 +76,8 @@ fn columns_equal_the_forward_sweep() {
                 n_blocks: 7,
                 n_steps: grid.n_steps,
             };
-            let fast = sensitivities(&motion, &trajectory, &d, &blocks, 1).unwrap();
-            let threaded = sensitivities(&motion, &trajectory, &d, &blocks, 3).unwrap();
+            let fast = sensitivities(&motion, &trajectory, &d, &blocks, None, 1).unwrap();
+            let threaded = sensitivities(&motion, &trajectory, &d, &blocks, None, 3).unwrap();
             assert_eq!(fast.tip, threaded.tip);
             assert_eq!(fast.defect_tip, threaded.defect_tip);
 

@@ -11,7 +11,9 @@ use crate::mechanics::linearization::{
     Defects, Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
-use crate::mechanics::sensitivity::{ControlColumns, sensitivities};
+use crate::mechanics::curvature::Multipliers;
+use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
+use crate::mechanics::strain::log_second_derivative;
 use crate::mechanics::{
     Integrator, StepError, TimeGrid, Trajectory, TrajectoryTangent, Wrench,
 };
@@ -170,29 +172,30 @@ impl<'a> Transcription<'a> {
         &self,
         trajectory: &Trajectory,
         weights: &[f64],
-        tip_columns: &[[f64; 12]],
-        curvature: &mut Mat<f64>,
+        found: &mut Sensitivities,
     ) {
+        let (Some(target), Some(curvature)) =
+            (self.problem.target.rotation, found.curvature.as_mut())
+        else {
+            return;
+        };
         let mut y = Vector3::zeros();
         for (row, weight) in self.rows.iter().zip(weights) {
             if row.part == TargetPart::Orientation {
                 y[row.axis] = *weight;
             }
         }
-        let Some(target) = self.problem.target.rotation else {
-            return;
-        };
         let last = trajectory.n_times() - 1;
         let r = trajectory.rotations_at(last)[self.problem.rod.tip()];
-        let psi = log(&(target.transpose() * r));
-        let second = crate::mechanics::strain::log_second_derivative(&psi, &y);
-        let n = tip_columns.len();
-        let zeta = |c: usize| Vector3::new(tip_columns[c][3], tip_columns[c][4], tip_columns[c][5]);
-        for i in 0..n {
-            let left = second * zeta(i);
-            for j in 0..n {
-                curvature[(i, j)] += left.dot(&zeta(j));
+        let second = log_second_derivative(&log(&(target.transpose() * r)), &y);
+        let zeta = |tip: &[f64; 12]| Vector3::new(tip[3], tip[4], tip[5]);
+        let answer = second * zeta(&found.defect_tip);
+        for (i, column) in found.tip.iter().enumerate() {
+            let left = second * zeta(column);
+            for (j, other) in found.tip.iter().enumerate() {
+                curvature[(i, j)] += left.dot(&zeta(other));
             }
+            found.curvature_defect[i] += answer.dot(&zeta(column));
         }
     }
 }
@@ -302,14 +305,29 @@ impl LiftedProgram for Transcription<'_> {
             None => y.to_vec(),
             Some(weight) => residuals.iter().map(|r| weight * r).collect(),
         });
-        let found = sensitivities(
+        let terminal =
+            lagrangian.map(|weights| (tip_covector(motion.rod.n_nodes(), &covectors, &weights), weights));
+        let adjoint = terminal
+            .as_ref()
+            .map(|(terminal, _)| adjoint_sweep(&motion, &point.trajectory, terminal))
+            .transpose()
+            .map_err(describe)?;
+        let second_order = terminal
+            .as_ref()
+            .zip(adjoint.as_ref())
+            .map(|((terminal, _), adjoint)| Multipliers { adjoint, terminal });
+        let mut found = sensitivities(
             &motion,
             &point.trajectory,
             &evaluation.defects,
             &columns,
+            second_order.as_ref(),
             self.n_threads,
         )
         .map_err(describe)?;
+        if let Some((_, weights)) = &terminal {
+            self.add_orientation_curvature(&point.trajectory, weights, &mut found);
+        }
         let n = point.variables.len();
         let jacobian = Mat::from_fn(self.rows.len(), n, |i, j| dot(&covectors[i], &found.tip[j]));
         let answer: Vec<f64> = covectors
@@ -318,11 +336,18 @@ impl LiftedProgram for Transcription<'_> {
             .collect();
         let offset: Vec<f64> = residuals.iter().zip(&answer).map(|(r, a)| r + a).collect();
         let (_, gradient) = self.control_cost(&point.variables);
-        let _ = lagrangian;
-        let curvature = None;
+        let curvature = found.curvature.take();
+        // The model's gradient: what the defects add through the Lagrangian's curvature.
+        let with_defects = |gradient: Vec<f64>| -> Vec<f64> {
+            let mut model = gradient;
+            for (g, d) in model.iter_mut().zip(&found.curvature_defect) {
+                *g += d;
+            }
+            model
+        };
         let Some(weight) = soft else {
             return Ok(Linearization {
-                model_gradient: gradient.clone(),
+                model_gradient: with_defects(gradient.clone()),
                 gradient,
                 defect_slope: 0.0,
                 gauss_newton: self.control_hessian.clone(),
@@ -347,7 +372,7 @@ impl LiftedProgram for Transcription<'_> {
         };
         Ok(Linearization {
             gradient: pulled(&residuals),
-            model_gradient: pulled(&offset),
+            model_gradient: with_defects(pulled(&offset)),
             defect_slope: weight * residuals.iter().zip(&answer).map(|(r, a)| r * a).sum::<f64>(),
             gauss_newton: &self.control_hessian
                 + jacobian.transpose() * &jacobian * faer::Scale(weight),
@@ -501,7 +526,7 @@ fn control_hessian(problem: &OptimalControlProblem, n_components: usize) -> Mat<
 }
 
 /// The terminal covector `Σ weight_i dc_i` on the tip, for the adjoint sweep.
-pub(crate) fn tip_covector(n_nodes: usize, covectors: &[[f64; 12]], weights: &[f64]) -> StateTangent {
+fn tip_covector(n_nodes: usize, covectors: &[[f64; 12]], weights: &[f64]) -> StateTangent {
     let mut out = StateTangent::zeros(n_nodes);
     let tip = n_nodes - 1;
     for (covector, weight) in covectors.iter().zip(weights) {

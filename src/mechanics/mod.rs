@@ -2,6 +2,7 @@
 
 mod block_tridiagonal;
 pub mod configuration;
+pub mod curvature;
 pub mod energy;
 pub mod equilibrium;
 pub mod forces;

@@ -4,11 +4,19 @@
 //! that lie next to each other in memory (column index fastest). The kernel is written once over
 //! [`pulp`]'s vectors and dispatched at run time; [`forward_sweep`](super::linearization::forward_sweep) is its clear
 //! counterpart and test oracle. A column whose control has not begun to act is zero and is skipped.
+//!
+//! On request the same sweep reduces the second derivative of the Lagrangian to the columns, `H = Σ_k Z_kᵀ Q_k Z`:
+//! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
+//! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
+use std::ops::{Deref, DerefMut};
+
+use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::configuration::Trajectory;
+use super::curvature::{Multipliers, StepCurvature, interval_curvature};
 use super::integrator::StepError;
 use super::linearization::{Defects, Motion, StateTangent, StepLinearization};
 
@@ -18,6 +26,9 @@ pub const TILE: usize = 16;
 const NODE_ROWS: usize = 12;
 /// Time nodes whose linearizations are kept at once: enough to amortize the threads, small enough for the cache.
 const CHUNK: usize = 32;
+/// Time nodes whose rows are added to the blocks of `H` at once: few enough that all tiles' rows stay in the
+/// second-level cache, many enough to amortize loading and storing the blocks.
+const BATCH: usize = 4;
 
 /// Which columns there are: each is a unit component of the tip wrench with a weight at every time node.
 pub trait ControlColumns: Sync {
@@ -37,13 +48,20 @@ pub struct Sensitivities {
     pub tip: Vec<[f64; NODE_ROWS]>,
     /// The same for the answer to minus the defects, with no change of control.
     pub defect_tip: [f64; NODE_ROWS],
+    /// Second derivative of the Lagrangian along the columns, where multipliers were given: `n_columns × n_columns`,
+    /// symmetric, without the curvature of the outcome itself; unit of the outcome per unit of both columns. See
+    /// [`curvature`](super::curvature).
+    pub curvature: Option<Mat<f64>>,
+    /// The same form between every column and the answer to the defects: what they add to the model's gradient.
+    pub curvature_defect: Vec<f64>,
     /// Floating-point operations spent on the columns.
     pub flops: u64,
 }
 
-/// Propagates all control columns, and one for the defects, along a trajectory.
+/// Propagates all control columns, and one for the defects, along a trajectory; with `multipliers`, also reduces the
+/// second derivative of the Lagrangian to the control columns.
 ///
-/// `n_threads` changes the time only: every column is computed by the same operations in the same order.
+/// `n_threads` changes the time only: every number is computed by the same operations in the same order.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -52,53 +70,38 @@ pub fn sensitivities(
     trajectory: &Trajectory,
     defects: &Defects,
     columns: &dyn ControlColumns,
+    multipliers: Option<&Multipliers>,
     n_threads: usize,
 ) -> Result<Sensitivities, StepError> {
     let n_nodes = motion.rod.n_nodes();
     let n_columns = columns.n_columns();
     // Column 0 carries the defects, so the controls start at column 1.
     let n_tiles = (n_columns + 1).div_ceil(TILE);
+    let n_threads = n_threads.clamp(1, n_tiles);
+    // One thread alternates between tiles and blocks while the rows are in its cache; several meet once a chunk.
+    let round = if n_threads == 1 { BATCH } else { CHUNK };
     let mut tiles: Vec<Tile> = (0..n_tiles)
         .map(|index| Tile {
             first_column: index * TILE,
-            data: vec![0.0; n_nodes * NODE_ROWS * TILE],
+            data: Buffer::zeros(n_nodes * NODE_ROWS * TILE),
+            record: multipliers.map(|_| Record::new(n_nodes, round)),
             flops: 0,
         })
         .collect();
-    let n_threads = n_threads.clamp(1, n_tiles);
+    let mut blocks = multipliers.map_or_else(Vec::new, |_| Block::all(n_tiles));
     let tip = motion.rod.tip();
     let arch = Arch::new();
     let mut start = 0;
     while start <= motion.grid.n_steps {
         let end = (start + CHUNK).min(motion.grid.n_steps + 1);
-        let steps = linearize_chunk(motion, trajectory, start..end, n_threads)?;
-        let work = |tiles: &mut [Tile]| {
-            for tile in tiles {
-                for (step, k) in steps.iter().zip(start..) {
-                    // Column c of the control is column c + 1 here.
-                    if tile.first_column > columns.n_started(k) {
-                        continue;
-                    }
-                    tile.advance(arch, step, k, tip, defects, columns);
-                }
-            }
-        };
-        // Early tiles are busy from the start, late ones only at the end: deal them out alternately.
-        if n_threads == 1 {
-            work(&mut tiles);
-        } else {
-            std::thread::scope(|scope| {
-                let mut hands: Vec<Vec<&mut Tile>> = (0..n_threads).map(|_| Vec::new()).collect();
-                for (index, tile) in tiles.iter_mut().enumerate() {
-                    hands[index % n_threads].push(tile);
-                }
-                for hand in hands {
-                    scope.spawn(|| {
-                        for tile in hand {
-                            work(std::slice::from_mut(tile));
-                        }
-                    });
-                }
+        let steps = linearize_chunk(motion, trajectory, multipliers, start..end, n_threads)?;
+        for (steps, first) in steps.chunks(round).zip((start..).step_by(round)) {
+            // Early tiles are busy from the start, late ones only at the end: they are dealt out alternately.
+            deal(&mut tiles, n_threads, |tile| {
+                tile.advance_all(arch, steps, first, tip, defects, columns);
+            });
+            deal(&mut blocks, n_threads, |block| {
+                block.add(arch, &tiles, steps.len());
             });
         }
         start = end;
@@ -107,21 +110,83 @@ pub fn sensitivities(
         let tile = &tiles[c / TILE];
         std::array::from_fn(|row| tile.data[(tip * NODE_ROWS + row) * TILE + c % TILE])
     };
+    let (curvature, curvature_defect) = match multipliers {
+        Some(_) => {
+            let (curvature, defect) = assemble(&blocks, n_columns);
+            (Some(curvature), defect)
+        }
+        None => (None, Vec::new()),
+    };
     Ok(Sensitivities {
         tip: (1..=n_columns).map(column).collect(),
         defect_tip: column(0),
-        flops: tiles.iter().map(|tile| tile.flops).sum(),
+        curvature,
+        curvature_defect,
+        flops: tiles.iter().map(|tile| tile.flops).sum::<u64>()
+            + blocks.iter().map(|block| block.flops).sum::<u64>(),
     })
+}
+
+/// Works on every item, dealt out alternately to the threads.
+fn deal<T: Send>(items: &mut [T], n_threads: usize, work: impl Fn(&mut T) + Sync) {
+    if n_threads == 1 || items.is_empty() {
+        items.iter_mut().for_each(work);
+        return;
+    }
+    let work = &work;
+    std::thread::scope(|scope| {
+        let mut hands: Vec<Vec<&mut T>> = (0..n_threads).map(|_| Vec::new()).collect();
+        for (index, item) in items.iter_mut().enumerate() {
+            hands[index % n_threads].push(item);
+        }
+        for hand in hands {
+            scope.spawn(move || hand.into_iter().for_each(work));
+        }
+    });
+}
+
+/// The blocks of `H`, exactly symmetric: the columns of the control, and apart from them the row of the defects.
+fn assemble(blocks: &[Block], n_columns: usize) -> (Mat<f64>, Vec<f64>) {
+    let mut curvature = Mat::zeros(n_columns, n_columns);
+    let mut defect = vec![0.0; n_columns];
+    for block in blocks {
+        for i in 0..TILE {
+            for j in 0..TILE {
+                let (row, column) = (block.left * TILE + i, block.right * TILE + j);
+                if column == 0 || row > n_columns || column > n_columns {
+                    continue;
+                }
+                let mut value = block.data[i * TILE + j];
+                if block.left == block.right {
+                    value = 0.5 * (value + block.data[j * TILE + i]);
+                }
+                if row == 0 {
+                    defect[column - 1] = value;
+                } else {
+                    curvature[(row - 1, column - 1)] = value;
+                    curvature[(column - 1, row - 1)] = value;
+                }
+            }
+        }
+    }
+    (curvature, defect)
 }
 
 /// Linearizes a run of time nodes, in parallel.
 fn linearize_chunk(
     motion: &Motion,
     trajectory: &Trajectory,
+    multipliers: Option<&Multipliers>,
     range: std::ops::Range<usize>,
     n_threads: usize,
 ) -> Result<Vec<PackedStep>, StepError> {
-    let pack = |k| StepLinearization::at(motion, trajectory, k).map(|step| PackedStep::new(&step));
+    let pack = |k| {
+        StepLinearization::at(motion, trajectory, k).map(|step| {
+            let curvature = multipliers
+                .map(|multipliers| PackedCurvature::at(motion, trajectory, &step, multipliers, k));
+            PackedStep::new(&step, curvature)
+        })
+    };
     if n_threads == 1 {
         return range.map(pack).collect();
     }
@@ -160,6 +225,7 @@ struct PackedStep {
     loads: Vec<(usize, [[f64; 3]; 6])>,
     drifts: Vec<PackedDrift>,
     first_free_node: usize,
+    curvature: Option<PackedCurvature>,
 }
 
 struct PackedDrift {
@@ -174,7 +240,7 @@ fn rows(m: &Matrix3<f64>, factor: f64) -> [[f64; 3]; 3] {
 }
 
 impl PackedStep {
-    fn new(step: &StepLinearization) -> Self {
+    fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
         let weight = step.kick.weight;
         Self {
             decay: step.kick.decay,
@@ -206,18 +272,146 @@ impl PackedStep {
                 })
                 .collect(),
             first_free_node: step.first_free_node,
+            curvature,
         }
+    }
+}
+
+/// The second derivative `Q` at one time node, laid out for the kernel: `(Q z)_k = elements z_k + next ζ_{k+1} + last
+/// ζ_{k-1}`. The parts of loads and inertia at `k` itself are added to those of an element.
+struct PackedCurvature {
+    /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
+    elements: Vec<[[f64; 9]; 9]>,
+    /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
+    couplings: Vec<[[[f64; 3]; 3]; 2]>,
+}
+
+impl PackedCurvature {
+    fn at(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        linearization: &StepLinearization,
+        multipliers: &Multipliers,
+        k: usize,
+    ) -> Self {
+        let step = StepCurvature::at(motion, trajectory, linearization, multipliers, k);
+        let last = match k.checked_sub(1) {
+            Some(before) => interval_curvature(motion, trajectory, multipliers, before),
+            None => Vec::new(),
+        };
+        const ORDER: [usize; 9] = [3, 4, 5, 0, 1, 2, 6, 7, 8];
+        let mut elements = vec![[[0.0; 9]; 9]; step.elements.len()];
+        for (packed, element) in elements.iter_mut().zip(&step.elements) {
+            for (row, i) in packed.iter_mut().zip(ORDER) {
+                for (entry, j) in row.iter_mut().zip(ORDER) {
+                    *entry = element[(i, j)];
+                }
+            }
+        }
+        let mut add = |node: usize, own: &Matrix3<f64>| {
+            // Node q is the far end of element q - 1; the base is the near end of the first.
+            let (element, at) = if node == 0 { (0, 0) } else { (node - 1, 6) };
+            for i in 0..3 {
+                for j in 0..3 {
+                    elements[element][at + i][at + j] += own[(i, j)];
+                }
+            }
+        };
+        for load in &step.loads {
+            add(load.node, &load.rotation);
+        }
+        let mut couplings = vec![[[[0.0; 3]; 3]; 2]; motion.rod.n_nodes()];
+        for (node, inertia) in step.inertia.iter().enumerate() {
+            add(node, &inertia.fixed_view::<3, 3>(0, 0).into());
+            couplings[node][1] = rows(&inertia.fixed_view::<3, 3>(0, 3).into(), 1.0);
+        }
+        for (node, inertia) in last.iter().enumerate() {
+            add(node, &inertia.fixed_view::<3, 3>(3, 3).into());
+            couplings[node][0] = rows(&inertia.fixed_view::<3, 3>(3, 0).into(), 1.0);
+        }
+        Self {
+            elements,
+            couplings,
+        }
+    }
+}
+
+/// Numbers that start on a cache line, so that no vector straddles two.
+struct Buffer {
+    store: Vec<f64>,
+    start: usize,
+    len: usize,
+}
+
+impl Buffer {
+    fn zeros(len: usize) -> Self {
+        const LINE: usize = 64;
+        let store = vec![0.0; len + LINE / size_of::<f64>()];
+        let start = store.as_ptr().align_offset(LINE).min(store.len() - len);
+        Self { store, start, len }
+    }
+}
+
+impl Deref for Buffer {
+    type Target = [f64];
+
+    fn deref(&self) -> &[f64] {
+        &self.store[self.start..][..self.len]
+    }
+}
+
+impl DerefMut for Buffer {
+    fn deref_mut(&mut self) -> &mut [f64] {
+        &mut self.store[self.start..][..self.len]
     }
 }
 
 /// [`TILE`] columns: row `node * 12 + component`, column fastest.
 struct Tile {
     first_column: usize,
-    data: Vec<f64>,
+    data: Buffer,
+    record: Option<Record>,
     flops: u64,
 }
 
 impl Tile {
+    /// A run of time nodes from `first` on, with the record of its rows.
+    fn advance_all(
+        &mut self,
+        arch: Arch,
+        steps: &[PackedStep],
+        first: usize,
+        tip: usize,
+        defects: &Defects,
+        columns: &dyn ControlColumns,
+    ) {
+        // Column c of the control is column c + 1 here.
+        let started = |k| self.first_column <= columns.n_started(k);
+        let started: Vec<bool> = (first..first + steps.len()).map(started).collect();
+        let any = started.contains(&true);
+        if let Some(record) = &mut self.record {
+            record.active = any;
+        }
+        if !any {
+            return;
+        }
+        if let Some(record) = &mut self.record {
+            record.keep(arch, &self.data, 0);
+        }
+        for ((step, k), started) in steps.iter().zip(first..).zip(started) {
+            if started {
+                self.advance(arch, step, k, tip, defects, columns);
+            }
+            if let (Some(record), Some(curvature)) = (&mut self.record, &step.curvature) {
+                record.keep(arch, &self.data, k - first + 1);
+                self.flops += record.multiply(arch, curvature, k - first);
+            }
+        }
+        if let Some(record) = &mut self.record {
+            record.carry(steps.len());
+        }
+    }
+
     /// Kick, sources, drift: one time node.
     fn advance(
         &mut self,
@@ -341,18 +535,18 @@ fn kick_element<S: Simd, const V: usize>(
                 sum[v] = simd.mul_add_e_f64s(coefficient, input[j][v], sum[v]);
             }
         }
-        for v in 0..V {
+        for (v, &sum) in sum.iter().enumerate() {
             // Rows 0..3: the element pulls a with +F and b with -F; 3..6 and 6..9: moments -M_a on a, -M_b on b.
             if i < 3 {
                 let row_a = (6 + i) * width + at + v;
-                a[row_a] = simd.add_f64s(a[row_a], sum[v]);
-                b[row_a] = simd.sub_f64s(b[row_a], sum[v]);
+                a[row_a] = simd.add_f64s(a[row_a], sum);
+                b[row_a] = simd.sub_f64s(b[row_a], sum);
             } else if i < 6 {
                 let row_a = (6 + i) * width + at + v;
-                a[row_a] = simd.sub_f64s(a[row_a], sum[v]);
+                a[row_a] = simd.sub_f64s(a[row_a], sum);
             } else {
                 let row_b = (3 + i) * width + at + v;
-                b[row_b] = simd.sub_f64s(b[row_b], sum[v]);
+                b[row_b] = simd.sub_f64s(b[row_b], sum);
             }
         }
     }
@@ -427,6 +621,270 @@ impl WithSimd for Drift<'_> {
     }
 }
 
+/// What a tile keeps of one round of time nodes for the curvature.
+///
+/// A slot holds the rows `ζ_0, dx_0, ζ_1, dx_1, … ζ_K` of one time node, so that an element's nine are consecutive.
+struct Record {
+    n_rows: usize,
+    /// Slots `-1..=n`: the last time node of the round before, the `n` of this round, the first of the next.
+    rows: Buffer,
+    /// `Q z` for the time nodes of this round.
+    product: Buffer,
+    /// Whether any column of the tile has begun to act.
+    active: bool,
+}
+
+impl Record {
+    fn new(n_nodes: usize, round: usize) -> Self {
+        let n_rows = 6 * n_nodes - 3;
+        Self {
+            n_rows,
+            rows: Buffer::zeros((round + 2) * n_rows * TILE),
+            product: Buffer::zeros(round * n_rows * TILE),
+            active: false,
+        }
+    }
+
+    /// Records the present rows of the tile in a slot.
+    fn keep(&mut self, arch: Arch, data: &[f64], slot: usize) {
+        let size = self.n_rows * TILE;
+        arch.dispatch(Keep {
+            data,
+            rows: &mut self.rows[(slot + 1) * size..][..size],
+        });
+    }
+
+    /// `Q z` of a slot whose two neighbors are filled; returns the number of operations.
+    fn multiply(&mut self, arch: Arch, curvature: &PackedCurvature, slot: usize) -> u64 {
+        let size = self.n_rows * TILE;
+        arch.dispatch(Multiply {
+            curvature,
+            rows: &self.rows[slot * size..][..3 * size],
+            product: &mut self.product[slot * size..][..size],
+        });
+        (TILE * (curvature.elements.len() * 162 + curvature.couplings.len() * 36)) as u64
+    }
+
+    /// Makes the last of `n_steps` slots the one before the next round.
+    fn carry(&mut self, n_steps: usize) {
+        let size = self.n_rows * TILE;
+        self.rows
+            .copy_within(n_steps * size..(n_steps + 1) * size, 0);
+    }
+}
+
+/// Copies `ζ` and the differences of `δx` into a slot of a [`Record`].
+struct Keep<'a> {
+    data: &'a [f64],
+    rows: &'a mut [f64],
+}
+
+impl WithSimd for Keep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_simd_f64s(self.data);
+        let (rows, _) = S::as_mut_simd_f64s(self.rows);
+        let width = TILE / S::F64_LANES;
+        let third = 3 * width;
+        let mut nodes = data.chunks_exact(4 * third).peekable();
+        let mut targets = rows.chunks_mut(2 * third);
+        while let (Some(node), Some(target)) = (nodes.next(), targets.next()) {
+            let (zeta, dx) = target.split_at_mut(third);
+            for (zeta, value) in zeta.iter_mut().zip(&node[third..]) {
+                *zeta = *value;
+            }
+            if let Some(next) = nodes.peek() {
+                for ((dx, x), x_next) in dx.iter_mut().zip(node).zip(*next) {
+                    *dx = simd.sub_f64s(*x_next, *x);
+                }
+            }
+        }
+    }
+}
+
+/// `Q z` at one time node, for all columns of a tile.
+struct Multiply<'a> {
+    curvature: &'a PackedCurvature,
+    /// Three slots: the time node before, this one, the next.
+    rows: &'a [f64],
+    product: &'a mut [f64],
+}
+
+impl WithSimd for Multiply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (rows, _) = S::as_simd_f64s(self.rows);
+        let (product, _) = S::as_mut_simd_f64s(self.product);
+        let width = TILE / S::F64_LANES;
+        let size = product.len();
+        let (last, rest) = rows.split_at(size);
+        let (here, next) = rest.split_at(size);
+        for (q, couplings) in self.curvature.couplings.iter().enumerate() {
+            let range = 6 * q * width..(6 * q + 3) * width;
+            let (last, next) = (&last[range.clone()], &next[range.clone()]);
+            let product = &mut product[range];
+            for at in 0..width {
+                for i in 0..3 {
+                    let mut sum = simd.splat_f64s(0.0);
+                    for j in 0..3 {
+                        let coefficient = simd.splat_f64s(couplings[0][i][j]);
+                        sum = simd.mul_add_e_f64s(coefficient, last[j * width + at], sum);
+                        let coefficient = simd.splat_f64s(couplings[1][i][j]);
+                        sum = simd.mul_add_e_f64s(coefficient, next[j * width + at], sum);
+                    }
+                    product[i * width + at] = sum;
+                }
+            }
+        }
+        for (q, element) in self.curvature.elements.iter().enumerate() {
+            let range = 6 * q * width..(6 * q + 9) * width;
+            let here = &here[range.clone()];
+            let product = &mut product[range];
+            let mut at = 0;
+            while at + 2 <= width {
+                multiply_element::<S, 2>(simd, element, here, product, at, width);
+                at += 2;
+            }
+            if at < width {
+                multiply_element::<S, 1>(simd, element, here, product, at, width);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn multiply_element<S: Simd, const V: usize>(
+    simd: S,
+    element: &[[f64; 9]; 9],
+    here: &[S::f64s],
+    product: &mut [S::f64s],
+    at: usize,
+    width: usize,
+) {
+    let zero = simd.splat_f64s(0.0);
+    let mut input = [[zero; V]; 9];
+    for (i, input) in input.iter_mut().enumerate() {
+        input.copy_from_slice(&here[i * width + at..][..V]);
+    }
+    for (i, row) in element.iter().enumerate() {
+        let target = &mut product[i * width + at..][..V];
+        // The rows of ζ hold the couplings and the element before; those of dx belong to this element alone.
+        let mut sum = [zero; V];
+        if !(3..6).contains(&i) {
+            sum.copy_from_slice(target);
+        }
+        for (coefficient, input) in row.iter().zip(&input) {
+            let coefficient = simd.splat_f64s(*coefficient);
+            for v in 0..V {
+                sum[v] = simd.mul_add_e_f64s(coefficient, input[v], sum[v]);
+            }
+        }
+        target.copy_from_slice(&sum);
+    }
+}
+
+/// The block of `H` that belongs to two tiles, `left <= right`; row by row.
+struct Block {
+    left: usize,
+    right: usize,
+    data: Buffer,
+    flops: u64,
+}
+
+impl Block {
+    fn all(n_tiles: usize) -> Vec<Self> {
+        (0..n_tiles)
+            .flat_map(|right| {
+                (0..=right).map(move |left| Self {
+                    left,
+                    right,
+                    data: Buffer::zeros(TILE * TILE),
+                    flops: 0,
+                })
+            })
+            .collect()
+    }
+
+    /// Adds `Zᵀ Q Z` of one round of `n_steps` time nodes.
+    fn add(&mut self, arch: Arch, tiles: &[Tile], n_steps: usize) {
+        let (Some(left), Some(right)) = (&tiles[self.left].record, &tiles[self.right].record)
+        else {
+            return;
+        };
+        if !(left.active && right.active) {
+            return;
+        }
+        let size = left.n_rows * TILE;
+        let rows = left.rows[size..(n_steps + 1) * size].chunks(BATCH * size);
+        let products = right.product[..n_steps * size].chunks(BATCH * size);
+        for (rows, products) in rows.zip(products) {
+            arch.dispatch(Contract {
+                rows,
+                products,
+                block: &mut self.data,
+            });
+        }
+        self.flops += (2 * TILE * size * n_steps) as u64;
+    }
+}
+
+/// `block += rowsᵀ products`, a product of tall matrices of [`TILE`] columns each.
+struct Contract<'a> {
+    rows: &'a [f64],
+    products: &'a [f64],
+    block: &'a mut [f64],
+}
+
+impl WithSimd for Contract<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // Accumulators are two vectors wide and as many rows high as the registers hold: 16 of 32, or 8 of 16.
+        if S::F64_LANES == 8 {
+            contract::<S, 8, 2>(simd, self);
+        } else if S::F64_LANES > 1 {
+            contract::<S, 4, 2>(simd, self);
+        } else {
+            contract::<S, 2, 4>(simd, self);
+        }
+    }
+}
+
+#[inline(always)]
+fn contract<S: Simd, const R: usize, const V: usize>(simd: S, task: Contract) {
+    let (products, _) = S::as_simd_f64s(task.products);
+    let (block, _) = S::as_mut_simd_f64s(task.block);
+    let products = products.as_chunks::<V>().0;
+    let rows = task.rows.as_chunks::<R>().0;
+    let width = TILE / S::F64_LANES;
+    for i0 in 0..TILE / R {
+        for v0 in 0..width / V {
+            let mut sums = [[simd.splat_f64s(0.0); V]; R];
+            for (i, sums) in sums.iter_mut().enumerate() {
+                sums.copy_from_slice(&block[(i0 * R + i) * width + v0 * V..][..V]);
+            }
+            let factors = rows.iter().skip(i0).step_by(TILE / R);
+            let products = products.iter().skip(v0).step_by(width / V);
+            for (factors, products) in factors.zip(products) {
+                for i in 0..R {
+                    let factor = simd.splat_f64s(factors[i]);
+                    for v in 0..V {
+                        sums[i][v] = simd.mul_add_e_f64s(factor, products[v], sums[i][v]);
+                    }
+                }
+            }
+            for (i, sums) in sums.iter().enumerate() {
+                block[(i0 * R + i) * width + v0 * V..][..V].copy_from_slice(sums);
+            }
+        }
+    }
+}
+
 /// Tip components of a [`StateTangent`], in the order of [`Sensitivities`].
 #[must_use]
 pub fn tip_rows(tangent: &StateTangent) -> [f64; NODE_ROWS] {
@@ -438,4 +896,82 @@ pub fn tip_rows(tangent: &StateTangent) -> [f64; NODE_ROWS] {
         last(&tangent.angular),
     ];
     std::array::from_fn(|i| parts[i / 3][i % 3])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pulp::{Scalar, Scalar128b, Scalar256b, Scalar512b};
+
+    /// Distinct small integers over 8: every sum of products is exact, so the order does not matter.
+    fn numbers(n: usize, seed: usize) -> Vec<f64> {
+        (0..n)
+            .map(|i| ((i * 37 + seed * 11) % 41) as f64 / 8.0 - 2.5)
+            .collect()
+    }
+
+    fn curvature_kernels<S: Simd>(simd: S) -> [Vec<f64>; 3] {
+        let n_nodes = 3;
+        let n_rows = 6 * n_nodes - 3;
+        let data = numbers(n_nodes * NODE_ROWS * TILE, 1);
+        let mut kept = vec![0.0; n_rows * TILE];
+        Keep {
+            data: &data,
+            rows: &mut kept,
+        }
+        .with_simd(simd);
+        let coefficients = numbers(2 * 81 + 3 * 18, 2);
+        let mut next = coefficients.into_iter().cycle();
+        let mut take = || next.next().unwrap_or_default();
+        let curvature = PackedCurvature {
+            elements: (0..n_nodes - 1)
+                .map(|_| std::array::from_fn(|_| std::array::from_fn(|_| take())))
+                .collect(),
+            couplings: (0..n_nodes)
+                .map(|_| {
+                    std::array::from_fn(|_| {
+                        std::array::from_fn(|_| std::array::from_fn(|_| take()))
+                    })
+                })
+                .collect(),
+        };
+        let rows = [
+            numbers(n_rows * TILE, 3),
+            kept.clone(),
+            numbers(n_rows * TILE, 4),
+        ]
+        .concat();
+        let mut product = vec![f64::NAN; n_rows * TILE];
+        Multiply {
+            curvature: &curvature,
+            rows: &rows,
+            product: &mut product,
+        }
+        .with_simd(simd);
+        let mut block = numbers(TILE * TILE, 5);
+        Contract {
+            rows: &kept,
+            products: &product,
+            block: &mut block,
+        }
+        .with_simd(simd);
+        [kept, product, block]
+    }
+
+    /// Every vector length gives the same numbers, and the last kernel is `block += rowsᵀ products`; exact arithmetic.
+    #[test]
+    fn curvature_kernels_agree_for_every_vector_length() {
+        let one = curvature_kernels(Scalar);
+        assert_eq!(one, curvature_kernels(Scalar128b));
+        assert_eq!(one, curvature_kernels(Scalar256b));
+        assert_eq!(one, curvature_kernels(Scalar512b));
+        let [rows, products, block] = one;
+        for (i, start) in numbers(TILE * TILE, 5).into_iter().enumerate() {
+            let (left, right) = (i / TILE, i % TILE);
+            let sum: f64 = (rows.chunks(TILE).zip(products.chunks(TILE)))
+                .map(|(z, w)| z[left] * w[right])
+                .sum();
+            assert_eq!(block[i], start + sum);
+        }
+    }
 }

@@ -5,6 +5,7 @@ mod directory;
 mod error;
 mod motion;
 mod report;
+pub mod summary;
 
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use directory::ResultDirectory;

@@ -16,14 +16,16 @@ mod model;
 mod overrides;
 mod reader;
 mod source;
+pub mod translate;
 
 pub use error::SceneError;
 pub use model::{
-    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Load,
+    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Initial, InitialShape, Load,
     LoadFrame, LoadNode, Material, Objective, Output, Reference, Rod, RodModel, Scene, Section,
     Solver, Stiffness, StrainRule, Task, Time, TimeStep,
 };
 pub use source::SceneSource;
+pub use translate::{OptimalControl, Simulation};
 
 use overrides::Override;
 use std::path::Path;

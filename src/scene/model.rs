@@ -21,6 +21,9 @@ pub struct Scene {
     /// Prescribed forces and moments on nodes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub load: Vec<Load>,
+    /// State at t = 0. Absent: at rest in the stress-free shape.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub initial: Option<Initial>,
     /// Duration and time step.
     pub time: Time,
     /// Where the tip should be, and when. Absent: there is nothing to reach.
@@ -513,6 +516,25 @@ pub enum Guess {
     Static,
     /// From the arm at rest and no controls.
     Rest,
+}
+
+/// State at t = 0; always at rest.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Initial {
+    /// Shape that the motion starts from.
+    pub shape: InitialShape,
+}
+
+/// Shape that a motion starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum InitialShape {
+    /// The stress-free shape: gravity and loads act suddenly.
+    #[default]
+    Rest,
+    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped base.
+    Equilibrium,
 }
 
 /// What is written.

@@ -1,0 +1,130 @@
+//! `softarm check SCENE`
+
+use super::console::Console;
+use super::{Global, Outcome, exit, scene_name};
+use crate::control::{Enforcement, OptimalControlProblem};
+use crate::mechanics::Rod;
+use crate::mechanics::stability::stable_step;
+use crate::output::summary::{CheckSummary, ProblemSize, SCHEMA_VERSION, ScalesSummary};
+use crate::scene::{RodModel, Scene};
+
+/// Beyond this the trapezoidal rule bends visibly too stiffly.
+const LOCKING_LIMIT: f64 = 0.05;
+/// Bytes of a node's position and rotation.
+const NODE_BYTES: usize = 12 * 8;
+
+pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
+    let (scene, source) = Scene::load(scene_argument, &global.set)?;
+    let (rod, grid, size) = if scene.task.is_some() || scene.control.is_some() {
+        let setup = scene.optimal_control(&source)?;
+        let size = problem_size(&setup.problem);
+        (setup.problem.rod, setup.problem.grid, Some(size))
+    } else {
+        let setup = scene.simulation(&source)?;
+        (setup.rod, setup.grid, None)
+    };
+    let summary = CheckSummary {
+        schema_version: SCHEMA_VERSION,
+        command: "check",
+        scene: scene_name(scene_argument),
+        model: model_name(scene.rod.model),
+        strain: rod.strain_rule.name(),
+        elements: rod.n_elements(),
+        mass_kg: rod.mass(),
+        stable_step_s: stable_step(&rod),
+        step_s: grid.step,
+        steps: grid.n_steps,
+        locking_ratio: rod.locking_ratio(),
+        scales: ScalesSummary {
+            length_m: rod.scales.length,
+            force_n: rod.scales.force,
+            moment_n_m: rod.scales.moment,
+            time_s: rod.scales.time,
+        },
+        optimal_control: size,
+        memory_bytes: (NODE_BYTES * rod.n_nodes() * (grid.n_steps + 1)) as u64
+            * if size.is_some() { 4 } else { 1 },
+        warnings: warnings(&scene, &rod),
+    };
+    show(&summary, console);
+    console.summary(&summary);
+    Ok(exit::DONE)
+}
+
+/// Name of a model in the summaries.
+pub(super) fn model_name(model: RodModel) -> &'static str {
+    match model {
+        RodModel::Standard => "standard",
+        RodModel::Dilatation => "dilatation",
+        RodModel::Consistent => "consistent",
+    }
+}
+
+/// What a user should know before a run.
+pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
+    let mut out = Vec::new();
+    if rod.strain_rule == crate::mechanics::StrainRule::Trapezoidal
+        && rod.locking_ratio() > LOCKING_LIMIT
+    {
+        out.push(format!(
+            "rod.strain: the trapezoidal rule stiffens bending by {:.0} % at {} elements (GA l²/(4 EI)); use \"helical\" \
+             or shorter elements",
+            100.0 * rod.locking_ratio(),
+            rod.n_elements()
+        ));
+    }
+    if scene.load.iter().any(|load| {
+        load.profile
+            .as_ref()
+            .and_then(|profile| profile.last())
+            .is_some_and(|last| last[0] < 0.0)
+    }) {
+        out.push("load.profile: a load ends before t = 0 and never acts".into());
+    }
+    out
+}
+
+fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
+    let free = problem.rod.n_nodes() - problem.rod.first_free_node();
+    ProblemSize {
+        control_blocks: problem.control.n_blocks(),
+        variables: problem.control.n_coefficients() * problem.actuated_components().len(),
+        target_equations: match problem.target.enforcement {
+            Enforcement::Hard => problem.target_rows().len(),
+            Enforcement::Soft { .. } => 0,
+        },
+        eliminated: 6 * free * problem.grid.n_steps,
+    }
+}
+
+fn show(summary: &CheckSummary, console: &Console) {
+    console.say(&format!(
+        "{}: {} elements, {} strain, {} model, {:.4} kg",
+        summary.scene, summary.elements, summary.strain, summary.model, summary.mass_kg
+    ));
+    console.say(&format!(
+        "  time   step {:.4e} s (stable below {:.4e} s), {} steps",
+        summary.step_s, summary.stable_step_s, summary.steps
+    ));
+    console.say(&format!(
+        "  scales length {:.4} m, force EI/L² {:.4e} N, moment EI/L {:.4e} N m, time {:.4} s",
+        summary.scales.length_m,
+        summary.scales.force_n,
+        summary.scales.moment_n_m,
+        summary.scales.time_s
+    ));
+    if let Some(size) = &summary.optimal_control {
+        console.say(&format!(
+            "  control {} blocks, {} variables; {} target equations; {} configuration unknowns eliminated",
+            size.control_blocks, size.variables, size.target_equations, size.eliminated
+        ));
+    }
+    console.say(&format!(
+        "  memory about {:.1} MB",
+        summary.memory_bytes as f64 * 1e-6
+    ));
+    for warning in &summary.warnings {
+        console.warn(warning);
+    }
+    console.verdict(true, "the scene is valid");
+}

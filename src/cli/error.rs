@@ -1,0 +1,40 @@
+//! What can go wrong at the command line, and the exit code it has.
+
+use super::exit;
+use crate::control::GuessError;
+use crate::mechanics::StepError;
+use crate::output::OutputError;
+use crate::scene::SceneError;
+use crate::verify::CheckError;
+
+/// An error of a verb.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum CliError {
+    /// The scene is not one.
+    #[error("{0}")]
+    Scene(#[from] SceneError),
+    /// A file could not be read or written.
+    #[error("error: {0}")]
+    Output(#[from] OutputError),
+    /// A simulation broke down.
+    #[error("error: {0}")]
+    Step(#[from] StepError),
+    /// No first point.
+    #[error("error: no start for the solver: {0}")]
+    Guess(#[from] GuessError),
+    /// The forward check broke down.
+    #[error("error: the check could not be made: {0}")]
+    Check(#[from] CheckError),
+    /// A result directory that does not hold what a verb needs.
+    #[error("error: {0}")]
+    Directory(String),
+}
+
+impl CliError {
+    pub(super) fn exit_code(&self) -> u8 {
+        match self {
+            Self::Scene(_) | Self::Output(_) | Self::Directory(_) => exit::USAGE,
+            Self::Step(_) | Self::Guess(_) | Self::Check(_) => exit::NUMERICAL,
+        }
+    }
+}

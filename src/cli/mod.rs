@@ -1,0 +1,158 @@
+//! The command line: one file a verb. Only here is anything printed.
+
+mod check;
+mod console;
+mod error;
+mod example;
+mod report_pages;
+mod schema;
+mod simulate;
+mod solve;
+mod verify;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use console::Console;
+use error::CliError;
+
+/// Process exit codes, as scripts rely on them.
+mod exit {
+    pub const DONE: u8 = 0;
+    pub const USAGE: u8 = 2;
+    pub const NOT_CONVERGED: u8 = 3;
+    pub const INFEASIBLE: u8 = 4;
+    pub const NUMERICAL: u8 = 5;
+    pub const STOPPED: u8 = 6;
+    pub const REJECTED: u8 = 7;
+}
+
+/// Optimal control of soft arms: simulate, solve, and check the result.
+#[derive(Debug, Parser)]
+#[command(name = "softarm", version, about, after_help = EXIT_CODES, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    global: Global,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
+4 locally infeasible · 5 numerical failure · 6 stopped by a deadline or Ctrl-C · 7 solved, but the check rejects it";
+
+/// Options of every verb.
+#[derive(Clone, Debug, Args)]
+struct Global {
+    /// Print the summary object, and nothing else, on stdout
+    #[arg(long, global = true)]
+    json: bool,
+    /// No talk on stderr but errors
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Override a scene key by its dotted path; any number of times
+    #[arg(long, global = true, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Threads to compute with (changes the time, not the result) [default: all cores]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Seed of everything random (nothing is, in this version; accepted so that scripts need not change)
+    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    seed: u64,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Validate a scene and print derived figures; solve nothing
+    Check(SceneArgument),
+    /// Forward simulation
+    Simulate(SceneAndOut),
+    /// Optimal control: tip force and moment sequences, checked by forward simulation
+    Solve(SceneAndOut),
+    /// Re-check a saved solution by code that does not share the solver's assembly
+    Verify {
+        /// Result directory of a solve
+        directory: PathBuf,
+    },
+    /// List the built-in scenes, or print one, commented
+    Example {
+        /// Name of a built-in scene
+        name: Option<String>,
+    },
+    /// Print the JSON Schema of the scene file
+    Schema,
+}
+
+#[derive(Debug, Args)]
+struct SceneArgument {
+    /// Path to a scene file, or the name of a built-in scene
+    scene: String,
+}
+
+#[derive(Debug, Args)]
+struct SceneAndOut {
+    /// Path to a scene file, or the name of a built-in scene
+    scene: String,
+    /// Result directory [default: results/SCENE-VERB]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+impl SceneAndOut {
+    /// The directory asked for, or `results/SCENE-VERB`.
+    fn directory(&self, verb: &str) -> PathBuf {
+        self.out.clone().unwrap_or_else(|| {
+            PathBuf::from("results").join(format!("{}-{verb}", scene_name(&self.scene)))
+        })
+    }
+}
+
+/// A scene's name: the file's, without folder and ending.
+fn scene_name(scene: &str) -> String {
+    std::path::Path::new(scene)
+        .file_stem()
+        .map_or_else(|| scene.to_string(), |stem| stem.to_string_lossy().into_owned())
+}
+
+impl Global {
+    fn n_threads(&self) -> usize {
+        self.threads.map_or_else(
+            || std::thread::available_parallelism().map_or(1, usize::from),
+            usize::from,
+        )
+    }
+}
+
+/// Runs the command line and returns its exit code.
+#[must_use]
+pub fn run() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version go to stdout and succeed; a usage error goes to stderr. A closed pipe is no news.
+            let code = if error.use_stderr() { exit::USAGE } else { exit::DONE };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    let console = Console::new(&cli.global);
+    let outcome = match &cli.command {
+        Command::Check(argument) => check::run(&argument.scene, &cli.global, &console),
+        Command::Simulate(arguments) => simulate::run(arguments, &cli.global, &console),
+        Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
+        Command::Verify { directory } => verify::run(directory, &cli.global, &console),
+        Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
+        Command::Schema => schema::run(&console),
+    };
+    match outcome {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            console.error(&error);
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// What a verb returns: an exit code, or an error that has one.
+type Outcome = Result<u8, CliError>;

@@ -1,0 +1,343 @@
+//! Second derivatives of the discrete equations of motion, contracted with their multipliers.
+//!
+//! With the rows `r_k` and the multipliers `λ_k` of [`linearization`](super::linearization), an outcome
+//! `φ(x_N, R_N, p_N, π_N)` has the Lagrangian `L = φ - Σ_{k<N} λ_k·r_k`, stationary in the configurations by the
+//! choice of `λ`. Its second derivative along directions that obey the linearized motion is that of the outcome as
+//! a function of the control; without the curvature of `φ` itself it is, with `λ_N = ∂φ/∂(p_N, π_N)`,
+//!
+//! ```text
+//! Σ_{k=0..N} weight_k Σ_q [λx_kq·δ²f_q + λr_kq·δ²τ_q] + Σ_{k<N} Σ_q [decay_{k+1} λr_{k+1,q}·δ²π_q(F_k) - λr_kq·δ²g_q(F_k)]
+//! ```
+//!
+//! All second derivatives are those in the chart `x + δx`, `R exp(ζ̂)`, hence symmetric. They are not those of
+//! another chart, nor the derivative of the left-trivialized derivative; their sum over all rows is the same in each,
+//! because `L` is stationary.
+
+use faer::Mat;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+use super::configuration::{Trajectory, TrajectoryTangent};
+use super::integrator::StepError;
+use super::linearization::{AdjointSweep, Motion, StateTangent, StepLinearization};
+use super::load::LoadFrame;
+use super::rod::Rod;
+use super::rotation::{exp, hat};
+use super::strain::{Element, ElementPose, ElementStiffness, StrainRule};
+
+/// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
+pub type ElementCurvature = SMatrix<f64, 9, 9>;
+
+/// Second derivative along the rotations `(ζ_k, ζ_{k+1})` of one node at the two ends of an interval; symmetric.
+pub type InertiaCurvature = SMatrix<f64, 6, 6>;
+
+/// Multipliers of the equations of motion, as [`adjoint_sweep`](super::linearization::adjoint_sweep) takes and
+/// returns them for the same motion and trajectory; unit: that of the outcome per unit of momentum.
+#[derive(Clone, Copy, Debug)]
+pub struct Multipliers<'a> {
+    /// Covectors `λ_k` of the rows `k < N`, per momentum.
+    pub adjoint: &'a AdjointSweep,
+    /// Covector of the outcome at `N`; only the parts of `p_N` and `π_N` enter, as `λ_N`.
+    pub terminal: &'a StateTangent,
+}
+
+impl Multipliers<'_> {
+    /// `(λx, λr)` of rod node `q` at time node `k`; zero where the node is held.
+    fn at(&self, motion: &Motion, k: usize, q: usize) -> (Vector3<f64>, Vector3<f64>) {
+        if q < motion.rod.first_free_node() {
+            (Vector3::zeros(), Vector3::zeros())
+        } else if k == motion.grid.n_steps {
+            (self.terminal.linear[q], self.terminal.angular[q])
+        } else {
+            let row = k * motion.rod.n_nodes() + q;
+            (self.adjoint.linear[row], self.adjoint.angular[row])
+        }
+    }
+}
+
+/// A load's second derivative along the rotation of its node.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeCurvature {
+    /// The node.
+    pub node: usize,
+    /// Symmetric, J.
+    pub rotation: Matrix3<f64>,
+}
+
+/// The terms of the second derivative that belong to time node `k` and to the interval that follows it.
+#[derive(Clone, Debug)]
+pub struct StepCurvature {
+    /// `weight λ·δ²` of the elastic forces at `k`, element by element.
+    pub elements: Vec<ElementCurvature>,
+    /// The same of the loads.
+    pub loads: Vec<NodeCurvature>,
+    /// `decay_{k+1} λr_{k+1}·δ²π - λr_k·δ²g` of every node; absent at the last time node.
+    pub inertia: Vec<InertiaCurvature>,
+}
+
+impl StepCurvature {
+    /// The terms of time node `k` (`0..=N`); `linearization` is that of the same time node.
+    #[must_use]
+    pub fn at(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        linearization: &StepLinearization,
+        multipliers: &Multipliers,
+        k: usize,
+    ) -> Self {
+        let rod = motion.rod;
+        let weight = linearization.kick.weight;
+        let positions = trajectory.positions_at(k);
+        let rotations = trajectory.rotations_at(k);
+        let weighted = |q| {
+            let (linear, angular) = multipliers.at(motion, k, q);
+            (weight * linear, weight * angular)
+        };
+        let elements = (rod.elements.iter().zip(&linearization.elements).enumerate())
+            .map(|(q, (element, stiffness))| {
+                let (linear_a, angular_a) = weighted(q);
+                let (linear_b, angular_b) = weighted(q + 1);
+                // The element pulls a with +F and b with -F, and turns them with -M.
+                element_curvature(
+                    element,
+                    rod.strain_rule,
+                    &Rod::element_pose(q, positions, rotations),
+                    stiffness,
+                    &stack(&(linear_a - linear_b), &-angular_a, &-angular_b),
+                )
+            })
+            .collect();
+        let loads = (rod.loads.iter())
+            .map(|load| {
+                let rotation = &rotations[load.node];
+                let (linear, angular) = weighted(load.node);
+                let wrench = load.wrench(motion.grid.time(k), rotation);
+                let rotation = match load.frame {
+                    LoadFrame::Spatial => load_curvature(&angular, &wrench.moment),
+                    LoadFrame::Body => {
+                        load_curvature(&rotation.tr_mul(&linear), &rotation.tr_mul(&wrench.force))
+                    }
+                };
+                NodeCurvature {
+                    node: load.node,
+                    rotation,
+                }
+            })
+            .collect();
+        Self {
+            elements,
+            loads,
+            inertia: interval_curvature(motion, trajectory, multipliers, k),
+        }
+    }
+
+    /// The bilinear form on two directions, each given by its part at `k` and its rotations at `k + 1`.
+    fn form(&self, a: &Slice, b: &Slice) -> f64 {
+        let mut sum = 0.0;
+        for (q, element) in self.elements.iter().enumerate() {
+            sum += a.element(q).dot(&(element * b.element(q)));
+        }
+        for load in &self.loads {
+            sum += a.rotations[load.node].dot(&(load.rotation * b.rotations[load.node]));
+        }
+        for (q, inertia) in self.inertia.iter().enumerate() {
+            sum += a.interval(q).dot(&(inertia * b.interval(q)));
+        }
+        sum
+    }
+}
+
+/// The inertia terms of every node over the interval from `k` to `k + 1`; empty for `k = N`.
+#[must_use]
+pub fn interval_curvature(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: &Multipliers,
+    k: usize,
+) -> Vec<InertiaCurvature> {
+    if k >= motion.grid.n_steps {
+        return Vec::new();
+    }
+    let decay = motion.kick(k + 1).decay;
+    let ends = trajectory
+        .rotations_at(k)
+        .iter()
+        .zip(trajectory.rotations_at(k + 1));
+    ends.zip(&motion.rod.nodes)
+        .enumerate()
+        .map(|(q, ((before, after), inertia))| {
+            inertia_curvature(
+                &inertia.rotary,
+                motion.grid.step,
+                &before.tr_mul(after),
+                &multipliers.at(motion, k, q).1,
+                &(decay * multipliers.at(motion, k + 1, q).1),
+            )
+        })
+        .collect()
+}
+
+/// Second derivative of `λ·∇U` in the chart `(dx + δx, R_a exp(ζ̂_a), R_b exp(ζ̂_b))`, where `∇U` is the element's
+/// [gradient](Element::gradient) and `λ = covector` its constant components `(dx; body a; body b)`.
+///
+/// With the left-invariant fields `E_a` and `[a, b] = a × b` of each rotation, `E_aE_bE_λU = E_λ(E_aE_bU) +
+/// E_[a,λ]E_bU + E_aE_[b,λ]U`; `E_aE_bU = b·Ka` is the [stiffness](Element::stiffness), given at the same pose, and
+/// its derivative along `λ` is a central difference, exact to about 1e-10 of `|K|` (unit of `K` times that of `λ`).
+#[must_use]
+pub fn element_curvature(
+    element: &Element,
+    rule: StrainRule,
+    pose: &ElementPose,
+    stiffness: &ElementStiffness,
+    covector: &SVector<f64, 9>,
+) -> ElementCurvature {
+    let part = |i: usize| -> Vector3<f64> { covector.fixed_rows::<3>(3 * i).into() };
+    let (along_dx, along_a, along_b) = (part(0), part(1), part(2));
+    let size = (along_dx.norm() / element.length).max(along_a.norm().max(along_b.norm()));
+    if size == 0.0 {
+        return ElementCurvature::zeros();
+    }
+    let step = DIFFERENCE_STEP / size;
+    let shift = step * along_dx;
+    let (turn_a, turn_b) = (exp(&(step * along_a)), exp(&(step * along_b)));
+    let at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
+        let pose = ElementPose {
+            dx,
+            rotation_a: &(pose.rotation_a * turn_a),
+            rotation_b: &(pose.rotation_b * turn_b),
+        };
+        element.stiffness(rule, &pose).1
+    };
+    let ahead = at(pose.dx + shift, &turn_a, &turn_b);
+    let behind = at(pose.dx - shift, &turn_a.transpose(), &turn_b.transpose());
+    let mut curvature = (ahead - behind) * (0.5 / step);
+    // [a, λ] = -λ̂ a: adds KA + AᵀK with A = -diag(0, λ̂_a, λ̂_b); λ̂ᵀ = -λ̂.
+    for (at, turn) in [(3, hat(&along_a)), (6, hat(&along_b))] {
+        let columns = stiffness.fixed_columns::<3>(at) * turn;
+        let mut target = curvature.fixed_columns_mut::<3>(at);
+        target -= columns;
+        let rows = turn * stiffness.fixed_rows::<3>(at);
+        let mut target = curvature.fixed_rows_mut::<3>(at);
+        target += rows;
+    }
+    0.5 * (curvature + curvature.transpose())
+}
+
+/// Step of the central difference in strain and in radians: the cube root of the rounding unit, where truncation
+/// (step²) and rounding (unit/step) are alike.
+const DIFFERENCE_STEP: f64 = 6e-6;
+
+/// Second derivative of `μ·π(F) - λ·g(F)` in the chart `F = exp(-ζ̂_k) F exp(ζ̂_{k+1})`, for the momenta
+/// `g = (1/h) (F J_d - J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s.
+///
+/// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed
+/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²), `J_d = (tr J/2) I - J`.
+#[must_use]
+pub fn inertia_curvature(
+    rotary: &Vector3<f64>,
+    time_step: f64,
+    turn: &Matrix3<f64>,
+    before: &Vector3<f64>,
+    after: &Vector3<f64>,
+) -> InertiaCurvature {
+    let j_d = Matrix3::from_diagonal(&(rotary.map(|j| 0.5 * rotary.sum() - j) / time_step));
+    let c = j_d * hat(before) - hat(after) * j_d;
+    let mut curvature = InertiaCurvature::zeros();
+    for (at, m) in [(0, turn * c), (3, c * turn)] {
+        let block = 0.5 * (m + m.transpose()) - Matrix3::from_diagonal_element(m.trace());
+        curvature.fixed_view_mut::<3, 3>(at, at).copy_from(&block);
+    }
+    for i in 0..3 {
+        let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
+        for j in 0..3 {
+            let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
+            let mixed = c[(j1, i1)] * turn[(i2, j2)] + c[(j2, i2)] * turn[(i1, j1)]
+                - c[(j2, i1)] * turn[(i2, j1)]
+                - c[(j1, i2)] * turn[(i1, j2)];
+            curvature[(i, 3 + j)] = mixed;
+            curvature[(3 + j, i)] = mixed;
+        }
+    }
+    curvature
+}
+
+/// Second derivative of `λ·exp(±ζ̂)v` in `ζ`, either sign: `½(λvᵀ + vλᵀ) - (λ·v) I`.
+///
+/// A moment constant in space is `exp(-ζ̂)RᵀM` in the body frame; a force constant in the body is `R exp(ζ̂)f_b` in
+/// space, and `λ` is then turned into the body frame.
+#[must_use]
+pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3<f64> {
+    let outer = covector * vector.transpose();
+    0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
+}
+
+/// Second derivative of the Lagrangian, without that of the outcome itself, along every pair of `directions`:
+/// symmetric, in their order; the unit is that of the outcome per unit of both directions.
+///
+/// The clear counterpart and test oracle of
+/// [`sensitivities`](super::sensitivity::sensitivities), and the form for directions of any kind.
+///
+/// # Errors
+/// [`StepError`] where the trajectory cannot be linearized.
+pub fn lagrangian_curvature(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: &Multipliers,
+    directions: &[TrajectoryTangent],
+) -> Result<Mat<f64>, StepError> {
+    let n = motion.rod.n_nodes();
+    let mut curvature = Mat::zeros(directions.len(), directions.len());
+    for k in 0..=motion.grid.n_steps {
+        let linearization = StepLinearization::at(motion, trajectory, k)?;
+        let step = StepCurvature::at(motion, trajectory, &linearization, multipliers, k);
+        let slices: Vec<Slice> = (directions.iter())
+            .map(|direction| Slice {
+                positions: &direction.positions[k * n..][..n],
+                rotations: &direction.rotations[k * n..][..n],
+                next: direction.rotations.get((k + 1) * n..).unwrap_or_default(),
+            })
+            .collect();
+        for (j, b) in slices.iter().enumerate() {
+            for (i, a) in slices[..=j].iter().enumerate() {
+                curvature[(i, j)] += step.form(a, b);
+            }
+        }
+    }
+    for j in 0..directions.len() {
+        for i in 0..j {
+            curvature[(j, i)] = curvature[(i, j)];
+        }
+    }
+    Ok(curvature)
+}
+
+/// One time node of a direction, with its rotations at the next.
+struct Slice<'a> {
+    positions: &'a [Vector3<f64>],
+    rotations: &'a [Vector3<f64>],
+    next: &'a [Vector3<f64>],
+}
+
+impl Slice<'_> {
+    fn element(&self, q: usize) -> SVector<f64, 9> {
+        stack(
+            &(self.positions[q + 1] - self.positions[q]),
+            &self.rotations[q],
+            &self.rotations[q + 1],
+        )
+    }
+
+    fn interval(&self, q: usize) -> SVector<f64, 6> {
+        let mut both = SVector::<f64, 6>::zeros();
+        both.fixed_rows_mut::<3>(0).copy_from(&self.rotations[q]);
+        both.fixed_rows_mut::<3>(3).copy_from(&self.next[q]);
+        both
+    }
+}
+
+fn stack(a: &Vector3<f64>, b: &Vector3<f64>, c: &Vector3<f64>) -> SVector<f64, 9> {
+    let mut out = SVector::<f64, 9>::zeros();
+    out.fixed_rows_mut::<3>(0).copy_from(a);
+    out.fixed_rows_mut::<3>(3).copy_from(b);
+    out.fixed_rows_mut::<3>(6).copy_from(c);
+    out
+}

@@ -1,0 +1,303 @@
+//! The summary objects that scripts read: `summary.json`, and what `--json` prints.
+
+use serde::Serialize;
+
+use crate::sqp::KktResidual;
+
+/// Version of the layout of every summary.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// Summary of `check`.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckSummary {
+    /// [`SCHEMA_VERSION`]
+    pub schema_version: u32,
+    /// `check`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Mass of the rod, kg.
+    pub mass_kg: f64,
+    /// Stable step, s.
+    pub stable_step_s: f64,
+    /// Step that a run takes, s.
+    pub step_s: f64,
+    /// Steps of a run.
+    pub steps: usize,
+    /// `GA l²/(4 EI)`: by how much the trapezoidal rule stiffens bending.
+    pub locking_ratio: f64,
+    /// Reference magnitudes of the rod.
+    pub scales: ScalesSummary,
+    /// Size of the optimal-control problem, if the scene has one.
+    pub optimal_control: Option<ProblemSize>,
+    /// Bytes that a run needs for its trajectory, about.
+    pub memory_bytes: u64,
+    /// Things a user should know before running.
+    pub warnings: Vec<String>,
+}
+
+/// Reference magnitudes.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ScalesSummary {
+    /// Length, m.
+    pub length_m: f64,
+    /// `EI/L²`, N.
+    pub force_n: f64,
+    /// `EI/L`, N m.
+    pub moment_n_m: f64,
+    /// `L² sqrt(ρA/EI)`, s.
+    pub time_s: f64,
+}
+
+/// Size of an optimal-control problem.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ProblemSize {
+    /// Blocks of the control.
+    pub control_blocks: usize,
+    /// Unknowns of the condensed subproblem.
+    pub variables: usize,
+    /// Scalar equations of a hard target.
+    pub target_equations: usize,
+    /// Configuration unknowns that condensing eliminates.
+    pub eliminated: usize,
+}
+
+/// Smallest and largest value over a run.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Range {
+    /// Smallest.
+    pub min: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Range {
+    /// The empty range.
+    pub const EMPTY: Self = Self {
+        min: f64::INFINITY,
+        max: f64::NEG_INFINITY,
+    };
+
+    /// Widens the range to hold `value`.
+    pub fn include(&mut self, value: f64) {
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+    }
+}
+
+/// Pose of the tip at the end.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TipPose {
+    /// Position, m.
+    pub position_m: [f64; 3],
+    /// Orientation as a quaternion, scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
+/// Total energy over a run, J.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct EnergySummary {
+    /// At the start.
+    pub initial: f64,
+    /// At the end.
+    pub r#final: f64,
+    /// Smallest.
+    pub min: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// Summary of `simulate`.
+#[derive(Clone, Debug, Serialize)]
+pub struct SimulateSummary {
+    /// [`SCHEMA_VERSION`]
+    pub schema_version: u32,
+    /// `simulate`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// `completed`, or `interrupted`.
+    pub status: &'static str,
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time step, s.
+    pub step_s: f64,
+    /// Steps taken.
+    pub steps: usize,
+    /// Wall time, s.
+    pub wall_s: f64,
+    /// Nodes times steps per second.
+    pub node_steps_per_s: f64,
+    /// Tip at the end.
+    pub tip: TipPose,
+    /// Energy over the run.
+    #[serde(rename = "energy_J")]
+    pub energy: EnergySummary,
+    /// Dilatation of any element over the run.
+    pub dilatation: Range,
+    /// Length of the polygon of nodes over the run, m.
+    pub length_m: Range,
+    /// Where the files are.
+    pub directory: String,
+}
+
+/// Seconds per phase of a solve.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct PhaseSummary {
+    /// Linearization, sensitivities and condensing of the states.
+    pub linearize: f64,
+    /// Hessian of the subproblem.
+    pub condense: f64,
+    /// Clarabel.
+    pub qp: f64,
+    /// Trial points and corrections.
+    pub globalize: f64,
+    /// The forward check.
+    pub certify: f64,
+}
+
+/// Outcome of the forward check, in the summary.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckOutcome {
+    /// Distance of the solution from its replay, m.
+    pub same_grid_m: f64,
+    /// Estimated error in time, m.
+    pub refined_time_m: f64,
+    /// Estimated error in space, m.
+    pub refined_space_m: f64,
+    /// Recomputed optimality conditions.
+    pub kkt: KktResidual,
+    /// Energy account of the replay.
+    pub energy: EnergyAccount,
+    /// `certified`, or `rejected`.
+    pub verdict: &'static str,
+    /// Names of the criteria that failed.
+    pub failed: Vec<&'static str>,
+}
+
+/// Energy account, J.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct EnergyAccount {
+    /// Work of control and loads.
+    #[serde(rename = "work_J")]
+    pub work: f64,
+    /// Change of the energy.
+    #[serde(rename = "change_J")]
+    pub change: f64,
+    /// Taken by damping.
+    #[serde(rename = "dissipation_J")]
+    pub dissipation: f64,
+    /// What does not add up, over what passed through.
+    pub relative_residual: f64,
+    /// The same with the step halved, over itself: about 1/4.
+    pub halving_ratio: f64,
+}
+
+/// A constraint by name, with how far it is from holding.
+#[derive(Clone, Debug, Serialize)]
+pub struct NamedConstraint {
+    /// Scene key, and what of it.
+    pub name: String,
+    /// Node of the rod.
+    pub node: usize,
+    /// When, s.
+    pub time_s: f64,
+    /// Amount of the violation (bounds: negative inside).
+    pub amount: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Multiplier of the scaled constraint.
+    pub multiplier: f64,
+}
+
+/// Summary of `solve`.
+#[derive(Clone, Debug, Serialize)]
+pub struct SolveSummary {
+    /// [`SCHEMA_VERSION`]
+    pub schema_version: u32,
+    /// `solve`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// How the solver ended.
+    pub status: &'static str,
+    /// In words, where there is more to say.
+    pub message: Option<String>,
+    /// Iterations.
+    pub iterations: usize,
+    /// Value of the objective.
+    pub objective: f64,
+    /// Wall time, s.
+    pub wall_s: f64,
+    /// Median wall time of an iteration, s.
+    pub iteration_s: f64,
+    /// Where the time went.
+    pub phases_s: PhaseSummary,
+    /// The solver's own residuals.
+    pub kkt: KktResidual,
+    /// Distance of the tip from its target in the forward simulation, m.
+    pub tip_error_m: f64,
+    /// Angle from the target orientation, rad.
+    pub tip_angle_rad: f64,
+    /// Speed of the tip at the end, m/s.
+    pub tip_speed_m_s: f64,
+    /// The forward check; absent when it could not be made.
+    pub check: Option<CheckOutcome>,
+    /// The worst constraints by name.
+    pub worst_constraints: Vec<NamedConstraint>,
+    /// Which form of subproblem.
+    pub qp_backend: &'static str,
+    /// Which Hessian.
+    pub hessian: &'static str,
+    /// Which start was used.
+    pub guess: &'static str,
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time step, s.
+    pub step_s: f64,
+    /// Steps of the horizon.
+    pub steps: usize,
+    /// Blocks of the control.
+    pub control_blocks: usize,
+    /// Unknowns of the subproblem.
+    pub variables: usize,
+    /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
+    pub multipliers: Vec<f64>,
+    /// Where the files are.
+    pub directory: String,
+}
+
+/// Summary of `verify`.
+#[derive(Clone, Debug, Serialize)]
+pub struct VerifySummary {
+    /// [`SCHEMA_VERSION`]
+    pub schema_version: u32,
+    /// `verify`
+    pub command: &'static str,
+    /// The directory.
+    pub directory: String,
+    /// The check.
+    pub check: CheckOutcome,
+    /// Distance of the tip from its target in the forward simulation, m.
+    pub tip_error_m: f64,
+    /// Angle from the target orientation, rad.
+    pub tip_angle_rad: f64,
+    /// Speed of the tip at the end, m/s.
+    pub tip_speed_m_s: f64,
+    /// Wall time, s.
+    pub wall_s: f64,
+}

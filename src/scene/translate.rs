@@ -1,0 +1,389 @@
+//! From a checked scene to the rod, the simulation and the optimal-control problem that it describes.
+
+use std::time::Duration;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::error::SceneError;
+use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
+use super::source::SceneSource;
+use crate::control::{
+    Bound, Channel, ControlGrid, Enforcement, Guess, Hold, OptimalControlProblem, TipTarget,
+};
+use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
+use crate::mechanics::{
+    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
+    StrainRule, TimeGrid,
+};
+use crate::sqp::{HessianChoice, SqpSettings};
+
+/// A forward simulation.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    /// What the rod is built from.
+    pub parameters: RodParameters,
+    /// The rod.
+    pub rod: Rod,
+    /// The time grid.
+    pub grid: TimeGrid,
+    /// State at time 0.
+    pub initial: State,
+    /// The scene with every default and derived value written out.
+    pub resolved: Scene,
+}
+
+/// An optimal-control problem, and how to solve it.
+#[derive(Clone, Debug)]
+pub struct OptimalControl {
+    /// What the rod is built from.
+    pub parameters: RodParameters,
+    /// The problem.
+    pub problem: OptimalControlProblem,
+    /// Settings of the solver.
+    pub settings: SqpSettings,
+    /// How the first point is made.
+    pub guess: Guess,
+    /// The scene with every default and derived value written out.
+    pub resolved: Scene,
+}
+
+/// Steps that one run may take; beyond, the trajectory alone would not fit in memory.
+const MOST_STORED_STATES: f64 = 5e7;
+
+impl Scene {
+    /// The forward simulation that the scene describes.
+    ///
+    /// # Errors
+    /// [`SceneError`] for a step above the stable limit, or an initial equilibrium that does not exist.
+    pub fn simulation(&self, source: &SceneSource) -> Result<Simulation, SceneError> {
+        let (parameters, rod) = self.rod_of(source)?;
+        let grid = self.grid(source, &rod, self.time.end_s, 1)?;
+        let initial = self.initial_state(source, &rod)?;
+        let mut resolved = self.clone();
+        resolve_time(&mut resolved, &grid);
+        Ok(Simulation {
+            parameters,
+            rod,
+            grid,
+            initial,
+            resolved,
+        })
+    }
+
+    /// The optimal-control problem that the scene describes; its horizon ends at `task.at_s`.
+    ///
+    /// # Errors
+    /// [`SceneError`] when `[task]` or `[control]` is missing, and as [`Self::simulation`].
+    pub fn optimal_control(&self, source: &SceneSource) -> Result<OptimalControl, SceneError> {
+        let missing = |section: &str| {
+            source.error_at(
+                section,
+                format!("[{section}] is missing"),
+                Some("an optimal-control problem needs [task] and [control]; `softarm example reach` shows both".into()),
+            )
+        };
+        let task = self.task.as_ref().ok_or_else(|| missing("task"))?;
+        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
+        let objective = self.objective.clone().unwrap_or_default();
+        let solver = self.solver.clone().unwrap_or_default();
+        let (parameters, rod) = self.rod_of(source)?;
+        let horizon = task.instant(self.time.end_s);
+        let grid = self.grid(source, &rod, horizon, control.blocks)?;
+        let initial = self.initial_state(source, &rod)?;
+        let hold = match control.hold {
+            model::Hold::Constant => Hold::Constant,
+            model::Hold::Linear => Hold::Linear,
+        };
+        let blocks = ControlGrid::new(hold, control.blocks, grid.n_steps, grid.step).ok_or_else(
+            || {
+                source.error_at(
+                    "control.blocks",
+                    format!(
+                        "{} blocks do not fit into {} time steps",
+                        control.blocks, grid.n_steps
+                    ),
+                    Some("use fewer blocks or a shorter time.step_s".into()),
+                )
+            },
+        )?;
+        let force = Channel {
+            scale: objective.force_scale_n.unwrap_or(rod.scales.force),
+            bound: control.force_max_n.as_ref().map(bound),
+        };
+        let moment = Channel {
+            scale: objective.moment_scale_n_m.unwrap_or(rod.scales.moment),
+            bound: control.moment_max_n_m.as_ref().map(bound),
+        };
+        let resolved = {
+            let mut resolved = self.clone();
+            resolve_time(&mut resolved, &grid);
+            if let Some(task) = &mut resolved.task {
+                task.at_s = Some(horizon);
+            }
+            resolved.objective = Some(Objective {
+                force_scale_n: Some(force.scale),
+                moment_scale_n_m: Some(moment.scale),
+                ..objective.clone()
+            });
+            resolved.solver = Some(solver.clone());
+            resolved
+        };
+        let problem = OptimalControlProblem {
+            grid,
+            initial,
+            control: blocks,
+            force,
+            moment,
+            target: TipTarget {
+                position: task.position_m.map(Vector3::from),
+                rotation: task.orientation_wxyz.map(from_quaternion),
+                at_rest: task.at_rest,
+                enforcement: task
+                    .soft_weight()
+                    .map_or(Enforcement::Hard, |weight| Enforcement::Soft { weight }),
+            },
+            effort: objective.effort,
+            rate: objective.rate,
+            rod,
+        };
+        Ok(OptimalControl {
+            parameters,
+            problem,
+            settings: SqpSettings {
+                tolerance: solver.tolerance,
+                max_iterations: solver.max_iterations,
+                hessian: match solver.hessian {
+                    model::Hessian::Auto => HessianChoice::Auto,
+                    model::Hessian::GaussNewton => HessianChoice::GaussNewton,
+                    model::Hessian::Exact => HessianChoice::Exact,
+                },
+                deadline: solver.deadline_s.map(duration),
+            },
+            guess: match solver.guess {
+                model::Guess::Static => Guess::StaticPath,
+                model::Guess::Rest => Guess::Rest,
+            },
+            resolved,
+        })
+    }
+
+    /// Radius of every node for pictures, m; empty when the scene does not say.
+    #[must_use]
+    pub fn display_radii(&self) -> Vec<f64> {
+        let n = self.rod.elements;
+        if let Some([base, tip]) = self.rod.section.as_ref().and_then(model::Section::radii) {
+            return (0..=n)
+                .map(|q| base + (tip - base) * q as f64 / n as f64)
+                .collect();
+        }
+        self.rod
+            .display_radius_m
+            .map_or_else(Vec::new, |radius| vec![radius; n + 1])
+    }
+
+    fn rod_of(&self, source: &SceneSource) -> Result<(RodParameters, Rod), SceneError> {
+        let parameters = self.rod_parameters(source)?;
+        let rod = Rod::new(&parameters)
+            .map_err(|error| source.error_at("rod", error.to_string(), None))?;
+        Ok((parameters, rod))
+    }
+
+    fn rod_parameters(&self, source: &SceneSource) -> Result<RodParameters, SceneError> {
+        let reference = self.rod.reference.as_ref();
+        Ok(RodParameters {
+            length: self.rod.length_m,
+            n_elements: self.rod.elements,
+            strain_rule: match self.rod.strain {
+                model::StrainRule::Helical => StrainRule::Helical,
+                model::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
+            },
+            section: self.section_profile(source)?,
+            rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
+            rest_stretch: reference.map_or(1.0, |r| r.stretch),
+            base: match self.base.kind {
+                model::BaseKind::Clamped => BaseCondition::Clamped,
+                model::BaseKind::Free => BaseCondition::Free,
+            },
+            base_position: self.base.position_m.into(),
+            base_rotation: from_quaternion(self.base.unit_quaternion()),
+            gravity: self
+                .gravity
+                .as_ref()
+                .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
+            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
+            loads: self.load.iter().map(|load| self.load_of(load)).collect(),
+        })
+    }
+
+    fn section_profile(&self, source: &SceneSource) -> Result<SectionProfile, SceneError> {
+        let incomplete = || {
+            source.error_at(
+                "rod",
+                "material and section, or stiffness and inertia, are incomplete",
+                None,
+            )
+        };
+        if let (Some(stiffness), Some(inertia)) = (&self.rod.stiffness, &self.rod.inertia) {
+            return Ok(SectionProfile::Uniform(Section {
+                linear_stiffness: Vector3::new(stiffness.ga_n, stiffness.ga_n, stiffness.ea_n),
+                angular_stiffness: Vector3::new(
+                    stiffness.ei_n_m2,
+                    stiffness.ei_n_m2,
+                    stiffness.gj_n_m2,
+                ),
+                mass: inertia.mass_kg_m,
+                rotary: inertia.rotary_kg_m.into(),
+            }));
+        }
+        let material = self.rod.material.as_ref().ok_or_else(incomplete)?;
+        let [base_radius, tip_radius] = self
+            .rod
+            .section
+            .as_ref()
+            .and_then(model::Section::radii)
+            .ok_or_else(incomplete)?;
+        let material = Material {
+            youngs_modulus: material.youngs_modulus_pa,
+            shear_modulus: material.shear_modulus().ok_or_else(incomplete)?,
+            density: material.density_kg_m3,
+            shear_factor: material.shear_factor,
+        };
+        Ok(if base_radius == tip_radius {
+            SectionProfile::Uniform(Section::circle(&material, base_radius))
+        } else {
+            SectionProfile::TaperedCircle {
+                material,
+                base_radius,
+                tip_radius,
+            }
+        })
+    }
+
+    fn load_of(&self, load: &model::Load) -> Load {
+        Load {
+            node: match load.node {
+                LoadNode::Tip => self.rod.elements,
+                LoadNode::Base => 0,
+                LoadNode::Index(index) => index,
+            },
+            force: load.force_n.into(),
+            moment: load.moment_n_m.into(),
+            frame: match load.frame {
+                model::LoadFrame::Spatial => LoadFrame::Spatial,
+                model::LoadFrame::Body => LoadFrame::Body,
+            },
+            profile: load
+                .profile
+                .iter()
+                .flatten()
+                .map(|&[t, factor]| (t, factor))
+                .collect(),
+        }
+    }
+
+    /// A grid of equal steps, no longer than asked for, whose number is a multiple of `multiple`.
+    fn grid(
+        &self,
+        source: &SceneSource,
+        rod: &Rod,
+        end: f64,
+        multiple: usize,
+    ) -> Result<TimeGrid, SceneError> {
+        let limit = stable_step(rod);
+        if !(limit > 0.0 && limit.is_finite()) {
+            return Err(source.error_at(
+                "rod",
+                format!("the stable time step of this rod is {limit}"),
+                Some("its stiffness and inertia are too far apart to be computed with".into()),
+            ));
+        }
+        let step = match self.time.step_s {
+            TimeStep::Auto => AUTO_STEP_FRACTION * limit,
+            TimeStep::Seconds(step) if step <= limit => step,
+            TimeStep::Seconds(step) => {
+                return Err(source.error_at(
+                    "time.step_s",
+                    format!("{step} s is above the stable step of this rod, {limit:.4e} s"),
+                    Some(format!(
+                        "use \"auto\" ({:.4e} s) or fewer elements; with this step the motion would grow without bound",
+                        AUTO_STEP_FRACTION * limit
+                    )),
+                ));
+            }
+        };
+        // A step read back from a resolved scene must give the same number of steps, whatever the last digit says.
+        let blocks = (end / step / multiple as f64 * (1.0 - 1e-9)).ceil();
+        let n_steps = blocks * multiple as f64;
+        let states = n_steps * rod.n_nodes() as f64;
+        if !(states <= MOST_STORED_STATES) {
+            return Err(source.error_at(
+                "time.end_s",
+                format!(
+                    "{n_steps:.3e} steps of {step:.3e} s with {} nodes do not fit in memory",
+                    rod.n_nodes()
+                ),
+                Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
+            ));
+        }
+        let n_steps = n_steps as usize;
+        Ok(TimeGrid {
+            step: if n_steps == 0 {
+                step
+            } else {
+                end / n_steps as f64
+            },
+            n_steps,
+        })
+    }
+
+    fn initial_state(&self, source: &SceneSource, rod: &Rod) -> Result<State, SceneError> {
+        self.initial_shape()
+            .state(rod)
+            .map_err(|reason| source.error_at("initial.shape", reason, None))
+    }
+
+    /// How a rod of this scene starts.
+    #[must_use]
+    pub fn initial_shape(&self) -> InitialShape {
+        self.initial.as_ref().map_or(InitialShape::Rest, |i| i.shape)
+    }
+}
+
+impl InitialShape {
+    /// The state at rest in this shape.
+    ///
+    /// # Errors
+    /// A sentence when there is no such equilibrium.
+    pub fn state(self, rod: &Rod) -> Result<State, String> {
+        match self {
+            Self::Rest => Ok(State::at_rest(rod.rest.clone())),
+            Self::Equilibrium => static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default())
+                .map(State::at_rest)
+                .map_err(|error| error.to_string()),
+        }
+    }
+}
+
+fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
+    scene.time.step_s = TimeStep::Seconds(grid.step);
+}
+
+fn bound(bound: &model::Bound) -> Bound {
+    match bound {
+        model::Bound::Norm(limit) => Bound::Norm(*limit),
+        model::Bound::PerAxis(limits) => Bound::PerAxis(Vector3::from(*limits)),
+    }
+}
+
+/// Seconds as a duration; beyond what a duration can hold there is no deadline worth the name.
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
+}
+
+/// Columns of a rotation: the directors `d1`, `d2`, `d3`.
+#[must_use]
+pub fn directors(rotation: &Matrix3<f64>) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|i| rotation.column(i).into_owned().into())
+}

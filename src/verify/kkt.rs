@@ -1,0 +1,492 @@
+//! The optimality conditions, recomputed from a trajectory, the controls and the target's multipliers.
+//!
+//! Nothing here is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
+//! form (81) with `J_d`, and the adjoint equations are those of the two-level form, with second derivatives of the
+//! energy by central differences along the adjoint itself.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::dual;
+use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
+use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::{Rod, Trajectory, Wrench};
+use crate::sqp::KktResidual;
+
+/// The recomputed conditions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecomputedKkt {
+    /// Scaled as the solver's own.
+    pub residual: KktResidual,
+    /// Largest violation of a bound, N or N m.
+    pub bound_violation: f64,
+}
+
+/// `∂U/∂x` and `∂U/∂η` of all nodes.
+#[derive(Clone)]
+struct Gradient {
+    x: Vec<Vector3<f64>>,
+    eta: Vec<Vector3<f64>>,
+}
+
+fn energy_gradient(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Gradient {
+    let mut out = Gradient {
+        x: vec![Vector3::zeros(); x.len()],
+        eta: vec![Vector3::zeros(); x.len()],
+    };
+    for (q, element) in rod.elements.iter().enumerate() {
+        let [force, moment_a, moment_b] =
+            dual::gradient(element, rod.strain_rule, &Rod::element_pose(q, x, r));
+        out.x[q] -= force;
+        out.x[q + 1] += force;
+        out.eta[q] += moment_a;
+        out.eta[q + 1] += moment_b;
+    }
+    for (q, node) in rod.nodes.iter().enumerate() {
+        out.x[q] -= node.mass * rod.gravity;
+    }
+    out
+}
+
+/// `vee` of a skew matrix.
+fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)])
+}
+
+/// `½ tr(J) I - J`
+fn j_d(rotary: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&(Vector3::repeat(0.5 * rotary.sum()) - rotary))
+}
+
+/// `(F J_d - J_d Fᵀ)^∨ / h`: momentum after the kick, frame of the earlier node.
+fn momentum_after(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> Vector3<f64> {
+    axial(&(f * j_d - j_d * f.transpose())) / h
+}
+
+/// `(J_d F - Fᵀ J_d)^∨ / h`: the same momentum, frame of the later node.
+fn momentum_before(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> Vector3<f64> {
+    axial(&(j_d * f - f.transpose() * j_d)) / h
+}
+
+/// Decay and weight of the force at time node `k`, as in the integrator's documentation.
+fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f64) {
+    let a = 0.5 * h * rod.viscous_damping;
+    if k == 0 {
+        (1.0 / (1.0 + a), 0.5 * h / (1.0 + a))
+    } else if k == n {
+        (1.0 - a, 0.5 * h)
+    } else {
+        ((1.0 - a) / (1.0 + a), h / (1.0 + a))
+    }
+}
+
+/// The whole computation, in one place because its parts share the trajectory's rotations.
+struct Conditions<'a> {
+    problem: &'a OptimalControlProblem,
+    trajectory: &'a Trajectory,
+    control: &'a [Wrench],
+}
+
+impl Conditions<'_> {
+    fn rod(&self) -> &Rod {
+        &self.problem.rod
+    }
+
+    fn turn(&self, k: usize, q: usize) -> Matrix3<f64> {
+        self.trajectory.rotations_at(k)[q].transpose() * self.trajectory.rotations_at(k + 1)[q]
+    }
+
+    fn velocity_momentum(&self, k: usize, q: usize) -> Vector3<f64> {
+        let change = self.trajectory.positions_at(k + 1)[q] - self.trajectory.positions_at(k)[q];
+        change * (self.rod().nodes[q].mass / self.problem.grid.step)
+    }
+
+    /// Force and moment on a node at `k`: minus the energy's gradient, loads, control.
+    fn applied(&self, k: usize, q: usize, gradient: &Gradient) -> (Vector3<f64>, Vector3<f64>) {
+        let mut force = -gradient.x[q];
+        let mut moment = -gradient.eta[q];
+        let t = self.problem.grid.time(k);
+        for load in self.rod().loads.iter().filter(|load| load.node == q) {
+            let wrench = load.wrench(t, &self.trajectory.rotations_at(k)[q]);
+            force += wrench.force;
+            moment += wrench.moment;
+        }
+        if q == self.rod().tip() {
+            force += self.control[k].force;
+            moment += self.control[k].moment;
+        }
+        (force, moment)
+    }
+
+    /// Sum of the scaled defects, and the tip's momenta at the end.
+    fn defects(&self) -> (f64, Vector3<f64>, Vector3<f64>) {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let scales = &rod.scales;
+        let mut sum = 0.0;
+        let mut tip_momenta = (Vector3::zeros(), Vector3::zeros());
+        for k in 0..=n {
+            let gradient = energy_gradient(
+                rod,
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let (decay, weight) = kick(rod, h, k, n);
+            for q in rod.first_free_node()..rod.n_nodes() {
+                let j_d = j_d(&rod.nodes[q].rotary);
+                let (before, before_angular) = if k == 0 {
+                    (
+                        self.problem.initial.linear_momentum[q],
+                        self.problem.initial.angular_momentum[q],
+                    )
+                } else {
+                    (
+                        self.velocity_momentum(k - 1, q),
+                        momentum_before(&self.turn(k - 1, q), &j_d, h),
+                    )
+                };
+                let (force, moment) = self.applied(k, q, &gradient);
+                let after = decay * before + weight * force;
+                let after_angular = decay * before_angular + weight * moment;
+                if k == n {
+                    if q == rod.tip() {
+                        tip_momenta = (after, after_angular);
+                    }
+                    continue;
+                }
+                sum += (self.velocity_momentum(k, q) - after).norm()
+                    / (scales.force * scales.time);
+                sum += (momentum_after(&self.turn(k, q), &j_d, h) - after_angular).norm()
+                    / (scales.moment * scales.time);
+            }
+        }
+        (sum, tip_momenta.0, tip_momenta.1)
+    }
+
+    /// Scaled target residuals from the end of the trajectory.
+    fn residuals(&self, p: &Vector3<f64>, pi: &Vector3<f64>) -> Vec<f64> {
+        let rod = self.rod();
+        let (tip, n) = (rod.tip(), self.problem.grid.n_steps);
+        let (x, r) = (
+            self.trajectory.positions_at(n)[tip],
+            self.trajectory.rotations_at(n)[tip],
+        );
+        let target = &self.problem.target;
+        self.problem
+            .target_rows()
+            .iter()
+            .map(|row| {
+                let vector: Vector3<f64> = match row.part {
+                    TargetPart::Position => target.position.map_or_else(Vector3::zeros, |t| x - t),
+                    TargetPart::Orientation => target
+                        .rotation
+                        .map_or_else(Vector3::zeros, |t| log(&(t.transpose() * r))),
+                    TargetPart::Velocity => p / rod.nodes[tip].mass,
+                    TargetPart::AngularVelocity => pi.component_div(&rod.nodes[tip].rotary),
+                };
+                vector[row.axis] / self.problem.target_scale(row.part)
+            })
+            .collect()
+    }
+
+    /// Adjoint equations backward in time: derivative of `Σ y c` along the tip wrench of every time node.
+    fn control_gradient(&self, multipliers: &[f64]) -> Vec<Wrench> {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let (first, count, tip) = (rod.first_free_node(), rod.n_nodes(), rod.tip());
+        let zeros = vec![Vector3::zeros(); count];
+        // Covectors of x and η at the node under way, from everything later than its own kick.
+        let (mut cx, mut ceta) = (zeros.clone(), zeros.clone());
+        // Multipliers of the kick at k, and at k + 1.
+        let (mut lx, mut lr) = (zeros.clone(), zeros.clone());
+        let r_end = self.trajectory.rotations_at(n)[tip];
+        for (row, y) in self.problem.target_rows().iter().zip(multipliers) {
+            let weight = y / self.problem.target_scale(row.part);
+            match row.part {
+                TargetPart::Position => cx[tip][row.axis] += weight,
+                TargetPart::Orientation => {
+                    if let Some(target) = self.problem.target.rotation {
+                        ceta[tip] += log_gradient(&(target.transpose() * r_end), row.axis) * weight;
+                    }
+                }
+                TargetPart::Velocity => lx[tip][row.axis] += weight / rod.nodes[tip].mass,
+                TargetPart::AngularVelocity => {
+                    lr[tip][row.axis] += weight / rod.nodes[tip].rotary[row.axis];
+                }
+            }
+        }
+        let mut out = vec![Wrench::default(); n + 1];
+        for k in (0..=n).rev() {
+            let (decay, weight) = kick(rod, h, k, n);
+            out[k] = Wrench {
+                force: weight * lx[tip],
+                moment: weight * lr[tip],
+            };
+            self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
+            if k == 0 {
+                break;
+            }
+            // The row at k - 1 holds +momentum of the interval (k-1, k); the one at k holds -decay times it. Its
+            // multiplier follows from the derivative along the configuration at k, which is zero in all.
+            for q in first..count {
+                let mass = rod.nodes[q].mass / h;
+                let j_d = j_d(&rod.nodes[q].rotary);
+                let f = self.turn(k - 1, q);
+                let (next_x, next_r) = (decay * lx[q], decay * lr[q]);
+                // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
+                let new_x = cx[q] / mass + next_x;
+                // η_k moves F by F η̂.
+                let along_end = |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
+                    columns(|axis| momentum(&(f * axis.cross_matrix()), &j_d, h))
+                };
+                let rhs = ceta[q] + along_end(momentum_before).tr_mul(&next_r);
+                let slope = along_end(momentum_after).transpose();
+                let new_r = slope.lu().solve(&rhs).unwrap_or_else(|| Vector3::repeat(f64::NAN));
+                // x_{k-1} and η_{k-1} (F moves by -η̂ F) of the same interval.
+                cx[q] = (new_x - next_x) * mass;
+                let along_start = |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
+                    columns(|axis| momentum(&(-axis.cross_matrix() * f), &j_d, h))
+                };
+                ceta[q] = along_start(momentum_before).tr_mul(&next_r)
+                    - along_start(momentum_after).tr_mul(&new_r);
+                lx[q] = new_x;
+                lr[q] = new_r;
+            }
+        }
+        out
+    }
+
+    /// Adds the covectors of `weight (λx·force + λr·moment)` at time node `k`.
+    fn add_force_covectors(
+        &self,
+        k: usize,
+        weight: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod();
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        // A step along λ that strains the elements by about 1e-5.
+        let l = rod.elements[0].length;
+        let largest = lx
+            .iter()
+            .map(|v| v.norm() / l)
+            .chain(lr.iter().map(Vector3::norm))
+            .fold(0.0, f64::max);
+        if largest == 0.0 {
+            return;
+        }
+        let step = 1e-5 / largest;
+        let moved = |sign: f64| {
+            let positions: Vec<_> = x.iter().zip(lx).map(|(x, v)| x + v * (sign * step)).collect();
+            let rotations: Vec<_> = r
+                .iter()
+                .zip(lr)
+                .map(|(r, v)| r * exp(&(v * (sign * step))))
+                .collect();
+            energy_gradient(rod, &positions, &rotations)
+        };
+        let (plus, minus) = (moved(1.0), moved(-1.0));
+        let here = energy_gradient(rod, x, r);
+        let t = self.problem.grid.time(k);
+        for q in rod.first_free_node()..rod.n_nodes() {
+            cx[q] -= weight * (plus.x[q] - minus.x[q]) / (2.0 * step);
+            // E_b E_λ U = E_λ E_b U + E_{b×λ} U: the fields do not commute.
+            let second = (plus.eta[q] - minus.eta[q]) / (2.0 * step) + lr[q].cross(&here.eta[q]);
+            ceta[q] -= weight * second;
+        }
+        for load in &rod.loads {
+            let (force, moment) = load.wrench_derivative(t, &r[load.node]);
+            ceta[load.node] +=
+                weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
+        }
+    }
+}
+
+fn columns(column: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_columns(&[
+        column(Vector3::x()),
+        column(Vector3::y()),
+        column(Vector3::z()),
+    ])
+}
+
+/// Gradient of one component of `log A` along body rotations of `A`, by central differences.
+fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
+    let h = 1e-5;
+    Vector3::from_fn(|i, _| {
+        let mut turn = Vector3::zeros();
+        turn[i] = h;
+        (log(&(a * exp(&turn)))[axis] - log(&(a * exp(&-turn)))[axis]) / (2.0 * h)
+    })
+}
+
+/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and the multipliers of
+/// its hard target (ignored for a soft one).
+#[must_use]
+pub fn recompute(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+    multipliers: &[f64],
+) -> RecomputedKkt {
+    let control = problem.control.nodal_wrenches(coefficients);
+    let conditions = Conditions {
+        problem,
+        trajectory,
+        control: &control,
+    };
+    let (defect, p, pi) = conditions.defects();
+    let residuals = conditions.residuals(&p, &pi);
+    let (weights, constraint_size): (Vec<f64>, f64) = match problem.target.enforcement {
+        Enforcement::Hard => (
+            multipliers.to_vec(),
+            residuals.iter().fold(0.0, |m, r| f64::max(m, r.abs())),
+        ),
+        Enforcement::Soft { weight } => (residuals.iter().map(|r| weight * r).collect(), 0.0),
+    };
+    let pulled = conditions.control_gradient(&weights);
+
+    let (sum, largest) = lagrangian_gradient(problem, coefficients, &pulled);
+    let mut stationarity: f64 = 0.0;
+    let mut complementarity: f64 = 0.0;
+    let mut bound_violation: f64 = 0.0;
+    for (gradient, wrench) in sum.iter().zip(coefficients) {
+        for (channel, g, u) in [
+            (&problem.force, gradient.force, wrench.force),
+            (&problem.moment, gradient.moment, wrench.moment),
+        ] {
+            let (rest, gap) = normal_cone(&channel.bound, &g, &u, channel.scale);
+            stationarity = worse(stationarity, rest);
+            complementarity = worse(complementarity, gap);
+            if let Some(bound) = channel.bound {
+                bound_violation = worse(bound_violation, bound.violation(&u));
+            }
+        }
+    }
+    let relative_bound = [&problem.force, &problem.moment]
+        .iter()
+        .filter(|channel| channel.bound.is_some())
+        .map(|channel| bound_violation / channel.scale)
+        .fold(0.0, f64::max);
+    let scale = largest.max(f64::MIN_POSITIVE);
+    RecomputedKkt {
+        residual: KktResidual {
+            stationarity: stationarity / scale,
+            feasibility: worse(worse(constraint_size, defect), relative_bound),
+            complementarity: complementarity / scale,
+        },
+        bound_violation,
+    }
+}
+
+/// Larger of the two; NaN if either is.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() {
+        f64::NAN
+    } else {
+        a.max(b)
+    }
+}
+
+/// Gradient of the Lagrangian over scaled coefficients, and the size of its largest term.
+fn lagrangian_gradient(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    pulled: &[Wrench],
+) -> (Vec<Wrench>, f64) {
+    let mut sum = vec![Wrench::default(); coefficients.len()];
+    for (k, wrench) in pulled.iter().enumerate() {
+        for (coefficient, weight) in problem.control.weights(k) {
+            sum[coefficient].force += wrench.force * (weight * problem.force.scale);
+            sum[coefficient].moment += wrench.moment * (weight * problem.moment.scale);
+        }
+    }
+    let size = |w: &Wrench| w.force.amax().max(w.moment.amax());
+    let mut largest = sum.iter().map(size).fold(0.0, f64::max);
+    let matrices = [
+        (problem.effort, problem.control.effort_matrix()),
+        (problem.rate, problem.control.rate_matrix()),
+    ];
+    let scaled: Vec<Wrench> = coefficients
+        .iter()
+        .map(|w| Wrench {
+            force: w.force / problem.force.scale,
+            moment: w.moment / problem.moment.scale,
+        })
+        .collect();
+    let mut cost = vec![Wrench::default(); coefficients.len()];
+    for (weight, (diagonal, off)) in &matrices {
+        for i in 0..coefficients.len() {
+            let mut add = |factor: f64, w: &Wrench| {
+                cost[i].force += w.force * (weight * factor);
+                cost[i].moment += w.moment * (weight * factor);
+            };
+            add(diagonal[i], &scaled[i]);
+            if i > 0 {
+                add(off[i - 1], &scaled[i - 1]);
+            }
+            if i + 1 < coefficients.len() {
+                add(off[i], &scaled[i + 1]);
+            }
+        }
+    }
+    for (s, c) in sum.iter_mut().zip(&cost) {
+        largest = largest.max(size(c));
+        s.force += c.force;
+        s.moment += c.moment;
+    }
+    (sum, largest)
+}
+
+/// What of `-g` the bound's normal at `u` cannot explain, and the product of slack and normal.
+///
+/// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
+fn normal_cone(
+    bound: &Option<Bound>,
+    g: &Vector3<f64>,
+    u: &Vector3<f64>,
+    scale: f64,
+) -> (f64, f64) {
+    // Within this of the limit a normal may act; the product with the slack is reported either way.
+    const NEAR: f64 = 1e-3;
+    match bound {
+        None => (g.amax(), 0.0),
+        Some(Bound::Norm(limit)) => {
+            if *limit <= 0.0 {
+                return (0.0, 0.0);
+            }
+            let norm = u.norm();
+            if norm < limit * (1.0 - NEAR) {
+                return (g.amax(), 0.0);
+            }
+            let outward = u / norm;
+            let normal = (-g.dot(&outward)).max(0.0);
+            (
+                (g + outward * normal).amax(),
+                normal * (limit - norm).abs() / scale,
+            )
+        }
+        Some(Bound::PerAxis(limits)) => {
+            let mut rest: f64 = 0.0;
+            let mut gap: f64 = 0.0;
+            for i in 0..3 {
+                if limits[i] <= 0.0 {
+                    continue;
+                }
+                let slack = limits[i] - u[i].abs();
+                let pushing_out = -g[i] * u[i].signum() > 0.0;
+                if slack < NEAR * limits[i] && pushing_out {
+                    gap = worse(gap, g[i].abs() * slack.abs() / scale);
+                } else {
+                    rest = worse(rest, g[i].abs());
+                }
+            }
+            (rest, gap)
+        }
+    }
+}

@@ -1,0 +1,448 @@
+//! The second derivative of the Lagrangian: its terms against the scalar functions they belong to, and its reduction
+//! to the controls against the motion itself.
+
+mod common;
+
+use common::{Dice, RULES, busy_arm, random_state, random_trajectory};
+use faer::Mat;
+use nalgebra::{Matrix3, SVector, Vector3};
+use softarm::mechanics::curvature::{
+    Multipliers, element_curvature, inertia_curvature, lagrangian_curvature, load_curvature,
+};
+use softarm::mechanics::linearization::{
+    Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
+};
+use softarm::mechanics::rotation::{exp, vee};
+use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
+use softarm::mechanics::stability::stable_step;
+use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
+use softarm::mechanics::{
+    BaseCondition, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
+};
+
+/// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
+fn second_difference(step: f64, w: impl Fn(f64) -> f64) -> f64 {
+    let at = |s: f64| (w(s) - 2.0 * w(0.0) + w(-s)) / (s * s);
+    (4.0 * at(step) - at(2.0 * step)) / 3.0
+}
+
+/// Random pose with strains and bends up to order one, random covector and direction, both rules: the form of the
+/// element is the second difference of `λ·∇U` along the chart, `1e-16/h² = 1e-10` of the terms at `h = 1e-3`.
+#[test]
+fn element_curvature_is_the_second_derivative() {
+    let mut dice = Dice(11);
+    let mut worst: f64 = 0.0;
+    for trial in 0..200 {
+        for rule in RULES {
+            let (l, bend) = (0.13, [1.2, 1e-4, 0.0][trial % 3]);
+            let first = Vector3::new(0.1, -0.05, 1.1);
+            let element = Element {
+                length: l,
+                linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
+                angular_stiffness: Vector3::new(0.03, 0.02, 0.05),
+                rest: ElementStrain {
+                    linear: match rule {
+                        StrainRule::Helical => [first; 2],
+                        StrainRule::Trapezoidal => [first, Vector3::new(0.05, 0.02, 0.95)],
+                    },
+                    curvature: Vector3::new(0.4, -0.2, 0.6),
+                },
+            };
+            let rotation_a = exp(&dice.vector(1.5));
+            let rotation_b = rotation_a * exp(&dice.vector(bend));
+            let dx = rotation_a * (Vector3::z() + dice.vector(0.4)) * l;
+            let mut nine = |length: f64| {
+                let (a, b, c) = (dice.vector(length), dice.vector(1.0), dice.vector(1.0));
+                SVector::<f64, 9>::from_iterator(a.iter().chain(&b).chain(&c).copied())
+            };
+            let (covector, direction) = (nine(l), nine(l));
+            let part =
+                |v: &SVector<f64, 9>, i: usize| -> Vector3<f64> { v.fixed_rows::<3>(3 * i).into() };
+            let w = |s: f64| {
+                let gradient = element.gradient(
+                    rule,
+                    &ElementPose {
+                        dx: dx + s * part(&direction, 0),
+                        rotation_a: &(rotation_a * exp(&(s * part(&direction, 1)))),
+                        rotation_b: &(rotation_b * exp(&(s * part(&direction, 2)))),
+                    },
+                );
+                gradient.force.dot(&part(&covector, 0))
+                    + gradient.moment_a.dot(&part(&covector, 1))
+                    + gradient.moment_b.dot(&part(&covector, 2))
+            };
+            let pose = ElementPose {
+                dx,
+                rotation_a: &rotation_a,
+                rotation_b: &rotation_b,
+            };
+            let (_, stiffness) = element.stiffness(rule, &pose);
+            let q = element_curvature(&element, rule, &pose, &stiffness, &covector);
+            assert_eq!(q, q.transpose());
+            let size = direction.abs().dot(&(q.abs() * direction.abs()));
+            let error = direction.dot(&(q * direction)) - second_difference(1e-3, w);
+            worst = worst.max(error.abs() / size);
+        }
+    }
+    assert!(worst < 1e-8, "{worst:e}");
+}
+
+/// Nothing pulls: the curvature is zero, not a division by zero.
+#[test]
+fn element_curvature_of_nothing_is_zero() {
+    for rule in RULES {
+        let rod = Rod::new(&busy_arm(rule, 3)).unwrap();
+        let (x, r) = (&rod.rest.positions, &rod.rest.rotations);
+        let pose = Rod::element_pose(1, x, r);
+        let (_, stiffness) = rod.elements[1].stiffness(rule, &pose);
+        let q = element_curvature(&rod.elements[1], rule, &pose, &stiffness, &SVector::zeros());
+        assert_eq!(q, q * 0.0);
+    }
+}
+
+/// Random turn of less than a quarter, three different moments of inertia: the form is the second difference of
+/// `μ·π(F) - λ·g(F)`, with the momenta written as in the equations of motion.
+#[test]
+fn inertia_curvature_is_the_second_derivative() {
+    let mut dice = Dice(12);
+    let h = 0.01;
+    let mut worst: f64 = 0.0;
+    for trial in 0..200 {
+        let rotary = Vector3::new(0.3, 0.5, 0.7) + dice.vector(0.1);
+        let turn = exp(&dice.vector([0.9, 1e-5, 0.0][trial % 3]));
+        let (lambda, mu) = (dice.vector(1.0), dice.vector(1.0));
+        let (before, after) = (dice.vector(1.0), dice.vector(1.0));
+        let j_d =
+            Matrix3::from_diagonal_element(0.5 * rotary.sum()) - Matrix3::from_diagonal(&rotary);
+        let w = |s: f64| {
+            let f = exp(&(-s * before)) * turn * exp(&(s * after));
+            let g = vee(&(f * j_d - j_d * f.transpose())) / h;
+            mu.dot(&(f.transpose() * g)) - lambda.dot(&g)
+        };
+        let q = inertia_curvature(&rotary, h, &turn, &lambda, &mu);
+        assert_eq!(q, q.transpose());
+        let z = SVector::<f64, 6>::from_iterator(before.iter().chain(&after).copied());
+        let error = z.dot(&(q * z)) - second_difference(1e-3, w);
+        worst = worst.max(error.abs() / z.abs().dot(&(q.abs() * z.abs())));
+    }
+    assert!(worst < 1e-8, "{worst:e}");
+}
+
+/// A vector turned forward or back: its second difference against the form.
+#[test]
+fn load_curvature_is_the_second_derivative() {
+    let mut dice = Dice(13);
+    for _ in 0..100 {
+        let (lambda, v, zeta) = (dice.vector(1.0), dice.vector(1.0), dice.vector(1.0));
+        let q = load_curvature(&lambda, &v);
+        for sign in [-1.0, 1.0] {
+            let w = |s: f64| lambda.dot(&(exp(&(sign * s * zeta)) * v));
+            let error = zeta.dot(&(q * zeta)) - second_difference(1e-3, w);
+            assert!(error.abs() < 1e-8, "{error:e}");
+        }
+    }
+}
+
+/// Blocks of constant control, six components each.
+struct Blocks {
+    n_blocks: usize,
+    n_steps: usize,
+}
+
+impl ControlColumns for Blocks {
+    fn n_columns(&self) -> usize {
+        6 * self.n_blocks
+    }
+
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, f64)) {
+        let block = (k * self.n_blocks / self.n_steps).min(self.n_blocks - 1);
+        for component in 0..6 {
+            visit(6 * block + component, component, 1.0);
+        }
+    }
+
+    fn n_started(&self, k: usize) -> usize {
+        6 * ((k * self.n_blocks / self.n_steps).min(self.n_blocks - 1) + 1)
+    }
+}
+
+impl Blocks {
+    /// The tip wrenches of one column, times `size`, added to `base`.
+    fn added(&self, base: &[Wrench], column: usize, size: f64) -> Vec<Wrench> {
+        let mut control = base.to_vec();
+        for (k, wrench) in control.iter_mut().enumerate() {
+            self.visit(k, &mut |c, component, weight| {
+                if c == column && component < 3 {
+                    wrench.force[component] += size * weight;
+                } else if c == column {
+                    wrench.moment[component - 3] += size * weight;
+                }
+            });
+        }
+        control
+    }
+
+    /// What the columns see of a covector on all tip wrenches.
+    fn gradient(&self, covector: &[Wrench]) -> Vec<f64> {
+        let mut gradient = vec![0.0; self.n_columns()];
+        for (k, wrench) in covector.iter().enumerate() {
+            self.visit(k, &mut |c, component, weight| {
+                gradient[c] += weight
+                    * if component < 3 {
+                        wrench.force[component]
+                    } else {
+                        wrench.moment[component - 3]
+                    };
+            });
+        }
+        gradient
+    }
+}
+
+struct Case {
+    rod: Rod,
+    grid: TimeGrid,
+    initial: State,
+    control: Vec<Wrench>,
+    terminal: StateTangent,
+    blocks: Blocks,
+}
+
+impl Case {
+    /// Loads, damping, taper, gravity, an initial motion, a random control, and the outcome
+    /// `a·x_tip + b·p_tip + c·π_tip`, which has no curvature of its own.
+    fn new(rule: StrainRule, base: BaseCondition, n_steps: usize, n_blocks: usize) -> Self {
+        let rod = Rod::new(&RodParameters {
+            base,
+            ..busy_arm(rule, 4)
+        })
+        .unwrap();
+        let mut dice = Dice(21);
+        let initial = random_state(&rod, 0.05, 0.5, &mut dice);
+        let mut terminal = StateTangent::zeros(rod.n_nodes());
+        let tip = rod.tip();
+        terminal.positions[tip] = dice.vector(1.0);
+        terminal.linear[tip] = dice.vector(0.1 / rod.nodes[tip].mass);
+        terminal.angular[tip] = dice.vector(0.01 / rod.nodes[tip].rotary.x);
+        Self {
+            grid: TimeGrid {
+                step: 0.5 * stable_step(&rod),
+                n_steps,
+            },
+            initial,
+            control: (0..=n_steps)
+                .map(|_| Wrench {
+                    force: dice.vector(1.0),
+                    moment: dice.vector(0.1),
+                })
+                .collect(),
+            terminal,
+            blocks: Blocks { n_blocks, n_steps },
+            rod,
+        }
+    }
+
+    fn motion(&self) -> Motion<'_> {
+        Motion {
+            rod: &self.rod,
+            grid: self.grid,
+            initial: &self.initial,
+        }
+    }
+
+    fn roll_out(&self, control: &[Wrench]) -> Trajectory {
+        let mut trajectory = Trajectory::with_capacity(self.rod.n_nodes(), self.grid.n_steps + 1);
+        trajectory.push(&self.initial.configuration);
+        let mut integrator = Integrator::new(&self.rod, self.grid.step, self.initial.clone());
+        for k in 0..self.grid.n_steps {
+            integrator.advance([control[k], control[k + 1]]).unwrap();
+            trajectory.push(&integrator.state().configuration);
+        }
+        trajectory
+    }
+
+    fn sweep_curvature(&self, trajectory: &Trajectory, n_threads: usize) -> Mat<f64> {
+        let motion = self.motion();
+        let adjoint = adjoint_sweep(&motion, trajectory, &self.terminal).unwrap();
+        let multipliers = Multipliers {
+            adjoint: &adjoint,
+            terminal: &self.terminal,
+        };
+        let d = defects(&motion, trajectory, &self.control).unwrap();
+        let with = sensitivities(
+            &motion,
+            trajectory,
+            &d,
+            &self.blocks,
+            Some(&multipliers),
+            n_threads,
+        )
+        .unwrap();
+        let without =
+            sensitivities(&motion, trajectory, &d, &self.blocks, None, n_threads).unwrap();
+        assert_eq!(with.tip, without.tip);
+        assert_eq!(with.defect_tip, without.defect_tip);
+        assert!(without.curvature.is_none());
+        with.curvature.unwrap()
+    }
+
+    /// `dφ/du` of the rolled-out motion.
+    fn gradient(&self, control: &[Wrench]) -> Vec<f64> {
+        let trajectory = self.roll_out(control);
+        let adjoint = adjoint_sweep(&self.motion(), &trajectory, &self.terminal).unwrap();
+        self.blocks.gradient(&adjoint.control)
+    }
+
+    /// `L(u, q)`, the multipliers held.
+    fn lagrangian(
+        &self,
+        trajectory: &Trajectory,
+        control: &[Wrench],
+        multipliers: &Multipliers,
+    ) -> f64 {
+        let d = defects(&self.motion(), trajectory, control).unwrap();
+        let tip = self.rod.tip();
+        let rows: f64 = (d.linear.iter().zip(&multipliers.adjoint.linear))
+            .chain(d.angular.iter().zip(&multipliers.adjoint.angular))
+            .map(|(r, lambda)| r.dot(lambda))
+            .sum();
+        self.terminal.positions[tip].dot(&trajectory.positions_at(self.grid.n_steps)[tip])
+            + self.terminal.linear[tip].dot(&d.terminal_linear[tip])
+            + self.terminal.angular[tip].dot(&d.terminal_angular[tip])
+            - rows
+    }
+}
+
+/// Largest entry per kind of column, force or moment.
+fn sizes(h: &Mat<f64>) -> [[f64; 2]; 2] {
+    let mut sizes = [[0.0f64; 2]; 2];
+    for j in 0..h.ncols() {
+        for i in 0..h.nrows() {
+            let size = &mut sizes[i % 6 / 3][j % 6 / 3];
+            *size = size.max(h[(i, j)].abs());
+        }
+    }
+    sizes
+}
+
+/// Largest difference relative to the largest entry of the same kinds of columns.
+fn distance(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
+    let sizes = sizes(b);
+    let mut worst: f64 = 0.0;
+    for j in 0..b.ncols() {
+        for i in 0..b.nrows() {
+            worst = worst.max((a[(i, j)] - b[(i, j)]).abs() / sizes[i % 6 / 3][j % 6 / 3]);
+        }
+    }
+    worst
+}
+
+const BASES: [BaseCondition; 2] = [BaseCondition::Clamped, BaseCondition::Free];
+
+/// Integrated motions with loads, damping and taper, clamped and free: the reduced second derivative is the central
+/// difference, extrapolated once, of the adjoint gradient of a linear outcome of the end, and it is symmetric.
+#[test]
+fn reduced_curvature_is_the_hessian_of_the_outcome() {
+    for rule in RULES {
+        for base in BASES {
+            let case = Case::new(rule, base, 70, 4);
+            let curvature = case.sweep_curvature(&case.roll_out(&case.control), 1);
+            let n = case.blocks.n_columns();
+            let mut differences = Mat::zeros(n, n);
+            for j in 0..n {
+                let step = if j % 6 < 3 { 1e-2 } else { 1e-3 };
+                let at = |step: f64| -> Vec<f64> {
+                    let plus = case.gradient(&case.blocks.added(&case.control, j, step));
+                    let minus = case.gradient(&case.blocks.added(&case.control, j, -step));
+                    (plus.iter().zip(&minus))
+                        .map(|(p, m)| (p - m) / (2.0 * step))
+                        .collect()
+                };
+                let (fine, coarse) = (at(step), at(2.0 * step));
+                for i in 0..n {
+                    differences[(i, j)] = (4.0 * fine[i] - coarse[i]) / 3.0;
+                    assert_eq!(curvature[(i, j)], curvature[(j, i)]);
+                }
+            }
+            let error = distance(&curvature, &differences);
+            assert!(error < 1e-7, "{rule:?} {base:?}: {error:e}");
+        }
+    }
+}
+
+/// More than one tile, several rounds and chunks, on a lifted trajectory: the sweep equals the clear reduction of
+/// the columns of the forward sweep to rounding, and the number of threads changes no bit.
+#[test]
+fn fast_reduction_equals_the_clear_one() {
+    for rule in RULES {
+        for base in BASES {
+            let case = Case::new(rule, base, 70, 6);
+            let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(5));
+            let fast = case.sweep_curvature(&trajectory, 1);
+            for n_threads in [2, 3, 50] {
+                assert_eq!(fast, case.sweep_curvature(&trajectory, n_threads));
+            }
+            let motion = case.motion();
+            let zero = vec![Wrench::default(); case.grid.n_steps + 1];
+            let columns: Vec<_> = (0..case.blocks.n_columns())
+                .map(|j| {
+                    let change = case.blocks.added(&zero, j, 1.0);
+                    forward_sweep(&motion, &trajectory, None, &change)
+                        .unwrap()
+                        .0
+                })
+                .collect();
+            let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();
+            let multipliers = Multipliers {
+                adjoint: &adjoint,
+                terminal: &case.terminal,
+            };
+            let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns).unwrap();
+            let error = distance(&fast, &clear);
+            assert!(error < 1e-11, "{rule:?} {base:?}: {error:e}");
+        }
+    }
+}
+
+/// A lifted trajectory whose defects do not vanish: along the linearized answer to a change of the control, the
+/// second difference of the Lagrangian's value is the form, and its first difference is the adjoint's gradient
+/// (so `L` is stationary in the configurations). Both are good to `1e-16 |L|/s²` and the truncation `s⁴`, `s` in radians
+/// of the largest rotation.
+#[test]
+fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
+    for rule in RULES {
+        for base in BASES {
+            let case = Case::new(rule, base, 40, 2);
+            let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(6));
+            let motion = case.motion();
+            let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();
+            let multipliers = Multipliers {
+                adjoint: &adjoint,
+                terminal: &case.terminal,
+            };
+            let curvature = case.sweep_curvature(&trajectory, 1);
+            let gradient = case.blocks.gradient(&adjoint.control);
+            let largest: Vec<f64> = (0..2).map(|i| sizes(&curvature)[i][i]).collect();
+            let zero = vec![Wrench::default(); case.grid.n_steps + 1];
+            for j in 0..case.blocks.n_columns() {
+                let change = case.blocks.added(&zero, j, 1.0);
+                let (direction, _) = forward_sweep(&motion, &trajectory, None, &change).unwrap();
+                // A size at which the largest rotation is one: the chart's own unit.
+                let unit = 1.0 / direction.largest_rotation();
+                let value = |s: f64| {
+                    case.lagrangian(
+                        &trajectory.retract(&direction, s * unit),
+                        &case.blocks.added(&case.control, j, s * unit),
+                        &multipliers,
+                    )
+                };
+                let slope = (value(1e-4) - value(-1e-4)) / (2e-4 * unit);
+                let slope_size = gradient.iter().fold(0.0f64, |m, g| m.max(g.abs()));
+                let bend = second_difference(3e-3, value) / (unit * unit);
+                let error = (bend - curvature[(j, j)]).abs() / largest[j % 6 / 3];
+                assert!((slope - gradient[j]).abs() < 1e-6 * slope_size);
+                assert!(error < 1e-6, "{rule:?} {base:?} {j}: {error:e}");
+            }
+        }
+    }
+}
