@@ -1,7 +1,22 @@
-//! softarm
+//! Optimal control of soft arms.
+//!
+//! A soft arm is a discrete geometrically exact (Cosserat) rod, advanced by a Lie group variational integrator
+//! ([`mechanics`]). Its discrete equations of motion are the equality constraints of an optimal-control problem
+//! ([`control`]), which a sequential quadratic programming method solves with Clarabel ([`sqp`]). Every result is
+//! re-checked by code that shares no assembly with the solver ([`verify`]).
+//!
+//! ```text
+//! text → Scene → Rod, OptimalControlProblem → Transcription → QuadraticProgram → … SqpOutcome → ForwardCheck → files
+//! ```
+//!
+//! Source of the integrator: S. Siddharth, V. Natarajan, R. N. Banavar, "Lie Group Variational Integrator for the
+//! Geometrically Exact Rod with Circular Cross-Section Incorporating Cross-Sectional Deformation" ("the paper"; its
+//! equation numbers stand in round brackets). All quantities are in SI units.
+
+pub mod cli;
+pub mod control;
 pub mod mechanics;
 pub mod output;
 pub mod scene;
-pub mod control;
 pub mod sqp;
 pub mod verify;

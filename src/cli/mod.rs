@@ -110,9 +110,10 @@ impl SceneAndOut {
 
 /// A scene's name: the file's, without folder and ending.
 fn scene_name(scene: &str) -> String {
-    std::path::Path::new(scene)
-        .file_stem()
-        .map_or_else(|| scene.to_string(), |stem| stem.to_string_lossy().into_owned())
+    std::path::Path::new(scene).file_stem().map_or_else(
+        || scene.to_string(),
+        |stem| stem.to_string_lossy().into_owned(),
+    )
 }
 
 impl Global {
@@ -131,7 +132,11 @@ pub fn run() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version go to stdout and succeed; a usage error goes to stderr. A closed pipe is no news.
-            let code = if error.use_stderr() { exit::USAGE } else { exit::DONE };
+            let code = if error.use_stderr() {
+                exit::USAGE
+            } else {
+                exit::DONE
+            };
             let _ = error.print();
             return ExitCode::from(code);
         }

@@ -50,7 +50,10 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
         "tip at ({:.6}, {:.6}, {:.6}) m; energy {:.6e} J at the start, {:.6e} J at the end",
         tip[0], tip[1], tip[2], summary.energy.initial, summary.energy.r#final
     ));
-    console.say(&format!("report: {}", written.join("report.html").display()));
+    console.say(&format!(
+        "report: {}",
+        written.join("report.html").display()
+    ));
     console.summary(&summary);
     Ok(if tally.interrupted {
         exit::STOPPED
@@ -156,7 +159,14 @@ fn observe(rod: &Rod, integrator: &Integrator, record: &mut MotionRecord, tally:
         wrench.force += acting.force;
         wrench.moment += acting.moment;
     }
-    push_row(record, integrator.time(), state, &wrench, &energy, &dilatation);
+    push_row(
+        record,
+        integrator.time(),
+        state,
+        &wrench,
+        &energy,
+        &dilatation,
+    );
 }
 
 /// Appends one time to a record.

@@ -189,9 +189,7 @@ fn within_bounds(problem: &OptimalControlProblem, wrench: Wrench) -> Wrench {
             let norm = u.norm();
             if norm > limit { u * (limit / norm) } else { u }
         }
-        Some(Bound::PerAxis(limits)) => {
-            Vector3::from_fn(|i, _| u[i].clamp(-limits[i], limits[i]))
-        }
+        Some(Bound::PerAxis(limits)) => Vector3::from_fn(|i, _| u[i].clamp(-limits[i], limits[i])),
     };
     Wrench {
         force: clip(wrench.force, problem.force.bound),

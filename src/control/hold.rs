@@ -208,7 +208,11 @@ mod tests {
         let u: Vec<f64> = grid.edge_times();
         let quadratic = |(diagonal, off): (Vec<f64>, Vec<f64>)| -> f64 {
             diagonal.iter().zip(&u).map(|(d, u)| d * u * u).sum::<f64>()
-                + off.iter().zip(u.windows(2)).map(|(o, u)| 2.0 * o * u[0] * u[1]).sum::<f64>()
+                + off
+                    .iter()
+                    .zip(u.windows(2))
+                    .map(|(o, u)| 2.0 * o * u[0] * u[1])
+                    .sum::<f64>()
         };
         assert!((quadratic(grid.effort_matrix()) - 1.0 / 3.0).abs() < 1e-14);
         assert!((quadratic(grid.rate_matrix()) - 1.0).abs() < 1e-13);

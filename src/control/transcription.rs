@@ -7,16 +7,14 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::problem::{Bound, Enforcement, OptimalControlProblem, TargetPart, TargetRow};
+use crate::mechanics::curvature::Multipliers;
 use crate::mechanics::linearization::{
     Defects, Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
-use crate::mechanics::curvature::Multipliers;
 use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
 use crate::mechanics::strain::log_second_derivative;
-use crate::mechanics::{
-    Integrator, StepError, TimeGrid, Trajectory, TrajectoryTangent, Wrench,
-};
+use crate::mechanics::{Integrator, StepError, TimeGrid, Trajectory, TrajectoryTangent, Wrench};
 use crate::sqp::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
@@ -107,9 +105,7 @@ impl<'a> Transcription<'a> {
             .map(|row| {
                 let vector: Vector3<f64> = match row.part {
                     TargetPart::Position => x - target.position.unwrap_or(x),
-                    TargetPart::Orientation => {
-                        log(&(target.rotation.unwrap_or(r).transpose() * r))
-                    }
+                    TargetPart::Orientation => log(&(target.rotation.unwrap_or(r).transpose() * r)),
                     TargetPart::Velocity => end.terminal_linear[tip] / inertia.mass,
                     TargetPart::AngularVelocity => {
                         end.terminal_angular[tip].component_div(&inertia.rotary)
@@ -155,7 +151,12 @@ impl<'a> Transcription<'a> {
                     .sum()
             })
             .collect();
-        let cost = 0.5 * variables.iter().zip(&gradient).map(|(v, g)| v * g).sum::<f64>();
+        let cost = 0.5
+            * variables
+                .iter()
+                .zip(&gradient)
+                .map(|(v, g)| v * g)
+                .sum::<f64>();
         (cost, gradient)
     }
 
@@ -305,8 +306,12 @@ impl LiftedProgram for Transcription<'_> {
             None => y.to_vec(),
             Some(weight) => residuals.iter().map(|r| weight * r).collect(),
         });
-        let terminal =
-            lagrangian.map(|weights| (tip_covector(motion.rod.n_nodes(), &covectors, &weights), weights));
+        let terminal = lagrangian.map(|weights| {
+            (
+                tip_covector(motion.rod.n_nodes(), &covectors, &weights),
+                weights,
+            )
+        });
         let adjoint = terminal
             .as_ref()
             .map(|(terminal, _)| adjoint_sweep(&motion, &point.trajectory, terminal))
@@ -373,7 +378,12 @@ impl LiftedProgram for Transcription<'_> {
         Ok(Linearization {
             gradient: pulled(&residuals),
             model_gradient: with_defects(pulled(&offset)),
-            defect_slope: weight * residuals.iter().zip(&answer).map(|(r, a)| r * a).sum::<f64>(),
+            defect_slope: weight
+                * residuals
+                    .iter()
+                    .zip(&answer)
+                    .map(|(r, a)| r * a)
+                    .sum::<f64>(),
             gauss_newton: &self.control_hessian
                 + jacobian.transpose() * &jacobian * faer::Scale(weight),
             curvature,

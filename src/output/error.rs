@@ -36,7 +36,7 @@ pub enum OutputError {
 
 impl OutputError {
     /// Turns an I/O error into one that names the path; made for `map_err`.
-    pub(super) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io {
             path: path.to_path_buf(),
             action,

@@ -20,9 +20,9 @@ pub mod translate;
 
 pub use error::SceneError;
 pub use model::{
-    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Initial, InitialShape, Load,
-    LoadFrame, LoadNode, Material, Objective, Output, Reference, Rod, RodModel, Scene, Section,
-    Solver, Stiffness, StrainRule, Task, Time, TimeStep,
+    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Initial,
+    InitialShape, Load, LoadFrame, LoadNode, Material, Objective, Output, Reference, Rod, RodModel,
+    Scene, Section, Solver, Stiffness, StrainRule, Task, Time, TimeStep,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};

@@ -96,8 +96,8 @@ impl Scene {
             model::Hold::Constant => Hold::Constant,
             model::Hold::Linear => Hold::Linear,
         };
-        let blocks = ControlGrid::new(hold, control.blocks, grid.n_steps, grid.step).ok_or_else(
-            || {
+        let blocks =
+            ControlGrid::new(hold, control.blocks, grid.n_steps, grid.step).ok_or_else(|| {
                 source.error_at(
                     "control.blocks",
                     format!(
@@ -106,8 +106,7 @@ impl Scene {
                     ),
                     Some("use fewer blocks or a shorter time.step_s".into()),
                 )
-            },
-        )?;
+            })?;
         let force = Channel {
             scale: objective.force_scale_n.unwrap_or(rod.scales.force),
             bound: control.force_max_n.as_ref().map(bound),
@@ -347,7 +346,9 @@ impl Scene {
     /// How a rod of this scene starts.
     #[must_use]
     pub fn initial_shape(&self) -> InitialShape {
-        self.initial.as_ref().map_or(InitialShape::Rest, |i| i.shape)
+        self.initial
+            .as_ref()
+            .map_or(InitialShape::Rest, |i| i.shape)
     }
 }
 

@@ -72,8 +72,7 @@ impl ModelHessian {
     /// Falls back to Gauss-Newton without curvature, or when the constraints' rows are dependent.
     #[must_use]
     pub fn exact(linearization: &Linearization) -> Self {
-        Self::try_exact(linearization)
-            .unwrap_or_else(|| Self::gauss_newton(linearization))
+        Self::try_exact(linearization).unwrap_or_else(|| Self::gauss_newton(linearization))
     }
 
     fn try_exact(linearization: &Linearization) -> Option<Self> {
@@ -86,7 +85,12 @@ impl ModelHessian {
         }
         let unit = largest_diagonal(&linearization.gauss_newton);
         let floor = CURVATURE_FLOOR * unit;
-        let basis = linearization.jacobian.transpose().to_owned().qr().compute_Q();
+        let basis = linearization
+            .jacobian
+            .transpose()
+            .to_owned()
+            .qr()
+            .compute_Q();
         let (range, null) = basis.split_at_col(m);
         let reduced = null.transpose() * &full * null;
         let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;

@@ -91,9 +91,8 @@ impl QuadraticProgram<'_> {
                 Err(QpError::NotFinite(name))
             }
         };
-        let all_finite = |name, m: &Mat<f64>| {
-            (0..m.ncols()).try_for_each(|j| finite(name, m.col_as_slice(j)))
-        };
+        let all_finite =
+            |name, m: &Mat<f64>| (0..m.ncols()).try_for_each(|j| finite(name, m.col_as_slice(j)));
         all_finite("Hessian", self.hessian)?;
         all_finite("Jacobian", self.jacobian)?;
         finite("gradient", self.gradient)?;
@@ -106,7 +105,10 @@ impl QuadraticProgram<'_> {
         let m = self.offset.len();
         let size = n + 2 * m;
         // An objective of order one, whatever the weights.
-        let scale = 1.0 / infinity_norm(self.gradient).max(self.elastic_weight * 1e-3).max(f64::MIN_POSITIVE);
+        let scale = 1.0
+            / infinity_norm(self.gradient)
+                .max(self.elastic_weight * 1e-3)
+                .max(f64::MIN_POSITIVE);
 
         let p = upper_triangle(self.hessian, size, scale, shift);
         let mut q: Vec<f64> = self.gradient.iter().map(|g| g * scale).collect();
@@ -306,7 +308,10 @@ mod tests {
             jacobian: &jacobian,
             offset: &[],
             variables: &[0.0, 0.0],
-            sets: &[ConvexSet::Ball { indices: vec![0, 1], radius: 1.0 }],
+            sets: &[ConvexSet::Ball {
+                indices: vec![0, 1],
+                radius: 1.0,
+            }],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             time_limit: 1.0,
@@ -324,7 +329,11 @@ mod tests {
         let hessian = identity(2);
         let jacobian = Mat::zeros(0, 2);
         let variables = [0.5, 0.5];
-        let set = |index| ConvexSet::Interval { index, lower: -1.0, upper: 1.0 };
+        let set = |index| ConvexSet::Interval {
+            index,
+            lower: -1.0,
+            upper: 1.0,
+        };
         let qp = QuadraticProgram {
             hessian: &hessian,
             gradient: &[-9.0, 9.0],
@@ -353,7 +362,11 @@ mod tests {
             jacobian: &jacobian,
             offset: &[-5.0],
             variables: &[0.0],
-            sets: &[ConvexSet::Interval { index: 0, lower: -1.0, upper: 1.0 }],
+            sets: &[ConvexSet::Interval {
+                index: 0,
+                lower: -1.0,
+                upper: 1.0,
+            }],
             elastic_weight: 100.0,
             trust_radius: f64::INFINITY,
             time_limit: 1.0,

@@ -45,7 +45,7 @@ pub enum Stop {
 /// How a solve ended. Only the residual check can say `Converged`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SqpStatus {
-    /// The KKT residual is within the tolerance.
+    /// The KKT residual is within the tolerance, its feasibility well within.
     Converged,
     /// The constraints cannot be met to first order from here; the multipliers say which pull against each other.
     LocallyInfeasible,
@@ -125,8 +125,14 @@ pub struct SqpOutcome<P> {
 /// Smallest and first elastic weight, relative to the size of the cost gradient.
 const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
 const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
+const ELASTIC_FACTOR: f64 = 10.0;
+/// A heavier weight must bring the slack below this part of what it was.
+const ELASTIC_GAIN: f64 = 0.9;
 /// The weight is kept this much above the largest multiplier, so that it can come down again.
 const ELASTIC_MARGIN: f64 = 10.0;
+/// Feasibility must be this much better than the tolerance: it costs one more iteration at most, and the replay of the
+/// controls shows every digit of it.
+const FEASIBILITY_PART: f64 = 1e-3;
 /// Slack that counts as none.
 const NO_SLACK: f64 = 1e-8;
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -158,7 +164,9 @@ pub fn solve<P: LiftedProgram>(
         };
         let residual = run.residual(&linearization);
         run.record(iteration, residual);
-        if residual.max() <= settings.tolerance {
+        if residual.max() <= settings.tolerance
+            && residual.feasibility <= FEASIBILITY_PART * settings.tolerance
+        {
             return run.finish(SqpStatus::Converged, observer);
         }
         if iteration == settings.max_iterations {
@@ -231,8 +239,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let started = Instant::now();
         match program.evaluate(&point) {
             Ok(evaluation) => {
-                let multipliers =
-                    Multipliers::zeros(evaluation.constraints.len(), program.sets());
+                let multipliers = Multipliers::zeros(evaluation.constraints.len(), program.sets());
                 Ok(Self {
                     program,
                     settings,
@@ -276,7 +283,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
-                last.residual.stationarity < EXACT_BELOW && last.infeasibility < EXACT_BELOW
+                last.residual.stationarity < EXACT_BELOW
+                    && self.evaluation.infeasibility() < EXACT_BELOW
             }),
         }
     }
@@ -409,19 +417,22 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let clock = Instant::now();
         let unit = cost_unit(linearization);
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
-        let solution = loop {
-            let solution = self.subproblem(linearization, model, weight).solve()?;
+        let mut solution = self.subproblem(linearization, model, weight).solve()?;
+        // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
+        while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
+            let heavier = self
+                .subproblem(linearization, model, weight * ELASTIC_FACTOR)
+                .solve()?;
+            if heavier.slack > ELASTIC_GAIN * solution.slack {
+                break;
+            }
+            weight *= ELASTIC_FACTOR;
+            solution = heavier;
+        }
+        if solution.slack <= NO_SLACK {
             let largest = infinity_norm(&solution.multipliers.constraints);
-            let binding = solution.slack > NO_SLACK && largest > 0.9 * weight;
-            if binding && weight < LARGEST_ELASTIC_WEIGHT * unit {
-                weight *= 10.0;
-                continue;
-            }
-            if solution.slack <= NO_SLACK {
-                weight = (ELASTIC_MARGIN * largest).max(FIRST_ELASTIC_WEIGHT * unit);
-            }
-            break solution;
-        };
+            weight = (ELASTIC_MARGIN * largest).max(FIRST_ELASTIC_WEIGHT * unit);
+        }
         self.elastic_weight = Some(weight);
         self.phases.qp += clock.elapsed().as_secs_f64();
         Ok(solution)
@@ -433,15 +444,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         model: &'b ModelHessian,
         elastic_weight: f64,
     ) -> QuadraticProgram<'b> {
-        let time_limit = self
-            .settings
-            .deadline
-            .map_or(f64::INFINITY, |deadline| {
-                deadline
-                    .saturating_sub(self.started.elapsed())
-                    .as_secs_f64()
-                    .max(1e-3)
-            });
+        let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
+            deadline
+                .saturating_sub(self.started.elapsed())
+                .as_secs_f64()
+                .max(1e-3)
+        });
         QuadraticProgram {
             hessian: &model.matrix,
             gradient: &model.gradient,

@@ -128,11 +128,7 @@ fn quaternion(a: &[[Dual; 3]; 3]) -> (Dual, Vector) {
     let trace = a[0][0] + a[1][1] + a[2][2];
     let w = (Dual::constant(1.0) + trace).sqrt().scale(0.5);
     let quarter = Dual::constant(0.25) / w;
-    let skew = [
-        a[2][1] - a[1][2],
-        a[0][2] - a[2][0],
-        a[1][0] - a[0][1],
-    ];
+    let skew = [a[2][1] - a[1][2], a[0][2] - a[2][0], a[1][0] - a[0][1]];
     (w, times(&skew, quarter))
 }
 
@@ -181,7 +177,8 @@ fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
     let relative = pose.rotation_a.transpose() * pose.rotation_b;
     // A(η) = (I - η̂_a) A (I + η̂_b) to first order.
     let mut a = [[Dual::constant(0.0); 3]; 3];
-    let generators = [Vector3::x(), Vector3::y(), Vector3::z()].map(|e: Vector3<f64>| -> Matrix3<f64> { e.cross_matrix() });
+    let generators = [Vector3::x(), Vector3::y(), Vector3::z()]
+        .map(|e: Vector3<f64>| -> Matrix3<f64> { e.cross_matrix() });
     for (i, row) in a.iter_mut().enumerate() {
         for (j, entry) in row.iter_mut().enumerate() {
             entry.value = relative[(i, j)];
@@ -204,11 +201,15 @@ fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
             let turned = cross(&psi, &near);
             let twice = cross(&psi, &turned);
             let c = t.chain(c, c_slope);
-            let strain: Vector =
-                [0, 1, 2].map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
+            let strain: Vector = [0, 1, 2]
+                .map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
             let curvature = psi.map(|p| p.scale(inverse_length));
             (quadratic(&strain, &element.rest.linear[0], &element.linear_stiffness)
-                + quadratic(&curvature, &element.rest.curvature, &element.angular_stiffness))
+                + quadratic(
+                    &curvature,
+                    &element.rest.curvature,
+                    &element.angular_stiffness,
+                ))
             .scale(l)
         }
         StrainRule::Trapezoidal => {
@@ -216,7 +217,8 @@ fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
             let ends = [near, far].map(|d| d.map(|x| x.scale(inverse_length)));
             let cayley = v.map(|x| (x / w).scale(2.0 * inverse_length));
             (quadratic(&ends[0], &element.rest.linear[0], &element.linear_stiffness).scale(0.5)
-                + quadratic(&ends[1], &element.rest.linear[1], &element.linear_stiffness).scale(0.5)
+                + quadratic(&ends[1], &element.rest.linear[1], &element.linear_stiffness)
+                    .scale(0.5)
                 + quadratic(&cayley, &element.rest.curvature, &element.angular_stiffness))
             .scale(l)
         }
@@ -269,11 +271,22 @@ mod tests {
                 let analytic = element.gradient(rule, &pose);
                 let [force, moment_a, moment_b] = gradient(&element, rule, &pose);
                 let scale = 1.0 + analytic.force.norm() + analytic.moment_a.norm();
-                assert!((analytic.force - force).norm() < 1e-12 * scale, "{rule:?} {size}");
-                assert!((analytic.moment_a - moment_a).norm() < 1e-12 * scale, "{rule:?} {size}");
-                assert!((analytic.moment_b - moment_b).norm() < 1e-12 * scale, "{rule:?} {size}");
+                assert!(
+                    (analytic.force - force).norm() < 1e-12 * scale,
+                    "{rule:?} {size}"
+                );
+                assert!(
+                    (analytic.moment_a - moment_a).norm() < 1e-12 * scale,
+                    "{rule:?} {size}"
+                );
+                assert!(
+                    (analytic.moment_b - moment_b).norm() < 1e-12 * scale,
+                    "{rule:?} {size}"
+                );
                 let plain = element.energy(rule, &pose);
-                assert!((energy(&element, rule, &pose).value - plain).abs() < 1e-13 * (1.0 + plain));
+                assert!(
+                    (energy(&element, rule, &pose).value - plain).abs() < 1e-13 * (1.0 + plain)
+                );
             }
         }
     }

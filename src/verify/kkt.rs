@@ -153,8 +153,7 @@ impl Conditions<'_> {
                     }
                     continue;
                 }
-                sum += (self.velocity_momentum(k, q) - after).norm()
-                    / (scales.force * scales.time);
+                sum += (self.velocity_momentum(k, q) - after).norm() / (scales.force * scales.time);
                 sum += (momentum_after(&self.turn(k, q), &j_d, h) - after_angular).norm()
                     / (scales.moment * scales.time);
             }
@@ -235,17 +234,22 @@ impl Conditions<'_> {
                 // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
                 let new_x = cx[q] / mass + next_x;
                 // η_k moves F by F η̂.
-                let along_end = |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
-                    columns(|axis| momentum(&(f * axis.cross_matrix()), &j_d, h))
-                };
+                let along_end =
+                    |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
+                        columns(|axis| momentum(&(f * axis.cross_matrix()), &j_d, h))
+                    };
                 let rhs = ceta[q] + along_end(momentum_before).tr_mul(&next_r);
                 let slope = along_end(momentum_after).transpose();
-                let new_r = slope.lu().solve(&rhs).unwrap_or_else(|| Vector3::repeat(f64::NAN));
+                let new_r = slope
+                    .lu()
+                    .solve(&rhs)
+                    .unwrap_or_else(|| Vector3::repeat(f64::NAN));
                 // x_{k-1} and η_{k-1} (F moves by -η̂ F) of the same interval.
                 cx[q] = (new_x - next_x) * mass;
-                let along_start = |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
-                    columns(|axis| momentum(&(-axis.cross_matrix() * f), &j_d, h))
-                };
+                let along_start =
+                    |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
+                        columns(|axis| momentum(&(-axis.cross_matrix() * f), &j_d, h))
+                    };
                 ceta[q] = along_start(momentum_before).tr_mul(&next_r)
                     - along_start(momentum_after).tr_mul(&new_r);
                 lx[q] = new_x;
@@ -282,7 +286,11 @@ impl Conditions<'_> {
         }
         let step = 1e-5 / largest;
         let moved = |sign: f64| {
-            let positions: Vec<_> = x.iter().zip(lx).map(|(x, v)| x + v * (sign * step)).collect();
+            let positions: Vec<_> = x
+                .iter()
+                .zip(lx)
+                .map(|(x, v)| x + v * (sign * step))
+                .collect();
             let rotations: Vec<_> = r
                 .iter()
                 .zip(lr)

@@ -257,9 +257,10 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     let sum: f64 = (rod.first_free_node()..rod.n_nodes())
         .map(|q| {
             let v = (after.configuration.positions[q] - before.configuration.positions[q]) / h;
-            let omega = log(
-                &(before.configuration.rotations[q].transpose() * after.configuration.rotations[q]),
-            ) / h;
+            let omega =
+                log(&(before.configuration.rotations[q].transpose()
+                    * after.configuration.rotations[q]))
+                    / h;
             let node = &rod.nodes[q];
             node.mass * v.norm_squared() + omega.dot(&node.rotary.component_mul(&omega))
         })
@@ -314,11 +315,17 @@ pub fn forward_check(
     let coarse = if factor == 2 {
         None
     } else {
-        Some(run(&problem.rod, &problem.initial, factor, "the finer step")?)
+        Some(run(
+            &problem.rod,
+            &problem.initial,
+            factor,
+            "the finer step",
+        )?)
     };
     let coarse = coarse.as_ref().unwrap_or(&half);
 
-    let refined_time = RICHARDSON * largest_distance(&same.trajectory, 1, 1, &half.trajectory, 2, 1);
+    let refined_time =
+        RICHARDSON * largest_distance(&same.trajectory, 1, 1, &half.trajectory, 2, 1);
     let refined_space =
         RICHARDSON * largest_distance(&coarse.trajectory, factor, 1, &fine.trajectory, factor, 2);
     let mut check = ForwardCheck {
@@ -399,7 +406,10 @@ fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
         end.configuration.positions[tip],
         end.configuration.rotations[tip],
     );
-    check.tip_error = problem.target.position.map_or(0.0, |target| (x - target).norm());
+    check.tip_error = problem
+        .target
+        .position
+        .map_or(0.0, |target| (x - target).norm());
     check.tip_angle = problem
         .target
         .rotation
@@ -422,24 +432,84 @@ fn items(
         meaning,
     };
     let mut items = vec![
-        item("kkt.stationarity", check.kkt.stationarity, limits.kkt, "", "gradient of the Lagrangian, recomputed from the energy itself, over its largest term"),
-        item("kkt.feasibility", check.kkt.feasibility, limits.kkt, "", "equations of motion (77), (81), target and bounds, recomputed, scaled"),
-        item("kkt.complementarity", check.kkt.complementarity, limits.kkt, "", "slack of a bound times its multiplier, scaled"),
-        item("same_grid_m", check.same_grid, limits.same_grid * length, "m", "largest distance of any node at any time from the forward simulation of the controls"),
-        item("refined_time_m", check.refined_time, limits.refined * length, "m", "estimated error of any node at any time from the time step (step halved)"),
-        item("refined_space_m", check.refined_space, limits.refined * length, "m", "estimated error of any node at any time from the elements (elements doubled)"),
-        item("energy", check.energy.relative(), limits.energy, "", "work in minus change of energy minus dissipation, over the energy that passed through"),
+        item(
+            "kkt.stationarity",
+            check.kkt.stationarity,
+            limits.kkt,
+            "",
+            "gradient of the Lagrangian, recomputed from the energy itself, over its largest term",
+        ),
+        item(
+            "kkt.feasibility",
+            check.kkt.feasibility,
+            limits.kkt,
+            "",
+            "equations of motion (77), (81), target and bounds, recomputed, scaled",
+        ),
+        item(
+            "kkt.complementarity",
+            check.kkt.complementarity,
+            limits.kkt,
+            "",
+            "slack of a bound times its multiplier, scaled",
+        ),
+        item(
+            "same_grid_m",
+            check.same_grid,
+            limits.same_grid * length,
+            "m",
+            "largest distance of any node at any time from the forward simulation of the controls",
+        ),
+        item(
+            "refined_time_m",
+            check.refined_time,
+            limits.refined * length,
+            "m",
+            "estimated error of any node at any time from the time step (step halved)",
+        ),
+        item(
+            "refined_space_m",
+            check.refined_space,
+            limits.refined * length,
+            "m",
+            "estimated error of any node at any time from the elements (elements doubled)",
+        ),
+        item(
+            "energy",
+            check.energy.relative(),
+            limits.energy,
+            "",
+            "work in minus change of energy minus dissipation, over the energy that passed through",
+        ),
     ];
     if problem.target.enforcement == Enforcement::Hard {
         if problem.target.position.is_some() {
-            items.push(item("tip_error_m", check.tip_error, limits.tip * length, "m", "distance of the simulated tip from the target"));
+            items.push(item(
+                "tip_error_m",
+                check.tip_error,
+                limits.tip * length,
+                "m",
+                "distance of the simulated tip from the target",
+            ));
         }
         if problem.target.rotation.is_some() {
-            items.push(item("tip_angle_rad", check.tip_angle, limits.tip, "rad", "angle between the simulated tip and the target orientation"));
+            items.push(item(
+                "tip_angle_rad",
+                check.tip_angle,
+                limits.tip,
+                "rad",
+                "angle between the simulated tip and the target orientation",
+            ));
         }
         if problem.target.at_rest {
             let scale = problem.target_scale(TargetPart::Velocity);
-            items.push(item("tip_speed_m_s", check.tip_speed, limits.tip * scale, "m/s", "speed of the simulated tip at the end"));
+            items.push(item(
+                "tip_speed_m_s",
+                check.tip_speed,
+                limits.tip * scale,
+                "m/s",
+                "speed of the simulated tip at the end",
+            ));
         }
     }
     items

@@ -1,0 +1,218 @@
+//! What the report page of a simulation and of a solve shows.
+
+use crate::control::{Bound, Hold, OptimalControlProblem};
+use crate::mechanics::{BaseCondition, Rod, Wrench};
+use crate::output::summary::{SimulateSummary, SolveSummary};
+use crate::output::{
+    self, MotionRecord, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData,
+    ReportEnergy, ReportIteration, ReportMotion, ReportTarget, ReportVerdict,
+};
+use crate::scene::translate::directors;
+use crate::scene::{OptimalControl, Scene, Simulation};
+use crate::sqp::{HessianKind, IterationRecord};
+use crate::verify::{CheckItem, ForwardCheck};
+
+const FRAMES: usize = 240;
+const ENERGY_ROWS: usize = 600;
+
+pub(super) fn simulation_page(
+    scene: &Scene,
+    setup: &Simulation,
+    record: &MotionRecord,
+    summary: &SimulateSummary,
+) -> ReportData {
+    let tip = summary.tip.position_m;
+    ReportData {
+        title: summary.scene.clone(),
+        command: ReportCommand::Simulate,
+        verdict: ReportVerdict {
+            text: summary.status.into(),
+            ok: summary.status == "completed",
+        },
+        facts: vec![
+            fact("strain rule", summary.strain),
+            fact("elements", summary.elements),
+            fact(
+                "steps",
+                format!("{} of {:.4e} s", summary.steps, summary.step_s),
+            ),
+            fact("wall time", format!("{:.3} s", summary.wall_s)),
+            fact(
+                "tip at the end",
+                format!("({:.5}, {:.5}, {:.5}) m", tip[0], tip[1], tip[2]),
+            ),
+            fact(
+                "energy",
+                format!(
+                    "{:.5e} J at the start, {:.5e} J at the end",
+                    summary.energy.initial, summary.energy.r#final
+                ),
+            ),
+            fact(
+                "dilatation",
+                format!(
+                    "{:.5} to {:.5}",
+                    summary.dilatation.min, summary.dilatation.max
+                ),
+            ),
+        ],
+        summary: serde_json::to_value(summary).unwrap_or_default(),
+        arm: arm(scene, &setup.rod),
+        motion: ReportMotion::thinned(record, FRAMES),
+        target: None,
+        controls: None,
+        energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
+        iterations: Vec::new(),
+        checks: Vec::new(),
+    }
+}
+
+/// What a solve's page needs besides its summary.
+pub(super) struct SolvePage<'a> {
+    pub scene: &'a Scene,
+    pub setup: &'a OptimalControl,
+    pub record: &'a MotionRecord,
+    pub coefficients: &'a [Wrench],
+    pub history: &'a [IterationRecord],
+    pub check: Option<&'a ForwardCheck>,
+    pub summary: &'a SolveSummary,
+}
+
+pub(super) fn solve_page(page: &SolvePage) -> ReportData {
+    let SolvePage { summary, setup, .. } = page;
+    let problem = &setup.problem;
+    let certified =
+        page.check.is_some_and(ForwardCheck::is_certified) && summary.status == "converged";
+    let text = if summary.status == "converged" {
+        page.check
+            .map_or("not checked", |check| check.verdict())
+            .to_string()
+    } else {
+        summary.status.to_string()
+    };
+    ReportData {
+        title: summary.scene.clone(),
+        command: ReportCommand::Solve,
+        verdict: ReportVerdict {
+            text,
+            ok: certified,
+        },
+        facts: solve_facts(summary),
+        summary: serde_json::to_value(summary).unwrap_or_default(),
+        arm: arm(page.scene, &problem.rod),
+        motion: ReportMotion::thinned(page.record, FRAMES),
+        target: Some(ReportTarget {
+            position: problem.target.position.map(Into::into),
+            directions: problem.target.rotation.as_ref().map(directors),
+        }),
+        controls: Some(controls(problem, page.coefficients)),
+        energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
+        iterations: page.history.iter().map(iteration).collect(),
+        checks: page
+            .check
+            .iter()
+            .flat_map(|check| check.items.iter().map(check_row))
+            .collect(),
+    }
+}
+
+fn fact(label: &str, value: impl ToString) -> (String, String) {
+    (label.to_string(), value.to_string())
+}
+
+fn solve_facts(summary: &SolveSummary) -> Vec<(String, String)> {
+    vec![
+        fact("status", summary.status),
+        fact("iterations", summary.iterations),
+        fact("objective", format!("{:.8e}", summary.objective)),
+        fact("wall time", format!("{:.3} s", summary.wall_s)),
+        fact("tip error", format!("{:.3e} m", summary.tip_error_m)),
+        fact(
+            "tip speed at the end",
+            format!("{:.3e} m/s", summary.tip_speed_m_s),
+        ),
+        fact("Hessian", summary.hessian),
+        fact("start", summary.guess),
+        fact(
+            "elements",
+            format!("{} ({})", summary.elements, summary.strain),
+        ),
+        fact(
+            "steps",
+            format!("{} of {:.4e} s", summary.steps, summary.step_s),
+        ),
+        fact(
+            "control",
+            format!(
+                "{} blocks, {} variables",
+                summary.control_blocks, summary.variables
+            ),
+        ),
+    ]
+}
+
+fn arm(scene: &Scene, rod: &Rod) -> ReportArm {
+    ReportArm {
+        radius: scene.display_radii(),
+        base: (rod.base == BaseCondition::Clamped).then(|| rod.rest.positions[0].into()),
+        gravity: rod.gravity.into(),
+    }
+}
+
+fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportControls {
+    let bound = |bound: &Option<Bound>| {
+        bound.as_ref().map(|bound| match bound {
+            Bound::Norm(limit) => output::Bound::Norm(*limit),
+            Bound::PerAxis(limits) => output::Bound::Axes((*limits).into()),
+        })
+    };
+    ReportControls {
+        hold: match problem.control.hold {
+            Hold::Constant => output::Hold::Constant,
+            Hold::Linear => output::Hold::Linear,
+        },
+        t: problem.control.edge_times(),
+        force: coefficients.iter().map(|u| u.force.into()).collect(),
+        moment: coefficients.iter().map(|u| u.moment.into()).collect(),
+        force_bound: bound(&problem.force.bound),
+        moment_bound: bound(&problem.moment.bound),
+    }
+}
+
+fn iteration(row: &IterationRecord) -> ReportIteration {
+    ReportIteration {
+        iteration: row.iteration,
+        objective: row.objective,
+        stationarity: row.residual.stationarity,
+        feasibility: row.residual.feasibility,
+        complementarity: row.residual.complementarity,
+        step_length: row.step_length,
+        kind: step_kind(row),
+    }
+}
+
+/// Letters of the iteration table: g Gauss-Newton, x exact, c convexified; then l lifted or r restored, and a `+` for
+/// every second-order correction.
+pub(super) fn step_kind(row: &IterationRecord) -> String {
+    if row.step_length == 0.0 {
+        return String::from("-");
+    }
+    let hessian = match row.hessian {
+        HessianKind::GaussNewton => 'g',
+        HessianKind::Exact => 'x',
+        HessianKind::Convexified => 'c',
+    };
+    let states = if row.restored { 'r' } else { 'l' };
+    format!("{hessian}{states}{}", "+".repeat(row.corrections))
+}
+
+fn check_row(item: &CheckItem) -> ReportCheck {
+    let with_unit = |value: f64| format!("{value:.3e} {}", item.unit).trim_end().to_string();
+    ReportCheck {
+        name: item.name.into(),
+        value: with_unit(item.value),
+        limit: with_unit(item.limit),
+        ok: item.holds(),
+        meaning: item.meaning.into(),
+    }
+}
