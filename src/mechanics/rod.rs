@@ -143,7 +143,8 @@ pub struct RodParameters {
     pub loads: Vec<Load>,
 }
 
-/// Reference magnitudes of a rod, from the section at its base; used to make residuals dimensionless.
+/// Reference magnitudes of a rod, used to make residuals dimensionless: `EI` is the harmonic mean of the bending
+/// stiffness over the length (what a tip moment feels), `ρA` the mean mass per length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
     /// Rest length `L`, m.
@@ -154,6 +155,24 @@ pub struct Scales {
     pub moment: f64,
     /// `L² sqrt(ρA/EI)`, s.
     pub time: f64,
+}
+
+impl Scales {
+    fn of(length: f64, elements: &[Element], nodes: &[NodeInertia]) -> Self {
+        let compliance: f64 = elements
+            .iter()
+            .map(|e| 1.0 / e.angular_stiffness.x.min(e.angular_stiffness.y))
+            .sum::<f64>()
+            / elements.len() as f64;
+        let bending = 1.0 / compliance;
+        let mass = nodes.iter().map(|node| node.mass).sum::<f64>() / length;
+        Self {
+            length,
+            force: bending / (length * length),
+            moment: bending / length,
+            time: length * length * (mass / bending).sqrt(),
+        }
+    }
 }
 
 /// A rod of `K` elements and `K + 1` nodes.
@@ -288,7 +307,7 @@ impl Rod {
 
         let rest = rest_shape(p, l);
         let n = k as f64;
-        let elements = (0..k)
+        let elements: Vec<Element> = (0..k)
             .map(|q| {
                 let section = p.section.at((q as f64 + 0.5) / n);
                 Element {
@@ -322,8 +341,7 @@ impl Rod {
                 nodes[q + end].rotary += share.rotary;
             }
         }
-        let root = p.section.at(0.0);
-        let bending = root.angular_stiffness.x;
+        let scales = Scales::of(p.length, &elements, &nodes);
         Ok(Self {
             strain_rule: p.strain_rule,
             elements,
@@ -334,12 +352,7 @@ impl Rod {
             gravity: p.gravity,
             viscous_damping: p.viscous_damping,
             loads: p.loads.clone(),
-            scales: Scales {
-                length: p.length,
-                force: bending / (p.length * p.length),
-                moment: bending / p.length,
-                time: p.length * p.length * (root.mass / bending).sqrt(),
-            },
+            scales,
         })
     }
 

@@ -14,6 +14,11 @@ const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
 const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4, too wide for stiff rods
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
+/// A lifted step is tried when it is this much shorter than the charts allow, and kept when it is no less feasible than
+/// the point it leaves or than this: a stiff rod that is moved linearly through a large rotation is stretched, and its
+/// defects are then worse than what restored states cost.
+const LIFTED_MARGIN: f64 = 8.0;
+const LIFTED_INFEASIBILITY: f64 = 0.1;
 const CORRECTIONS: usize = 3;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
@@ -146,11 +151,14 @@ impl Filter {
         let direction = program
             .expand(from.point, &from.evaluation.defects, change)
             .ok()?;
-        if program.longest_step(&direction) < 1.0 {
+        if program.longest_step(&direction) < LIFTED_MARGIN {
             return None;
         }
         let trial = program.retract(from.point, &direction, 1.0);
         let values = program.evaluate(&trial).ok()?;
+        if values.infeasibility() > LIFTED_INFEASIBILITY.max(from.evaluation.infeasibility()) {
+            return None;
+        }
         let passage = self.passage(from.evaluation, &values, slope, 1.0)?;
         self.pass(passage, from.evaluation);
         Some(Accepted {

@@ -66,11 +66,15 @@ pub enum QpError {
 }
 
 const GAP_TOLERANCE: f64 = 1e-11;
+/// Of the second attempt.
+const LOOSE_TOLERANCE: f64 = 1e-9;
 /// Clarabel's own default leaves up to 1e-2 in weakly determined controls; this is what it then reaches at least.
 const REDUCED_TOLERANCE: f64 = 1e-7;
+/// What the second attempt must reach: a rough step far from a solution beats none, and near one it would show.
+const LAST_TOLERANCE: f64 = 1e-5;
 
 impl QuadraticProgram<'_> {
-    /// Solves the subproblem; tries once more, with a slightly convexified Hessian, when Clarabel stops early.
+    /// Solves the subproblem; tries once more, with a slightly convexified Hessian and a looser tolerance, when Clarabel stops early.
     ///
     /// # Errors
     /// [`QpError`] when the data are not finite or both attempts fail.
@@ -79,8 +83,14 @@ impl QuadraticProgram<'_> {
         let diagonal = (0..self.hessian.nrows())
             .map(|i| self.hessian[(i, i)].abs())
             .fold(0.0, f64::max);
-        self.attempt(0.0)
-            .or_else(|_| self.attempt(1e-8 * diagonal.max(f64::MIN_POSITIVE)))
+        self.attempt(0.0, GAP_TOLERANCE, REDUCED_TOLERANCE)
+            .or_else(|_| {
+                self.attempt(
+                    1e-8 * diagonal.max(f64::MIN_POSITIVE),
+                    LOOSE_TOLERANCE,
+                    LAST_TOLERANCE,
+                )
+            })
     }
 
     fn check_finite(&self) -> Result<(), QpError> {
@@ -100,7 +110,7 @@ impl QuadraticProgram<'_> {
         finite("variables", self.variables)
     }
 
-    fn attempt(&self, shift: f64) -> Result<QpSolution, QpError> {
+    fn attempt(&self, shift: f64, tolerance: f64, reduced: f64) -> Result<QpSolution, QpError> {
         let n = self.gradient.len();
         let m = self.offset.len();
         let size = n + 2 * m;
@@ -174,12 +184,12 @@ impl QuadraticProgram<'_> {
             .verbose(false)
             .presolve_enable(false)
             .max_threads(1)
-            .tol_gap_abs(GAP_TOLERANCE)
-            .tol_gap_rel(GAP_TOLERANCE)
-            .tol_feas(GAP_TOLERANCE)
-            .reduced_tol_gap_abs(REDUCED_TOLERANCE)
-            .reduced_tol_gap_rel(REDUCED_TOLERANCE)
-            .reduced_tol_feas(REDUCED_TOLERANCE)
+            .tol_gap_abs(tolerance)
+            .tol_gap_rel(tolerance)
+            .tol_feas(tolerance)
+            .reduced_tol_gap_abs(reduced)
+            .reduced_tol_gap_rel(reduced)
+            .reduced_tol_feas(reduced)
             .time_limit(self.time_limit)
             .build()
             .map_err(|error| QpError::Status(error.to_string()))?;
@@ -187,11 +197,22 @@ impl QuadraticProgram<'_> {
             .map_err(|error| QpError::Status(error.to_string()))?;
         solver.solve();
         let solution = &solver.solution;
-        if !matches!(
-            solution.status,
-            SolverStatus::Solved | SolverStatus::AlmostSolved
-        ) {
-            return Err(QpError::Status(solution.status.to_string()));
+        let info = &solver.info;
+        let usable = match solution.status {
+            SolverStatus::Solved | SolverStatus::AlmostSolved => true,
+            // It stops a step after its best point, whose residuals may well be good enough.
+            SolverStatus::InsufficientProgress => {
+                info.res_primal <= reduced
+                    && info.res_dual <= reduced
+                    && info.gap_rel.min(info.gap_abs) <= reduced
+            }
+            _ => false,
+        };
+        if !usable {
+            return Err(QpError::Status(format!(
+                "{} (primal residual {:.1e}, dual residual {:.1e}, relative gap {:.1e})",
+                solution.status, info.res_primal, info.res_dual, info.gap_rel
+            )));
         }
         if !solution.x.iter().chain(&solution.z).all(|x| x.is_finite()) {
             return Err(QpError::NotFinite("solution"));

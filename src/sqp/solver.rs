@@ -144,6 +144,10 @@ const INFEASIBLE_PATIENCE: usize = 3;
 const FIRST_TRUST_RADIUS: f64 = 2.0;
 const SHRINK: f64 = 0.3;
 const GROW: f64 = 2.5;
+/// Ratios of what a step delivered to what it promised, above which the trust region grows and below which it shrinks.
+const GOOD_RATIO: f64 = 0.5;
+const POOR_RATIO: f64 = 0.05;
+const POOR_SHRINK: f64 = 0.5;
 const SHRINKAGES: usize = 12;
 
 /// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
@@ -373,7 +377,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.phases.globalize += clock.elapsed().as_secs_f64();
             let length = norm(&solution.change);
             if let Some(accepted) = accepted {
-                self.take(accepted, &solution, length);
+                let promise = self.promise(linearization, &model, &solution);
+                self.take(accepted, &solution, promise, length);
                 return Ok(Step::Taken);
             }
             self.trust_radius = SHRINK * length.min(self.trust_radius);
@@ -395,18 +400,49 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    fn take(&mut self, accepted: Accepted<P>, solution: &QpSolution, length: f64) {
+    fn take(&mut self, accepted: Accepted<P>, solution: &QpSolution, promise: f64, length: f64) {
         if let Some(row) = self.history.last_mut() {
             row.step_length = length;
             row.corrections = accepted.corrections;
             row.restored = accepted.restored;
         }
-        if accepted.corrections == 0 && length > 0.5 * self.trust_radius {
+        let merit = |values: &Evaluation<P::Defects>| {
+            let violation: f64 = values.constraints.iter().map(|c| c.abs()).sum();
+            values.objective + self.merit_weight(solution) * (violation + values.defect)
+        };
+        let ratio = (merit(&self.evaluation) - merit(&accepted.evaluation)) / promise;
+        if ratio > GOOD_RATIO && length > 0.5 * self.trust_radius {
             self.trust_radius *= GROW;
+        } else if !(ratio > POOR_RATIO) && accepted.restored {
+            self.trust_radius = self.trust_radius.min(length * POOR_SHRINK);
         }
         self.point = accepted.point;
         self.evaluation = accepted.evaluation;
         self.multipliers = solution.multipliers.clone();
+    }
+
+    /// Weight of infeasibility in the merit that sizes the trust region: above every multiplier.
+    fn merit_weight(&self, solution: &QpSolution) -> f64 {
+        2.0 * infinity_norm(&solution.multipliers.constraints)
+    }
+
+    /// What the subproblem promised to take off that merit.
+    fn promise(
+        &self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> f64 {
+        let change = &solution.change;
+        let n = change.len();
+        let mut cost = 0.0;
+        for i in 0..n {
+            let bent: f64 = (0..n).map(|j| model.matrix[(i, j)] * change[j]).sum();
+            cost += change[i] * (linearization.gradient[i] + 0.5 * bent);
+        }
+        let violation: f64 = self.evaluation.constraints.iter().map(|c| c.abs()).sum();
+        let saved = violation + self.evaluation.defect - solution.slack;
+        self.merit_weight(solution) * saved - cost - linearization.defect_slope
     }
 
     fn solve_subproblem(
