@@ -54,9 +54,9 @@ struct Global {
     /// Override a scene key by its dotted path; any number of times
     #[arg(long, global = true, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Threads to compute with (changes the time, not the result) [default: all cores]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    /// Threads to compute with (changes the time, not the result)
+    #[arg(long, global = true, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: u16,
     /// Seed of everything random (nothing is, in this version; accepted so that scripts need not change)
     #[arg(long, global = true, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -118,10 +118,7 @@ fn scene_name(scene: &str) -> String {
 
 impl Global {
     fn n_threads(&self) -> usize {
-        self.threads.map_or_else(
-            || std::thread::available_parallelism().map_or(1, usize::from),
-            usize::from,
-        )
+        usize::from(self.threads)
     }
 }
 

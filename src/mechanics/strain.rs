@@ -219,6 +219,12 @@ fn tangent_derivative(
         + c.slope * double_cross * psi.transpose()
 }
 
+/// `diag(d) m`
+#[inline]
+fn scale_rows(d: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
+    Matrix3::from_rows(&[m.row(0) * d.x, m.row(1) * d.y, m.row(2) * d.z])
+}
+
 /// Symmetric second derivative of `y·log(A)` along body rotations `A exp(ζ)` at `A = exp(ψ)`: the derivative of its
 /// gradient `S(ψ) y`, with `δψ = Sᵀ ζ`, made symmetric.
 #[must_use]
@@ -255,6 +261,8 @@ impl HelicalTerms<'_> {
         }
     }
 
+    /// Second derivatives over `(y, ψ)` first, then the chain rule `δy = R_aᵀ δdx + ŷ η_a`, `δψ = Sᵀ η_b - S η_a`.
+    /// Blocks of different nodes are each other's transposes, because their fields commute.
     fn stiffness(&self, element: &Element) -> ElementStiffness {
         let Self {
             psi,
@@ -268,50 +276,45 @@ impl HelicalTerms<'_> {
         } = self;
         let r = self.rotation_a;
         let s_t = s.transpose();
-        let r_t = r.transpose();
         let y_hat = hat(y);
         let w_hat = hat(w);
-        let c1 = Matrix3::from_diagonal(&(element.linear_stiffness / element.length));
-        let c2 = Matrix3::from_diagonal(&(element.angular_stiffness / element.length));
         let g = tangent_derivative(psi, y, c, -1.0);
-        let g_t = tangent_derivative(psi, n, c, 1.0);
+        let c1 = element.linear_stiffness / element.length;
+        let c2 = element.angular_stiffness / element.length;
+        let stretched = scale_rows(&c1, s);
+        let bent = scale_rows(&c1, &g);
 
-        // Everything as a function of (δψ, δy): dn = C₁/l (G δψ + S δy).
-        let dn_dpsi = c1 * g;
-        let dn_dy = c1 * s;
-        let dw_dpsi = s_t * dn_dpsi + g_t;
-        let dw_dy = s_t * dn_dy;
-        let dmu_dpsi = c2 + g.transpose() * dn_dpsi + self.curvature_of_coupling();
-        let dmu_dy = g.transpose() * dn_dy + g_t.transpose();
+        // dw = A δy + B δψ, dμ = Bᵀ δy + D δψ
+        let a = s_t * stretched;
+        let b = s_t * bent + tangent_derivative(psi, n, c, 1.0);
+        let d = Matrix3::from_diagonal(&c2) + g.tr_mul(&bent) + self.curvature_of_coupling();
 
-        // Gradient components: F = R_a w, M_a = w × y - Sᵀ μ, M_b = S μ.
-        let mb_dpsi = s * dmu_dpsi + tangent_derivative(psi, mu, c, -1.0);
-        let mb_dy = s * dmu_dy;
-        let ma_dpsi = -(s_t * dmu_dpsi) - tangent_derivative(psi, mu, c, 1.0) - y_hat * dw_dpsi;
-        let ma_dy = -(s_t * dmu_dy) - y_hat * dw_dy + w_hat;
+        // F = R_a w
+        let w_near = a * y_hat - b * s;
+        let force_x = r * a * r.transpose();
+        let force_a = r * (w_near - w_hat);
+        let force_b = r * (b * s_t);
+        // M_b = S μ, M_a = w × y - Sᵀ μ
+        let mu_near = b.tr_mul(&y_hat) - d * s;
+        let turn_b = tangent_derivative(psi, mu, c, -1.0);
+        let turn_a = tangent_derivative(psi, mu, c, 1.0);
+        let b_b = (s * d + turn_b) * s_t;
+        let b_a = s * mu_near - turn_b * s;
+        let a_a = turn_a * s - s_t * mu_near - y_hat * w_near + w_hat * y_hat;
 
-        // Chain rule: δψ = Sᵀ η_b - S η_a, δy = R_aᵀ δdx + ŷ η_a, and R_a itself turns with η_a.
         let mut k = ElementStiffness::zeros();
-        let mut set = |row: usize,
-                       along_psi: &Matrix3<f64>,
-                       along_y: &Matrix3<f64>,
-                       frame: Option<&Matrix3<f64>>,
-                       own: &Matrix3<f64>| {
-            let mut blocks = [
-                along_y * r_t,
-                along_y * y_hat - along_psi * s + own,
-                along_psi * s_t,
-            ];
-            if let Some(frame) = frame {
-                blocks = blocks.map(|b| frame * b);
-            }
-            for (column, block) in blocks.iter().enumerate() {
-                k.fixed_view_mut::<3, 3>(row, 3 * column).copy_from(block);
-            }
+        let mut set = |row: usize, column: usize, block: &Matrix3<f64>| {
+            k.fixed_view_mut::<3, 3>(row, column).copy_from(block);
         };
-        set(0, &dw_dpsi, &dw_dy, Some(r), &(-w_hat));
-        set(3, &ma_dpsi, &ma_dy, None, &Matrix3::zeros());
-        set(6, &mb_dpsi, &mb_dy, None, &Matrix3::zeros());
+        set(0, 0, &force_x);
+        set(0, 3, &force_a);
+        set(0, 6, &force_b);
+        set(3, 0, &force_a.transpose());
+        set(3, 3, &a_a);
+        set(3, 6, &b_a.transpose());
+        set(6, 0, &force_b.transpose());
+        set(6, 3, &b_a);
+        set(6, 6, &b_b);
         k
     }
 

@@ -18,6 +18,8 @@ const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
 /// the point it leaves or than this: a stiff rod that is moved linearly through a large rotation is stretched, and its
 /// defects are then worse than what restored states cost.
 const LIFTED_MARGIN: f64 = 8.0;
+/// Longer steps of the (scaled) variables are not worth the attempt.
+const LIFTED_LENGTH: f64 = 0.3;
 const LIFTED_INFEASIBILITY: f64 = 0.1;
 const CORRECTIONS: usize = 3;
 /// A correction that does not shrink the infeasibility by this is the last one.
@@ -123,7 +125,9 @@ impl Filter {
         change: &[f64],
     ) -> Option<Accepted<P>> {
         let slope = from.slope(change);
-        if let Some(accepted) = self.try_lifted(program, from, change, slope) {
+        let length = change.iter().map(|d| d * d).sum::<f64>().sqrt();
+        if length <= LIFTED_LENGTH
+            && let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Some(accepted);
         }
         let trial = program.restored_step(from.point, change).ok()?;

@@ -3,7 +3,8 @@
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
-use super::program::Linearization;
+use super::program::{ConvexSet, Linearization};
+use super::residual::Multipliers;
 
 /// Which Hessian the solver uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,9 +35,9 @@ impl HessianChoice {
 pub enum HessianKind {
     /// Gauss-Newton.
     GaussNewton,
-    /// Exact; positive definite on the null space of the constraints as it is.
+    /// Exact; positive definite as it is where constraints and active sets leave the variables free.
     Exact,
-    /// Exact, with its negative curvature on the null space turned round.
+    /// Exact, with its negative curvature there turned round.
     Convexified,
 }
 
@@ -65,32 +66,31 @@ impl ModelHessian {
         }
     }
 
-    /// The exact Hessian `H = GN + curvature`, convexified: on the null space of the constraints negative eigenvalues
-    /// are turned round, and on their row space `½ σ |Yᵀδ - t|²` is added, which vanishes where the constraints hold
-    /// (`t` is what `Yᵀδ` must be there) and so changes neither the step nor the multipliers.
+    /// The exact Hessian `H = GN + curvature`, convexified. Directions are split by the constraints' gradients and the
+    /// normals of the active sets: on what they leave free, negative eigenvalues are turned round; on what they hold,
+    /// `½ σ |Yᵀδ - t|²` is added, which vanishes where constraints and active sets hold (`t` is what `Yᵀδ` must be
+    /// there) and so changes neither the step nor the multipliers, but for the sets' own curvature.
     ///
-    /// Falls back to Gauss-Newton without curvature, or when the constraints' rows are dependent.
+    /// Falls back to Gauss-Newton without curvature, or when the held directions are dependent.
     #[must_use]
-    pub fn exact(linearization: &Linearization) -> Self {
-        Self::try_exact(linearization).unwrap_or_else(|| Self::gauss_newton(linearization))
+    pub fn exact(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
+        Self::try_exact(linearization, active)
+            .or_else(|| Self::try_exact(linearization, &[]))
+            .unwrap_or_else(|| Self::gauss_newton(linearization))
     }
 
-    fn try_exact(linearization: &Linearization) -> Option<Self> {
+    fn try_exact(linearization: &Linearization, active: &[ActiveNormal]) -> Option<Self> {
         let curvature = linearization.curvature.as_ref()?;
         let full = &linearization.gauss_newton + curvature;
         let n = full.nrows();
-        let m = linearization.jacobian.nrows();
+        let held = Held::new(linearization, active);
+        let m = held.target.len();
         if m >= n {
             return None;
         }
         let unit = largest_diagonal(&linearization.gauss_newton);
         let floor = CURVATURE_FLOOR * unit;
-        let basis = linearization
-            .jacobian
-            .transpose()
-            .to_owned()
-            .qr()
-            .compute_Q();
+        let basis = held.gradients.transpose().to_owned().qr().compute_Q();
         let (range, null) = basis.split_at_col(m);
         let reduced = null.transpose() * &full * null;
         let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;
@@ -112,7 +112,7 @@ impl ModelHessian {
         }
         let mut gradient = linearization.model_gradient.clone();
         if m > 0 {
-            // Schur complement of the row space: what σ must outweigh.
+            // Schur complement of the held directions: what σ must outweigh.
             let cross = vectors.transpose() * &full * range;
             let weighted = Mat::from_fn(n - m, m, |i, j| cross[(i, j)] / turned[i]);
             let schur = cross.transpose() * &weighted - range.transpose() * &full * range;
@@ -121,9 +121,9 @@ impl ModelHessian {
                 .ok()
                 .map(|e| (0..m).map(|i| e.S()[i]).fold(0.0, f64::max))?;
             let sigma = 2.0 * worst + unit;
-            let square = &linearization.jacobian * range;
-            let offset = Mat::from_fn(m, 1, |i, _| -linearization.offset[i]);
-            let t = square.partial_piv_lu().solve(&offset);
+            let square = &held.gradients * range;
+            let target = Mat::from_fn(m, 1, |i, _| held.target[i]);
+            let t = square.partial_piv_lu().solve(&target);
             if !sigma.is_finite() || !(0..m).all(|i| t[(i, 0)].is_finite()) {
                 return None;
             }
@@ -137,6 +137,87 @@ impl ModelHessian {
             gradient,
             kind,
         })
+    }
+}
+
+/// Gradients of everything that holds a direction, and how far the step must go along them.
+struct Held {
+    gradients: Mat<f64>,
+    target: Vec<f64>,
+}
+
+impl Held {
+    fn new(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
+        let jacobian = &linearization.jacobian;
+        let m = jacobian.nrows();
+        let mut gradients = Mat::zeros(m + active.len(), jacobian.ncols());
+        let mut target: Vec<f64> = linearization.offset.iter().map(|c| -c).collect();
+        for i in 0..m {
+            for j in 0..jacobian.ncols() {
+                gradients[(i, j)] = jacobian[(i, j)];
+            }
+        }
+        for (row, normal) in active.iter().enumerate() {
+            for &(index, value) in &normal.direction {
+                gradients[(m + row, index)] = value;
+            }
+            target.push(normal.gap);
+        }
+        Self { gradients, target }
+    }
+}
+
+/// The outward unit normal of a set whose boundary holds the variables, and the distance that is left to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActiveNormal {
+    /// `(variable, component)`
+    pub direction: Vec<(usize, f64)>,
+    /// Distance to the boundary along the normal.
+    pub gap: f64,
+}
+
+impl ActiveNormal {
+    /// The active sets: those whose multiplier, in units of the cost's curvature, exceeds their slack.
+    #[must_use]
+    pub fn of(
+        sets: &[ConvexSet],
+        variables: &[f64],
+        multipliers: &Multipliers,
+        linearization: &Linearization,
+    ) -> Vec<Self> {
+        let unit = largest_diagonal(&linearization.gauss_newton).max(f64::MIN_POSITIVE);
+        sets.iter()
+            .zip(&multipliers.normals)
+            .filter_map(|(set, normal)| match set {
+                ConvexSet::Interval {
+                    index,
+                    lower,
+                    upper,
+                } => {
+                    let v = variables[*index];
+                    let sign = normal[0].signum();
+                    let gap = if sign > 0.0 { upper - v } else { v - lower };
+                    (normal[0].abs() / unit > gap).then(|| Self {
+                        direction: vec![(*index, sign)],
+                        gap,
+                    })
+                }
+                ConvexSet::Ball { indices, radius } => {
+                    let u: Vec<f64> = indices.iter().map(|&i| variables[i]).collect();
+                    let size = u.iter().map(|x| x * x).sum::<f64>().sqrt();
+                    let pull = normal.iter().map(|z| z * z).sum::<f64>().sqrt();
+                    let gap = radius - size;
+                    (size > 0.0 && pull / unit > gap).then(|| Self {
+                        direction: indices
+                            .iter()
+                            .zip(&u)
+                            .map(|(&i, x)| (i, x / size))
+                            .collect(),
+                        gap,
+                    })
+                }
+            })
+            .collect()
     }
 }
 

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use super::globalization::{Accepted, Departure, Filter};
-use super::hessian::{HessianChoice, HessianKind, ModelHessian};
+use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian};
 use super::program::{Evaluation, Failure, LiftedProgram, Linearization};
 use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
 use super::residual::{KktResidual, Multipliers, infinity_norm};
@@ -137,6 +137,8 @@ const FEASIBILITY_PART: f64 = 1e-3;
 const NO_SLACK: f64 = 1e-8;
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
+/// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
+const NEARLY_DONE: f64 = 1e-4;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
@@ -149,6 +151,8 @@ const GOOD_RATIO: f64 = 0.5;
 const POOR_RATIO: f64 = 0.05;
 const POOR_SHRINK: f64 = 0.5;
 const SHRINKAGES: usize = 12;
+/// Subproblems without a solution, in all, after which a solve gives up.
+const RESCUES: usize = 8;
 
 /// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
 pub fn solve<P: LiftedProgram>(
@@ -184,7 +188,7 @@ pub fn solve<P: LiftedProgram>(
             Err(error) => return run.finish(SqpStatus::Failed(error.to_string()), observer),
         };
         match step {
-            Step::Taken => {}
+            Step::Taken | Step::Restored => {}
             Step::Refused => return run.finish(SqpStatus::StepTooSmall, observer),
             Step::Infeasible => return run.finish(SqpStatus::LocallyInfeasible, observer),
         }
@@ -195,9 +199,16 @@ pub fn solve<P: LiftedProgram>(
     run.end(SqpStatus::IterationLimit)
 }
 
+/// What was done about a subproblem without a solution.
+enum Recovery {
+    Smaller,
+    Restored,
+}
+
 /// What an iteration did.
 enum Step {
     Taken,
+    Restored,
     Refused,
     Infeasible,
 }
@@ -214,6 +225,7 @@ struct Run<'a, P: LiftedProgram> {
     elastic_weight: Option<f64>,
     trust_radius: f64,
     stuck: usize,
+    rescues: usize,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
@@ -262,6 +274,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     multipliers,
                     elastic_weight: None,
                     stuck: 0,
+                    rescues: 0,
                     history: Vec::new(),
                     phases: PhaseTimes::default(),
                 })
@@ -287,8 +300,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
+                let about_to_converge =
+                    last.hessian == HessianKind::Exact && last.residual.stationarity < NEARLY_DONE;
                 last.residual.stationarity < EXACT_BELOW
                     && self.evaluation.infeasibility() < EXACT_BELOW
+                    && !about_to_converge
             }),
         }
     }
@@ -361,13 +377,25 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     fn step(&mut self, linearization: &Linearization) -> Result<Step, QpError> {
         let clock = Instant::now();
         let model = if linearization.curvature.is_some() {
-            ModelHessian::exact(linearization)
+            let active = ActiveNormal::of(
+                self.program.sets(),
+                self.program.variables(&self.point),
+                &self.multipliers,
+                linearization,
+            );
+            ModelHessian::exact(linearization, &active)
         } else {
             ModelHessian::gauss_newton(linearization)
         };
         self.phases.condense += clock.elapsed().as_secs_f64();
         for _ in 0..=SHRINKAGES {
-            let solution = self.solve_subproblem(linearization, &model)?;
+            let solution = match self.solve_subproblem(linearization, &model) {
+                Ok(solution) => solution,
+                Err(error) => match self.recover(error)? {
+                    Recovery::Smaller => continue,
+                    Recovery::Restored => return Ok(Step::Restored),
+                },
+            };
             self.note_subproblem(&model, &solution);
             if self.is_stuck(linearization, &solution) {
                 return Ok(Step::Infeasible);
@@ -387,6 +415,28 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             }
         }
         Ok(Step::Refused)
+    }
+
+    /// After a subproblem that Clarabel could not solve: put the states back onto their equations (large defects make
+    /// badly scaled subproblems), or else shrink the trust region.
+    fn recover(&mut self, error: QpError) -> Result<Recovery, QpError> {
+        self.rescues += 1;
+        if self.rescues > RESCUES {
+            return Err(error);
+        }
+        let still = vec![0.0; self.program.variables(&self.point).len()];
+        if self.evaluation.defect > self.settings.tolerance
+            && let Ok(point) = self.program.restored_step(&self.point, &still)
+            && let Ok(evaluation) = self.program.evaluate(&point)
+        {
+            self.filter = Filter::new(evaluation.infeasibility());
+            self.elastic_weight = None;
+            self.point = point;
+            self.evaluation = evaluation;
+            return Ok(Recovery::Restored);
+        }
+        self.trust_radius *= SHRINK;
+        Ok(Recovery::Smaller)
     }
 
     fn note_subproblem(&mut self, model: &ModelHessian, solution: &QpSolution) {

@@ -37,7 +37,7 @@ impl Default for CheckLimits {
         Self {
             kkt: 1e-6,
             same_grid: 1e-9,
-            refined: 0.05,
+            refined: 0.02,
             tip: 1e-4,
             energy: 0.02,
         }
