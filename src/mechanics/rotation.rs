@@ -148,7 +148,11 @@ impl InverseTangentCoefficients {
             let mut first = 0.0;
             let mut half_second = 0.0;
             // Neighbors usually turn by less than 0.2 rad, where six terms are exact to rounding.
-            let terms = if t < SHORT_SERIES_LIMIT { &SERIES[..6] } else { &SERIES[..] };
+            let terms = if t < SHORT_SERIES_LIMIT {
+                &SERIES[..6]
+            } else {
+                &SERIES[..]
+            };
             for &coefficient in terms.iter().rev() {
                 half_second = half_second * t + first;
                 first = first * t + value;

@@ -127,7 +127,8 @@ impl Filter {
         let slope = from.slope(change);
         let length = change.iter().map(|d| d * d).sum::<f64>().sqrt();
         if length <= LIFTED_LENGTH
-            && let Some(accepted) = self.try_lifted(program, from, change, slope) {
+            && let Some(accepted) = self.try_lifted(program, from, change, slope)
+        {
             return Some(accepted);
         }
         let trial = program.restored_step(from.point, change).ok()?;

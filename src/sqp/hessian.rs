@@ -50,6 +50,8 @@ pub struct ModelHessian {
     pub gradient: Vec<f64>,
     /// Where it came from.
     pub kind: HessianKind,
+    /// Balls whose own curvature is in `matrix`: the subproblem must hold them by their tangents instead.
+    pub tangents: Vec<ActiveNormal>,
 }
 
 /// Eigenvalues below this part of the largest Gauss-Newton diagonal entry count as negative curvature.
@@ -63,6 +65,7 @@ impl ModelHessian {
             matrix: linearization.gauss_newton.clone(),
             gradient: linearization.model_gradient.clone(),
             kind: HessianKind::GaussNewton,
+            tangents: Vec::new(),
         }
     }
 
@@ -71,17 +74,42 @@ impl ModelHessian {
     /// `½ σ |Yᵀδ - t|²` is added, which vanishes where constraints and active sets hold (`t` is what `Yᵀδ` must be
     /// there) and so changes neither the step nor the multipliers, but for the sets' own curvature.
     ///
+    /// A ball that is active bends the Lagrangian as well, by its multiplier over its radius across the normal. Where
+    /// only that makes the Hessian positive, it goes into the matrix, and the ball's tangent takes the ball's place in
+    /// the subproblem: otherwise the convexification would spoil the convergence for nothing.
+    ///
     /// Falls back to Gauss-Newton without curvature, or when the held directions are dependent.
     #[must_use]
     pub fn exact(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
-        Self::try_exact(linearization, active)
-            .or_else(|| Self::try_exact(linearization, &[]))
+        let plain = Self::try_exact(linearization, active, false);
+        if plain
+            .as_ref()
+            .is_some_and(|model| model.kind == HessianKind::Exact)
+        {
+            return plain.unwrap_or_else(|| Self::gauss_newton(linearization));
+        }
+        Self::try_exact(linearization, active, true)
+            .filter(|model| model.kind == HessianKind::Exact)
+            .or(plain)
+            .or_else(|| Self::try_exact(linearization, &[], false))
             .unwrap_or_else(|| Self::gauss_newton(linearization))
     }
 
-    fn try_exact(linearization: &Linearization, active: &[ActiveNormal]) -> Option<Self> {
+    fn try_exact(
+        linearization: &Linearization,
+        active: &[ActiveNormal],
+        bent: bool,
+    ) -> Option<Self> {
         let curvature = linearization.curvature.as_ref()?;
-        let full = &linearization.gauss_newton + curvature;
+        let mut full = &linearization.gauss_newton + curvature;
+        let tangents: Vec<ActiveNormal> = active
+            .iter()
+            .filter(|normal| bent && normal.curvature > 0.0)
+            .cloned()
+            .collect();
+        for normal in &tangents {
+            normal.add_curvature(&mut full);
+        }
         let n = full.nrows();
         let held = Held::new(linearization, active);
         let m = held.target.len();
@@ -136,6 +164,7 @@ impl ModelHessian {
             matrix,
             gradient,
             kind,
+            tangents,
         })
     }
 }
@@ -174,9 +203,33 @@ pub struct ActiveNormal {
     pub direction: Vec<(usize, f64)>,
     /// Distance to the boundary along the normal.
     pub gap: f64,
+    /// Multiplier over radius of a ball; 0 for a flat set.
+    pub curvature: f64,
+    /// Which set it is.
+    pub set: usize,
 }
 
 impl ActiveNormal {
+    /// Adds `curvature (I - n nᵀ)` on the set's variables.
+    fn add_curvature(&self, matrix: &mut Mat<f64>) {
+        for &(i, a) in &self.direction {
+            matrix[(i, i)] += self.curvature;
+            for &(j, b) in &self.direction {
+                matrix[(i, j)] -= self.curvature * a * b;
+            }
+        }
+    }
+
+    /// The half-space that touches the set where the variables are closest to it.
+    #[must_use]
+    pub fn tangent(&self, variables: &[f64]) -> ConvexSet {
+        let along: f64 = self.direction.iter().map(|&(i, c)| c * variables[i]).sum();
+        ConvexSet::HalfSpace {
+            direction: self.direction.clone(),
+            limit: along + self.gap,
+        }
+    }
+
     /// The active sets: those whose multiplier, in units of the cost's curvature, exceeds their slack.
     #[must_use]
     pub fn of(
@@ -188,7 +241,8 @@ impl ActiveNormal {
         let unit = largest_diagonal(&linearization.gauss_newton).max(f64::MIN_POSITIVE);
         sets.iter()
             .zip(&multipliers.normals)
-            .filter_map(|(set, normal)| match set {
+            .enumerate()
+            .filter_map(|(at, (set, normal))| match set {
                 ConvexSet::Interval {
                     index,
                     lower,
@@ -200,6 +254,18 @@ impl ActiveNormal {
                     (normal[0].abs() / unit > gap).then(|| Self {
                         direction: vec![(*index, sign)],
                         gap,
+                        curvature: 0.0,
+                        set: at,
+                    })
+                }
+                ConvexSet::HalfSpace { direction, limit } => {
+                    let along: f64 = direction.iter().map(|&(i, c)| c * variables[i]).sum();
+                    let gap = limit - along;
+                    (normal[0] / unit > gap).then(|| Self {
+                        direction: direction.clone(),
+                        gap,
+                        curvature: 0.0,
+                        set: at,
                     })
                 }
                 ConvexSet::Ball { indices, radius } => {
@@ -214,6 +280,8 @@ impl ActiveNormal {
                             .map(|(&i, x)| (i, x / size))
                             .collect(),
                         gap,
+                        curvature: pull / radius,
+                        set: at,
                     })
                 }
             })

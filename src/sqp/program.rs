@@ -19,6 +19,13 @@ pub enum ConvexSet {
         /// Upper limit.
         upper: f64,
     },
+    /// `Σ component v[index] ≤ limit`, the direction `(index, component)` of length one.
+    HalfSpace {
+        /// Outward unit normal.
+        direction: Vec<(usize, f64)>,
+        /// Largest value along it.
+        limit: f64,
+    },
     /// `|v[indices]| ≤ radius`, radius positive.
     Ball {
         /// The variables.

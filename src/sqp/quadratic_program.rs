@@ -134,24 +134,35 @@ impl QuadraticProgram<'_> {
             rows.put(n + m + i, 1.0);
             rows.end(-self.offset[i]);
         }
-        // Nonnegative cone: slacks, then intervals (upper, lower).
+        // Nonnegative cone: slacks, then intervals (upper, lower) and half-spaces.
         let mut n_nonnegative = 2 * m;
         for i in 0..2 * m {
             rows.put(n + i, -1.0);
             rows.end(0.0);
         }
         for set in self.sets {
-            if let ConvexSet::Interval {
-                index,
-                lower,
-                upper,
-            } = set
-            {
-                rows.put(*index, 1.0);
-                rows.end(upper - self.variables[*index]);
-                rows.put(*index, -1.0);
-                rows.end(self.variables[*index] - lower);
-                n_nonnegative += 2;
+            match set {
+                ConvexSet::Interval {
+                    index,
+                    lower,
+                    upper,
+                } => {
+                    rows.put(*index, 1.0);
+                    rows.end(upper - self.variables[*index]);
+                    rows.put(*index, -1.0);
+                    rows.end(self.variables[*index] - lower);
+                    n_nonnegative += 2;
+                }
+                ConvexSet::HalfSpace { direction, limit } => {
+                    let mut left = *limit;
+                    for &(index, component) in direction {
+                        rows.put(index, component);
+                        left -= component * self.variables[index];
+                    }
+                    rows.end(left);
+                    n_nonnegative += 1;
+                }
+                ConvexSet::Ball { .. } => {}
             }
         }
         let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
@@ -227,7 +238,7 @@ impl QuadraticProgram<'_> {
 
     /// Clarabel's `z` in our order and units: `P x + q + Aᵀ z = 0`.
     fn multipliers(&self, z: &[f64], m: usize, n_nonnegative: usize, scale: f64) -> Multipliers {
-        let mut interval = 3 * m;
+        let mut linear = 3 * m;
         let mut ball = m + n_nonnegative;
         Multipliers {
             constraints: z[..m].iter().map(|y| y / scale).collect(),
@@ -236,8 +247,12 @@ impl QuadraticProgram<'_> {
                 .iter()
                 .map(|set| match set {
                     ConvexSet::Interval { .. } => {
-                        interval += 2;
-                        vec![(z[interval - 2] - z[interval - 1]) / scale]
+                        linear += 2;
+                        vec![(z[linear - 2] - z[linear - 1]) / scale]
+                    }
+                    ConvexSet::HalfSpace { .. } => {
+                        linear += 1;
+                        vec![z[linear - 1] / scale]
                     }
                     ConvexSet::Ball { indices, .. } => {
                         // Rows (radius; v + δ) with A = (0; -I): the normal is minus the cone's vector part.

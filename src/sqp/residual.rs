@@ -7,8 +7,8 @@ use super::program::{ConvexSet, Linearization};
 pub struct Multipliers {
     /// `y`, one per constraint; Lagrangian `J + yᵀ c + …`.
     pub constraints: Vec<f64>,
-    /// Per set, the normal vector it exerts on its variables: an interval has one entry (positive: upper limit), a ball
-    /// as many as it has variables.
+    /// Per set, the normal vector it exerts on its variables: an interval has one entry (positive: upper limit), a
+    /// half-space its length, a ball as many entries as it has variables.
     pub normals: Vec<Vec<f64>>,
 }
 
@@ -21,7 +21,7 @@ impl Multipliers {
             normals: sets
                 .iter()
                 .map(|set| match set {
-                    ConvexSet::Interval { .. } => vec![0.0],
+                    ConvexSet::Interval { .. } | ConvexSet::HalfSpace { .. } => vec![0.0],
                     ConvexSet::Ball { indices, .. } => vec![0.0; indices.len()],
                 })
                 .collect(),
@@ -89,6 +89,22 @@ impl KktResidual {
                     // A positive normal belongs to the upper limit, a negative one to the lower.
                     let slack = if z >= 0.0 { upper - v } else { v - lower };
                     complementarity = complementarity.max((z * slack).abs());
+                }
+                ConvexSet::HalfSpace { direction, limit } => {
+                    let z = normal[0];
+                    let mut along = 0.0;
+                    for &(index, component) in direction {
+                        sum[index] += z * component;
+                        along += component * variables[index];
+                    }
+                    largest = largest.max(z.abs());
+                    feasibility = feasibility.max(along - limit);
+                    // A normal pulls outward only: a negative one is as wrong as it is long.
+                    complementarity = complementarity.max(if z < 0.0 {
+                        -z
+                    } else {
+                        (z * (limit - along)).abs()
+                    });
                 }
                 ConvexSet::Ball { indices, radius } => {
                     let mut inner = 0.0;

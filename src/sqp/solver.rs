@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::globalization::{Accepted, Departure, Filter};
 use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian};
-use super::program::{Evaluation, Failure, LiftedProgram, Linearization};
+use super::program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
 use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
 use super::residual::{KktResidual, Multipliers, infinity_norm};
 
@@ -387,9 +387,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         } else {
             ModelHessian::gauss_newton(linearization)
         };
+        let sets = self.subproblem_sets(&model);
         self.phases.condense += clock.elapsed().as_secs_f64();
         for _ in 0..=SHRINKAGES {
-            let solution = match self.solve_subproblem(linearization, &model) {
+            let solution = match self.solve_subproblem(linearization, &model, &sets) {
                 Ok(solution) => solution,
                 Err(error) => match self.recover(error)? {
                     Recovery::Smaller => continue,
@@ -401,7 +402,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Ok(Step::Infeasible);
             }
             let clock = Instant::now();
-            let accepted = self.search(linearization, &model, &solution);
+            let accepted = self.search(linearization, &model, &sets, &solution);
             self.phases.globalize += clock.elapsed().as_secs_f64();
             let length = norm(&solution.change);
             if let Some(accepted) = accepted {
@@ -461,7 +462,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             values.objective + self.merit_weight(solution) * (violation + values.defect)
         };
         let ratio = (merit(&self.evaluation) - merit(&accepted.evaluation)) / promise;
-        if ratio > GOOD_RATIO && length > 0.5 * self.trust_radius {
+        // Every lifted step leaves defects of its own second order; they say nothing about the radius.
+        let good = !accepted.restored || ratio > GOOD_RATIO;
+        if good && length > 0.5 * self.trust_radius {
             self.trust_radius *= GROW;
         } else if !(ratio > POOR_RATIO) && accepted.restored {
             self.trust_radius = self.trust_radius.min(length * POOR_SHRINK);
@@ -495,19 +498,31 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.merit_weight(solution) * saved - cost - linearization.defect_slope
     }
 
+    /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
+    fn subproblem_sets(&self, model: &ModelHessian) -> Vec<ConvexSet> {
+        let mut sets = self.program.sets().to_vec();
+        for tangent in &model.tangents {
+            sets[tangent.set] = tangent.tangent(self.program.variables(&self.point));
+        }
+        sets
+    }
+
     fn solve_subproblem(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
+        sets: &[ConvexSet],
     ) -> Result<QpSolution, QpError> {
         let clock = Instant::now();
         let unit = cost_unit(linearization);
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
-        let mut solution = self.subproblem(linearization, model, weight).solve()?;
+        let mut solution = self
+            .subproblem(linearization, model, sets, weight)
+            .solve()?;
         // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
         while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
             let heavier = self
-                .subproblem(linearization, model, weight * ELASTIC_FACTOR)
+                .subproblem(linearization, model, sets, weight * ELASTIC_FACTOR)
                 .solve()?;
             if heavier.slack > ELASTIC_GAIN * solution.slack {
                 break;
@@ -519,15 +534,40 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let largest = infinity_norm(&solution.multipliers.constraints);
             weight = (ELASTIC_MARGIN * largest).max(FIRST_ELASTIC_WEIGHT * unit);
         }
+        self.return_to_balls(model, &mut solution);
         self.elastic_weight = Some(weight);
         self.phases.qp += clock.elapsed().as_secs_f64();
         Ok(solution)
+    }
+
+    /// After a subproblem with tangents: the step ends on the balls themselves, and their normals are vectors again.
+    fn return_to_balls(&self, model: &ModelHessian, solution: &mut QpSolution) {
+        let variables = self.program.variables(&self.point);
+        for tangent in &model.tangents {
+            let length = solution.multipliers.normals[tangent.set][0];
+            solution.multipliers.normals[tangent.set] =
+                tangent.direction.iter().map(|&(_, c)| c * length).collect();
+            let ConvexSet::Ball { indices, radius } = &self.program.sets()[tangent.set] else {
+                continue;
+            };
+            let end: Vec<f64> = indices
+                .iter()
+                .map(|&i| variables[i] + solution.change[i])
+                .collect();
+            let size = norm(&end);
+            if size > *radius {
+                for (&i, e) in indices.iter().zip(&end) {
+                    solution.change[i] = e * (radius / size) - variables[i];
+                }
+            }
+        }
     }
 
     fn subproblem<'b>(
         &'b self,
         linearization: &'b Linearization,
         model: &'b ModelHessian,
+        sets: &'b [ConvexSet],
         elastic_weight: f64,
     ) -> QuadraticProgram<'b> {
         let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
@@ -542,7 +582,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             jacobian: &linearization.jacobian,
             offset: &linearization.offset,
             variables: self.program.variables(&self.point),
-            sets: self.program.sets(),
+            sets,
             elastic_weight,
             trust_radius: self.trust_radius,
             time_limit,
@@ -564,6 +604,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
+        sets: &[ConvexSet],
         solution: &QpSolution,
     ) -> Option<Accepted<P>> {
         let weight = self.elastic_weight.unwrap_or(0.0);
@@ -576,7 +617,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let accepted = filter.accept(
             self.program,
             &departure,
-            &self.subproblem(linearization, model, weight),
+            &self.subproblem(linearization, model, sets, weight),
             &solution.change,
         );
         self.filter = filter;
