@@ -20,3 +20,8 @@ pub mod output;
 pub mod scene;
 pub mod sqp;
 pub mod verify;
+
+/// The README's example, compiled and run by the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -39,7 +39,8 @@ impl BlockCholesky {
     pub fn solve_lower(&self, b: &mut [Vector6<f64>]) {
         for i in 0..b.len() {
             if i > 0 {
-                b[i] = b[i] - self.below[i - 1] * b[i - 1];
+                let before = self.below[i - 1] * b[i - 1];
+                b[i] -= before;
             }
             // The factors' diagonals are positive, so the solve always succeeds.
             self.diagonal[i].solve_lower_triangular_mut(&mut b[i]);
@@ -50,7 +51,8 @@ impl BlockCholesky {
     pub fn solve_lower_transposed(&self, b: &mut [Vector6<f64>]) {
         for i in (0..b.len()).rev() {
             if i + 1 < b.len() {
-                b[i] = b[i] - self.below[i].tr_mul(&b[i + 1]);
+                let after = self.below[i].tr_mul(&b[i + 1]);
+                b[i] -= after;
             }
             self.diagonal[i].tr_solve_lower_triangular_mut(&mut b[i]);
         }

@@ -163,7 +163,7 @@ pub fn solve<P: LiftedProgram>(
 ) -> SqpOutcome<P::Point> {
     let mut run = match Run::begin(program, start, settings) {
         Ok(run) => run,
-        Err((outcome, _)) => return *outcome,
+        Err(outcome) => return *outcome,
     };
     for iteration in 0..=settings.max_iterations {
         let linearization = match run.linearize() {
@@ -251,7 +251,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         program: &'a P,
         point: P::Point,
         settings: &'a SqpSettings,
-    ) -> Result<Self, (Box<SqpOutcome<P::Point>>, Failure)> {
+    ) -> Result<Self, Box<SqpOutcome<P::Point>>> {
         let started = Instant::now();
         match program.evaluate(&point) {
             Ok(evaluation) => {
@@ -279,18 +279,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     phases: PhaseTimes::default(),
                 })
             }
-            Err(failure) => Err((
-                Box::new(SqpOutcome {
-                    status: SqpStatus::Failed(failure.0.clone()),
-                    point,
-                    multipliers: Multipliers::default(),
-                    residual: UNKNOWN_RESIDUAL,
-                    objective: f64::NAN,
-                    history: Vec::new(),
-                    phases: PhaseTimes::default(),
-                }),
-                failure,
-            )),
+            Err(failure) => Err(Box::new(SqpOutcome {
+                status: SqpStatus::Failed(failure.0),
+                point,
+                multipliers: Multipliers::default(),
+                residual: UNKNOWN_RESIDUAL,
+                objective: f64::NAN,
+                history: Vec::new(),
+                phases: PhaseTimes::default(),
+            })),
         }
     }
 
@@ -630,7 +627,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) -> ControlFlow<Stop> {
         self.history
             .last()
-            .map_or(ControlFlow::Continue(()), |row| observer(row))
+            .map_or(ControlFlow::Continue(()), observer)
     }
 
     /// Shows the last row and ends.
