@@ -42,14 +42,26 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
             time_s: rod.scales.time,
         },
         optimal_control: size,
-        memory_bytes: (NODE_BYTES * rod.n_nodes() * (grid.n_steps + 1)) as u64
-            * if size.is_some() { 4 } else { 1 },
+        memory_bytes: memory(&rod, grid.n_steps, size.as_ref()),
         warnings: warnings(&scene, &rod),
     };
     show(&summary, console);
     console.summary(&summary);
     Ok(exit::DONE)
 }
+
+/// Trajectories (a solve holds four: point, trial, direction, replay), and the dense matrices of the subproblem with
+/// Clarabel's factors of them.
+fn memory(rod: &Rod, n_steps: usize, size: Option<&ProblemSize>) -> u64 {
+    let trajectory = (NODE_BYTES * rod.n_nodes() * (n_steps + 1)) as u64;
+    size.map_or(trajectory, |size| {
+        let n = size.variables as u64;
+        4 * trajectory + DENSE_MATRICES * 8 * n * n
+    })
+}
+
+/// Hessians, eigenvectors and Clarabel's copies, in dense matrices of the subproblem's size.
+const DENSE_MATRICES: u64 = 12;
 
 /// Name of a model in the summaries.
 pub(super) fn model_name(model: RodModel) -> &'static str {

@@ -59,6 +59,11 @@ impl Console {
         }
     }
 
+    /// One line on stderr, also when quiet: why the exit code is not zero.
+    pub(super) fn always(&self, text: &str) {
+        let _ = writeln!(std::io::stderr(), "{text}");
+    }
+
     /// An error on stderr, also when quiet.
     pub(super) fn error(&self, error: &CliError) {
         let _ = writeln!(std::io::stderr(), "{error}");

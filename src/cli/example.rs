@@ -22,6 +22,12 @@ pub(super) fn run(name: Option<&str>, global: &Global, console: &Console) -> Out
             }
         }
         Some(name) => match builtin::text(name) {
+            Some(text) if console.json() => console.summary(&serde_json::json!({
+                "schema_version": crate::output::summary::SCHEMA_VERSION,
+                "command": "example",
+                "name": name,
+                "scene": text,
+            })),
             Some(text) => console.print(text.trim_end()),
             None => {
                 // The loader knows the names and the nearest one; a file of that name is no built-in scene.

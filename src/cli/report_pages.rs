@@ -121,7 +121,7 @@ fn fact(label: &str, value: impl ToString) -> (String, String) {
 }
 
 fn solve_facts(summary: &SolveSummary) -> Vec<(String, String)> {
-    vec![
+    let mut facts = vec![
         fact("status", summary.status),
         fact("iterations", summary.iterations),
         fact("objective", format!("{:.8e}", summary.objective)),
@@ -148,7 +148,17 @@ fn solve_facts(summary: &SolveSummary) -> Vec<(String, String)> {
                 summary.control_blocks, summary.variables
             ),
         ),
-    ]
+    ];
+    if let Some(message) = &summary.message {
+        facts.push(fact("message", message));
+    }
+    if summary.status != "converged" {
+        for constraint in &summary.worst_constraints {
+            let off = format!("off by {:.3e} {}", constraint.amount, constraint.unit);
+            facts.push(fact(&constraint.name, off));
+        }
+    }
+    facts
 }
 
 fn arm(scene: &Scene, rod: &Rod) -> ReportArm {

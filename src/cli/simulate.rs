@@ -21,6 +21,9 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     for warning in warnings(&scene, &setup.rod) {
         console.warn(&warning);
     }
+    if scene.task.is_some() || scene.control.is_some() {
+        console.warn("[task] and [control] play no part in a simulation; `softarm solve` computes the control");
+    }
     let target = arguments.directory("simulate");
     let directory = ResultDirectory::create(&target)?;
     console.catch_interrupts();
@@ -38,12 +41,14 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     directory.write_text("report.html", &render_report(&page))?;
     let written = directory.finish()?;
 
+    let speed = if summary.steps > 0 {
+        format!(" ({:.1} ns per node-step)", 1e9 / summary.node_steps_per_s)
+    } else {
+        String::new()
+    };
     console.say(&format!(
-        "{} steps of {:.3e} s in {:.3} s ({:.1} ns per node-step)",
-        summary.steps,
-        summary.step_s,
-        summary.wall_s,
-        1e9 / summary.node_steps_per_s.max(f64::MIN_POSITIVE)
+        "{} steps of {:.3e} s in {:.3} s{speed}",
+        summary.steps, summary.step_s, summary.wall_s
     ));
     let tip = summary.tip.position_m;
     console.say(&format!(

@@ -489,8 +489,14 @@ fn conclude(
         "{} after {} iterations, {:.2} s: objective {:.8e}",
         summary.status, summary.iterations, summary.wall_s, summary.objective
     ));
-    if let Some(message) = &summary.message {
-        console.say(message);
+    if summary.status != "converged" {
+        let message = summary
+            .message
+            .as_deref()
+            .unwrap_or("the best iterate is in the result directory");
+        console.always(&format!("{}: {message}", summary.status));
+    } else if check.is_some_and(|check| !check.is_certified()) {
+        console.always("the solver converged, but the check rejects the result");
     }
     if summary.status != "converged" {
         for constraint in &summary.worst_constraints {
@@ -525,5 +531,8 @@ pub(super) fn show_check(check: &ForwardCheck, converged: bool, console: &Consol
     }
     if converged {
         console.verdict(check.is_certified(), check.verdict());
+        for item in check.items.iter().filter(|item| !item.holds()) {
+            console.say(&format!("  {}: {}", item.name, item.remedy()));
+        }
     }
 }

@@ -10,4 +10,4 @@ pub use hold::{ControlGrid, Hold};
 pub use problem::{
     Bound, Channel, Enforcement, OptimalControlProblem, TargetPart, TargetRow, TipTarget,
 };
-pub use transcription::{LiftedPoint, Transcription, simulate};
+pub use transcription::{LiftedDirection, LiftedPoint, Transcription, simulate};

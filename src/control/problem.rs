@@ -46,6 +46,9 @@ pub struct Channel {
 }
 
 /// Whether the target must be met or is paid for.
+///
+/// A soft target is solved as a hard one with variables of its own: residual = s, at the price `½ weight |s|²`. It then
+/// has all that makes hard targets converge (second-order correction, filter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Enforcement {
     /// Equality constraints.
@@ -202,11 +205,27 @@ impl OptimalControlProblem {
         }
     }
 
+    /// Number of the solver's variables that are controls; the rest are the residuals of a soft target.
+    #[must_use]
+    pub fn n_controls(&self) -> usize {
+        self.control.n_coefficients() * self.actuated_components().len()
+    }
+
+    /// Number of the solver's variables.
+    #[must_use]
+    pub fn n_variables(&self) -> usize {
+        self.n_controls()
+            + match self.target.enforcement {
+                Enforcement::Hard => 0,
+                Enforcement::Soft { .. } => self.target_rows().len(),
+            }
+    }
+
     /// Coefficients of the wrench from the solver's scaled variables, coefficient by coefficient.
     #[must_use]
     pub fn wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
         let components = self.actuated_components();
-        variables
+        variables[..self.n_controls()]
             .chunks(components.len().max(1))
             .map(|chunk| {
                 let mut u = [0.0; 6];
@@ -218,11 +237,11 @@ impl OptimalControlProblem {
             .collect()
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components.
+    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of a soft target are zero.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();
-        wrenches
+        let mut variables: Vec<f64> = wrenches
             .iter()
             .flat_map(|wrench| {
                 components.iter().map(|&component| {
@@ -234,6 +253,8 @@ impl OptimalControlProblem {
                     vector[component % 3] / self.channel(component).scale
                 })
             })
-            .collect()
+            .collect();
+        variables.resize(self.n_variables(), 0.0);
+        variables
     }
 }

@@ -44,8 +44,10 @@ pub struct Transcription<'a> {
     components: Vec<usize>,
     rows: Vec<TargetRow>,
     sets: Vec<ConvexSet>,
-    /// Exact Hessian of effort and rate over the variables.
-    control_hessian: Mat<f64>,
+    /// Exact Hessian of the cost over the variables: effort, rate, and the residuals of a soft target.
+    cost_hessian: Mat<f64>,
+    /// Variables that are controls; the others are the residuals of a soft target.
+    n_controls: usize,
     n_threads: usize,
 }
 
@@ -55,12 +57,13 @@ impl<'a> Transcription<'a> {
     pub fn new(problem: &'a OptimalControlProblem, n_threads: usize) -> Self {
         let components = problem.actuated_components();
         let sets = convex_sets(problem, &components);
-        let control_hessian = control_hessian(problem, components.len());
+        let cost_hessian = cost_hessian(problem, components.len());
         Self {
             problem,
             rows: problem.target_rows(),
             sets,
-            control_hessian,
+            cost_hessian,
+            n_controls: problem.n_controls(),
             components,
             n_threads,
         }
@@ -141,13 +144,13 @@ impl<'a> Transcription<'a> {
         out
     }
 
-    fn control_cost(&self, variables: &[f64]) -> (f64, Vec<f64>) {
+    fn cost(&self, variables: &[f64]) -> (f64, Vec<f64>) {
         let gradient: Vec<f64> = (0..variables.len())
             .map(|i| {
                 variables
                     .iter()
                     .enumerate()
-                    .map(|(j, v)| self.control_hessian[(i, j)] * v)
+                    .map(|(j, v)| self.cost_hessian[(i, j)] * v)
                     .sum()
             })
             .collect();
@@ -160,12 +163,12 @@ impl<'a> Transcription<'a> {
         (cost, gradient)
     }
 
-    /// Weight on the squared residuals; `None` for a hard target.
-    fn soft_weight(&self) -> Option<f64> {
-        match self.problem.target.enforcement {
-            Enforcement::Hard => None,
-            Enforcement::Soft { weight } => Some(weight),
+    /// Residuals of the target minus the variables that a soft one has for them.
+    fn less_soft(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
+        for (r, s) in residuals.iter_mut().zip(&variables[self.n_controls..]) {
+            *r -= s;
         }
+        residuals
     }
 
     /// The curvature of the target's own residuals that the dynamics do not know: that of the rotation's logarithm.
@@ -257,14 +260,8 @@ impl LiftedProgram for Transcription<'_> {
         let control = self.nodal_wrenches(&point.variables);
         let found = defects(&self.motion(), &point.trajectory, &control).map_err(describe)?;
         let residuals = self.target_residuals(&point.trajectory, &found);
-        let (mut objective, _) = self.control_cost(&point.variables);
-        let constraints = match self.soft_weight() {
-            None => residuals,
-            Some(weight) => {
-                objective += 0.5 * weight * residuals.iter().map(|r| r * r).sum::<f64>();
-                Vec::new()
-            }
-        };
+        let (objective, _) = self.cost(&point.variables);
+        let constraints = self.less_soft(residuals, &point.variables);
         if !objective.is_finite() || !constraints.iter().all(|c| c.is_finite()) {
             return Err(Failure(
                 "the cost or the target's residual is not finite; check the task and the objective's scales".into(),
@@ -300,12 +297,7 @@ impl LiftedProgram for Transcription<'_> {
             problem: self.problem,
             components: &self.components,
         };
-        let soft = self.soft_weight();
-        // Weights of the residuals in the Lagrangian.
-        let lagrangian: Option<Vec<f64>> = multipliers.map(|y| match soft {
-            None => y.to_vec(),
-            Some(weight) => residuals.iter().map(|r| weight * r).collect(),
-        });
+        let lagrangian = multipliers.map(<[f64]>::to_vec);
         let terminal = lagrangian.map(|weights| {
             (
                 tip_covector(motion.rod.n_nodes(), &covectors, &weights),
@@ -333,62 +325,45 @@ impl LiftedProgram for Transcription<'_> {
         if let Some((_, weights)) = &terminal {
             self.add_orientation_curvature(&point.trajectory, weights, &mut found);
         }
-        let n = point.variables.len();
-        let jacobian = Mat::from_fn(self.rows.len(), n, |i, j| dot(&covectors[i], &found.tip[j]));
-        let answer: Vec<f64> = covectors
-            .iter()
-            .map(|c| dot(c, &found.defect_tip))
-            .collect();
-        let offset: Vec<f64> = residuals.iter().zip(&answer).map(|(r, a)| r + a).collect();
-        let (_, gradient) = self.control_cost(&point.variables);
-        let curvature = found.curvature.take();
-        // The model's gradient: what the defects add through the Lagrangian's curvature.
-        let with_defects = |gradient: Vec<f64>| -> Vec<f64> {
-            let mut model = gradient;
-            for (g, d) in model.iter_mut().zip(&found.curvature_defect) {
-                *g += d;
+        let (n, n_controls) = (point.variables.len(), self.n_controls);
+        let jacobian = Mat::from_fn(self.rows.len(), n, |i, j| {
+            if j < n_controls {
+                dot(&covectors[i], &found.tip[j])
+            } else if i == j - n_controls {
+                -1.0
+            } else {
+                0.0
             }
-            model
-        };
-        let Some(weight) = soft else {
-            return Ok(Linearization {
-                model_gradient: with_defects(gradient.clone()),
-                gradient,
-                defect_slope: 0.0,
-                gauss_newton: self.control_hessian.clone(),
-                curvature,
-                jacobian,
-                offset,
-            });
-        };
-        let pulled = |residuals: &[f64]| -> Vec<f64> {
-            gradient
-                .iter()
-                .enumerate()
-                .map(|(j, g)| {
-                    g + weight
-                        * residuals
-                            .iter()
-                            .enumerate()
-                            .map(|(i, r)| jacobian[(i, j)] * r)
-                            .sum::<f64>()
-                })
-                .collect()
-        };
+        });
+        let offset = self
+            .less_soft(residuals, &point.variables)
+            .iter()
+            .zip(&covectors)
+            .map(|(r, c)| r + dot(c, &found.defect_tip))
+            .collect();
+        let (_, gradient) = self.cost(&point.variables);
+        // What the defects add through the Lagrangian's curvature.
+        let mut model_gradient = gradient.clone();
+        for (g, d) in model_gradient.iter_mut().zip(&found.curvature_defect) {
+            *g += d;
+        }
+        let curvature = found.curvature.take().map(|controls| {
+            Mat::from_fn(n, n, |i, j| {
+                if i < n_controls && j < n_controls {
+                    controls[(i, j)]
+                } else {
+                    0.0
+                }
+            })
+        });
         Ok(Linearization {
-            gradient: pulled(&residuals),
-            model_gradient: with_defects(pulled(&offset)),
-            defect_slope: weight
-                * residuals
-                    .iter()
-                    .zip(&answer)
-                    .map(|(r, a)| r * a)
-                    .sum::<f64>(),
-            gauss_newton: &self.control_hessian
-                + jacobian.transpose() * &jacobian * faer::Scale(weight),
+            gradient,
+            model_gradient,
+            defect_slope: 0.0,
+            gauss_newton: self.cost_hessian.clone(),
             curvature,
-            jacobian: Mat::zeros(0, n),
-            offset: Vec::new(),
+            jacobian,
+            offset,
         })
     }
 
@@ -514,17 +489,23 @@ impl Channel3 {
     }
 }
 
-/// `effort M_effort + rate M_rate` for every component.
-fn control_hessian(problem: &OptimalControlProblem, n_components: usize) -> Mat<f64> {
+/// `effort M_effort + rate M_rate` for every component, and the weight of a soft target on its residuals.
+fn cost_hessian(problem: &OptimalControlProblem, n_components: usize) -> Mat<f64> {
     let (effort, effort_off) = problem.control.effort_matrix();
     let (rate, rate_off) = problem.control.rate_matrix();
-    let n = effort.len() * n_components;
+    let n_controls = problem.n_controls();
+    let n = problem.n_variables();
     Mat::from_fn(n, n, |i, j| {
+        if i >= n_controls || j >= n_controls {
+            return match problem.target.enforcement {
+                Enforcement::Soft { weight } if i == j => weight,
+                _ => 0.0,
+            };
+        }
         let (ci, cj) = (i / n_components, j / n_components);
         if i % n_components != j % n_components {
-            return 0.0;
-        }
-        if ci == cj {
+            0.0
+        } else if ci == cj {
             problem.effort * effort[ci] + problem.rate * rate[ci]
         } else if ci.abs_diff(cj) == 1 {
             let at = ci.min(cj);

@@ -32,6 +32,24 @@ pub struct TimeGrid {
 }
 
 impl TimeGrid {
+    /// Equal steps from 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least
+    /// 1; the blocks of a control are then equal). A step read back from such a grid gives the same grid again.
+    #[must_use]
+    pub fn covering(end: f64, longest_step: f64, multiple: usize) -> Self {
+        let multiple = multiple.max(1);
+        // The last digit of a quotient that should be whole must not add a step.
+        let groups = (end / longest_step / multiple as f64 * (1.0 - 1e-9)).ceil();
+        let n_steps = groups as usize * multiple;
+        Self {
+            step: if n_steps == 0 {
+                longest_step
+            } else {
+                end / n_steps as f64
+            },
+            n_steps,
+        }
+    }
+
     /// Time of node `k`, s.
     #[inline]
     #[must_use]

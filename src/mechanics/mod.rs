@@ -17,10 +17,12 @@ pub mod strain;
 
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use energy::Energy;
+pub use equilibrium::{TipSpring, static_equilibrium};
 pub use integrator::{Integrator, StepError, TimeGrid};
 pub use load::{Load, LoadFrame, Wrench};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,
     SectionProfile,
 };
+pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use strain::StrainRule;

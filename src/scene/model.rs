@@ -400,7 +400,7 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub at_s: Option<f64>,
-    /// Whether the whole arm should be at rest then. Default: true.
+    /// Whether the tip should be at rest then: no velocity and no angular velocity. Default: true.
     #[serde(default = "yes")]
     pub at_rest: bool,
     /// Whether the task is a constraint (true, the default) or a term of the objective.

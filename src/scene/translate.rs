@@ -49,6 +49,8 @@ pub struct OptimalControl {
     pub resolved: Scene,
 }
 
+/// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
+const MOST_VARIABLES: usize = 2000;
 /// Steps that one run may take; beyond, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
@@ -147,6 +149,17 @@ impl Scene {
             rate: objective.rate,
             rod,
         };
+        if problem.n_variables() > MOST_VARIABLES {
+            return Err(source.error_at(
+                "control.blocks",
+                format!(
+                    "{} blocks make {} variables, more than {MOST_VARIABLES}",
+                    control.blocks,
+                    problem.n_variables()
+                ),
+                Some("the subproblem is dense in the controls; use fewer blocks".into()),
+            ));
+        }
         Ok(OptimalControl {
             parameters,
             problem,
@@ -312,29 +325,20 @@ impl Scene {
                 ));
             }
         };
-        // A step read back from a resolved scene must give the same number of steps, whatever the last digit says.
-        let blocks = (end / step / multiple as f64 * (1.0 - 1e-9)).ceil();
-        let n_steps = blocks * multiple as f64;
-        let states = n_steps * rod.n_nodes() as f64;
+        let grid = TimeGrid::covering(end, step, multiple);
+        let states = grid.n_steps as f64 * rod.n_nodes() as f64;
         if !(states <= MOST_STORED_STATES) {
             return Err(source.error_at(
                 "time.end_s",
                 format!(
-                    "{n_steps:.3e} steps of {step:.3e} s with {} nodes do not fit in memory",
+                    "{:.3e} steps of {step:.3e} s with {} nodes do not fit in memory",
+                    grid.n_steps as f64,
                     rod.n_nodes()
                 ),
                 Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
             ));
         }
-        let n_steps = n_steps as usize;
-        Ok(TimeGrid {
-            step: if n_steps == 0 {
-                step
-            } else {
-                end / n_steps as f64
-            },
-            n_steps,
-        })
+        Ok(grid)
     }
 
     fn initial_state(&self, source: &SceneSource, rod: &Rod) -> Result<State, SceneError> {

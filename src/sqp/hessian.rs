@@ -54,7 +54,7 @@ pub struct ModelHessian {
     pub tangents: Vec<ActiveNormal>,
 }
 
-/// Eigenvalues below this part of the largest Gauss-Newton diagonal entry count as negative curvature.
+/// Eigenvalues below this part of the least positive Gauss-Newton diagonal entry count as negative curvature.
 const CURVATURE_FLOOR: f64 = 1e-4;
 
 impl ModelHessian {
@@ -117,7 +117,7 @@ impl ModelHessian {
             return None;
         }
         let unit = largest_diagonal(&linearization.gauss_newton);
-        let floor = CURVATURE_FLOOR * unit;
+        let floor = CURVATURE_FLOOR * least_diagonal(&linearization.gauss_newton);
         let basis = held.gradients.transpose().to_owned().qr().compute_Q();
         let (range, null) = basis.split_at_col(m);
         let reduced = null.transpose() * &full * null;
@@ -238,7 +238,7 @@ impl ActiveNormal {
         multipliers: &Multipliers,
         linearization: &Linearization,
     ) -> Vec<Self> {
-        let unit = largest_diagonal(&linearization.gauss_newton).max(f64::MIN_POSITIVE);
+        let unit = least_diagonal(&linearization.gauss_newton);
         sets.iter()
             .zip(&multipliers.normals)
             .enumerate()
@@ -287,6 +287,15 @@ impl ActiveNormal {
             })
             .collect()
     }
+}
+
+/// Least positive diagonal entry: the curvature of the cheapest variable (weights of soft targets are no measure).
+pub(super) fn least_diagonal(m: &Mat<f64>) -> f64 {
+    let least = (0..m.nrows())
+        .map(|i| m[(i, i)])
+        .filter(|d| *d > 0.0)
+        .fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 1.0 }
 }
 
 fn largest_diagonal(m: &Mat<f64>) -> f64 {

@@ -1,5 +1,6 @@
 //! The optimality conditions and how far a point is from them.
 
+use super::hessian::least_diagonal;
 use super::program::{ConvexSet, Linearization};
 
 /// Multipliers of the constraints and of the convex sets.
@@ -124,7 +125,7 @@ impl KktResidual {
             }
         }
         // A problem whose terms all vanish (already at its optimum) is judged against one unit of effort instead.
-        let unit = 1e-6 * largest_diagonal(&linearization.gauss_newton);
+        let unit = 1e-6 * least_diagonal(&linearization.gauss_newton);
         let scale = largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
             stationarity: infinity_norm(&sum) / scale,
@@ -132,10 +133,6 @@ impl KktResidual {
             complementarity: complementarity / scale,
         }
     }
-}
-
-fn largest_diagonal(m: &faer::Mat<f64>) -> f64 {
-    (0..m.nrows()).map(|i| m[(i, i)]).fold(0.0, f64::max)
 }
 
 /// Largest absolute value; NaN if any entry is.

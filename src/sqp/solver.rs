@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use super::globalization::{Accepted, Departure, Filter};
-use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian};
+use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian, least_diagonal};
 use super::program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
 use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
 use super::residual::{KktResidual, Multipliers, infinity_norm};
@@ -130,6 +130,8 @@ const ELASTIC_FACTOR: f64 = 10.0;
 const ELASTIC_GAIN: f64 = 0.9;
 /// The weight is kept this much above the largest multiplier, so that it can come down again.
 const ELASTIC_MARGIN: f64 = 10.0;
+/// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
+const STOP_PART: f64 = 0.5;
 /// Feasibility must be this much better than the tolerance: it costs one more iteration at most, and the replay of the
 /// controls shows every digit of it.
 const FEASIBILITY_PART: f64 = 1e-3;
@@ -172,7 +174,7 @@ pub fn solve<P: LiftedProgram>(
         };
         let residual = run.residual(&linearization);
         run.record(iteration, residual);
-        if residual.max() <= settings.tolerance
+        if residual.max() <= STOP_PART * settings.tolerance
             && residual.feasibility <= FEASIBILITY_PART * settings.tolerance
         {
             return run.finish(SqpStatus::Converged, observer);
@@ -660,10 +662,5 @@ fn norm(v: &[f64]) -> f64 {
 
 /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
 fn cost_unit(linearization: &Linearization) -> f64 {
-    let diagonal = (0..linearization.gauss_newton.nrows())
-        .map(|i| linearization.gauss_newton[(i, i)])
-        .fold(0.0, f64::max);
-    diagonal
-        .max(infinity_norm(&linearization.gradient))
-        .max(f64::MIN_POSITIVE)
+    least_diagonal(&linearization.gauss_newton).max(infinity_norm(&linearization.gradient))
 }

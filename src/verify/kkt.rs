@@ -381,7 +381,11 @@ pub fn recompute(
         .filter(|channel| channel.bound.is_some())
         .map(|channel| bound_violation / channel.scale)
         .fold(0.0, f64::max);
-    let scale = largest.max(f64::MIN_POSITIVE);
+    // As the solver: a problem whose terms all vanish is judged against one unit of effort.
+    let unit = 1e-6
+        * (problem.effort * largest_of(&problem.control.effort_matrix().0)
+            + problem.rate * largest_of(&problem.control.rate_matrix().0));
+    let scale = largest.max(unit).max(f64::MIN_POSITIVE);
     RecomputedKkt {
         residual: KktResidual {
             stationarity: stationarity / scale,
@@ -390,6 +394,10 @@ pub fn recompute(
         },
         bound_violation,
     }
+}
+
+fn largest_of(values: &[f64]) -> f64 {
+    values.iter().copied().fold(0.0, f64::max)
 }
 
 /// Larger of the two; NaN if either is.

@@ -60,6 +60,21 @@ pub struct CheckItem {
 }
 
 impl CheckItem {
+    /// What helps when it fails.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        match self.name {
+            "refined_space_m" => "use more rod.elements, or rod.strain = \"helical\"",
+            "refined_time_m" | "energy" => "use a shorter time.step_s",
+            "same_grid_m" => {
+                "the files were changed, or the motion is so unstable that it cannot be replayed"
+            }
+            _ => "solve again, with a smaller solver.tolerance",
+        }
+    }
+}
+
+impl CheckItem {
     /// Whether the value is within its limit; NaN is not.
     #[must_use]
     pub fn holds(&self) -> bool {
@@ -84,6 +99,8 @@ pub struct ForwardCheck {
     pub tip_angle: f64,
     /// Speed of the replayed tip at the end, m/s.
     pub tip_speed: f64,
+    /// Angular speed of the replayed tip at the end, rad/s.
+    pub tip_spin: f64,
     /// Work in, change of energy and dissipation of the replay.
     pub energy: EnergyBalance,
     /// Energy residual with the step halved over the residual itself: about 1/4.
@@ -134,14 +151,10 @@ impl EnergyBalance {
         (self.work - self.change - self.dissipation).abs()
     }
 
-    /// The residual over the throughput (0 when nothing moved).
+    /// The residual over the throughput.
     #[must_use]
     pub fn relative(&self) -> f64 {
-        if self.throughput > 0.0 {
-            self.residual() / self.throughput
-        } else {
-            self.residual()
-        }
+        self.residual() / self.throughput
     }
 }
 
@@ -189,7 +202,11 @@ pub fn replay(
     let start = Energy::of(rod, initial);
     let mut energies = vec![start];
     trajectory.push(&initial.configuration);
-    let mut balance = EnergyBalance::default();
+    // Below this no energy passes through worth the name: rounding of the stiffest element.
+    let mut balance = EnergyBalance {
+        throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
+        ..EnergyBalance::default()
+    };
     for k in 0..grid.n_steps {
         let before = integrator.state().clone();
         let pair = [control[k], control[k + 1]];
@@ -216,6 +233,9 @@ pub fn replay(
         balance,
     })
 }
+
+/// Part of the rod's energy scale `EI/L` that counts as none.
+const NO_ENERGY: f64 = 1e-9;
 
 /// Work of loads and control over one step: forces at both ends, half each, along the step's own displacement.
 fn step_work(
@@ -336,6 +356,7 @@ pub fn forward_check(
         tip_error: 0.0,
         tip_angle: 0.0,
         tip_speed: 0.0,
+        tip_spin: 0.0,
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
         bound_violation: conditions.bound_violation,
@@ -416,6 +437,9 @@ fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
         .map_or(0.0, |target| log(&(target.transpose() * r)).norm());
     let velocity: Vector3<f64> = end.linear_momentum[tip] / problem.rod.nodes[tip].mass;
     check.tip_speed = velocity.norm();
+    check.tip_spin = end.angular_momentum[tip]
+        .component_div(&problem.rod.nodes[tip].rotary)
+        .norm();
 }
 
 fn items(
@@ -509,6 +533,14 @@ fn items(
                 limits.tip * scale,
                 "m/s",
                 "speed of the simulated tip at the end",
+            ));
+            let scale = problem.target_scale(TargetPart::AngularVelocity);
+            items.push(item(
+                "tip_spin_rad_s",
+                check.tip_spin,
+                limits.tip * scale,
+                "rad/s",
+                "angular speed of the simulated tip at the end",
             ));
         }
     }
