@@ -224,12 +224,7 @@ fn reach_problem() -> Result<OptimalControlProblem, Box<dyn Error>> {
         loads: Vec::new(),
     })?;
     let n_blocks = 10;
-    let block = 0.1;
-    let steps_per_block = (block / (AUTO_STEP_FRACTION * stable_step(&rod))).ceil() as usize;
-    let grid = TimeGrid {
-        step: block / steps_per_block as f64,
-        n_steps: n_blocks * steps_per_block,
-    };
+    let grid = TimeGrid::covering(1.0, AUTO_STEP_FRACTION * stable_step(&rod), n_blocks);
     Ok(OptimalControlProblem {
         grid,
         initial: State::at_rest(rod.rest.clone()),

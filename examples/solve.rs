@@ -81,12 +81,8 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
     let rod = Rod::new(&parameters)?;
     let n_blocks = BLOCKS_PER_SECOND * seconds;
     // Every block has the same whole number of steps.
-    let block = 1.0 / BLOCKS_PER_SECOND as f64;
-    let steps_per_block = (block / (AUTO_STEP_FRACTION * stable_step(&rod))).ceil() as usize;
-    let grid = TimeGrid {
-        step: block / steps_per_block as f64,
-        n_steps: n_blocks * steps_per_block,
-    };
+    let longest_step = AUTO_STEP_FRACTION * stable_step(&rod);
+    let grid = TimeGrid::covering(seconds as f64, longest_step, n_blocks);
     let problem = OptimalControlProblem {
         grid,
         initial: State::at_rest(rod.rest.clone()),
