@@ -17,16 +17,13 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use softarm::control::{
     Bound, Channel, ControlGrid, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem,
     TipTarget, Transcription, first_point,
 };
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
-use softarm::mechanics::{
-    BaseCondition, Material, Rod, RodParameters, Section, SectionProfile, State, StrainRule,
-    TimeGrid,
-};
+use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
 use softarm::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, SqpSettings, SqpStatus, solve,
 };
@@ -203,25 +200,11 @@ fn optimum(
 
 /// One meter of silicone, upright, that has a second to bring its tip to rest at a point to its side.
 fn reach_problem() -> Result<OptimalControlProblem, Box<dyn Error>> {
-    let silicone = Material {
-        youngs_modulus: 1e6,
-        shear_modulus: 1e6 / 3.0,
-        density: 1000.0,
-        shear_factor: 1.0,
-    };
+    let silicone = Material::isotropic(1e6, 0.5, 1000.0);
+    let section = SectionProfile::Uniform(Section::circle(&silicone, 0.05));
     let rod = Rod::new(&RodParameters {
-        length: 1.0,
-        n_elements: 8,
-        strain_rule: StrainRule::Helical,
-        section: SectionProfile::Uniform(Section::circle(&silicone, 0.05)),
-        rest_curvature: Vector3::zeros(),
-        rest_stretch: 1.0,
-        base: BaseCondition::Clamped,
-        base_position: Vector3::zeros(),
-        base_rotation: Matrix3::identity(),
-        gravity: Vector3::zeros(),
         viscous_damping: 1.0,
-        loads: Vec::new(),
+        ..RodParameters::straight(1.0, 8, section)
     })?;
     let n_blocks = 10;
     let grid = TimeGrid::covering(1.0, AUTO_STEP_FRACTION * stable_step(&rod), n_blocks);

@@ -16,12 +16,12 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Load, LoadFrame, Material, Rod, RodParameters, Section,
-    SectionProfile, State, StrainRule, Wrench,
+    Energy, Integrator, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
+    State, Wrench,
 };
 
 /// Share of the first mode in the static tip deflection, `12/β₁⁴`.
@@ -43,17 +43,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     let force = 3.0 * section.angular_stiffness.x / (length * length) * 0.01;
     let n_elements = 12;
     let rod = Rod::new(&RodParameters {
-        length,
-        n_elements,
-        strain_rule: StrainRule::Helical,
-        section: SectionProfile::Uniform(section),
-        rest_curvature: Vector3::zeros(),
-        rest_stretch: 1.0,
-        base: BaseCondition::Clamped,
-        base_position: Vector3::zeros(),
-        base_rotation: Matrix3::identity(),
-        gravity: Vector3::zeros(),
-        viscous_damping: 0.0,
         loads: vec![Load {
             node: n_elements,
             force: Vector3::x() * force,
@@ -61,6 +50,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             frame: LoadFrame::Spatial,
             profile: Vec::new(), // constant from t = 0 on
         }],
+        ..RodParameters::straight(length, n_elements, SectionProfile::Uniform(section))
     })?;
     let tip = rod.tip();
 

@@ -15,16 +15,13 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use softarm::control::{
     Bound, Channel, ControlGrid, Enforcement, Guess, Hold, OptimalControlProblem, TipTarget,
     Transcription, first_point,
 };
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
-use softarm::mechanics::{
-    BaseCondition, Material, Rod, RodParameters, Section, SectionProfile, State, StrainRule,
-    TimeGrid,
-};
+use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
 use softarm::sqp::{self, SqpSettings, SqpStatus};
 use softarm::verify::{CheckLimits, ForwardCheck, Solution, forward_check};
 
@@ -148,24 +145,10 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
 
 /// One meter of silicone, five centimeters in radius, upright, in a little damping.
 fn silicone_arm() -> RodParameters {
-    let silicone = Material {
-        youngs_modulus: 1e6,
-        shear_modulus: 1e6 / 3.0,
-        density: 1000.0,
-        shear_factor: 1.0,
-    };
+    let silicone = Material::isotropic(1e6, 0.5, 1000.0);
+    let section = SectionProfile::Uniform(Section::circle(&silicone, 0.05));
     RodParameters {
-        length: 1.0,
-        n_elements: 8,
-        strain_rule: StrainRule::Helical,
-        section: SectionProfile::Uniform(Section::circle(&silicone, 0.05)),
-        rest_curvature: Vector3::zeros(),
-        rest_stretch: 1.0,
-        base: BaseCondition::Clamped,
-        base_position: Vector3::zeros(),
-        base_rotation: Matrix3::identity(),
-        gravity: Vector3::zeros(),
         viscous_damping: 1.0,
-        loads: Vec::new(),
+        ..RodParameters::straight(1.0, 8, section)
     }
 }

@@ -97,16 +97,7 @@ fn integrate(
 ) -> Result<(MotionRecord, Tally), crate::mechanics::StepError> {
     let rod = &setup.rod;
     let bar = console.progress(setup.grid.n_steps as u64);
-    let mut record = MotionRecord {
-        n_nodes: rod.n_nodes(),
-        t: Vec::new(),
-        x: Vec::new(),
-        rotation: Vec::new(),
-        tip_force: Vec::new(),
-        tip_moment: Vec::new(),
-        energy: Vec::new(),
-        dilatation: Vec::new(),
-    };
+    let mut record = MotionRecord::empty(rod.n_nodes());
     let mut integrator = Integrator::new(rod, setup.grid.step, setup.initial.clone());
     let first = Energy::of(rod, integrator.state()).total();
     let mut tally = Tally {

@@ -61,8 +61,16 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
 
     let clock = Instant::now();
     let solution = Solved::of(&setup, &program, outcome);
-    let check = check(&setup, scene.initial_shape(), &solution);
-    let certify = clock.elapsed().as_secs_f64();
+    let check = certify(
+        &setup,
+        scene.initial_shape(),
+        &Solution {
+            trajectory: &solution.outcome.point.trajectory,
+            coefficients: &solution.coefficients,
+            multipliers: &solution.outcome.multipliers.constraints,
+        },
+    );
+    let certify_time = clock.elapsed().as_secs_f64();
     let check = match check {
         Ok(check) => Some(check),
         Err(error) => {
@@ -79,7 +87,7 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
         &solution,
         check.as_ref(),
         wall,
-        certify,
+        certify_time,
         &target,
     );
     write(
@@ -135,10 +143,11 @@ impl Solved {
     }
 }
 
-fn check(
+/// The check of a solution, with the limits that its scene asks for.
+pub(super) fn certify(
     setup: &OptimalControl,
     shape: InitialShape,
-    solution: &Solved,
+    solution: &Solution,
 ) -> Result<ForwardCheck, CheckError> {
     forward_check(
         &setup.problem,
@@ -149,11 +158,7 @@ fn check(
                 .state(rod)
                 .unwrap_or_else(|_| State::at_rest(rod.rest.clone()))
         },
-        &Solution {
-            trajectory: &solution.outcome.point.trajectory,
-            coefficients: &solution.coefficients,
-            multipliers: &solution.outcome.multipliers.constraints,
-        },
+        solution,
         &CheckLimits {
             kkt: setup.settings.tolerance.max(CheckLimits::default().kkt),
             ..CheckLimits::default()
@@ -383,16 +388,7 @@ fn motion_record(
 ) -> MotionRecord {
     let trajectory = &solution.outcome.point.trajectory;
     let control = problem.control.nodal_wrenches(&solution.coefficients);
-    let mut record = MotionRecord {
-        n_nodes: trajectory.n_nodes,
-        t: Vec::new(),
-        x: Vec::new(),
-        rotation: Vec::new(),
-        tip_force: Vec::new(),
-        tip_moment: Vec::new(),
-        energy: Vec::new(),
-        dilatation: Vec::new(),
-    };
+    let mut record = MotionRecord::empty(trajectory.n_nodes);
     for (k, wrench) in control.iter().enumerate() {
         let state = State::at_rest(trajectory.configuration(k));
         let energy = check.map_or_else(

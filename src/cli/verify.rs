@@ -7,14 +7,14 @@ use nalgebra::Matrix3;
 
 use super::console::Console;
 use super::error::CliError;
-use super::solve::{check_outcome, show_check};
+use super::solve::{certify, check_outcome, show_check};
 use super::{Global, Outcome, exit};
 use crate::control::{Enforcement, OptimalControlProblem};
-use crate::mechanics::{State, Trajectory, Wrench};
+use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
 use crate::output::{ControlRow, MotionRecord, read_controls};
 use crate::scene::Scene;
-use crate::verify::{CheckLimits, Solution, forward_check};
+use crate::verify::Solution;
 
 pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
@@ -30,23 +30,13 @@ pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outco
     let trajectory = read_trajectory(directory, &setup.problem)?;
     let coefficients = read_coefficients(directory, &setup.problem)?;
     let multipliers = read_multipliers(directory, &setup.problem)?;
-    let shape = scene.initial_shape();
-    let check = forward_check(
-        &setup.problem,
-        &setup.parameters,
-        &|rod| {
-            shape
-                .state(rod)
-                .unwrap_or_else(|_| State::at_rest(rod.rest.clone()))
-        },
+    let check = certify(
+        &setup,
+        scene.initial_shape(),
         &Solution {
             trajectory: &trajectory,
             coefficients: &coefficients,
             multipliers: &multipliers,
-        },
-        &CheckLimits {
-            kkt: setup.settings.tolerance.max(CheckLimits::default().kkt),
-            ..CheckLimits::default()
         },
     )?;
     show_check(&check, true, console);

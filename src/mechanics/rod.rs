@@ -33,6 +33,19 @@ pub struct Material {
     pub shear_factor: f64,
 }
 
+impl Material {
+    /// Isotropic: `G = E / (2 (1 + ν))`, shear factor 1.
+    #[must_use]
+    pub fn isotropic(youngs_modulus: f64, poisson_ratio: f64, density: f64) -> Self {
+        Self {
+            youngs_modulus,
+            shear_modulus: youngs_modulus / (2.0 * (1.0 + poisson_ratio)),
+            density,
+            shear_factor: 1.0,
+        }
+    }
+}
+
 impl Section {
     /// Full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
     #[must_use]
@@ -141,6 +154,28 @@ pub struct RodParameters {
     pub viscous_damping: f64,
     /// Given loads.
     pub loads: Vec<Load>,
+}
+
+impl RodParameters {
+    /// A straight, unloaded, undamped rod of helical elements, clamped at the origin along e3; change what differs with
+    /// `..`.
+    #[must_use]
+    pub fn straight(length: f64, n_elements: usize, section: SectionProfile) -> Self {
+        Self {
+            length,
+            n_elements,
+            strain_rule: StrainRule::Helical,
+            section,
+            rest_curvature: Vector3::zeros(),
+            rest_stretch: 1.0,
+            base: BaseCondition::Clamped,
+            base_position: Vector3::zeros(),
+            base_rotation: Matrix3::identity(),
+            gravity: Vector3::zeros(),
+            viscous_damping: 0.0,
+            loads: Vec::new(),
+        }
+    }
 }
 
 /// Reference magnitudes of a rod, used to make residuals dimensionless: `EI` is the harmonic mean of the bending

@@ -31,6 +31,20 @@ pub struct MotionRecord {
 }
 
 impl MotionRecord {
+    /// A record without rows.
+    pub fn empty(n_nodes: usize) -> Self {
+        Self {
+            n_nodes,
+            t: Vec::new(),
+            x: Vec::new(),
+            rotation: Vec::new(),
+            tip_force: Vec::new(),
+            tip_moment: Vec::new(),
+            energy: Vec::new(),
+            dilatation: Vec::new(),
+        }
+    }
+
     /// Number of sampled times.
     pub fn n_rows(&self) -> usize {
         self.t.len()

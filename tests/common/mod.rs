@@ -1,11 +1,11 @@
 //! Rods and random states that several tests share.
 #![allow(dead_code)]
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
-    StrainRule, TimeGrid, Trajectory,
+    Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State, StrainRule,
+    TimeGrid, Trajectory,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -20,19 +20,10 @@ pub const SILICONE: Material = Material {
 
 /// A clamped, straight, undamped silicone arm along e3 without gravity.
 pub fn soft_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    let section = SectionProfile::Uniform(Section::circle(&SILICONE, 0.05));
     RodParameters {
-        length: 1.0,
-        n_elements,
         strain_rule,
-        section: SectionProfile::Uniform(Section::circle(&SILICONE, 0.05)),
-        rest_curvature: Vector3::zeros(),
-        rest_stretch: 1.0,
-        base: BaseCondition::Clamped,
-        base_position: Vector3::zeros(),
-        base_rotation: Matrix3::identity(),
-        gravity: Vector3::zeros(),
-        viscous_damping: 0.0,
-        loads: Vec::new(),
+        ..RodParameters::straight(1.0, n_elements, section)
     }
 }
 
