@@ -9,7 +9,7 @@ use super::console::Console;
 use super::error::CliError;
 use super::solve::{certify, check_outcome, show_check};
 use super::{Global, Outcome, exit};
-use crate::control::{Enforcement, OptimalControlProblem};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
 use crate::output::{ControlRow, MotionRecord, read_controls};
@@ -114,9 +114,6 @@ fn read_multipliers(
     directory: &Path,
     problem: &OptimalControlProblem,
 ) -> Result<Vec<f64>, CliError> {
-    if problem.target.enforcement != Enforcement::Hard {
-        return Ok(Vec::new());
-    }
     let path = directory.join("summary.json");
     let broken = |reason: String| CliError::Directory(format!("{}: {reason}", path.display()));
     let text = std::fs::read_to_string(&path).map_err(|error| broken(error.to_string()))?;

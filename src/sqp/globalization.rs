@@ -68,6 +68,12 @@ impl Filter {
         }
     }
 
+    /// Whether it remembers any point.
+    #[must_use]
+    pub fn has_entries(&self) -> bool {
+        !self.entries.is_empty()
+    }
+
     fn passage<R>(
         &self,
         from: &Evaluation<R>,

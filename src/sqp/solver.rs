@@ -33,6 +33,15 @@ impl Default for SqpSettings {
     }
 }
 
+impl SqpSettings {
+    /// Feasibility that a converged point must have.
+    fn feasibility_tolerance(&self) -> f64 {
+        (FEASIBILITY_PART * self.tolerance)
+            .max(FEASIBILITY_FLOOR)
+            .min(STOP_PART * self.tolerance)
+    }
+}
+
 /// Why an observer stops a solve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
@@ -135,6 +144,8 @@ const STOP_PART: f64 = 0.5;
 /// Feasibility must be this much better than the tolerance: it costs one more iteration at most, and the replay of the
 /// controls shows every digit of it.
 const FEASIBILITY_PART: f64 = 1e-3;
+/// The sum of the defects of a long motion cannot be brought much below this: rounding.
+const FEASIBILITY_FLOOR: f64 = 5e-10;
 /// Slack that counts as none.
 const NO_SLACK: f64 = 1e-8;
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -155,6 +166,11 @@ const POOR_SHRINK: f64 = 0.5;
 const SHRINKAGES: usize = 12;
 /// Subproblems without a solution, in all, after which a solve gives up.
 const RESCUES: usize = 8;
+const REFUSALS_IN_A_ROW: usize = 4;
+const FILTER_RESETS: usize = 5;
+/// Part of the promise that a step refused by the filter must deliver, and how many such steps there may be.
+const MERIT_RATIO: f64 = 0.2;
+const MERIT_STEPS: usize = 40;
 
 /// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
 pub fn solve<P: LiftedProgram>(
@@ -175,7 +191,7 @@ pub fn solve<P: LiftedProgram>(
         let residual = run.residual(&linearization);
         run.record(iteration, residual);
         if residual.max() <= STOP_PART * settings.tolerance
-            && residual.feasibility <= FEASIBILITY_PART * settings.tolerance
+            && residual.feasibility <= settings.feasibility_tolerance()
         {
             return run.finish(SqpStatus::Converged, observer);
         }
@@ -191,7 +207,15 @@ pub fn solve<P: LiftedProgram>(
         };
         match step {
             Step::Taken | Step::Restored => {}
-            Step::Refused => return run.finish(SqpStatus::StepTooSmall, observer),
+            Step::Refused => {
+                // At rounding no step can be an improvement any more.
+                let status = if residual.max() <= settings.tolerance {
+                    SqpStatus::Converged
+                } else {
+                    SqpStatus::StepTooSmall
+                };
+                return run.finish(status, observer);
+            }
             Step::Infeasible => return run.finish(SqpStatus::LocallyInfeasible, observer),
         }
         if let ControlFlow::Break(stop) = run.show(observer) {
@@ -228,6 +252,9 @@ struct Run<'a, P: LiftedProgram> {
     trust_radius: f64,
     stuck: usize,
     rescues: usize,
+    refused_in_a_row: usize,
+    filter_resets: usize,
+    merit_steps: usize,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
@@ -270,13 +297,16 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                         objective: evaluation.objective,
                         infeasibility: f64::INFINITY,
                     },
-                    trust_radius: FIRST_TRUST_RADIUS * norm(program.variables(&point)).max(1.0),
+                    trust_radius: first_trust_radius(program.variables(&point)),
                     point,
                     evaluation,
                     multipliers,
                     elastic_weight: None,
                     stuck: 0,
                     rescues: 0,
+                    refused_in_a_row: 0,
+                    filter_resets: 0,
+                    merit_steps: 0,
                     history: Vec::new(),
                     phases: PhaseTimes::default(),
                 })
@@ -388,7 +418,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let sets = self.subproblem_sets(&model);
         self.phases.condense += clock.elapsed().as_secs_f64();
-        for _ in 0..=SHRINKAGES {
+        for refusals in 0..=SHRINKAGES {
             let solution = match self.solve_subproblem(linearization, &model, &sets) {
                 Ok(solution) => solution,
                 Err(error) => match self.recover(error)? {
@@ -397,7 +427,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 },
             };
             self.note_subproblem(&model, &solution);
-            if self.is_stuck(linearization, &solution) {
+            if self.is_stuck(linearization, &model, &sets, &solution) {
                 return Ok(Step::Infeasible);
             }
             let clock = Instant::now();
@@ -405,16 +435,40 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.phases.globalize += clock.elapsed().as_secs_f64();
             let length = norm(&solution.change);
             if let Some(accepted) = accepted {
-                let promise = self.promise(linearization, &model, &solution);
+                self.note_refusals(refusals);
+                let weight = self.merit_weight(&solution);
+                let promise = self.promise(linearization, &model, &solution, weight);
                 self.take(accepted, &solution, promise, length);
                 return Ok(Step::Taken);
             }
             self.trust_radius = SHRINK * length.min(self.trust_radius);
             if self.out_of_time().is_some() {
-                break;
+                return Ok(Step::Refused);
             }
         }
+        // Not even a short step: forget the past once more, before giving up.
+        if self.filter_resets < FILTER_RESETS && self.filter.has_entries() {
+            self.filter_resets += 1;
+            self.filter = Filter::new(self.evaluation.infeasibility());
+            self.trust_radius = first_trust_radius(self.program.variables(&self.point));
+            return Ok(Step::Restored);
+        }
         Ok(Step::Refused)
+    }
+
+    /// A filter that refuses the first trial again and again remembers a place that the iteration cannot get back to:
+    /// it is emptied (Wächter and Biegler 2006, section 3.4), at most a few times.
+    fn note_refusals(&mut self, refusals: usize) {
+        self.refused_in_a_row = if refusals > 0 {
+            self.refused_in_a_row + 1
+        } else {
+            0
+        };
+        if self.refused_in_a_row >= REFUSALS_IN_A_ROW && self.filter_resets < FILTER_RESETS {
+            self.filter_resets += 1;
+            self.refused_in_a_row = 0;
+            self.filter = Filter::new(self.evaluation.infeasibility());
+        }
     }
 
     /// After a subproblem that Clarabel could not solve: put the states back onto their equations (large defects make
@@ -456,11 +510,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             row.corrections = accepted.corrections;
             row.restored = accepted.restored;
         }
-        let merit = |values: &Evaluation<P::Defects>| {
-            let violation: f64 = values.constraints.iter().map(|c| c.abs()).sum();
-            values.objective + self.merit_weight(solution) * (violation + values.defect)
-        };
-        let ratio = (merit(&self.evaluation) - merit(&accepted.evaluation)) / promise;
+        let weight = self.merit_weight(solution);
+        let ratio =
+            (merit(&self.evaluation, weight) - merit(&accepted.evaluation, weight)) / promise;
         // Every lifted step leaves defects of its own second order; they say nothing about the radius.
         let good = !accepted.restored || ratio > GOOD_RATIO;
         if good && length > 0.5 * self.trust_radius {
@@ -478,12 +530,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         2.0 * infinity_norm(&solution.multipliers.constraints)
     }
 
-    /// What the subproblem promised to take off that merit.
+    /// What the subproblem promised to take off the merit `J + weight · infeasibility`.
     fn promise(
         &self,
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
+        weight: f64,
     ) -> f64 {
         let change = &solution.change;
         let n = change.len();
@@ -494,7 +547,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         let violation: f64 = self.evaluation.constraints.iter().map(|c| c.abs()).sum();
         let saved = violation + self.evaluation.defect - solution.slack;
-        self.merit_weight(solution) * saved - cost - linearization.defect_slope
+        weight * saved - cost - linearization.defect_slope
     }
 
     /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
@@ -588,13 +641,28 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Whether several subproblems in a row, at the largest weight, could not promise a smaller infeasibility.
-    fn is_stuck(&mut self, linearization: &Linearization, solution: &QpSolution) -> bool {
+    /// Whether several subproblems in a row could not promise a smaller infeasibility, even without a trust region.
+    fn is_stuck(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+        solution: &QpSolution,
+    ) -> bool {
         let violation: f64 = linearization.offset.iter().map(|c| c.abs()).sum();
-        let promised = violation - solution.slack;
-        let hopeless = solution.slack > self.settings.tolerance
-            && promised < INFEASIBLE_PROGRESS * violation
-            && self.evaluation.defect < INFEASIBLE_PROGRESS * violation;
+        let promises_nothing = |slack: f64| {
+            slack > self.settings.tolerance && violation - slack < INFEASIBLE_PROGRESS * violation
+        };
+        let hopeless = promises_nothing(solution.slack)
+            && self.evaluation.defect < INFEASIBLE_PROGRESS * violation
+            && (norm(&solution.change) < 0.5 * self.trust_radius || {
+                let weight = self.elastic_weight.unwrap_or(0.0);
+                let free = QuadraticProgram {
+                    trust_radius: f64::INFINITY,
+                    ..self.subproblem(linearization, model, sets, weight)
+                };
+                free.solve().is_ok_and(|free| promises_nothing(free.slack))
+            });
         self.stuck = if hopeless { self.stuck + 1 } else { 0 };
         self.stuck >= INFEASIBLE_PATIENCE
     }
@@ -620,7 +688,41 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             &solution.change,
         );
         self.filter = filter;
-        accepted
+        accepted.or_else(|| self.accept_by_merit(linearization, model, solution))
+    }
+
+    /// What the filter refuses may still be what the elastic subproblem set out to do: lower `J + γ · infeasibility`.
+    /// A point far below in infeasibility, visited and left for a better objective, must not block the way back for
+    /// ever; such a step empties the filter.
+    fn accept_by_merit(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> Option<Accepted<P>> {
+        let weight = self.elastic_weight?;
+        if self.merit_steps >= MERIT_STEPS || self.evaluation.defect > self.settings.tolerance {
+            return None;
+        }
+        let promise = self.promise(linearization, model, solution, weight);
+        let point = self
+            .program
+            .restored_step(&self.point, &solution.change)
+            .ok()?;
+        let evaluation = self.program.evaluate(&point).ok()?;
+        let delivered = merit(&self.evaluation, weight) - merit(&evaluation, weight);
+        if !(promise > 0.0 && delivered >= MERIT_RATIO * promise) {
+            return None;
+        }
+        self.merit_steps += 1;
+        self.filter = Filter::new(self.evaluation.infeasibility());
+        Some(Accepted {
+            point,
+            evaluation,
+            step_length: 1.0,
+            restored: true,
+            corrections: 0,
+        })
     }
 
     fn show(
@@ -654,6 +756,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             phases: self.phases,
         }
     }
+}
+
+/// `J + weight · infeasibility`
+fn merit<R>(values: &Evaluation<R>, weight: f64) -> f64 {
+    values.objective + weight * values.infeasibility()
+}
+
+fn first_trust_radius(variables: &[f64]) -> f64 {
+    FIRST_TRUST_RADIUS * norm(variables).max(1.0)
 }
 
 fn norm(v: &[f64]) -> f64 {

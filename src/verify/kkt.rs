@@ -334,7 +334,7 @@ fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
 }
 
 /// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and the multipliers of
-/// its hard target (ignored for a soft one).
+/// its target's residuals.
 #[must_use]
 pub fn recompute(
     problem: &OptimalControlProblem,
@@ -350,14 +350,17 @@ pub fn recompute(
     };
     let (defect, p, pi) = conditions.defects();
     let residuals = conditions.residuals(&p, &pi);
-    let (weights, constraint_size): (Vec<f64>, f64) = match problem.target.enforcement {
-        Enforcement::Hard => (
-            multipliers.to_vec(),
-            residuals.iter().fold(0.0, |m, r| f64::max(m, r.abs())),
-        ),
-        Enforcement::Soft { weight } => (residuals.iter().map(|r| weight * r).collect(), 0.0),
+    // A soft target is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
+    let soft = match problem.target.enforcement {
+        Enforcement::Hard => None,
+        Enforcement::Soft { weight } => Some(weight),
     };
-    let pulled = conditions.control_gradient(&weights);
+    let constraint_size = residuals
+        .iter()
+        .zip(multipliers)
+        .map(|(r, y)| (r - soft.map_or(0.0, |weight| y / weight)).abs())
+        .fold(0.0, worse);
+    let pulled = conditions.control_gradient(multipliers);
 
     let (sum, largest) = lagrangian_gradient(problem, coefficients, &pulled);
     let mut stationarity: f64 = 0.0;

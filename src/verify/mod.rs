@@ -295,7 +295,7 @@ pub struct Solution<'a> {
     pub trajectory: &'a Trajectory,
     /// Coefficients of the control.
     pub coefficients: &'a [Wrench],
-    /// Multipliers of a hard target's scaled residuals (empty for a soft target).
+    /// Multipliers of the target's scaled residuals.
     pub multipliers: &'a [f64],
 }
 

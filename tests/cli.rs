@@ -1,0 +1,554 @@
+//! The command line as a script sees it: exit codes, what stands on stdout and stderr, and the files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+const DONE: i32 = 0;
+const USAGE: i32 = 2;
+const NOT_CONVERGED: i32 = 3;
+const INFEASIBLE: i32 = 4;
+const NUMERICAL: i32 = 5;
+const STOPPED: i32 = 6;
+const REJECTED: i32 = 7;
+
+/// Four elements, 0.3 s, five blocks: solved in a blink.
+const SCENE: &str = "\
+[rod]
+length_m = 1.0
+elements = 4
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[damping]
+viscous_1_s = 1.0
+[time]
+end_s = 0.3
+[task]
+position_m = [0.1, 0.03, 0.985]
+at_rest = false
+[control]
+blocks = 5
+force_max_n = 20.0
+moment_max_n_m = 5.0
+";
+
+/// A folder of its own with a scene in it.
+struct Desk {
+    folder: TempDir,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let desk = Self {
+            folder: tempfile::tempdir().unwrap(),
+        };
+        desk.write("scene.toml", SCENE);
+        desk
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).unwrap();
+    }
+
+    /// Runs the tool in the folder; whatever happens, it does not panic.
+    #[track_caller]
+    fn run(&self, arguments: &[&str]) -> Run {
+        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .env("NO_COLOR", "1")
+            .output()
+            .unwrap();
+        let run = Run::of(output);
+        assert!(!run.stderr.contains("panicked"), "{}", run.stderr);
+        run
+    }
+}
+
+struct Run {
+    code: i32,
+    stdout: String,
+    stderr: String,
+}
+
+impl Run {
+    fn of(output: Output) -> Self {
+        Self {
+            code: output.status.code().unwrap(),
+            stdout: String::from_utf8(output.stdout).unwrap(),
+            stderr: String::from_utf8(output.stderr).unwrap(),
+        }
+    }
+
+    #[track_caller]
+    fn exits(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "{}\n{}", self.stdout, self.stderr);
+        self
+    }
+
+    /// The one JSON object on stdout, which begins with `schema_version`.
+    #[track_caller]
+    fn summary(&self) -> Value {
+        let value: Value = serde_json::from_str(&self.stdout).unwrap();
+        let first = value.as_object().unwrap().keys().next().unwrap();
+        assert_eq!(first, "schema_version");
+        value
+    }
+
+    /// Refused: code 2, silence on stdout, and all of `words` on stderr.
+    #[track_caller]
+    fn refused(self, words: &[&str]) {
+        let run = self.exits(USAGE);
+        assert_eq!(run.stdout, "");
+        for word in words {
+            assert!(run.stderr.contains(word), "no `{word}` in:\n{}", run.stderr);
+        }
+        assert!(
+            run.stderr.len() < 4000,
+            "{} bytes of error",
+            run.stderr.len()
+        );
+    }
+}
+
+#[track_caller]
+fn has_fields(summary: &Value, pointers: &[&str]) {
+    for pointer in pointers {
+        let value = summary.pointer(&format!("/{}", pointer.replace('.', "/")));
+        assert!(value.is_some(), "no {pointer} in {summary:#}");
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+const SOLVE_FILES: [&str; 6] = [
+    "controls.csv",
+    "iterations.csv",
+    "report.html",
+    "scene.toml",
+    "summary.json",
+    "trajectory.npz",
+];
+
+/// `check` says what a run would do, writes nothing, and talks on stderr only.
+#[test]
+fn check_reports_derived_figures() {
+    let desk = Desk::new();
+    let run = desk.run(&["check", "scene.toml"]).exits(DONE);
+    assert_eq!(run.stdout, "");
+    assert!(run.stderr.contains("stable below") && run.stderr.contains("the scene is valid"));
+    let run = desk
+        .run(&["check", "scene.toml", "--json", "--quiet"])
+        .exits(DONE);
+    assert_eq!(run.stderr, "");
+    has_fields(
+        &run.summary(),
+        &[
+            "command",
+            "stable_step_s",
+            "steps",
+            "memory_bytes",
+            "optimal_control.variables",
+        ],
+    );
+    assert_eq!(names(desk.folder.path()), ["scene.toml"]);
+}
+
+/// `simulate` writes its directory, and its summary holds every field of the contract.
+#[test]
+fn simulate_writes_its_directory() {
+    let desk = Desk::new();
+    let run = desk
+        .run(&["simulate", "scene.toml", "--out", "run", "--json"])
+        .exits(DONE);
+    let summary = run.summary();
+    has_fields(
+        &summary,
+        &[
+            "command",
+            "model",
+            "strain",
+            "elements",
+            "step_s",
+            "steps",
+            "wall_s",
+            "node_steps_per_s",
+            "tip.position_m.2",
+            "tip.orientation_wxyz.3",
+            "energy_J.initial",
+            "energy_J.final",
+            "energy_J.min",
+            "energy_J.max",
+            "dilatation.min",
+            "dilatation.max",
+            "length_m.min",
+            "length_m.max",
+        ],
+    );
+    assert_eq!(summary["command"], "simulate");
+    assert_eq!(
+        names(&desk.path("run")),
+        [
+            "report.html",
+            "scene.toml",
+            "summary.json",
+            "trajectory.npz"
+        ]
+    );
+    let written = std::fs::read_to_string(desk.path("run/summary.json")).unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&written).unwrap(), summary);
+}
+
+/// `solve` certifies, its summary holds every field of the contract, and `verify` agrees; a control that was changed
+/// afterwards is rejected by name.
+#[test]
+fn solve_and_verify() {
+    let desk = Desk::new();
+    let run = desk
+        .run(&["solve", "scene.toml", "--out", "run", "--json"])
+        .exits(DONE);
+    let summary = run.summary();
+    has_fields(
+        &summary,
+        &[
+            "command",
+            "status",
+            "iterations",
+            "objective",
+            "wall_s",
+            "phases_s.linearize",
+            "phases_s.condense",
+            "phases_s.qp",
+            "phases_s.globalize",
+            "phases_s.certify",
+            "kkt.stationarity",
+            "kkt.feasibility",
+            "kkt.complementarity",
+            "tip_error_m",
+            "tip_speed_m_s",
+            "check.same_grid_m",
+            "check.refined_time_m",
+            "check.refined_space_m",
+            "check.verdict",
+            "worst_constraints",
+            "qp_backend",
+            "hessian",
+            "elements",
+            "steps",
+            "control_blocks",
+            "variables",
+        ],
+    );
+    assert_eq!(summary["status"], "converged");
+    assert_eq!(summary["check"]["verdict"], "certified");
+    assert_eq!(names(&desk.path("run")), SOLVE_FILES);
+    let iterations = std::fs::read_to_string(desk.path("run/iterations.csv")).unwrap();
+    assert_eq!(
+        iterations.lines().count() as u64,
+        summary["iterations"].as_u64().unwrap() + 2
+    );
+
+    let verified = desk.run(&["verify", "run", "--json"]).exits(DONE).summary();
+    assert_eq!(verified["command"], "verify");
+    assert_eq!(verified["check"]["verdict"], "certified");
+    assert_eq!(verified["check"]["kkt"], summary["check"]["kkt"]);
+
+    let path = desk.path("run/controls.csv");
+    let controls = std::fs::read_to_string(&path).unwrap();
+    let mut lines: Vec<String> = controls.lines().map(String::from).collect();
+    assert_eq!(lines[0], "t_start,t_end,fx,fy,fz,mx,my,mz");
+    let mut cells: Vec<String> = lines[2].split(',').map(String::from).collect();
+    let fx: f64 = cells[2].parse().unwrap();
+    cells[2] = (1.01 * fx).to_string();
+    lines[2] = cells.join(",");
+    std::fs::write(&path, lines.join("\n") + "\n").unwrap();
+    let run = desk.run(&["verify", "run", "--json"]).exits(REJECTED);
+    assert!(run.stderr.contains("FAIL") && run.stderr.contains("rejected"));
+    let rejected = run.summary();
+    assert_eq!(rejected["check"]["verdict"], "rejected");
+    let failed = rejected["check"]["failed"].as_array().unwrap();
+    assert!(failed.contains(&"same_grid_m".into()), "{failed:?}");
+
+    // Not numbers, and too few of them.
+    std::fs::write(&path, controls.replacen(&lines[1], "a,b,c,d,e,f,g,h", 1)).unwrap();
+    desk.run(&["verify", "run"]).refused(&["controls.csv"]);
+    std::fs::write(&path, format!("{}\n{}\n", lines[0], lines[1])).unwrap();
+    desk.run(&["verify", "run"])
+        .refused(&["controls.csv", "1 rows", "5"]);
+}
+
+/// A directory that no solve wrote cannot be verified, and says so.
+#[test]
+fn foreign_directories_are_not_verified() {
+    let desk = Desk::new();
+    std::fs::create_dir(desk.path("notes")).unwrap();
+    desk.write("notes/todo.txt", "eat");
+    desk.run(&["verify", "notes"])
+        .refused(&["notes", "not the result directory"]);
+    desk.run(&["verify", "nowhere"]).refused(&["nowhere"]);
+    desk.run(&["simulate", "scene.toml", "--out", "run"])
+        .exits(DONE);
+    desk.run(&["verify", "run"])
+        .refused(&["not the result directory of a solve"]);
+}
+
+/// `example` lists and prints scenes that `check` accepts; `schema` is a JSON Schema.
+#[test]
+fn examples_and_schema() {
+    let desk = Desk::new();
+    let list = desk.run(&["example"]).exits(DONE).stdout;
+    let summary = desk.run(&["example", "--json"]).exits(DONE).summary();
+    let scenes = summary["scenes"].as_array().unwrap().clone();
+    assert!(scenes.contains(&"reach".into()));
+    for scene in &scenes {
+        let name = scene.as_str().unwrap();
+        assert!(list.contains(name));
+        let text = desk.run(&["example", name]).exits(DONE).stdout;
+        desk.write("printed.toml", &text);
+        desk.run(&["check", "printed.toml"]).exits(DONE);
+    }
+    desk.run(&["example", "raech"]).refused(&["reach"]);
+    let schema = desk.run(&["schema"]).exits(DONE).stdout;
+    let schema: Value = serde_json::from_str(&schema).unwrap();
+    assert!(schema["properties"]["rod"].is_object());
+}
+
+/// What is unknown is refused with the nearest that is known.
+#[test]
+fn unknown_words_get_a_suggestion() {
+    let desk = Desk::new();
+    desk.run(&["sovle", "scene.toml"]).refused(&["solve"]);
+    desk.run(&["solve", "scene.toml", "--jsn"])
+        .refused(&["--json"]);
+    desk.run(&["check", "scene.toml", "--set", "rod.elments=4"])
+        .refused(&["rod.elments", "elements"]);
+    desk.run(&["check", "scene.toml", "--set", "rod.elements"])
+        .refused(&["KEY=VALUE"]);
+    desk.run(&["check", "scene.toml", "--threads", "0"])
+        .refused(&["--threads"]);
+    desk.run(&["check"]).refused(&["SCENE"]);
+    desk.run(&[]).refused(&["Usage"]);
+}
+
+/// Scenes that are wrong, each in its way: refused with the key, the line and what was expected.
+#[test]
+fn wrong_scenes_are_refused() {
+    let desk = Desk::new();
+    let wrong = |from: &str, to: &str, words: &[&str]| {
+        assert!(SCENE.contains(from));
+        desk.write("wrong.toml", &SCENE.replace(from, to));
+        for verb in ["check", "solve"] {
+            desk.run(&[verb, "wrong.toml", "--json"]).refused(words);
+        }
+    };
+    wrong(
+        "radius_m",
+        "raduis_m",
+        &["raduis_m", "radius_m", "wrong.toml:9"],
+    );
+    wrong(
+        "length_m = 1.0",
+        "length_m = -1.0",
+        &["rod.length_m", "wrong.toml:2", "positive"],
+    );
+    wrong(
+        "end_s = 0.3",
+        "end_s = nan",
+        &["time.end_s", "wrong.toml:13"],
+    );
+    wrong(
+        "end_s = 0.3",
+        "end_s = 0.3\nstep_s = 0.1",
+        &["time.step_s", "stable", "auto"],
+    );
+    wrong(
+        "[0.1, 0.03, 0.985]",
+        "[5.0, 0.0, 0.0]",
+        &["task.position_m", "reach"],
+    );
+    wrong(
+        "blocks = 5",
+        "blocks = 0",
+        &["control.blocks", "wrong.toml:18"],
+    );
+    wrong(
+        "blocks = 5",
+        "blocks = 5000",
+        &["control.blocks", "5000 blocks"],
+    );
+    wrong(
+        "[damping]",
+        "[rod.stiffness]\nea_n = 1\nga_n = 1\nei_n_m2 = 1\ngj_n_m2 = 1\n[damping]",
+        &["rod.stiffness", "rod.material"],
+    );
+    assert_eq!(names(desk.folder.path()), ["scene.toml", "wrong.toml"]);
+}
+
+/// Things that are not scenes at all.
+#[test]
+fn non_scenes_are_refused() {
+    let desk = Desk::new();
+    std::fs::create_dir(desk.path("folder")).unwrap();
+    desk.run(&["check", "folder"])
+        .refused(&["folder", "directory"]);
+    desk.write("empty.toml", "");
+    desk.run(&["check", "empty.toml"]).refused(&["empty"]);
+    desk.run(&["check", "missing.toml"])
+        .refused(&["missing.toml"]);
+    let mut state = 1u64;
+    let noise: Vec<u8> = (0..10_000_000)
+        .map(|_| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 56) as u8
+        })
+        .collect();
+    std::fs::write(desk.path("noise.toml"), noise).unwrap();
+    desk.run(&["check", "noise.toml"]).refused(&["noise.toml"]);
+}
+
+/// A target that the bounded control cannot reach: code 4, the residual by its scene key, and the files.
+#[test]
+fn unreachable_target_is_infeasible() {
+    let desk = Desk::new();
+    let run = desk
+        .run(&[
+            "solve",
+            "scene.toml",
+            "--out",
+            "run",
+            "--json",
+            "--set",
+            "control.force_max_n=0.01",
+            "--set",
+            "control.moment_max_n_m=0.001",
+        ])
+        .exits(INFEASIBLE);
+    assert!(run.stderr.contains("task.position_m"));
+    let summary = run.summary();
+    assert_eq!(summary["status"], "locally-infeasible");
+    let worst = summary["worst_constraints"][0]["name"].as_str().unwrap();
+    assert!(worst.starts_with("task.position_m"), "{worst}");
+    assert_eq!(names(&desk.path("run")), SOLVE_FILES);
+}
+
+/// No time: code 6; one iteration: code 3; either way the best point is written.
+#[test]
+fn limits_stop_with_files() {
+    let desk = Desk::new();
+    for (setting, code, status) in [
+        ("solver.deadline_s=1e-9", STOPPED, "deadline"),
+        ("solver.max_iterations=1", NOT_CONVERGED, "iteration-limit"),
+    ] {
+        let run = desk
+            .run(&[
+                "solve",
+                "scene.toml",
+                "--out",
+                status,
+                "--json",
+                "--set",
+                setting,
+            ])
+            .exits(code);
+        assert_eq!(run.summary()["status"], status);
+        assert_eq!(names(&desk.path(status)), SOLVE_FILES);
+        // What was not solved is not certified.
+        desk.run(&["verify", status]).exits(REJECTED);
+    }
+}
+
+/// A directory with somebody's files is refused as a target and stays as it was; an earlier result is replaced.
+#[test]
+fn foreign_targets_are_refused() {
+    let desk = Desk::new();
+    std::fs::create_dir(desk.path("thesis")).unwrap();
+    desk.write("thesis/chapter.tex", "words");
+    for verb in ["solve", "simulate"] {
+        desk.run(&[verb, "scene.toml", "--out", "thesis"])
+            .refused(&["thesis"]);
+    }
+    assert_eq!(names(&desk.path("thesis")), ["chapter.tex"]);
+    assert_eq!(
+        std::fs::read_to_string(desk.path("thesis/chapter.tex")).unwrap(),
+        "words"
+    );
+    for _ in 0..2 {
+        desk.run(&["simulate", "scene.toml", "--out", "run"])
+            .exits(DONE);
+    }
+    assert_eq!(names(desk.folder.path()), ["run", "scene.toml", "thesis"]);
+}
+
+/// The resolved scene is the same problem: its solution has the same objective to the bit. The number of threads
+/// changes no byte of controls and trajectory.
+#[test]
+fn results_are_reproducible() {
+    let desk = Desk::new();
+    let solve = |scene: &str, out: &str, threads: &str| {
+        desk.run(&["solve", scene, "--out", out, "--json", "--threads", threads])
+            .exits(DONE)
+            .summary()
+    };
+    let first = solve("scene.toml", "one", "1");
+    let second = solve("scene.toml", "two", "2");
+    let again = solve("one/scene.toml", "again", "1");
+    for other in [&second, &again] {
+        for field in [
+            "objective",
+            "iterations",
+            "kkt",
+            "multipliers",
+            "steps",
+            "step_s",
+        ] {
+            assert_eq!(first[field], other[field], "{field}");
+        }
+    }
+    let bytes = |name: &str| std::fs::read(desk.path(name)).unwrap();
+    for file in ["controls.csv", "trajectory.npz"] {
+        for other in ["two", "again"] {
+            assert!(
+                bytes(&format!("one/{file}")) == bytes(&format!("{other}/{file}")),
+                "{other}/{file}"
+            );
+        }
+    }
+    assert_eq!(bytes("one/scene.toml"), bytes("again/scene.toml"));
+}
+
+/// A load that tears the arm apart: code 5, with node, step and time, nothing on stdout and no directory.
+#[test]
+fn breakdown_is_located() {
+    let desk = Desk::new();
+    let load = "[[load]]\nnode = \"tip\"\nforce_n = [1e6, 0, 0]\nmoment_n_m = [0, 1e5, 0]\n";
+    desk.write("wild.toml", &format!("{SCENE}{load}"));
+    let run = desk
+        .run(&["simulate", "wild.toml", "--out", "run", "--json"])
+        .exits(NUMERICAL);
+    assert_eq!(run.stdout, "");
+    for word in ["node 4", "step 0", "t = 0 s"] {
+        assert!(run.stderr.contains(word), "{}", run.stderr);
+    }
+    assert_eq!(names(desk.folder.path()), ["scene.toml", "wild.toml"]);
+    desk.run(&["solve", "wild.toml", "--out", "run"])
+        .exits(NUMERICAL);
+}
