@@ -1019,7 +1019,7 @@ fn lifted_and_reduced_agree() {
             outcome
                 .history
                 .iter()
-                .any(|row| !row.restored && row.step_length > 0.0),
+                .any(|row| !row.restored && row.step_norm > 0.0),
             "a lifted step should be taken"
         );
     }

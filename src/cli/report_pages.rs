@@ -196,7 +196,7 @@ fn iteration(row: &IterationRecord) -> ReportIteration {
         stationarity: row.residual.stationarity,
         feasibility: row.residual.feasibility,
         complementarity: row.residual.complementarity,
-        step_length: row.step_length,
+        step_norm: row.step_norm,
         kind: step_kind(row),
     }
 }
@@ -204,7 +204,7 @@ fn iteration(row: &IterationRecord) -> ReportIteration {
 /// Letters of the iteration table: g Gauss-Newton, x exact, c convexified; then l lifted or r restored, and a `+` for
 /// every second-order correction.
 pub(super) fn step_kind(row: &IterationRecord) -> String {
-    if row.step_length == 0.0 {
+    if row.step_norm == 0.0 {
         return String::from("-");
     }
     let hessian = match row.hessian {

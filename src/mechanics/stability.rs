@@ -1,6 +1,6 @@
 //! The stable time step.
 
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::SMatrix;
 
 use super::rod::Rod;
 use super::strain::ElementStiffness;
@@ -55,17 +55,3 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
 
 /// Fraction of [`stable_step`] that `step_s = "auto"` uses: room for compressed elements and large rotations.
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
-
-/// Time that an elastic wave takes through one element, the shortest over the rod, s: `l sqrt(ρA/EA)`.
-#[must_use]
-pub fn axial_transit_time(rod: &Rod) -> f64 {
-    rod.elements
-        .iter()
-        .zip(&rod.element_inertia)
-        .map(|(element, ends)| {
-            let mass = ends[0].mass + ends[1].mass;
-            let axial: &Vector3<f64> = &element.linear_stiffness;
-            (mass * element.length / axial.z).sqrt()
-        })
-        .fold(f64::INFINITY, f64::min)
-}

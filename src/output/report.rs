@@ -214,7 +214,7 @@ pub struct ReportIteration {
     /// KKT residual: complementarity.
     pub complementarity: f64,
     /// Fraction of the direction that was taken.
-    pub step_length: f64,
+    pub step_norm: f64,
     /// Kind of step, as in "full" or "restoration".
     pub kind: String,
 }

@@ -48,8 +48,6 @@ pub struct Accepted<P: LiftedProgram> {
     pub point: P::Point,
     /// Its values.
     pub evaluation: Evaluation<P::Defects>,
-    /// Length of the step.
-    pub step_length: f64,
     /// Whether the states were computed from the variables rather than moved linearly.
     pub restored: bool,
     /// Second-order corrections it took.
@@ -74,13 +72,7 @@ impl Filter {
         !self.entries.is_empty()
     }
 
-    fn passage<R>(
-        &self,
-        from: &Evaluation<R>,
-        to: &Evaluation<R>,
-        slope: f64,
-        step_length: f64,
-    ) -> Option<Passage> {
+    fn passage<R>(&self, from: &Evaluation<R>, to: &Evaluation<R>, slope: f64) -> Option<Passage> {
         let (theta, phi) = (from.infeasibility(), from.objective);
         let (theta_to, phi_to) = (to.infeasibility(), to.objective);
         if !(theta_to <= self.largest && phi_to.is_finite()) {
@@ -95,12 +87,11 @@ impl Filter {
         {
             return None;
         }
-        let decrease = -slope * step_length;
         let switching = slope < 0.0
-            && decrease * (-slope).powf(SWITCH_OBJECTIVE_POWER - 1.0)
+            && (-slope).powf(SWITCH_OBJECTIVE_POWER)
                 > SWITCH_FACTOR * theta.powf(SWITCH_INFEASIBILITY_POWER);
         if theta <= self.small && switching {
-            return (phi_to <= phi - SUFFICIENT_DECREASE * decrease + noise
+            return (phi_to <= phi + SUFFICIENT_DECREASE * slope + noise
                 && theta_to <= self.small.max(theta))
             .then_some(Passage::Objective);
         }
@@ -139,12 +130,11 @@ impl Filter {
         }
         let trial = program.restored_step(from.point, change).ok()?;
         let values = program.evaluate(&trial).ok()?;
-        if let Some(passage) = self.passage(from.evaluation, &values, slope, 1.0) {
+        if let Some(passage) = self.passage(from.evaluation, &values, slope) {
             self.pass(passage, from.evaluation);
             return Some(Accepted {
                 point: trial,
                 evaluation: values,
-                step_length: 1.0,
                 restored: true,
                 corrections: 0,
             });
@@ -170,12 +160,11 @@ impl Filter {
         if values.infeasibility() > LIFTED_INFEASIBILITY.max(from.evaluation.infeasibility()) {
             return None;
         }
-        let passage = self.passage(from.evaluation, &values, slope, 1.0)?;
+        let passage = self.passage(from.evaluation, &values, slope)?;
         self.pass(passage, from.evaluation);
         Some(Accepted {
             point: trial,
             evaluation: values,
-            step_length: 1.0,
             restored: false,
             corrections: 0,
         })
@@ -219,12 +208,11 @@ impl Filter {
             let solution = corrected.solve().ok()?;
             let trial = program.restored_step(from.point, &solution.change).ok()?;
             let values = program.evaluate(&trial).ok()?;
-            if let Some(passage) = self.passage(from.evaluation, &values, slope, 1.0) {
+            if let Some(passage) = self.passage(from.evaluation, &values, slope) {
                 self.pass(passage, from.evaluation);
                 return Some(Accepted {
                     point: trial,
                     evaluation: values,
-                    step_length: 1.0,
                     restored: true,
                     corrections: count,
                 });

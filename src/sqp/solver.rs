@@ -80,7 +80,7 @@ pub struct IterationRecord {
     /// Infeasibility that the globalization works on.
     pub infeasibility: f64,
     /// Norm of the step of the variables from here; 0 in the last row.
-    pub step_length: f64,
+    pub step_norm: f64,
     /// Hessian of the step.
     pub hessian: HessianKind,
     /// Second-order corrections of the step.
@@ -368,7 +368,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             objective: self.evaluation.objective,
             residual,
             infeasibility,
-            step_length: 0.0,
+            step_norm: 0.0,
             hessian: HessianKind::GaussNewton,
             corrections: 0,
             restored: false,
@@ -506,7 +506,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 
     fn take(&mut self, accepted: Accepted<P>, solution: &QpSolution, promise: f64, length: f64) {
         if let Some(row) = self.history.last_mut() {
-            row.step_length = length;
+            row.step_norm = length;
             row.corrections = accepted.corrections;
             row.restored = accepted.restored;
         }
@@ -719,7 +719,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Some(Accepted {
             point,
             evaluation,
-            step_length: 1.0,
             restored: true,
             corrections: 0,
         })
