@@ -117,7 +117,7 @@ impl ModelHessian {
             return None;
         }
         let unit = largest_diagonal(&linearization.gauss_newton);
-        let floor = CURVATURE_FLOOR * least_diagonal(&linearization.gauss_newton);
+        let floor = CURVATURE_FLOOR * linearization.least_curvature();
         let basis = held.gradients.transpose().to_owned().qr().compute_Q();
         let (range, null) = basis.split_at_col(m);
         let reduced = null.transpose() * &full * null;
@@ -238,7 +238,7 @@ impl ActiveNormal {
         multipliers: &Multipliers,
         linearization: &Linearization,
     ) -> Vec<Self> {
-        let unit = least_diagonal(&linearization.gauss_newton);
+        let unit = linearization.least_curvature();
         sets.iter()
             .zip(&multipliers.normals)
             .enumerate()
@@ -287,15 +287,6 @@ impl ActiveNormal {
             })
             .collect()
     }
-}
-
-/// Least positive diagonal entry: the curvature of the cheapest variable (weights of soft targets are no measure).
-pub(super) fn least_diagonal(m: &Mat<f64>) -> f64 {
-    let least = (0..m.nrows())
-        .map(|i| m[(i, i)])
-        .filter(|d| *d > 0.0)
-        .fold(f64::INFINITY, f64::min);
-    if least.is_finite() { least } else { 1.0 }
 }
 
 fn largest_diagonal(m: &Mat<f64>) -> f64 {

@@ -5,6 +5,7 @@ pub mod hessian;
 pub mod program;
 pub mod quadratic_program;
 pub mod residual;
+mod run;
 pub mod solver;
 
 pub use hessian::{HessianChoice, HessianKind};

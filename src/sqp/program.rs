@@ -80,6 +80,19 @@ pub struct Linearization {
     pub offset: Vec<f64>,
 }
 
+impl Linearization {
+    /// Least positive diagonal entry of the Gauss-Newton Hessian, 1 without any: the curvature of the cheapest variable,
+    /// in which small things are counted (the weight of a soft target is no measure).
+    #[must_use]
+    pub fn least_curvature(&self) -> f64 {
+        let least = (0..self.gauss_newton.nrows())
+            .map(|i| self.gauss_newton[(i, i)])
+            .filter(|d| *d > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        if least.is_finite() { least } else { 1.0 }
+    }
+}
+
 /// A nonlinear program with lifted states.
 pub trait LiftedProgram {
     /// Variables and states.

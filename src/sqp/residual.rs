@@ -1,6 +1,5 @@
 //! The optimality conditions and how far a point is from them.
 
-use super::hessian::least_diagonal;
 use super::program::{ConvexSet, Linearization};
 
 /// Multipliers of the constraints and of the convex sets.
@@ -125,7 +124,7 @@ impl KktResidual {
             }
         }
         // A problem whose terms all vanish (already at its optimum) is judged against one unit of effort instead.
-        let unit = 1e-6 * least_diagonal(&linearization.gauss_newton);
+        let unit = 1e-6 * linearization.least_curvature();
         let scale = largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
             stationarity: infinity_norm(&sum) / scale,
