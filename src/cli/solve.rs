@@ -345,7 +345,8 @@ fn median_iteration(history: &[IterationRecord]) -> f64 {
         return 0.0;
     }
     times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
+    let (low, high) = ((times.len() - 1) / 2, times.len() / 2);
+    0.5 * (times[low] + times[high])
 }
 
 fn write(

@@ -148,8 +148,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
-                let about_to_converge =
-                    last.hessian == HessianKind::Exact && last.residual.stationarity < NEARLY_DONE;
+                let about_to_converge = last.residual.stationarity <= self.settings.tolerance
+                    || (last.hessian == HessianKind::Exact
+                        && last.residual.stationarity < NEARLY_DONE);
                 last.residual.stationarity < EXACT_BELOW
                     && self.evaluation.infeasibility() < EXACT_BELOW
                     && !about_to_converge
