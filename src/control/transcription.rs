@@ -1,7 +1,8 @@
 //! The optimal-control problem as a lifted program: controls are variables, configurations at every time node are states.
 //!
 //! The state equations are the discrete equations of motion; they are eliminated exactly, by the forward recursion of
-//! the linearized motion (condensing). The constraints are the scaled residuals of a hard target.
+//! the linearized motion (condensing). The constraints are the scaled residuals of the target; a soft target has variables
+//! of its own for them.
 
 use faer::Mat;
 use nalgebra::Vector3;
@@ -297,22 +298,16 @@ impl LiftedProgram for Transcription<'_> {
             problem: self.problem,
             components: &self.components,
         };
-        let lagrangian = multipliers.map(<[f64]>::to_vec);
-        let terminal = lagrangian.map(|weights| {
-            (
-                tip_covector(motion.rod.n_nodes(), &covectors, &weights),
-                weights,
-            )
-        });
+        let terminal = multipliers.map(|y| tip_covector(motion.rod.n_nodes(), &covectors, y));
         let adjoint = terminal
             .as_ref()
-            .map(|(terminal, _)| adjoint_sweep(&motion, &point.trajectory, terminal))
+            .map(|terminal| adjoint_sweep(&motion, &point.trajectory, terminal))
             .transpose()
             .map_err(describe)?;
         let second_order = terminal
             .as_ref()
             .zip(adjoint.as_ref())
-            .map(|((terminal, _), adjoint)| Multipliers { adjoint, terminal });
+            .map(|(terminal, adjoint)| Multipliers { adjoint, terminal });
         let mut found = sensitivities(
             &motion,
             &point.trajectory,
@@ -322,8 +317,8 @@ impl LiftedProgram for Transcription<'_> {
             self.n_threads,
         )
         .map_err(describe)?;
-        if let Some((_, weights)) = &terminal {
-            self.add_orientation_curvature(&point.trajectory, weights, &mut found);
+        if let Some(y) = multipliers {
+            self.add_orientation_curvature(&point.trajectory, y, &mut found);
         }
         let (n, n_controls) = (point.variables.len(), self.n_controls);
         let jacobian = Mat::from_fn(self.rows.len(), n, |i, j| {

@@ -23,10 +23,10 @@ use super::rod::Rod;
 use super::rotation::{cay_inverse, cay_tangent, hat};
 use super::strain::ElementStiffness;
 
-/// A grid and the wrench that a control applies to the tip at each of its time nodes.
+/// A rod on a time grid, from a given state on.
 ///
-/// The wrench of time node `k` is what the adjacent intervals apply there on average: the mean of both sides where a
-/// control jumps, the one side at either end.
+/// The functions of this module take the control as a tip wrench at every time node: what the adjacent intervals apply
+/// there on average, the mean of both sides where a control jumps, the one side at either end.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion<'a> {
     /// The rod.
@@ -227,7 +227,7 @@ pub struct NodeDrift {
     pub mobility: f64,
     /// `Fᵀ`
     pub turn_transposed: Matrix3<f64>,
-    /// `Θ`, s/(kg m²)... rotation per angular momentum.
+    /// `Θ`, rotation per angular momentum, s/(kg m²).
     pub theta: Matrix3<f64>,
     /// `M`
     pub momentum: Matrix3<f64>,

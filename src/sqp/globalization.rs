@@ -5,6 +5,7 @@
 
 use super::program::{Evaluation, LiftedProgram, Linearization};
 use super::quadratic_program::QuadraticProgram;
+use super::residual::norm;
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
 const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
@@ -113,33 +114,47 @@ impl Filter {
     /// Tries the step `change` of a subproblem: the lifted point first, then the point whose states obey their
     /// equations under the same variables, then second-order corrections of that.
     ///
-    /// `None` when all are refused: the trust region must shrink.
+    ///
+    /// # Errors
+    /// When all are refused: the restored point, uncorrected, if it could be computed. Unless that serves some other
+    /// measure, the trust region must shrink.
     pub fn accept<P: LiftedProgram>(
         &mut self,
         program: &P,
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-    ) -> Option<Accepted<P>> {
+    ) -> Result<Accepted<P>, Option<Accepted<P>>> {
         let slope = from.slope(change);
-        let length = change.iter().map(|d| d * d).sum::<f64>().sqrt();
-        if length <= LIFTED_LENGTH
+        if norm(change) <= LIFTED_LENGTH
             && let Some(accepted) = self.try_lifted(program, from, change, slope)
         {
-            return Some(accepted);
+            return Ok(accepted);
         }
-        let trial = program.restored_step(from.point, change).ok()?;
-        let values = program.evaluate(&trial).ok()?;
-        if let Some(passage) = self.passage(from.evaluation, &values, slope) {
+        let trial = Self::restored(program, from, change, 0).ok_or(None)?;
+        if let Some(passage) = self.passage(from.evaluation, &trial.evaluation, slope) {
             self.pass(passage, from.evaluation);
-            return Some(Accepted {
-                point: trial,
-                evaluation: values,
-                restored: true,
-                corrections: 0,
-            });
+            return Ok(trial);
         }
-        self.correct(program, from, subproblem, change, values, slope)
+        self.correct(program, from, subproblem, change, &trial.evaluation, slope)
+            .ok_or(Some(trial))
+    }
+
+    /// The point of a step whose states obey their equations; `None` where the model fails.
+    fn restored<P: LiftedProgram>(
+        program: &P,
+        from: &Departure<P>,
+        change: &[f64],
+        corrections: usize,
+    ) -> Option<Accepted<P>> {
+        let point = program.restored_step(from.point, change).ok()?;
+        let evaluation = program.evaluate(&point).ok()?;
+        Some(Accepted {
+            point,
+            evaluation,
+            restored: true,
+            corrections,
+        })
     }
 
     fn try_lifted<P: LiftedProgram>(
@@ -183,7 +198,7 @@ impl Filter {
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-        refused: Evaluation<P::Defects>,
+        refused: &Evaluation<P::Defects>,
         slope: f64,
     ) -> Option<Accepted<P>> {
         let jacobian = &from.linearization.jacobian;
@@ -195,33 +210,31 @@ impl Filter {
                 .sum()
         };
         let mut change = change.to_vec();
-        let mut last = refused;
+        let mut constraints = refused.constraints.clone();
+        let mut infeasibility = refused.infeasibility();
         for count in 1..=CORRECTIONS {
             // The states of the trial obey their equations, so only the constraints' own curvature is left.
-            let offset: Vec<f64> = (0..last.constraints.len())
-                .map(|i| last.constraints[i] - along(&change, i))
+            let offset: Vec<f64> = constraints
+                .iter()
+                .enumerate()
+                .map(|(i, c)| c - along(&change, i))
                 .collect();
             let corrected = QuadraticProgram {
                 offset: &offset,
                 ..subproblem.clone()
             };
             let solution = corrected.solve().ok()?;
-            let trial = program.restored_step(from.point, &solution.change).ok()?;
-            let values = program.evaluate(&trial).ok()?;
-            if let Some(passage) = self.passage(from.evaluation, &values, slope) {
+            let trial = Self::restored(program, from, &solution.change, count)?;
+            if let Some(passage) = self.passage(from.evaluation, &trial.evaluation, slope) {
                 self.pass(passage, from.evaluation);
-                return Some(Accepted {
-                    point: trial,
-                    evaluation: values,
-                    restored: true,
-                    corrections: count,
-                });
+                return Some(trial);
             }
-            if values.infeasibility() > CORRECTION_PROGRESS * last.infeasibility() {
+            if trial.evaluation.infeasibility() > CORRECTION_PROGRESS * infeasibility {
                 return None;
             }
             change = solution.change;
-            last = values;
+            infeasibility = trial.evaluation.infeasibility();
+            constraints = trial.evaluation.constraints;
         }
         None
     }

@@ -4,7 +4,7 @@ use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
 use super::program::{ConvexSet, Linearization};
-use super::residual::Multipliers;
+use super::residual::{Multipliers, norm};
 
 /// Which Hessian the solver uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,18 +81,14 @@ impl ModelHessian {
     /// Falls back to Gauss-Newton without curvature, or when the held directions are dependent.
     #[must_use]
     pub fn exact(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
-        let plain = Self::try_exact(linearization, active, false);
-        if plain
-            .as_ref()
-            .is_some_and(|model| model.kind == HessianKind::Exact)
-        {
-            return plain.unwrap_or_else(|| Self::gauss_newton(linearization));
+        match Self::try_exact(linearization, active, false) {
+            Some(model) if model.kind == HessianKind::Exact => model,
+            plain => Self::try_exact(linearization, active, true)
+                .filter(|model| model.kind == HessianKind::Exact)
+                .or(plain)
+                .or_else(|| Self::try_exact(linearization, &[], false))
+                .unwrap_or_else(|| Self::gauss_newton(linearization)),
         }
-        Self::try_exact(linearization, active, true)
-            .filter(|model| model.kind == HessianKind::Exact)
-            .or(plain)
-            .or_else(|| Self::try_exact(linearization, &[], false))
-            .unwrap_or_else(|| Self::gauss_newton(linearization))
     }
 
     fn try_exact(
@@ -270,8 +266,8 @@ impl ActiveNormal {
                 }
                 ConvexSet::Ball { indices, radius } => {
                     let u: Vec<f64> = indices.iter().map(|&i| variables[i]).collect();
-                    let size = u.iter().map(|x| x * x).sum::<f64>().sqrt();
-                    let pull = normal.iter().map(|z| z * z).sum::<f64>().sqrt();
+                    let size = norm(&u);
+                    let pull = norm(normal);
                     let gap = radius - size;
                     (size > 0.0 && pull / unit > gap).then(|| Self {
                         direction: indices

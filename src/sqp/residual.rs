@@ -134,6 +134,11 @@ impl KktResidual {
     }
 }
 
+/// Euclidean norm.
+pub(crate) fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
 /// Largest absolute value; NaN if any entry is.
 pub(crate) fn infinity_norm(v: &[f64]) -> f64 {
     v.iter().fold(0.0, |m: f64, x| {

@@ -7,7 +7,7 @@ use super::globalization::{Accepted, Departure, Filter};
 use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian};
 use super::program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
 use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
-use super::residual::{KktResidual, Multipliers, infinity_norm};
+use super::residual::{KktResidual, Multipliers, infinity_norm, norm};
 use super::solver::{IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop};
 
 /// Smallest and first elastic weight, relative to the size of the cost gradient.
@@ -79,7 +79,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     phases: PhaseTimes,
 }
 
-/// The best point so far: least infeasible, and among feasible ones the cheapest.
+/// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
 struct Best<Point> {
     point: Point,
     multipliers: Multipliers,
@@ -501,14 +501,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             evaluation: &self.evaluation,
             linearization,
         };
-        let accepted = filter.accept(
+        let verdict = filter.accept(
             self.program,
             &departure,
             &self.subproblem(linearization, model, sets, weight),
             &solution.change,
         );
         self.filter = filter;
-        accepted.or_else(|| self.accept_by_merit(linearization, model, solution))
+        match verdict {
+            Ok(accepted) => Some(accepted),
+            Err(refused) => self.accept_by_merit(linearization, model, solution, refused?),
+        }
     }
 
     /// What the filter refuses may still be what the elastic subproblem set out to do: lower `J + γ · infeasibility`.
@@ -519,29 +522,20 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
+        refused: Accepted<P>,
     ) -> Option<Accepted<P>> {
         let weight = self.elastic_weight?;
         if self.merit_steps >= MERIT_STEPS || self.evaluation.defect > self.settings.tolerance {
             return None;
         }
         let promise = self.promise(linearization, model, solution, weight);
-        let point = self
-            .program
-            .restored_step(&self.point, &solution.change)
-            .ok()?;
-        let evaluation = self.program.evaluate(&point).ok()?;
-        let delivered = merit(&self.evaluation, weight) - merit(&evaluation, weight);
+        let delivered = merit(&self.evaluation, weight) - merit(&refused.evaluation, weight);
         if !(promise > 0.0 && delivered >= MERIT_RATIO * promise) {
             return None;
         }
         self.merit_steps += 1;
         self.filter = Filter::new(self.evaluation.infeasibility());
-        Some(Accepted {
-            point,
-            evaluation,
-            restored: true,
-            corrections: 0,
-        })
+        Some(refused)
     }
 
     pub(super) fn show(
@@ -584,10 +578,6 @@ fn merit<R>(values: &Evaluation<R>, weight: f64) -> f64 {
 
 fn first_trust_radius(variables: &[f64]) -> f64 {
     FIRST_TRUST_RADIUS * norm(variables).max(1.0)
-}
-
-fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
