@@ -37,6 +37,7 @@ fn element_curvature_is_the_second_derivative() {
             let (l, bend) = (0.13, [1.2, 1e-4, 0.0][trial % 3]);
             let first = Vector3::new(0.1, -0.05, 1.1);
             let element = Element {
+                model: RodModel::Standard,
                 length: l,
                 linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
                 angular_stiffness: Vector3::new(0.03, 0.02, 0.05),

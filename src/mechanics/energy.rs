@@ -35,15 +35,14 @@ impl Energy {
     }
 }
 
-/// `Σ |p|²/(2m) + ½ π·J⁻¹π`, J.
+/// `Σ |p|²/(2m) + ½ π·J⁻¹π`, J, with the inertia of the state's dilatation.
 #[must_use]
 pub fn kinetic_energy(rod: &Rod, state: &State) -> f64 {
-    rod.nodes
-        .iter()
-        .zip(&state.linear_momentum)
-        .zip(&state.angular_momentum)
-        .map(|((node, p), pi)| {
-            0.5 * (p.norm_squared() / node.mass + pi.dot(&pi.component_div(&node.rotary)))
+    let rotary = rod.rotary_at(&state.configuration.positions);
+    (rod.nodes.iter().zip(&rotary))
+        .zip(state.linear_momentum.iter().zip(&state.angular_momentum))
+        .map(|((node, rotary), (p, pi))| {
+            0.5 * (p.norm_squared() / node.mass + pi.dot(&pi.component_div(rotary)))
         })
         .sum()
 }

@@ -10,6 +10,8 @@
 //! p⁺ = (1 - a) p½ + h/2 f⁺              π⁺ = (1 - a) Fᵀ g + h/2 τ⁺
 //! ```
 //!
+//! Where the inertia follows the dilatation, [`InertiaRule`] says which dilatation a step uses.
+//!
 //! The damping force is that of the interval's own velocity, split over both ends: second order, symmetric, and it
 //! does not shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial
 //! velocities and rest at the end are exact to second order.
@@ -18,6 +20,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::State;
 use super::forces::NodalForces;
+use super::inertia::{InertiaRule, momentum_after};
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{cay, hat};
@@ -81,6 +84,23 @@ pub enum StepError {
         time: f64,
         /// `|h g| / min J`.
         ratio: f64,
+    },
+    /// An element is pressed together so far that the time step does not resolve its stiffness `EA/e²` any more.
+    #[error(
+        "element {element}, step {step} (t = {time} s): pressed to {dilatation:.3e} of its rest length, the time step resolves \
+         {least:.3e}; shorten time.step_s or soften the load"
+    )]
+    ElementCollapsed {
+        /// Element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Its dilatation.
+        dilatation: f64,
+        /// `h c/l`, `c` the speed of axial waves.
+        least: f64,
     },
     /// A force, moment or momentum is not a number any more.
     #[error(
@@ -183,6 +203,10 @@ pub struct Integrator<'a> {
     step: usize,
     state: State,
     forces: NodalForces,
+    /// Inertia of the nodes in the present configuration.
+    rotary: Vec<Vector3<f64>>,
+    /// Cayley vectors of the last step.
+    turns: Vec<Vector3<f64>>,
 }
 
 impl<'a> Integrator<'a> {
@@ -200,6 +224,8 @@ impl<'a> Integrator<'a> {
             rod,
             time_step,
             step: 0,
+            rotary: rod.rotary_at(&initial.configuration.positions),
+            turns: vec![Vector3::zeros(); rod.n_nodes()],
             state: initial,
             forces,
         }
@@ -240,50 +266,137 @@ impl<'a> Integrator<'a> {
         let a = 0.5 * self.rod.viscous_damping * h;
         let undamp = 1.0 / (1.0 + a);
         let tip = self.rod.tip();
+        let first = self.rod.first_free_node();
+        let inertia_rule = InertiaRule::of(self.rod.model, self.step);
         self.forces.forces[tip] += control[0].force;
         self.forces.moments[tip] += control[0].moment;
-        let (step, time) = (self.step, self.time());
+        for node in first..=tip {
+            let State {
+                linear_momentum: p,
+                angular_momentum: g,
+                ..
+            } = &mut self.state;
+            p[node] = (p[node] + 0.5 * h * self.forces.forces[node]) * undamp;
+            g[node] = (g[node] + 0.5 * h * self.forces.moments[node]) * undamp;
+        }
+        if inertia_rule != InertiaRule::End {
+            self.solve_turns()?;
+        }
+        if inertia_rule == InertiaRule::Start {
+            self.add_kinetic_reaction(undamp);
+        }
+        self.translate()?;
+        if inertia_rule != InertiaRule::Constant {
+            self.follow_dilatation()?;
+        }
+        if inertia_rule == InertiaRule::End {
+            self.solve_turns()?;
+        }
         let State {
             configuration,
             linear_momentum,
             angular_momentum,
         } = &mut self.state;
-        for node in self.rod.first_free_node()..=tip {
-            let inertia = &self.rod.nodes[node];
-            let p = (linear_momentum[node] + 0.5 * h * self.forces.forces[node]) * undamp;
-            let x = configuration.positions[node] + p * (h / inertia.mass);
-            if !x.iter().all(|c| c.is_finite()) {
-                return Err(StepError::NotFinite {
-                    node,
-                    step,
-                    time,
-                    quantity: "the position",
-                });
-            }
-            let g = (angular_momentum[node] + 0.5 * h * self.forces.moments[node]) * undamp;
-            let Some(f) = solve_rotation(&inertia.rotary, &(g * h)) else {
-                return Err(rotation_error(node, step, time, &g, h, &inertia.rotary));
-            };
-            let turn = cay(&f);
-            configuration.positions[node] = x;
+        for node in first..=tip {
+            let turn = cay(&self.turns[node]);
             configuration.rotations[node] *= turn;
-            linear_momentum[node] = p * (1.0 - a);
-            angular_momentum[node] = turn.transpose() * g * (1.0 - a);
+            let arrived = if inertia_rule == InertiaRule::Both {
+                momentum_after(&self.rotary[node], &self.turns[node], h)
+            } else {
+                turn.tr_mul(&angular_momentum[node])
+            };
+            linear_momentum[node] *= 1.0 - a;
+            angular_momentum[node] = arrived * (1.0 - a);
+        }
+        if inertia_rule == InertiaRule::End {
+            self.add_kinetic_reaction(1.0);
         }
         self.step += 1;
+        let State {
+            configuration,
+            linear_momentum,
+            angular_momentum,
+        } = &mut self.state;
         self.forces.evaluate(
             self.rod,
             &configuration.positions,
             &configuration.rotations,
             self.step as f64 * h,
         );
-        for node in self.rod.first_free_node()..=tip {
+        for node in first..=tip {
             linear_momentum[node] += 0.5 * h * self.forces.forces[node];
             angular_momentum[node] += 0.5 * h * self.forces.moments[node];
         }
         linear_momentum[tip] += 0.5 * h * control[1].force;
         angular_momentum[tip] += 0.5 * h * control[1].moment;
         Ok(())
+    }
+
+    /// Cayley vectors of the step from the angular momenta, with the inertia at hand.
+    fn solve_turns(&mut self) -> Result<(), StepError> {
+        for node in self.rod.first_free_node()..self.rod.n_nodes() {
+            let g = &self.state.angular_momentum[node];
+            let rotary = &self.rotary[node];
+            self.turns[node] = solve_rotation(rotary, &(g * self.time_step)).ok_or_else(|| {
+                rotation_error(node, self.step, self.time(), g, self.time_step, rotary)
+            })?;
+        }
+        Ok(())
+    }
+
+    /// `x ← x + h p/m`
+    fn translate(&mut self) -> Result<(), StepError> {
+        for node in self.rod.first_free_node()..self.rod.n_nodes() {
+            let mobility = self.time_step / self.rod.nodes[node].mass;
+            let x = &mut self.state.configuration.positions[node];
+            *x += self.state.linear_momentum[node] * mobility;
+            if !x.iter().all(|c| c.is_finite()) {
+                return Err(StepError::NotFinite {
+                    node,
+                    step: self.step,
+                    time: self.time(),
+                    quantity: "the position",
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Inertia of the nodes at the present positions.
+    fn follow_dilatation(&mut self) -> Result<(), StepError> {
+        let positions = &self.state.configuration.positions;
+        for q in 0..self.rod.n_elements() {
+            let dilatation = self.rod.chord_dilatation(q, positions);
+            let least = self.rod.least_dilatation(q, self.time_step);
+            if !(dilatation > least) {
+                return Err(StepError::ElementCollapsed {
+                    element: q,
+                    step: self.step,
+                    time: self.time(),
+                    dilatation,
+                    least,
+                });
+            }
+        }
+        self.rod.write_rotary(positions, &mut self.rotary);
+        Ok(())
+    }
+
+    /// Adds `factor` times the impulses of the kinetic reaction at the present positions.
+    fn add_kinetic_reaction(&mut self, factor: f64) {
+        let first = self.rod.first_free_node();
+        let positions = &self.state.configuration.positions;
+        for q in 0..self.rod.n_elements() {
+            let dx = positions[q + 1] - positions[q];
+            let impulse = factor
+                * self
+                    .rod
+                    .kinetic_reaction(q, &dx, &self.turns, self.time_step);
+            if q >= first {
+                self.state.linear_momentum[q] -= impulse;
+            }
+            self.state.linear_momentum[q + 1] += impulse;
+        }
     }
 }
 

@@ -2,10 +2,12 @@
 
 mod block_tridiagonal;
 pub mod configuration;
+pub mod constitutive;
 pub mod curvature;
 pub mod energy;
 pub mod equilibrium;
 pub mod forces;
+pub mod inertia;
 pub mod integrator;
 pub mod linearization;
 pub mod load;
@@ -16,6 +18,7 @@ pub mod stability;
 pub mod strain;
 
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
+pub use constitutive::RodModel;
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
 pub use integrator::{Integrator, StepError, TimeGrid};

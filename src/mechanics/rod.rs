@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
+use super::constitutive::RodModel;
 use super::load::Load;
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
 use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
@@ -136,6 +137,8 @@ pub struct RodParameters {
     pub n_elements: usize,
     /// How strains follow from the nodes.
     pub strain_rule: StrainRule,
+    /// How axial stretch enters stiffness and inertia.
+    pub model: RodModel,
     /// Cross-section along the rod.
     pub section: SectionProfile,
     /// Stress-free curvature `κ`, 1/m, body frame.
@@ -165,6 +168,7 @@ impl RodParameters {
             length,
             n_elements,
             strain_rule: StrainRule::Helical,
+            model: RodModel::Standard,
             section,
             rest_curvature: Vector3::zeros(),
             rest_stretch: 1.0,
@@ -215,6 +219,8 @@ impl Scales {
 pub struct Rod {
     /// How strains follow from the nodes.
     pub strain_rule: StrainRule,
+    /// How axial stretch enters stiffness and inertia.
+    pub model: RodModel,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
     /// Lumped inertia of the nodes (trapezoidal rule: each element gives a half to each end).
@@ -223,6 +229,8 @@ pub struct Rod {
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// How node 0 is held.
     pub base: BaseCondition,
+    /// Length of every element's chord in the stress-free configuration, m.
+    pub rest_chords: Vec<f64>,
     /// Stress-free configuration, starting at the base pose.
     pub rest: Configuration,
     /// Acceleration of gravity, m/s².
@@ -346,6 +354,7 @@ impl Rod {
             .map(|q| {
                 let section = p.section.at((q as f64 + 0.5) / n);
                 Element {
+                    model: p.model,
                     length: l,
                     linear_stiffness: section.linear_stiffness,
                     angular_stiffness: section.angular_stiffness,
@@ -377,11 +386,16 @@ impl Rod {
             }
         }
         let scales = Scales::of(p.length, &elements, &nodes);
+        let rest_chords = (rest.positions.windows(2))
+            .map(|ends| (ends[1] - ends[0]).norm())
+            .collect();
         Ok(Self {
             strain_rule: p.strain_rule,
+            model: p.model,
             elements,
             nodes,
             element_inertia,
+            rest_chords,
             base: p.base,
             rest,
             gravity: p.gravity,

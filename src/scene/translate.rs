@@ -14,8 +14,8 @@ use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::rotation::from_quaternion;
 use crate::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use crate::mechanics::{
-    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
-    StrainRule, TimeGrid,
+    BaseCondition, Load, LoadFrame, Material, Rod, RodModel, RodParameters, Section,
+    SectionProfile, State, StrainRule, TimeGrid,
 };
 use crate::sqp::{HessianChoice, SqpSettings};
 
@@ -210,6 +210,11 @@ impl Scene {
             strain_rule: match self.rod.strain {
                 model::StrainRule::Helical => StrainRule::Helical,
                 model::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
+            },
+            model: match self.rod.model {
+                model::RodModel::Standard => RodModel::Standard,
+                model::RodModel::Dilatation => RodModel::Dilatation,
+                model::RodModel::Consistent => RodModel::Consistent,
             },
             section: self.section_profile(source)?,
             rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),

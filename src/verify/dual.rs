@@ -243,6 +243,7 @@ fn body_difference(pose: &ElementPose, rotation: &Matrix3<f64>, at: usize) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mechanics::RodModel;
     use crate::mechanics::rotation::exp;
     use crate::mechanics::strain::ElementStrain;
 
@@ -251,6 +252,7 @@ mod tests {
     #[test]
     fn agrees_with_the_analytic_gradient() {
         let element = Element {
+            model: RodModel::Standard,
             length: 0.2,
             linear_stiffness: Vector3::new(3.0, 4.0, 9.0),
             angular_stiffness: Vector3::new(0.2, 0.3, 0.1),
