@@ -17,7 +17,8 @@ use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
+    BaseCondition, Integrator, Rod, RodModel, RodParameters, State, StrainRule, TimeGrid,
+    Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -120,7 +121,7 @@ fn inertia_curvature_is_the_second_derivative() {
             let g = vee(&(f * j_d - j_d * f.transpose())) / h;
             mu.dot(&(f.transpose() * g)) - lambda.dot(&g)
         };
-        let q = inertia_curvature(&rotary, h, &turn, &lambda, &mu);
+        let q = inertia_curvature([&rotary; 2], h, &turn, &lambda, &mu);
         assert_eq!(q, q.transpose());
         let z = SVector::<f64, 6>::from_iterator(before.iter().chain(&after).copied());
         let error = z.dot(&(q * z)) - second_difference(1e-3, w);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Dice, RULES, busy_arm, random_state, random_trajectory, soft_arm};
+use common::{Dice, busy_arm, laws, random_state, random_trajectory, soft_arm, variational_laws};
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
@@ -11,28 +11,31 @@ use softarm::mechanics::linearization::{
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory,
-    TrajectoryTangent, Wrench,
+    BaseCondition, Energy, Integrator, Rod, RodModel, RodParameters, State, StrainRule, TimeGrid,
+    Trajectory, TrajectoryTangent, Wrench,
 };
 
-fn free_rod(rule: StrainRule, n_elements: usize) -> Rod {
+fn free_rod(rule: StrainRule, model: RodModel, n_elements: usize) -> Rod {
     Rod::new(&RodParameters {
+        model,
         base: BaseCondition::Free,
         ..soft_arm(rule, n_elements)
     })
     .unwrap()
 }
 
-/// Free rod, no loads, no damping: linear and angular momentum stay put over 10⁵ steps.
+/// Free rod, no loads, no damping: linear and angular momentum stay put under every law that derives from an action,
+/// over 10⁵ steps; the paper's model keeps the linear one only, and here not for longer than 500 steps.
 #[test]
 fn momentum_is_conserved() {
-    for rule in RULES {
-        let rod = free_rod(rule, 6);
+    for (rule, model) in laws() {
+        let n_steps = if model.has_potential() { 100_000 } else { 500 };
+        let rod = free_rod(rule, model, 6);
         let initial = random_state(&rod, 0.1, 0.5, &mut Dice(1));
         let (p0, l0) = (linear_momentum(&initial), angular_momentum(&initial));
         let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
         let mut farthest: f64 = 0.0;
-        for _ in 0..100_000 {
+        for _ in 0..n_steps {
             integrator.advance([Wrench::default(); 2]).unwrap();
             farthest = farthest.max(integrator.state().configuration.positions[0].norm());
         }
@@ -40,7 +43,12 @@ fn momentum_is_conserved() {
         // Rounding of 1e5 steps: about sqrt(1e5) 1e-16 of the momenta themselves, the angular one about the origin.
         let size: f64 = state.linear_momentum.iter().map(Vector3::norm).sum();
         assert!((linear_momentum(state) - p0).norm() < 1e-12 * size.max(p0.norm()));
-        assert!((angular_momentum(state) - l0).norm() < 1e-12 * size * (1.0 + farthest));
+        let change = (angular_momentum(state) - l0).norm() / (size * (1.0 + farthest));
+        assert_eq!(
+            change < 1e-12,
+            model.has_potential(),
+            "{rule:?} {model:?} {change}"
+        );
         for r in &state.configuration.rotations {
             assert!((r.transpose() * r - nalgebra::Matrix3::identity()).norm() < 1e-11);
         }
@@ -48,8 +56,12 @@ fn momentum_is_conserved() {
 }
 
 /// Largest departure of the energy from its start over a fixed time, clamped arm swinging at large amplitude.
-fn energy_ripple(rule: StrainRule, fraction: f64, time: f64) -> (f64, f64) {
-    let rod = Rod::new(&soft_arm(rule, 8)).unwrap();
+fn energy_ripple(rule: StrainRule, model: RodModel, fraction: f64, time: f64) -> (f64, f64) {
+    let rod = Rod::new(&RodParameters {
+        model,
+        ..soft_arm(rule, 8)
+    })
+    .unwrap();
     let mut initial = State::at_rest(rod.rest.clone());
     for (q, p) in initial.linear_momentum.iter_mut().enumerate() {
         // A smooth initial motion, so that the ripple is that of the method and not of unresolved waves.
@@ -71,18 +83,18 @@ fn energy_ripple(rule: StrainRule, fraction: f64, time: f64) -> (f64, f64) {
 /// No damping: the energy error is bounded (ten times longer, hardly larger) and second order in h.
 #[test]
 fn energy_is_bounded_and_second_order() {
-    for rule in RULES {
-        let (coarse, _) = energy_ripple(rule, 0.4, 2.0);
-        let (fine, _) = energy_ripple(rule, 0.2, 2.0);
+    for (rule, model) in variational_laws() {
+        let (coarse, _) = energy_ripple(rule, model, 0.4, 2.0);
+        let (fine, _) = energy_ripple(rule, model, 0.2, 2.0);
         let order = (coarse / fine).log2();
         assert!(
             (1.8..2.3).contains(&order),
-            "{rule:?}: order {order}, ripple {coarse} {fine}"
+            "{rule:?} {model:?}: order {order}, ripple {coarse} {fine}"
         );
-        let (long, _) = energy_ripple(rule, 0.4, 20.0);
+        let (long, _) = energy_ripple(rule, model, 0.4, 20.0);
         assert!(
             long < 2.5 * coarse,
-            "{rule:?}: {long} after ten times the time, {coarse} before"
+            "{rule:?} {model:?}: {long} after ten times the time, {coarse} before"
         );
     }
 }
@@ -90,8 +102,12 @@ fn energy_is_bounded_and_second_order() {
 /// The integrator's own trajectory has no defects, and its last momenta are the terminal ones.
 #[test]
 fn integrated_trajectory_has_no_defects() {
-    for rule in RULES {
-        let rod = Rod::new(&busy_arm(rule, 5)).unwrap();
+    for (rule, model) in laws() {
+        let rod = Rod::new(&RodParameters {
+            model,
+            ..busy_arm(rule, 5)
+        })
+        .unwrap();
         let mut dice = Dice(3);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
         let grid = TimeGrid {
@@ -145,29 +161,29 @@ fn integrate(
     (trajectory, integrator.state().clone())
 }
 
-/// One unforced, undamped step as a matrix over `(x, η, p, π)` of the free nodes: exact columns from the sweep.
-fn step_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
+/// Two unforced, undamped steps as a matrix over `(x, η, p, π)` of the free nodes: exact columns from the sweep.
+fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
     let n = rod.n_nodes();
     let first = rod.first_free_node();
     let size = 12 * (n - first);
     let grid = TimeGrid {
         step: h,
-        n_steps: 1,
+        n_steps: 2,
     };
-    let zero = vec![Wrench::default(); 2];
+    let zero = vec![Wrench::default(); 3];
     let (trajectory, after) = integrate(rod, state, grid, &zero);
     let motion = Motion {
         rod,
         grid,
         initial: state,
     };
-    // Columns of the one-step map by the adjoint: row i of A is the pull-back of the i-th covector. The covector of the
+    // Columns of the map by the adjoint: row i of A is the pull-back of the i-th covector. The covector of the
     // initial (x, η) comes with the force change at k = 0, the one of (p, π) is the row multiplier times the decay 1.
     let mut a = DMatrix::zeros(size, size);
     for i in 0..size {
         let mut covector = StateTangent::zeros(n);
         *component(&mut covector, first, i) = 1.0;
-        let pulled = pull_back_one_step(&motion, &trajectory, &covector);
+        let pulled = pull_back(&motion, &trajectory, &covector);
         for j in 0..size {
             a[(i, j)] = *component(&mut pulled.clone(), first, j);
         }
@@ -185,29 +201,22 @@ fn component(tangent: &mut StateTangent, first: usize, i: usize) -> &mut f64 {
     }
 }
 
-/// The pull-back of a covector through one whole step, from the public pieces: terminal kick, drift, initial kick.
-fn pull_back_one_step(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    covector: &StateTangent,
-) -> StateTangent {
+/// The pull-back of a covector through two whole steps, from the public pieces: terminal kick, drift, kick, drift,
+/// initial kick.
+fn pull_back(motion: &Motion, trajectory: &Trajectory, covector: &StateTangent) -> StateTangent {
     use softarm::mechanics::linearization::StepLinearization;
     let n = motion.rod.n_nodes();
     let first = motion.rod.first_free_node();
     let mut c = covector.clone();
     let mut out = StateTangent::zeros(n);
-    for k in [1, 0] {
+    for k in [2, 1, 0] {
         let step = StepLinearization::at(motion, trajectory, k).unwrap();
         let mut force = vec![Vector3::zeros(); n];
         let mut moment = force.clone();
+        if k < 2 {
+            step.drift_transposed(&mut c);
+        }
         for q in first..n {
-            if k == 0 {
-                let drift = &step.drifts[q];
-                c.linear[q] += drift.mobility * c.positions[q];
-                c.angular[q] =
-                    drift.momentum.tr_mul(&c.angular[q]) + drift.theta.tr_mul(&c.rotations[q]);
-                c.rotations[q] = drift.turn_transposed.tr_mul(&c.rotations[q]);
-            }
             force[q] = step.kick.weight * c.linear[q];
             moment[q] = step.kick.weight * c.angular[q];
             c.linear[q] *= step.kick.decay;
@@ -219,26 +228,29 @@ fn pull_back_one_step(
     out
 }
 
-/// Unforced, undamped step: its linearization A satisfies AᵀΩ(π⁺)A = Ω(π) to rounding, with the canonical form in
+/// Unforced, undamped steps: their linearization A satisfies AᵀΩ(π⁺)A = Ω(π) to rounding, with the canonical form in
 /// (x, p) and `[[-π̂, I], [-I, 0]]` in (η, π).
 #[test]
 fn linearized_step_is_symplectic() {
-    for rule in RULES {
+    for (rule, model) in laws() {
         for base in [BaseCondition::Clamped, BaseCondition::Free] {
             let rod = Rod::new(&RodParameters {
                 base,
+                model,
                 ..soft_arm(rule, 4)
             })
             .unwrap();
             let state = random_state(&rod, 0.3, 2.0, &mut Dice(11));
-            let (a, after) = step_matrix(&rod, &state, 0.5 * stable_step(&rod));
+            let (a, after) = steps_matrix(&rod, &state, 0.5 * stable_step(&rod));
             let residual = a.transpose() * form(&rod, &after) * &a - form(&rod, &state);
             // Entries of A differ by the mass scale; the product is exact up to rounding of its largest terms.
             let scale = (a.transpose().abs() * form(&rod, &after).abs() * a.abs()).max();
-            assert!(
-                residual.abs().max() < 1e-14 * scale,
-                "{rule:?} {base:?}: {} of {scale}",
-                residual.abs().max()
+            let residual = residual.abs().max() / scale;
+            // The paper's model is not the variation of an action, and the test can tell.
+            assert_eq!(
+                residual < 1e-14,
+                model.has_potential(),
+                "{rule:?} {model:?} {base:?}: {residual}"
             );
         }
     }
@@ -268,7 +280,7 @@ fn form(rod: &Rod, state: &State) -> DMatrix<f64> {
 fn symplectic_residual_sees_a_missing_block() {
     let rod = Rod::new(&soft_arm(StrainRule::Helical, 3)).unwrap();
     let state = random_state(&rod, 0.3, 20.0, &mut Dice(5));
-    let (a, after) = step_matrix(&rod, &state, 0.5 * stable_step(&rod));
+    let (a, after) = steps_matrix(&rod, &state, 0.5 * stable_step(&rod));
     let mut canonical_after = form(&rod, &after);
     let mut canonical = form(&rod, &state);
     for q in 0..3 {
@@ -292,8 +304,12 @@ fn symplectic_residual_sees_a_missing_block() {
 /// rows, so the defects after a step of size α along it fall to the second order: halving α quarters what remains.
 #[test]
 fn linearization_passes_the_taylor_test() {
-    for rule in RULES {
-        let rod = Rod::new(&busy_arm(rule, 5)).unwrap();
+    for (rule, model) in laws() {
+        let rod = Rod::new(&RodParameters {
+            model,
+            ..busy_arm(rule, 5)
+        })
+        .unwrap();
         let mut dice = Dice(7);
         let grid = TimeGrid {
             step: 0.4 * stable_step(&rod),
@@ -372,7 +388,7 @@ fn linearization_passes_the_taylor_test() {
             let ratio = c / f;
             assert!(
                 (3.6..4.4).contains(&ratio),
-                "{rule:?} {part}: ratio {ratio}, remainders {c} {f}"
+                "{rule:?} {model:?} {part}: ratio {ratio}, remainders {c} {f}"
             );
         }
     }
@@ -381,10 +397,11 @@ fn linearization_passes_the_taylor_test() {
 /// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the two sweeps written separately, loads, damping and defects included.
 #[test]
 fn adjoint_is_the_transpose() {
-    for rule in RULES {
+    for (rule, model) in laws() {
         for base in [BaseCondition::Clamped, BaseCondition::Free] {
             let rod = Rod::new(&RodParameters {
                 base,
+                model,
                 ..busy_arm(rule, 6)
             })
             .unwrap();
@@ -436,7 +453,7 @@ fn adjoint_is_the_transpose() {
             let size = forward.abs() + by_control.abs() + by_defects.abs();
             assert!(
                 (forward - (by_control - by_defects)).abs() < 1e-12 * size,
-                "{rule:?} {base:?}"
+                "{rule:?} {model:?} {base:?}"
             );
         }
     }
@@ -484,8 +501,12 @@ fn forward_sweep_is_linear() {
 /// are resolved (h a tenth of the stable step).
 #[test]
 fn integrator_is_second_order() {
-    for rule in RULES {
-        let rod = Rod::new(&busy_arm(rule, 6)).unwrap();
+    for (rule, model) in laws() {
+        let rod = Rod::new(&RodParameters {
+            model,
+            ..busy_arm(rule, 6)
+        })
+        .unwrap();
         let end = 0.2;
         let coarsest = (end / (0.35 * stable_step(&rod))).ceil() as usize;
         let run = |refinement: usize| {
@@ -521,16 +542,24 @@ fn integrator_is_second_order() {
         let (coarse, fine) = (error(4), error(8));
         for (c, f) in [(coarse.0, fine.0), (coarse.1, fine.1)] {
             let order = (c / f).log2();
-            assert!((1.8..2.2).contains(&order), "{rule:?}: order {order}");
+            assert!(
+                (1.8..2.2).contains(&order),
+                "{rule:?} {model:?}: order {order}"
+            );
         }
     }
 }
 
-/// Run forward, turn the momenta round, run back: the rod is where it started (the step is its own adjoint).
+/// Run forward, turn the momenta round, run back: the rod is where it started (a step, or two of them where they
+/// alternate, is its own adjoint).
 #[test]
 fn motion_is_reversible() {
-    for rule in RULES {
-        let rod = Rod::new(&soft_arm(rule, 6)).unwrap();
+    for (rule, model) in laws() {
+        let rod = Rod::new(&RodParameters {
+            model,
+            ..soft_arm(rule, 6)
+        })
+        .unwrap();
         let initial = random_state(&rod, 0.05, 0.5, &mut Dice(21));
         let h = 0.5 * stable_step(&rod);
         let mut there = Integrator::new(&rod, h, initial.clone());
@@ -572,8 +601,11 @@ fn motion_is_reversible() {
 fn dynamics_is_objective() {
     let turn = exp(&Vector3::new(0.7, -1.9, 0.4));
     let shift = Vector3::new(3.0, -2.0, 5.0);
-    for rule in RULES {
-        let parameters = busy_arm(rule, 5);
+    for (rule, model) in laws() {
+        let parameters = RodParameters {
+            model,
+            ..busy_arm(rule, 5)
+        };
         let mut moved = parameters.clone();
         moved.base_rotation = turn * parameters.base_rotation;
         moved.base_position = turn * parameters.base_position + shift;

@@ -12,6 +12,10 @@
 //! All second derivatives are those in the chart `x + δx`, `R exp(ζ̂)`, hence symmetric. They are not those of
 //! another chart, nor the derivative of the left-trivialized derivative; their sum over all rows is the same in each,
 //! because `L` is stationary.
+//!
+//! Where the inertia follows the dilatation, its second derivatives along the dilatation are left out, and under
+//! [`RodModel::Dilatation`](super::RodModel), whose stress has no potential, the elastic part is that of the symmetric part
+//! of the stiffness: the form is then an approximation, as good as the rotary inertia is small. Gradients are exact.
 
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -158,15 +162,16 @@ pub fn interval_curvature(
         return Vec::new();
     }
     let decay = motion.kick(k + 1).decay;
+    let [leaving, arriving] = motion.inertia(trajectory, k);
     let ends = trajectory
         .rotations_at(k)
         .iter()
         .zip(trajectory.rotations_at(k + 1));
-    ends.zip(&motion.rod.nodes)
+    ends.zip(leaving.iter().zip(&arriving))
         .enumerate()
-        .map(|(q, ((before, after), inertia))| {
+        .map(|(q, ((before, after), (leaving, arriving)))| {
             inertia_curvature(
-                &inertia.rotary,
+                [leaving, arriving],
                 motion.grid.step,
                 &before.tr_mul(after),
                 &multipliers.at(motion, k, q).1,
@@ -230,17 +235,19 @@ const DIFFERENCE_STEP: f64 = 6e-6;
 /// `g = (1/h) (F J_d - J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s.
 ///
 /// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed
-/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²), `J_d = (tr J/2) I - J`.
+/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²) for `g` and for `π`, `J_d = (tr J/2) I - J`.
 #[must_use]
 pub fn inertia_curvature(
-    rotary: &Vector3<f64>,
+    rotary: [&Vector3<f64>; 2],
     time_step: f64,
     turn: &Matrix3<f64>,
     before: &Vector3<f64>,
     after: &Vector3<f64>,
 ) -> InertiaCurvature {
-    let j_d = Matrix3::from_diagonal(&(rotary.map(|j| 0.5 * rotary.sum() - j) / time_step));
-    let c = j_d * hat(before) - hat(after) * j_d;
+    let [leaving, arriving] = rotary.map(|rotary| {
+        Matrix3::from_diagonal(&(rotary.map(|j| 0.5 * rotary.sum() - j) / time_step))
+    });
+    let c = leaving * hat(before) - hat(after) * arriving;
     let mut curvature = InertiaCurvature::zeros();
     for (at, m) in [(0, turn * c), (3, c * turn)] {
         let block = 0.5 * (m + m.transpose()) - Matrix3::from_diagonal_element(m.trace());

@@ -115,7 +115,7 @@ impl Rod {
         &self,
         q: usize,
         dx: &Vector3<f64>,
-        turns: &[Vector3<f64>],
+        turns: [&Vector3<f64>; 2],
         h: f64,
     ) -> Vector3<f64> {
         let length = dx.norm();
@@ -124,11 +124,11 @@ impl Rod {
     }
 
     /// `Σ_ends f·J f/(2 h² α)` of element `q` at `e = 1`, J.
-    pub(super) fn rotational_energy(&self, q: usize, turns: &[Vector3<f64>], h: f64) -> f64 {
+    pub(super) fn rotational_energy(&self, q: usize, turns: [&Vector3<f64>; 2], h: f64) -> f64 {
         let shares = &self.element_inertia[q];
         (0..2)
             .map(|end| {
-                let f = &turns[q + end];
+                let f = turns[end];
                 f.dot(&shares[end].rotary.component_mul(f)) / (1.0 + 0.25 * f.norm_squared())
             })
             .sum::<f64>()

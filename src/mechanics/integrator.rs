@@ -388,10 +388,8 @@ impl<'a> Integrator<'a> {
         let positions = &self.state.configuration.positions;
         for q in 0..self.rod.n_elements() {
             let dx = positions[q + 1] - positions[q];
-            let impulse = factor
-                * self
-                    .rod
-                    .kinetic_reaction(q, &dx, &self.turns, self.time_step);
+            let turns = [&self.turns[q], &self.turns[q + 1]];
+            let impulse = factor * self.rod.kinetic_reaction(q, &dx, turns, self.time_step);
             if q >= first {
                 self.state.linear_momentum[q] -= impulse;
             }

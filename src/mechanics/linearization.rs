@@ -17,6 +17,7 @@ use nalgebra::{Matrix3, SVector, Vector3};
 
 use super::configuration::{State, Trajectory, TrajectoryTangent};
 use super::forces::NodalForces;
+use super::inertia::{InertiaRule, momentum_after, momentum_after_slope, momentum_before};
 use super::integrator::{StepError, TimeGrid};
 use super::load::Wrench;
 use super::rod::Rod;
@@ -44,6 +45,8 @@ pub struct Kick {
     pub decay: f64,
     /// Factor on the force, s.
     pub weight: f64,
+    /// Factor on an impulse that acts at this instant, as the [kinetic reaction](super::inertia).
+    pub impulse: f64,
 }
 
 impl Motion<'_> {
@@ -56,17 +59,36 @@ impl Motion<'_> {
             Kick {
                 decay: 1.0 / (1.0 + a),
                 weight: 0.5 * h / (1.0 + a),
+                impulse: 1.0 / (1.0 + a),
             }
         } else if k == self.grid.n_steps {
             Kick {
                 decay: 1.0 - a,
                 weight: 0.5 * h,
+                impulse: 1.0,
             }
         } else {
             Kick {
                 decay: (1.0 - a) / (1.0 + a),
                 weight: h / (1.0 + a),
+                impulse: 1.0 / (1.0 + a),
             }
+        }
+    }
+
+    /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that
+    /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
+    fn arriving_impulse(&self) -> f64 {
+        1.0 / (1.0 - 0.5 * self.rod.viscous_damping * self.grid.step)
+    }
+
+    /// Inertia of every node over the interval from `k` to `k + 1`: where it leaves, and where it arrives.
+    pub(super) fn inertia(&self, trajectory: &Trajectory, k: usize) -> [Vec<Vector3<f64>>; 2] {
+        let at = |k| self.rod.rotary_at(trajectory.positions_at(k));
+        match InertiaRule::of(self.rod.model, k) {
+            InertiaRule::Both => [at(k), at(k + 1)],
+            InertiaRule::End => [at(k + 1), at(k + 1)],
+            InertiaRule::Constant | InertiaRule::Start => [at(k), at(k)],
         }
     }
 }
@@ -95,13 +117,28 @@ impl Interval {
         if !(f.norm_squared() < 4.0 && turn.trace() > 1.0) {
             return None;
         }
-        let jf = rotary.component_mul(&f);
-        let alpha = 1.0 + 0.25 * f.norm_squared();
         Some(Self {
             f,
             turn,
-            g: (jf + 0.5 * f.cross(&jf)) / (alpha * h),
+            g: momentum_before(rotary, &f, h),
         })
+    }
+
+    /// The intervals of all nodes from `k` to `k + 1`, with the inertia where they leave.
+    fn all(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        rotary: &[Vector3<f64>],
+        k: usize,
+    ) -> Result<Vec<Self>, StepError> {
+        let (before, after) = (trajectory.rotations_at(k), trajectory.rotations_at(k + 1));
+        (0..motion.rod.n_nodes())
+            .map(|q| {
+                Self::between(&before[q], &after[q], &rotary[q], motion.grid.step).ok_or_else(
+                    || interval_error(q, k, motion.grid.time(k), &before[q], trajectory),
+                )
+            })
+            .collect()
     }
 }
 
@@ -134,36 +171,46 @@ pub fn defects(
     let mut forces = NodalForces::zeros(n);
     let mut linear = vec![Vector3::zeros(); n * grid.n_steps];
     let mut angular = linear.clone();
+    // Momenta that arrive at the time node, before its kick.
     let mut p = initial.linear_momentum.clone();
     let mut pi = initial.angular_momentum.clone();
     for k in 0..=grid.n_steps {
         let positions = trajectory.positions_at(k);
-        let rotations = trajectory.rotations_at(k);
-        forces.evaluate(rod, positions, rotations, grid.time(k));
+        forces.evaluate(rod, positions, trajectory.rotations_at(k), grid.time(k));
         forces.forces[tip] += control[k].force;
         forces.moments[tip] += control[k].moment;
-        let Kick { decay, weight } = motion.kick(k);
-        for q in rod.first_free_node()..n {
-            let kicked = decay * p[q] + weight * forces.forces[q];
-            let kicked_angular = decay * pi[q] + weight * forces.moments[q];
-            if k == grid.n_steps {
-                p[q] = kicked;
-                pi[q] = kicked_angular;
-                continue;
-            }
-            let inertia = &rod.nodes[q];
-            let interval = Interval::between(
-                &rotations[q],
-                &trajectory.rotations_at(k + 1)[q],
-                &inertia.rotary,
-                h,
-            )
-            .ok_or_else(|| interval_error(q, k, grid.time(k), &rotations[q], trajectory))?;
-            p[q] = (trajectory.positions_at(k + 1)[q] - positions[q]) * (inertia.mass / h);
-            pi[q] = interval.turn.transpose() * interval.g;
+        let Kick {
+            decay,
+            weight,
+            impulse,
+        } = motion.kick(k);
+        let first = rod.first_free_node();
+        for q in first..n {
+            p[q] = decay * p[q] + weight * forces.forces[q];
+            pi[q] = decay * pi[q] + weight * forces.moments[q];
+        }
+        if k == grid.n_steps {
+            break;
+        }
+        let [leaving, arriving] = motion.inertia(trajectory, k);
+        let intervals = Interval::all(motion, trajectory, &leaving, k)?;
+        let rule = InertiaRule::of(rod.model, k);
+        if rule == InertiaRule::Start {
+            add_kinetic_reaction(motion, positions, &intervals, impulse, &mut p);
+        }
+        let next = trajectory.positions_at(k + 1);
+        for q in first..n {
+            let interval = &intervals[q];
+            let moving = (next[q] - positions[q]) * (rod.nodes[q].mass / h);
             let row = k * n + q;
-            linear[row] = p[q] - kicked;
-            angular[row] = interval.g - kicked_angular;
+            linear[row] = moving - p[q];
+            angular[row] = interval.g - pi[q];
+            p[q] = moving;
+            pi[q] = if rule == InertiaRule::Both {
+                momentum_after(&arriving[q], &interval.f, h)
+            } else {
+                interval.turn.tr_mul(&interval.g)
+            };
             if !(linear[row] + angular[row]).iter().all(|c| c.is_finite()) {
                 return Err(StepError::NotFinite {
                     node: q,
@@ -173,6 +220,10 @@ pub fn defects(
                 });
             }
         }
+        if rule == InertiaRule::End {
+            let arrival = motion.arriving_impulse();
+            add_kinetic_reaction(motion, next, &intervals, arrival, &mut p);
+        }
     }
     Ok(Defects {
         linear,
@@ -180,6 +231,25 @@ pub fn defects(
         terminal_linear: p,
         terminal_angular: pi,
     })
+}
+
+/// Adds `factor` times the impulses of the kinetic reaction at `positions`.
+fn add_kinetic_reaction(
+    motion: &Motion,
+    positions: &[Vector3<f64>],
+    intervals: &[Interval],
+    factor: f64,
+    p: &mut [Vector3<f64>],
+) {
+    for q in 0..motion.rod.n_elements() {
+        let dx = positions[q + 1] - positions[q];
+        let turns = [&intervals[q].f, &intervals[q + 1].f];
+        let impulse = factor * (motion.rod).kinetic_reaction(q, &dx, turns, motion.grid.step);
+        if q >= motion.rod.first_free_node() {
+            p[q] -= impulse;
+        }
+        p[q + 1] += impulse;
+    }
 }
 
 fn interval_error(
@@ -233,6 +303,39 @@ pub struct NodeDrift {
     pub momentum: Matrix3<f64>,
 }
 
+/// What a change `δe` of one element's dilatation adds to the drift of its two ends, and the kinetic reaction.
+#[derive(Clone, Copy, Debug)]
+pub struct ElementDrift {
+    /// `∂e/∂dx` at the start of the interval, 1/m.
+    pub stretch_start: Vector3<f64>,
+    /// `∂e/∂dx` at the end of the interval, 1/m.
+    pub stretch_end: Vector3<f64>,
+    /// `ζ⁺` per `δe` at the start, node a and node b.
+    pub turn_start: [Vector3<f64>; 2],
+    /// `ζ⁺` per `δe` at the end.
+    pub turn_end: [Vector3<f64>; 2],
+    /// Arriving angular momentum per `δe` at the start, kg m²/s.
+    pub spin_start: [Vector3<f64>; 2],
+    /// Arriving angular momentum per `δe` at the end, kg m²/s.
+    pub spin_end: [Vector3<f64>; 2],
+    /// The kinetic reaction, absent under the paper's model.
+    pub reaction: Option<ReactionDrift>,
+}
+
+/// The kinetic reaction of an element, linearized: `δr = stiffness δdx + along Σ_ends spin·ω`, where `ω = ζ⁺ - Fᵀζ` is what the
+/// step adds to the rotation of an end.
+#[derive(Clone, Copy, Debug)]
+pub struct ReactionDrift {
+    /// Whether it acts at the start of the interval, with the `δdx` there, or at its end.
+    pub at_start: bool,
+    /// `∂r/∂dx` times the factor of the impulse, kg/s.
+    pub stiffness: Matrix3<f64>,
+    /// `∂r/∂T` times the factor of the impulse, s/m.
+    pub along: Vector3<f64>,
+    /// `∂T/∂ω` of node a and node b, J.
+    pub spin: [Vector3<f64>; 2],
+}
+
 /// The linearized equations of motion of one time node: a kick with the stiffness at `k`, then the drift to `k + 1`.
 #[derive(Clone, Debug)]
 pub struct StepLinearization {
@@ -244,6 +347,8 @@ pub struct StepLinearization {
     pub loads: Vec<LoadDerivative>,
     /// Drift of every node; absent at the last time node.
     pub drifts: Vec<NodeDrift>,
+    /// How the dilatation of every element enters the drift; absent where it does not.
+    pub element_drifts: Vec<ElementDrift>,
     /// First node that moves.
     pub first_free_node: usize,
 }
@@ -279,13 +384,21 @@ impl StepLinearization {
                 }
             })
             .collect();
-        let mut drifts = Vec::new();
+        let (mut drifts, mut element_drifts) = (Vec::new(), Vec::new());
         if k < grid.n_steps {
+            let [leaving, arriving] = motion.inertia(trajectory, k);
+            let intervals = Interval::all(motion, trajectory, &leaving, k)?;
             drifts.reserve_exact(rod.n_nodes());
-            for q in 0..rod.n_nodes() {
-                drifts.push(NodeDrift::between(motion, trajectory, k, q).ok_or_else(|| {
+            for (q, interval) in intervals.iter().enumerate() {
+                let drift = NodeDrift::new(motion, interval, &leaving[q], &arriving[q], q, k);
+                drifts.push(drift.ok_or_else(|| {
                     interval_error(q, k, grid.time(k), &rotations[q], trajectory)
                 })?);
+            }
+            if InertiaRule::of(rod.model, k) != InertiaRule::Constant {
+                element_drifts = (0..rod.n_elements())
+                    .map(|q| ElementDrift::new(motion, trajectory, &intervals, &drifts, q, k))
+                    .collect();
             }
         }
         Ok(Self {
@@ -293,8 +406,133 @@ impl StepLinearization {
             elements,
             loads,
             drifts,
+            element_drifts,
             first_free_node: rod.first_free_node(),
         })
+    }
+
+    /// The drift to `k + 1` of a direction whose momenta are those after the kick.
+    pub fn drift(&self, column: &mut StateTangent) {
+        let first = self.first_free_node;
+        let nodes = first..self.drifts.len();
+        let change = |stretch: &Vector3<f64>, positions: &[Vector3<f64>], q: usize| {
+            stretch.dot(&(positions[q + 1] - positions[q]))
+        };
+        let mut turns = vec![Vector3::zeros(); self.drifts.len()];
+        let mut spins = turns.clone();
+        for q in nodes.clone() {
+            turns[q] = self.drifts[q].theta * column.angular[q];
+            spins[q] = self.drifts[q].momentum * column.angular[q];
+        }
+        let elements = || self.element_drifts.iter().enumerate();
+        for (q, element) in elements() {
+            let de = change(&element.stretch_start, &column.positions, q);
+            for end in 0..2 {
+                turns[q + end] += element.turn_start[end] * de;
+                spins[q + end] += element.spin_start[end] * de;
+            }
+        }
+        turns[..first].fill(Vector3::zeros());
+        self.add_reaction(true, &turns, column);
+        for q in nodes.clone() {
+            column.positions[q] += self.drifts[q].mobility * column.linear[q];
+        }
+        for (q, element) in elements() {
+            let de = change(&element.stretch_end, &column.positions, q);
+            for end in 0..2 {
+                turns[q + end] += element.turn_end[end] * de;
+                spins[q + end] += element.spin_end[end] * de;
+            }
+        }
+        turns[..first].fill(Vector3::zeros());
+        self.add_reaction(false, &turns, column);
+        for q in nodes {
+            column.rotations[q] = self.drifts[q].turn_transposed * column.rotations[q] + turns[q];
+            column.angular[q] = spins[q];
+        }
+    }
+
+    fn add_reaction(&self, at_start: bool, turns: &[Vector3<f64>], column: &mut StateTangent) {
+        for (q, element) in self.element_drifts.iter().enumerate() {
+            let Some(reaction) = element.reaction.filter(|r| r.at_start == at_start) else {
+                continue;
+            };
+            let energy = reaction.spin[0].dot(&turns[q]) + reaction.spin[1].dot(&turns[q + 1]);
+            let dx = column.positions[q + 1] - column.positions[q];
+            let impulse = reaction.stiffness * dx + reaction.along * energy;
+            if q >= self.first_free_node {
+                column.linear[q] -= impulse;
+            }
+            column.linear[q + 1] += impulse;
+        }
+    }
+
+    /// Transpose of [`Self::drift`]: pulls a covector of the direction at `k + 1` back.
+    pub fn drift_transposed(&self, covector: &mut StateTangent) {
+        let first = self.first_free_node;
+        let nodes = first..self.drifts.len();
+        let elements = || self.element_drifts.iter().enumerate();
+        let spins = covector.angular.clone();
+        let mut turns = covector.rotations.clone();
+        self.pull_reaction(false, &mut turns, covector);
+        let mut pull = |de: f64, stretch: &Vector3<f64>, q: usize| {
+            covector.positions[q + 1] += stretch * de;
+            if q >= first {
+                covector.positions[q] -= stretch * de;
+            }
+        };
+        let both = |a: &[Vector3<f64>; 2], b: &[Vector3<f64>], q: usize| {
+            a[0].dot(&b[q]) + a[1].dot(&b[q + 1])
+        };
+        for (q, element) in elements() {
+            let de = both(&element.turn_end, &turns, q) + both(&element.spin_end, &spins, q);
+            pull(de, &element.stretch_end, q);
+        }
+        for q in nodes.clone() {
+            covector.linear[q] += self.drifts[q].mobility * covector.positions[q];
+        }
+        self.pull_reaction(true, &mut turns, covector);
+        for (q, element) in elements() {
+            let de = both(&element.turn_start, &turns, q) + both(&element.spin_start, &spins, q);
+            covector.positions[q + 1] += element.stretch_start * de;
+            if q >= first {
+                covector.positions[q] -= element.stretch_start * de;
+            }
+        }
+        for q in nodes {
+            let drift = &self.drifts[q];
+            covector.angular[q] = drift.momentum.tr_mul(&spins[q]) + drift.theta.tr_mul(&turns[q]);
+            covector.rotations[q] = drift.turn_transposed.tr_mul(&covector.rotations[q]);
+        }
+    }
+
+    fn pull_reaction(
+        &self,
+        at_start: bool,
+        turns: &mut [Vector3<f64>],
+        covector: &mut StateTangent,
+    ) {
+        let first = self.first_free_node;
+        for (q, element) in self.element_drifts.iter().enumerate() {
+            let Some(reaction) = element.reaction.filter(|r| r.at_start == at_start) else {
+                continue;
+            };
+            let mut pull = covector.linear[q + 1];
+            if q >= first {
+                pull -= covector.linear[q];
+            }
+            let along = reaction.stiffness.tr_mul(&pull);
+            covector.positions[q + 1] += along;
+            if q >= first {
+                covector.positions[q] -= along;
+            }
+            let energy = reaction.along.dot(&pull);
+            for end in 0..2 {
+                if q + end >= first {
+                    turns[q + end] += reaction.spin[end] * energy;
+                }
+            }
+        }
     }
 
     /// `δF` and `δτ` on every node from `δx` and `ζ`: minus the elastic stiffness, plus the loads' own turning.
@@ -350,29 +588,142 @@ impl StepLinearization {
 }
 
 impl NodeDrift {
-    fn between(motion: &Motion, trajectory: &Trajectory, k: usize, q: usize) -> Option<Self> {
-        let Motion { rod, grid, .. } = *motion;
-        let h = grid.step;
-        let inertia = &rod.nodes[q];
-        let Interval { f, turn, g } = Interval::between(
-            &trajectory.rotations_at(k)[q],
-            &trajectory.rotations_at(k + 1)[q],
-            &inertia.rotary,
-            h,
-        )?;
-        let j = Matrix3::from_diagonal(&inertia.rotary);
+    /// `None` where the rotational equation folds over.
+    fn new(
+        motion: &Motion,
+        interval: &Interval,
+        leaving: &Vector3<f64>,
+        arriving: &Vector3<f64>,
+        q: usize,
+        k: usize,
+    ) -> Option<Self> {
+        let h = motion.grid.step;
+        let Interval { f, turn, g } = interval;
+        let j = Matrix3::from_diagonal(leaving);
         let alpha = 1.0 + 0.25 * f.norm_squared();
-        let slope = (j + 0.5 * (hat(&f) * j - hat(&inertia.rotary.component_mul(&f)))
+        let slope = (j + 0.5 * (hat(f) * j - hat(&leaving.component_mul(f)))
             - (0.5 * h) * g * f.transpose())
             / alpha;
-        let theta = cay_tangent(&f) * slope.try_inverse()? * h;
+        let turn_rate = slope.try_inverse()? * h;
+        let theta = cay_tangent(f) * turn_rate;
         let turn_transposed = turn.transpose();
+        let momentum = if InertiaRule::of(motion.rod.model, k) == InertiaRule::Both {
+            momentum_after_slope(arriving, f, h) * turn_rate
+        } else {
+            turn_transposed + hat(&(turn_transposed * g)) * theta
+        };
         Some(Self {
-            mobility: h / inertia.mass,
+            mobility: h / motion.rod.nodes[q].mass,
             turn_transposed,
             theta,
-            momentum: turn_transposed + hat(&(turn_transposed * g)) * theta,
+            momentum,
         })
+    }
+}
+
+impl ElementDrift {
+    /// Element `q` over the interval from `k` on.
+    ///
+    /// The inertia `S/e` of a share `S` changes by `-S δe/e²`; at a given momentum `g` the step turns as if `g` were larger by
+    /// `momentum_before(S, f) δe/e²`.
+    fn new(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        intervals: &[Interval],
+        drifts: &[NodeDrift],
+        q: usize,
+        k: usize,
+    ) -> Self {
+        let Motion { rod, grid, .. } = *motion;
+        let h = grid.step;
+        let rule = InertiaRule::of(rod.model, k);
+        let dx = [k, k + 1].map(|k| {
+            let x = trajectory.positions_at(k);
+            x[q + 1] - x[q]
+        });
+        let chord = rod.rest_chords[q];
+        let square = dx.map(|dx| (chord / dx.norm()).powi(2));
+        let leaving = square[usize::from(rule == InertiaRule::End)];
+        let zeros = [Vector3::zeros(); 2];
+        let (mut turn, mut spin) = (zeros, zeros);
+        for end in 0..2 {
+            let Interval { f, turn: by, g } = &intervals[q + end];
+            let share = &rod.element_inertia[q][end].rotary;
+            let gain = momentum_before(share, f, h) * leaving;
+            let drift = &drifts[q + end];
+            turn[end] = drift.theta * gain;
+            spin[end] = if rule == InertiaRule::Both {
+                drift.momentum * gain
+            } else {
+                by.tr_mul(g).cross(&turn[end])
+            };
+        }
+        let mut out = Self {
+            stretch_start: dx[0] / (dx[0].norm() * chord),
+            stretch_end: dx[1] / (dx[1].norm() * chord),
+            turn_start: turn,
+            turn_end: zeros,
+            spin_start: spin,
+            spin_end: zeros,
+            reaction: None,
+        };
+        match rule {
+            InertiaRule::Both => {
+                for end in 0..2 {
+                    let share = &rod.element_inertia[q][end].rotary;
+                    out.spin_end[end] =
+                        momentum_after(share, &intervals[q + end].f, h) * -square[1];
+                }
+            }
+            InertiaRule::End => {
+                std::mem::swap(&mut out.turn_start, &mut out.turn_end);
+                std::mem::swap(&mut out.spin_start, &mut out.spin_end);
+                let factor = motion.arriving_impulse();
+                out.reaction = Some(ReactionDrift::new(
+                    rod, intervals, &dx[1], q, h, factor, false,
+                ));
+            }
+            InertiaRule::Start | InertiaRule::Constant => {
+                let factor = motion.kick(k).impulse;
+                out.reaction = Some(ReactionDrift::new(
+                    rod, intervals, &dx[0], q, h, factor, true,
+                ));
+            }
+        }
+        out
+    }
+}
+
+impl ReactionDrift {
+    /// `r = -h L₀ T dx/|dx|³`, times `factor`.
+    fn new(
+        rod: &Rod,
+        intervals: &[Interval],
+        dx: &Vector3<f64>,
+        q: usize,
+        h: f64,
+        factor: f64,
+        at_start: bool,
+    ) -> Self {
+        let turns = [q, q + 1].map(|node| &intervals[node].f);
+        let length = dx.norm();
+        let scale = -factor * h * rod.rest_chords[q] / length.powi(3);
+        let direction = dx / length;
+        let energy = rod.rotational_energy(q, turns, h);
+        Self {
+            at_start,
+            stiffness: (Matrix3::identity() - 3.0 * direction * direction.transpose())
+                * (scale * energy),
+            along: dx * scale,
+            spin: [0, 1].map(|end| {
+                let f = turns[end];
+                let jf = rod.element_inertia[q][end].rotary.component_mul(f);
+                let alpha = 1.0 + 0.25 * f.norm_squared();
+                let slope = (jf - f * (f.dot(&jf) / (4.0 * alpha))) / (h * h * alpha);
+                // ω = T δf with the tangent T of cay, T⁻ᵀ = I - f̂/2 + f fᵀ/4.
+                slope - 0.5 * f.cross(&slope) + f * (0.25 * f.dot(&slope))
+            }),
+        }
     }
 }
 
@@ -456,21 +807,17 @@ pub fn forward_sweep(
         );
         force[tip] += control_change[k].force;
         moment[tip] += control_change[k].moment;
-        let Kick { decay, weight } = step.kick;
+        let Kick { decay, weight, .. } = step.kick;
         for q in step.first_free_node..n {
             column.linear[q] = decay * column.linear[q] + weight * force[q];
             column.angular[q] = decay * column.angular[q] + weight * moment[q];
-            if k < motion.grid.n_steps {
-                if let Some(defects) = defects {
-                    column.linear[q] -= defects.linear[k * n + q];
-                    column.angular[q] -= defects.angular[k * n + q];
-                }
-                let drift = &step.drifts[q];
-                column.positions[q] += drift.mobility * column.linear[q];
-                column.rotations[q] =
-                    drift.turn_transposed * column.rotations[q] + drift.theta * column.angular[q];
-                column.angular[q] = drift.momentum * column.angular[q];
+            if let Some(defects) = defects.filter(|_| k < motion.grid.n_steps) {
+                column.linear[q] -= defects.linear[k * n + q];
+                column.angular[q] -= defects.angular[k * n + q];
             }
+        }
+        if k < motion.grid.n_steps {
+            step.drift(&mut column);
         }
     }
     Ok((direction, column))
@@ -517,14 +864,12 @@ pub fn adjoint_sweep(
     let mut moment = force.clone();
     for k in (0..=n_steps).rev() {
         let step = StepLinearization::at(motion, trajectory, k)?;
-        let Kick { decay, weight } = step.kick;
+        let Kick { decay, weight, .. } = step.kick;
+        if k < n_steps {
+            step.drift_transposed(&mut covector);
+        }
         for q in first..n {
             if k < n_steps {
-                let drift = &step.drifts[q];
-                covector.linear[q] += drift.mobility * covector.positions[q];
-                covector.angular[q] = drift.momentum.tr_mul(&covector.angular[q])
-                    + drift.theta.tr_mul(&covector.rotations[q]);
-                covector.rotations[q] = drift.turn_transposed.tr_mul(&covector.rotations[q]);
                 sweep.linear[k * n + q] = covector.linear[q];
                 sweep.angular[k * n + q] = covector.angular[q];
             }

@@ -4,11 +4,29 @@
 use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State, StrainRule,
-    TimeGrid, Trajectory,
+    Load, LoadFrame, Material, Rod, RodModel, RodParameters, Section, SectionProfile, State,
+    StrainRule, TimeGrid, Trajectory,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
+
+pub const MODELS: [RodModel; 3] = [
+    RodModel::Standard,
+    RodModel::Dilatation,
+    RodModel::Consistent,
+];
+
+/// Every strain rule with every model.
+pub fn laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
+    RULES
+        .into_iter()
+        .flat_map(|rule| MODELS.map(|model| (rule, model)))
+}
+
+/// The laws that derive from an action.
+pub fn variational_laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
+    laws().filter(|law| law.1.has_potential())
+}
 
 /// L = 1 m, r = 0.05 m, E = 1 MPa, G = E/3, density 1000, the silicone-like arm of the notes and scenes.
 pub const SILICONE: Material = Material {
