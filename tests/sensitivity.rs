@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Dice, RULES, busy_arm, random_trajectory};
+use common::{Dice, busy_arm, laws, random_trajectory};
 use softarm::mechanics::linearization::{Motion, defects, forward_sweep};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities, tip_rows};
 use softarm::mechanics::stability::stable_step;
@@ -51,10 +51,11 @@ impl ControlColumns for Blocks {
 /// Every column, and the one of the defects, equals the forward sweep of the same change; threads change nothing.
 #[test]
 fn columns_equal_the_forward_sweep() {
-    for rule in RULES {
+    for (rule, model) in laws() {
         for base in [BaseCondition::Clamped, BaseCondition::Free] {
             let rod = Rod::new(&RodParameters {
                 base,
+                model,
                 ..busy_arm(rule, 5)
             })
             .unwrap();

@@ -303,21 +303,16 @@ pub struct NodeDrift {
     pub momentum: Matrix3<f64>,
 }
 
-/// What a change `δe` of one element's dilatation adds to the drift of its two ends, and the kinetic reaction.
+/// What a change `δe` of one element's dilatation adds to the drift of its two ends, and the kinetic reaction; for the
+/// dilatation at the start (0) and at the end (1) of the interval.
 #[derive(Clone, Copy, Debug)]
 pub struct ElementDrift {
-    /// `∂e/∂dx` at the start of the interval, 1/m.
-    pub stretch_start: Vector3<f64>,
-    /// `∂e/∂dx` at the end of the interval, 1/m.
-    pub stretch_end: Vector3<f64>,
-    /// `ζ⁺` per `δe` at the start, node a and node b.
-    pub turn_start: [Vector3<f64>; 2],
-    /// `ζ⁺` per `δe` at the end.
-    pub turn_end: [Vector3<f64>; 2],
-    /// Arriving angular momentum per `δe` at the start, kg m²/s.
-    pub spin_start: [Vector3<f64>; 2],
-    /// Arriving angular momentum per `δe` at the end, kg m²/s.
-    pub spin_end: [Vector3<f64>; 2],
+    /// `∂e/∂dx`, 1/m.
+    pub stretch: [Vector3<f64>; 2],
+    /// `ζ⁺` of node a and node b per `δe`.
+    pub turn: [[Vector3<f64>; 2]; 2],
+    /// Arriving angular momentum of node a and node b per `δe`, kg m²/s.
+    pub spin: [[Vector3<f64>; 2]; 2],
     /// The kinetic reaction, absent under the paper's model.
     pub reaction: Option<ReactionDrift>,
 }
@@ -326,8 +321,8 @@ pub struct ElementDrift {
 /// step adds to the rotation of an end.
 #[derive(Clone, Copy, Debug)]
 pub struct ReactionDrift {
-    /// Whether it acts at the start of the interval, with the `δdx` there, or at its end.
-    pub at_start: bool,
+    /// 0 where it acts at the start of the interval, with the `δdx` there; 1 at its end.
+    pub at: usize,
     /// `∂r/∂dx` times the factor of the impulse, kg/s.
     pub stiffness: Matrix3<f64>,
     /// `∂r/∂T` times the factor of the impulse, s/m.
@@ -415,55 +410,40 @@ impl StepLinearization {
     pub fn drift(&self, column: &mut StateTangent) {
         let first = self.first_free_node;
         let nodes = first..self.drifts.len();
-        let change = |stretch: &Vector3<f64>, positions: &[Vector3<f64>], q: usize| {
-            stretch.dot(&(positions[q + 1] - positions[q]))
-        };
         let mut turns = vec![Vector3::zeros(); self.drifts.len()];
         let mut spins = turns.clone();
         for q in nodes.clone() {
             turns[q] = self.drifts[q].theta * column.angular[q];
             spins[q] = self.drifts[q].momentum * column.angular[q];
         }
-        let elements = || self.element_drifts.iter().enumerate();
-        for (q, element) in elements() {
-            let de = change(&element.stretch_start, &column.positions, q);
-            for end in 0..2 {
-                turns[q + end] += element.turn_start[end] * de;
-                spins[q + end] += element.spin_start[end] * de;
+        for at in 0..2 {
+            if at == 1 {
+                for q in nodes.clone() {
+                    column.positions[q] += self.drifts[q].mobility * column.linear[q];
+                }
+            }
+            for (q, element) in self.element_drifts.iter().enumerate() {
+                let dx = column.positions[q + 1] - column.positions[q];
+                let de = element.stretch[at].dot(&dx);
+                for end in 0..2 {
+                    turns[q + end] += element.turn[at][end] * de;
+                    spins[q + end] += element.spin[at][end] * de;
+                }
+            }
+            turns[..first].fill(Vector3::zeros());
+            for (q, reaction) in self.reactions(at) {
+                let energy = reaction.spin[0].dot(&turns[q]) + reaction.spin[1].dot(&turns[q + 1]);
+                let dx = column.positions[q + 1] - column.positions[q];
+                let impulse = reaction.stiffness * dx + reaction.along * energy;
+                if q >= first {
+                    column.linear[q] -= impulse;
+                }
+                column.linear[q + 1] += impulse;
             }
         }
-        turns[..first].fill(Vector3::zeros());
-        self.add_reaction(true, &turns, column);
-        for q in nodes.clone() {
-            column.positions[q] += self.drifts[q].mobility * column.linear[q];
-        }
-        for (q, element) in elements() {
-            let de = change(&element.stretch_end, &column.positions, q);
-            for end in 0..2 {
-                turns[q + end] += element.turn_end[end] * de;
-                spins[q + end] += element.spin_end[end] * de;
-            }
-        }
-        turns[..first].fill(Vector3::zeros());
-        self.add_reaction(false, &turns, column);
         for q in nodes {
             column.rotations[q] = self.drifts[q].turn_transposed * column.rotations[q] + turns[q];
             column.angular[q] = spins[q];
-        }
-    }
-
-    fn add_reaction(&self, at_start: bool, turns: &[Vector3<f64>], column: &mut StateTangent) {
-        for (q, element) in self.element_drifts.iter().enumerate() {
-            let Some(reaction) = element.reaction.filter(|r| r.at_start == at_start) else {
-                continue;
-            };
-            let energy = reaction.spin[0].dot(&turns[q]) + reaction.spin[1].dot(&turns[q + 1]);
-            let dx = column.positions[q + 1] - column.positions[q];
-            let impulse = reaction.stiffness * dx + reaction.along * energy;
-            if q >= self.first_free_node {
-                column.linear[q] -= impulse;
-            }
-            column.linear[q + 1] += impulse;
         }
     }
 
@@ -471,32 +451,40 @@ impl StepLinearization {
     pub fn drift_transposed(&self, covector: &mut StateTangent) {
         let first = self.first_free_node;
         let nodes = first..self.drifts.len();
-        let elements = || self.element_drifts.iter().enumerate();
         let spins = covector.angular.clone();
         let mut turns = covector.rotations.clone();
-        self.pull_reaction(false, &mut turns, covector);
-        let mut pull = |de: f64, stretch: &Vector3<f64>, q: usize| {
-            covector.positions[q + 1] += stretch * de;
+        let stretch = |positions: &mut [Vector3<f64>], q: usize, change: Vector3<f64>| {
+            positions[q + 1] += change;
             if q >= first {
-                covector.positions[q] -= stretch * de;
+                positions[q] -= change;
             }
         };
-        let both = |a: &[Vector3<f64>; 2], b: &[Vector3<f64>], q: usize| {
-            a[0].dot(&b[q]) + a[1].dot(&b[q + 1])
-        };
-        for (q, element) in elements() {
-            let de = both(&element.turn_end, &turns, q) + both(&element.spin_end, &spins, q);
-            pull(de, &element.stretch_end, q);
-        }
-        for q in nodes.clone() {
-            covector.linear[q] += self.drifts[q].mobility * covector.positions[q];
-        }
-        self.pull_reaction(true, &mut turns, covector);
-        for (q, element) in elements() {
-            let de = both(&element.turn_start, &turns, q) + both(&element.spin_start, &spins, q);
-            covector.positions[q + 1] += element.stretch_start * de;
-            if q >= first {
-                covector.positions[q] -= element.stretch_start * de;
+        for at in [1, 0] {
+            for (q, reaction) in self.reactions(at) {
+                let mut pull = covector.linear[q + 1];
+                if q >= first {
+                    pull -= covector.linear[q];
+                }
+                let change = reaction.stiffness.tr_mul(&pull);
+                stretch(&mut covector.positions, q, change);
+                let energy = reaction.along.dot(&pull);
+                turns[q] += reaction.spin[0] * energy;
+                turns[q + 1] += reaction.spin[1] * energy;
+            }
+            turns[..first].fill(Vector3::zeros());
+            for (q, element) in self.element_drifts.iter().enumerate() {
+                let de: f64 = (0..2)
+                    .map(|end| {
+                        element.turn[at][end].dot(&turns[q + end])
+                            + element.spin[at][end].dot(&spins[q + end])
+                    })
+                    .sum();
+                stretch(&mut covector.positions, q, element.stretch[at] * de);
+            }
+            if at == 1 {
+                for q in nodes.clone() {
+                    covector.linear[q] += self.drifts[q].mobility * covector.positions[q];
+                }
             }
         }
         for q in nodes {
@@ -506,33 +494,11 @@ impl StepLinearization {
         }
     }
 
-    fn pull_reaction(
-        &self,
-        at_start: bool,
-        turns: &mut [Vector3<f64>],
-        covector: &mut StateTangent,
-    ) {
-        let first = self.first_free_node;
-        for (q, element) in self.element_drifts.iter().enumerate() {
-            let Some(reaction) = element.reaction.filter(|r| r.at_start == at_start) else {
-                continue;
-            };
-            let mut pull = covector.linear[q + 1];
-            if q >= first {
-                pull -= covector.linear[q];
-            }
-            let along = reaction.stiffness.tr_mul(&pull);
-            covector.positions[q + 1] += along;
-            if q >= first {
-                covector.positions[q] -= along;
-            }
-            let energy = reaction.along.dot(&pull);
-            for end in 0..2 {
-                if q + end >= first {
-                    turns[q + end] += reaction.spin[end] * energy;
-                }
-            }
-        }
+    /// The kinetic reactions at the start (0) or the end (1) of the interval, by element.
+    fn reactions(&self, at: usize) -> impl Iterator<Item = (usize, &ReactionDrift)> {
+        (self.element_drifts.iter().enumerate())
+            .filter_map(|(q, element)| Some((q, element.reaction.as_ref()?)))
+            .filter(move |(_, reaction)| reaction.at == at)
     }
 
     /// `δF` and `δτ` on every node from `δx` and `ζ`: minus the elastic stiffness, plus the loads' own turning.
@@ -643,75 +609,64 @@ impl ElementDrift {
         });
         let chord = rod.rest_chords[q];
         let square = dx.map(|dx| (chord / dx.norm()).powi(2));
-        let leaving = square[usize::from(rule == InertiaRule::End)];
+        // Where the inertia of the leaving momentum is taken.
+        let at = usize::from(rule == InertiaRule::End);
         let zeros = [Vector3::zeros(); 2];
-        let (mut turn, mut spin) = (zeros, zeros);
-        for end in 0..2 {
-            let Interval { f, turn: by, g } = &intervals[q + end];
-            let share = &rod.element_inertia[q][end].rotary;
-            let gain = momentum_before(share, f, h) * leaving;
-            let drift = &drifts[q + end];
-            turn[end] = drift.theta * gain;
-            spin[end] = if rule == InertiaRule::Both {
-                drift.momentum * gain
-            } else {
-                by.tr_mul(g).cross(&turn[end])
-            };
-        }
         let mut out = Self {
-            stretch_start: dx[0] / (dx[0].norm() * chord),
-            stretch_end: dx[1] / (dx[1].norm() * chord),
-            turn_start: turn,
-            turn_end: zeros,
-            spin_start: spin,
-            spin_end: zeros,
+            stretch: dx.map(|dx| dx / (dx.norm() * chord)),
+            turn: [zeros; 2],
+            spin: [zeros; 2],
             reaction: None,
         };
-        match rule {
-            InertiaRule::Both => {
-                for end in 0..2 {
-                    let share = &rod.element_inertia[q][end].rotary;
-                    out.spin_end[end] =
-                        momentum_after(share, &intervals[q + end].f, h) * -square[1];
-                }
+        for end in 0..2 {
+            let Interval { f, turn, g } = &intervals[q + end];
+            let share = &rod.element_inertia[q][end].rotary;
+            let gain = momentum_before(share, f, h) * square[at];
+            let drift = &drifts[q + end];
+            out.turn[at][end] = drift.theta * gain;
+            out.spin[at][end] = if rule == InertiaRule::Both {
+                drift.momentum * gain
+            } else {
+                turn.tr_mul(g).cross(&out.turn[at][end])
+            };
+            if rule == InertiaRule::Both {
+                out.spin[1][end] = momentum_after(share, f, h) * -square[1];
             }
-            InertiaRule::End => {
-                std::mem::swap(&mut out.turn_start, &mut out.turn_end);
-                std::mem::swap(&mut out.spin_start, &mut out.spin_end);
-                let factor = motion.arriving_impulse();
-                out.reaction = Some(ReactionDrift::new(
-                    rod, intervals, &dx[1], q, h, factor, false,
-                ));
-            }
-            InertiaRule::Start | InertiaRule::Constant => {
-                let factor = motion.kick(k).impulse;
-                out.reaction = Some(ReactionDrift::new(
-                    rod, intervals, &dx[0], q, h, factor, true,
-                ));
-            }
+        }
+        if rule != InertiaRule::Both {
+            let factor = [motion.kick(k).impulse, motion.arriving_impulse()][at];
+            let turns = [&intervals[q].f, &intervals[q + 1].f];
+            out.reaction = Some(ReactionDrift::new(
+                rod,
+                turns,
+                &dx[at],
+                q,
+                h * factor,
+                h,
+                at,
+            ));
         }
         out
     }
 }
 
 impl ReactionDrift {
-    /// `r = -h L₀ T dx/|dx|³`, times `factor`.
+    /// `r = -weight L₀ T dx/|dx|³`
     fn new(
         rod: &Rod,
-        intervals: &[Interval],
+        turns: [&Vector3<f64>; 2],
         dx: &Vector3<f64>,
         q: usize,
+        weight: f64,
         h: f64,
-        factor: f64,
-        at_start: bool,
+        at: usize,
     ) -> Self {
-        let turns = [q, q + 1].map(|node| &intervals[node].f);
         let length = dx.norm();
-        let scale = -factor * h * rod.rest_chords[q] / length.powi(3);
+        let scale = -weight * rod.rest_chords[q] / length.powi(3);
         let direction = dx / length;
         let energy = rod.rotational_energy(q, turns, h);
         Self {
-            at_start,
+            at,
             stiffness: (Matrix3::identity() - 3.0 * direction * direction.transpose())
                 * (scale * energy),
             along: dx * scale,

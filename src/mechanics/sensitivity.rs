@@ -16,14 +16,17 @@ use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::configuration::Trajectory;
+use super::constitutive::RodModel;
 use super::curvature::{Multipliers, StepCurvature, interval_curvature};
 use super::integrator::StepError;
-use super::linearization::{Defects, Motion, StateTangent, StepLinearization};
+use super::linearization::{Defects, ElementDrift, Motion, StateTangent, StepLinearization};
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.
 pub const TILE: usize = 16;
 /// Components of a node's tangent: `δx, ζ, δp, δπ`.
 const NODE_ROWS: usize = 12;
+/// Components of a node's increments: those of `ζ`, and the arriving `π`.
+const INCREMENT_ROWS: usize = 6;
 /// Time nodes whose linearizations are kept at once: enough to amortize the threads, small enough for the cache.
 const CHUNK: usize = 32;
 /// Time nodes whose rows are added to the blocks of `H` at once: few enough that all tiles' rows stay in the
@@ -84,6 +87,11 @@ pub fn sensitivities(
         .map(|index| Tile {
             first_column: index * TILE,
             data: Buffer::zeros(n_nodes * NODE_ROWS * TILE),
+            increments: Buffer::zeros(if motion.rod.model == RodModel::Standard {
+                0
+            } else {
+                n_nodes * INCREMENT_ROWS * TILE
+            }),
             record: multipliers.map(|_| Record::new(n_nodes, round)),
             flops: 0,
         })
@@ -224,6 +232,7 @@ struct PackedStep {
     /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
     loads: Vec<(usize, [[f64; 3]; 6])>,
     drifts: Vec<PackedDrift>,
+    element_drifts: Vec<PackedElementDrift>,
     first_free_node: usize,
     curvature: Option<PackedCurvature>,
 }
@@ -233,6 +242,38 @@ struct PackedDrift {
     turn_transposed: [[f64; 3]; 3],
     theta: [[f64; 3]; 3],
     momentum: [[f64; 3]; 3],
+}
+
+/// An [`ElementDrift`](super::linearization::ElementDrift), laid out for the kernel.
+struct PackedElementDrift {
+    stretch: [[f64; 3]; 2],
+    turn: [[[f64; 3]; 2]; 2],
+    spin: [[[f64; 3]; 2]; 2],
+    reaction: Option<PackedReaction>,
+}
+
+struct PackedReaction {
+    at: usize,
+    stiffness: [[f64; 3]; 3],
+    along: [f64; 3],
+    spin: [[f64; 3]; 2],
+}
+
+impl PackedElementDrift {
+    fn new(drift: &ElementDrift) -> Self {
+        let ends = |ends: &[Vector3<f64>; 2]| ends.map(Into::into);
+        Self {
+            stretch: ends(&drift.stretch),
+            turn: [ends(&drift.turn[0]), ends(&drift.turn[1])],
+            spin: [ends(&drift.spin[0]), ends(&drift.spin[1])],
+            reaction: drift.reaction.map(|reaction| PackedReaction {
+                at: reaction.at,
+                stiffness: rows(&reaction.stiffness, 1.0),
+                along: reaction.along.into(),
+                spin: ends(&reaction.spin),
+            }),
+        }
+    }
 }
 
 fn rows(m: &Matrix3<f64>, factor: f64) -> [[f64; 3]; 3] {
@@ -270,6 +311,11 @@ impl PackedStep {
                     theta: rows(&drift.theta, 1.0),
                     momentum: rows(&drift.momentum, 1.0),
                 })
+                .collect(),
+            element_drifts: step
+                .element_drifts
+                .iter()
+                .map(PackedElementDrift::new)
                 .collect(),
             first_free_node: step.first_free_node,
             curvature,
@@ -370,6 +416,8 @@ impl DerefMut for Buffer {
 struct Tile {
     first_column: usize,
     data: Buffer,
+    /// Increments of `ζ` and arriving `π` of every node, where elements couple the drifts of their ends.
+    increments: Buffer,
     record: Option<Record>,
     flops: u64,
 }
@@ -444,7 +492,13 @@ impl Tile {
                     step.weight * weight;
             }
         });
-        if !step.drifts.is_empty() {
+        if !step.element_drifts.is_empty() {
+            arch.dispatch(CoupledDrift {
+                step,
+                data: &mut self.data,
+                increments: &mut self.increments,
+            });
+        } else if !step.drifts.is_empty() {
             arch.dispatch(Drift {
                 step,
                 data: &mut self.data,
@@ -618,6 +672,174 @@ impl WithSimd for Drift<'_> {
                 }
             }
         }
+    }
+}
+
+/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, for all columns of a tile.
+struct CoupledDrift<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+    increments: &'a mut [f64],
+}
+
+impl WithSimd for CoupledDrift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let (increments, _) = S::as_mut_simd_f64s(self.increments);
+        let width = TILE / S::F64_LANES;
+        for at in 0..width {
+            Columns {
+                simd,
+                step: self.step,
+                data: &mut *data,
+                increments: &mut *increments,
+                width,
+                at,
+            }
+            .drift();
+        }
+    }
+}
+
+/// One vector of columns of a tile.
+struct Columns<'a, S: Simd> {
+    simd: S,
+    step: &'a PackedStep,
+    data: &'a mut [S::f64s],
+    increments: &'a mut [S::f64s],
+    width: usize,
+    at: usize,
+}
+
+impl<S: Simd> Columns<'_, S> {
+    #[inline(always)]
+    fn drift(&mut self) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        let zero = self.simd.splat_f64s(0.0);
+        for node in 0..first {
+            for row in 0..NODE_ROWS {
+                self.data[(node * NODE_ROWS + row) * self.width + self.at] = zero;
+            }
+            self.set_increment(node, 0, [zero; 3]);
+            self.set_increment(node, 3, [zero; 3]);
+        }
+        for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+            let g = self.rows(node, 9);
+            let turn = self.product(&drift.theta, g);
+            let spin = self.product(&drift.momentum, g);
+            self.set_increment(node, 0, turn);
+            self.set_increment(node, 3, spin);
+        }
+        for at in 0..2 {
+            if at == 1 {
+                for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+                    let p = self.rows(node, 6);
+                    self.add(node, 0, drift.mobility, p);
+                }
+            }
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let dx = self.dx(q);
+                let de = self.dot(&element.stretch[at], dx, zero);
+                for end in (0..2).filter(|end| q + end >= first) {
+                    self.add_increment(q + end, 0, &element.turn[at][end], de);
+                    self.add_increment(q + end, 3, &element.spin[at][end], de);
+                }
+            }
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let Some(reaction) = element.reaction.as_ref().filter(|r| r.at == at) else {
+                    continue;
+                };
+                let mut energy = zero;
+                for end in 0..2 {
+                    let turn = self.increment(q + end, 0);
+                    energy = self.dot(&reaction.spin[end], turn, energy);
+                }
+                let dx = self.dx(q);
+                let mut impulse = self.product(&reaction.stiffness, dx);
+                for (impulse, along) in impulse.iter_mut().zip(reaction.along) {
+                    let along = self.simd.splat_f64s(along);
+                    *impulse = self.simd.mul_add_e_f64s(along, energy, *impulse);
+                }
+                if q >= first {
+                    self.add(q, 6, -1.0, impulse);
+                }
+                self.add(q + 1, 6, 1.0, impulse);
+            }
+        }
+        for node in first..n {
+            let zeta = self.rows(node, 3);
+            let turned = self.product(&step.drifts[node].turn_transposed, zeta);
+            let turn = self.increment(node, 0);
+            let spin = self.increment(node, 3);
+            for i in 0..3 {
+                let row = (node * NODE_ROWS + 3 + i) * self.width + self.at;
+                self.data[row] = self.simd.add_f64s(turned[i], turn[i]);
+                self.data[row + 6 * self.width] = spin[i];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn rows(&self, node: usize, part: usize) -> [S::f64s; 3] {
+        std::array::from_fn(|i| self.data[(node * NODE_ROWS + part + i) * self.width + self.at])
+    }
+
+    #[inline(always)]
+    fn add(&mut self, node: usize, part: usize, factor: f64, change: [S::f64s; 3]) {
+        let factor = self.simd.splat_f64s(factor);
+        for (i, change) in change.into_iter().enumerate() {
+            let row = &mut self.data[(node * NODE_ROWS + part + i) * self.width + self.at];
+            *row = self.simd.mul_add_e_f64s(factor, change, *row);
+        }
+    }
+
+    #[inline(always)]
+    fn increment(&self, node: usize, part: usize) -> [S::f64s; 3] {
+        std::array::from_fn(|i| {
+            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at]
+        })
+    }
+
+    #[inline(always)]
+    fn set_increment(&mut self, node: usize, part: usize, value: [S::f64s; 3]) {
+        for (i, value) in value.into_iter().enumerate() {
+            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at] = value;
+        }
+    }
+
+    #[inline(always)]
+    fn add_increment(&mut self, node: usize, part: usize, along: &[f64; 3], change: S::f64s) {
+        let mut value = self.increment(node, part);
+        for (value, along) in value.iter_mut().zip(along) {
+            let along = self.simd.splat_f64s(*along);
+            *value = self.simd.mul_add_e_f64s(along, change, *value);
+        }
+        self.set_increment(node, part, value);
+    }
+
+    /// `x_{q+1} - x_q`
+    #[inline(always)]
+    fn dx(&self, q: usize) -> [S::f64s; 3] {
+        let (a, b) = (self.rows(q, 0), self.rows(q + 1, 0));
+        std::array::from_fn(|i| self.simd.sub_f64s(b[i], a[i]))
+    }
+
+    #[inline(always)]
+    fn dot(&self, a: &[f64; 3], b: [S::f64s; 3], start: S::f64s) -> S::f64s {
+        let mut sum = start;
+        for (a, b) in a.iter().zip(b) {
+            sum = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*a), b, sum);
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn product(&self, m: &[[f64; 3]; 3], v: [S::f64s; 3]) -> [S::f64s; 3] {
+        m.map(|row| self.dot(&row, v, self.simd.splat_f64s(0.0)))
     }
 }
 
