@@ -339,15 +339,13 @@ fn distance(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
     worst
 }
 
-const BASES: [BaseCondition; 2] = [BaseCondition::Clamped, BaseCondition::Free];
-
-/// Integrated motions with loads, damping and taper, clamped and free: the reduced second derivative is the central
+/// Integrated motions with loads, damping and taper, clamped, free and driven: the reduced second derivative is the central
 /// difference, extrapolated once, of the adjoint gradient of a linear outcome of the end, and it is symmetric.
 #[test]
 fn reduced_curvature_is_the_hessian_of_the_outcome() {
     for rule in RULES {
-        for base in BASES {
-            let case = Case::new(rule, base, 70, 4);
+        for base in bases() {
+            let case = Case::new(rule, base.clone(), 70, 4);
             let curvature = case.sweep_curvature(&case.roll_out(&case.control), 1);
             let n = case.blocks.n_columns();
             let mut differences = Mat::zeros(n, n);
@@ -377,8 +375,8 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
 #[test]
 fn fast_reduction_equals_the_clear_one() {
     for rule in RULES {
-        for base in BASES {
-            let case = Case::new(rule, base, 70, 6);
+        for base in bases() {
+            let case = Case::new(rule, base.clone(), 70, 6);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(5));
             let fast = case.sweep_curvature(&trajectory, 1);
             for n_threads in [2, 3, 50] {
@@ -413,8 +411,8 @@ fn fast_reduction_equals_the_clear_one() {
 #[test]
 fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
     for rule in RULES {
-        for base in BASES {
-            let case = Case::new(rule, base, 40, 2);
+        for base in bases() {
+            let case = Case::new(rule, base.clone(), 40, 2);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(6));
             let motion = case.motion();
             let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();

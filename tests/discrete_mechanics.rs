@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{Dice, busy_arm, laws, random_state, random_trajectory, soft_arm, variational_laws};
+use common::{
+    Dice, bases, busy_arm, laws, random_state, random_trajectory, soft_arm, variational_laws,
+};
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
@@ -233,9 +235,9 @@ fn pull_back(motion: &Motion, trajectory: &Trajectory, covector: &StateTangent) 
 #[test]
 fn linearized_step_is_symplectic() {
     for (rule, model) in laws() {
-        for base in [BaseCondition::Clamped, BaseCondition::Free] {
+        for base in bases() {
             let rod = Rod::new(&RodParameters {
-                base,
+                base: base.clone(),
                 model,
                 ..soft_arm(rule, 4)
             })
@@ -398,9 +400,9 @@ fn linearization_passes_the_taylor_test() {
 #[test]
 fn adjoint_is_the_transpose() {
     for (rule, model) in laws() {
-        for base in [BaseCondition::Clamped, BaseCondition::Free] {
+        for base in bases() {
             let rod = Rod::new(&RodParameters {
-                base,
+                base: base.clone(),
                 model,
                 ..busy_arm(rule, 6)
             })

@@ -6,7 +6,7 @@ use common::{Dice, busy_arm, laws, random_trajectory};
 use softarm::mechanics::linearization::{Motion, defects, forward_sweep};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities, tip_rows};
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{BaseCondition, Rod, RodParameters, State, TimeGrid, Wrench};
+use softarm::mechanics::{Rod, RodParameters, State, TimeGrid, Wrench};
 
 /// Blocks of constant control, six components each, with the mean of both sides where blocks meet.
 struct Blocks {
@@ -52,7 +52,7 @@ impl ControlColumns for Blocks {
 #[test]
 fn columns_equal_the_forward_sweep() {
     for (rule, model) in laws() {
-        for base in [BaseCondition::Clamped, BaseCondition::Free] {
+        for base in bases() {
             let rod = Rod::new(&RodParameters {
                 base,
                 model,

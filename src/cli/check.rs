@@ -85,12 +85,12 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
             rod.n_elements()
         ));
     }
-    if scene.load.iter().any(|load| {
-        load.profile
-            .as_ref()
-            .and_then(|profile| profile.last())
-            .is_some_and(|last| last[0] < 0.0)
-    }) {
+    let profiles = (scene.load.iter().map(|load| &load.profile))
+        .chain(scene.distributed_load.iter().map(|load| &load.profile));
+    if profiles
+        .flatten()
+        .any(|profile| profile.last().is_some_and(|last| last[0] < 0.0))
+    {
         out.push("load.profile: a load ends before t = 0 and never acts".into());
     }
     out

@@ -22,7 +22,7 @@ use crate::output::summary::{
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, render_report, write_controls,
 };
-use crate::scene::{InitialShape, OptimalControl, Scene};
+use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{
     Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop, solve,
 };
@@ -63,7 +63,6 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     let solution = Solved::of(&setup, &program, outcome);
     let check = certify(
         &setup,
-        scene.initial_shape(),
         &Solution {
             trajectory: &solution.outcome.point.trajectory,
             coefficients: &solution.coefficients,
@@ -146,7 +145,6 @@ impl Solved {
 /// The check of a solution, with the limits that its scene asks for.
 pub(super) fn certify(
     setup: &OptimalControl,
-    shape: InitialShape,
     solution: &Solution,
 ) -> Result<ForwardCheck, CheckError> {
     forward_check(
@@ -154,9 +152,8 @@ pub(super) fn certify(
         &setup.parameters,
         &|rod| {
             // The finer rod's equilibrium exists wherever the coarse one's did; its rest shape is the fall-back.
-            shape
-                .state(rod)
-                .unwrap_or_else(|_| State::at_rest(rod.rest.clone()))
+            (setup.resolved.starting_state(rod))
+                .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
         },
         solution,
         &CheckLimits {

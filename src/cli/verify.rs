@@ -32,7 +32,6 @@ pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outco
     let multipliers = read_multipliers(directory, &setup.problem)?;
     let check = certify(
         &setup,
-        scene.initial_shape(),
         &Solution {
             trajectory: &trajectory,
             coefficients: &coefficients,

@@ -6,13 +6,13 @@ use super::problem::{Bound, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
+use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
 
 /// How the first point is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guess {
     /// Static shapes on the way from the start to the target, passed through smoothly, with the tip wrenches that hold
-    /// them.
+    /// them; a driven base carries them along.
     StaticPath,
     /// The motion without any control.
     Rest,
@@ -83,7 +83,8 @@ fn static_path(problem: &OptimalControlProblem) -> Result<LiftedPoint, GuessErro
     let end = grid.n_steps as f64;
     let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), grid.n_steps + 1);
     for k in 0..=grid.n_steps {
-        trajectory.push(&shape_at(&waypoints, smooth(k as f64 / end)));
+        let shape = shape_at(&waypoints, smooth(k as f64 / end));
+        trajectory.push(&carried(&problem.rod, shape, grid.time(k)));
     }
     let times = problem.control.edge_times();
     let horizon = grid.end();
@@ -107,10 +108,28 @@ fn smooth(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
+/// The shape, moved as a whole to where a driven base is at time `t`.
+fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration {
+    let Some(base) = rod.driven_base(t) else {
+        return shape;
+    };
+    let turn = base.rotation * shape.rotations[0].transpose();
+    let from = shape.positions[0];
+    let moved = |x: &Vector3<f64>| base.position + turn * (x - from);
+    let mut out = Configuration {
+        positions: shape.positions.iter().map(moved).collect(),
+        rotations: shape.rotations.iter().map(|r| turn * r).collect(),
+    };
+    out.rotations[0] = base.rotation;
+    out
+}
+
+/// Static shapes with the base where it is at the end of the horizon.
 fn waypoints(problem: &OptimalControlProblem) -> Result<Vec<Waypoint>, GuessError> {
     let rod = &problem.rod;
     let tip = rod.tip();
-    let start = &problem.initial.configuration;
+    let horizon = problem.grid.end();
+    let start = &carried(rod, problem.initial.configuration.clone(), horizon);
     let target = &problem.target;
     let turn = target
         .rotation

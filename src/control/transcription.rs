@@ -426,8 +426,8 @@ pub fn simulate(
 ) -> Result<Trajectory, StepError> {
     let rod = &problem.rod;
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    trajectory.push(&problem.initial.configuration);
     let mut integrator = Integrator::new(rod, grid.step, problem.initial.clone());
+    trajectory.push(&integrator.state().configuration);
     for k in 0..grid.n_steps {
         integrator.advance([control[k], control[k + 1]])?;
         trajectory.push(&integrator.state().configuration);

@@ -110,7 +110,7 @@ impl StepCurvature {
                 )
             })
             .collect();
-        let loads = (rod.loads.iter())
+        let loads = (rod.loads.iter().filter(|load| load.turns()))
             .map(|load| {
                 let rotation = &rotations[load.node];
                 let (linear, angular) = weighted(load.node);

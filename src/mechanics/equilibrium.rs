@@ -1,4 +1,4 @@
-//! Static equilibrium of a clamped rod under its loads, gravity, and springs on the tip.
+//! Static equilibrium of a rod whose base is held under its loads, gravity, and springs on the tip.
 //!
 //! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in
 //! coordinates in which the elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU
@@ -76,7 +76,7 @@ impl TipSpring {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EquilibriumError {
     /// A free rod has no place to rest.
-    #[error("base.kind: a static equilibrium needs a clamped base")]
+    #[error("base.kind: a static equilibrium needs a base that is held")]
     FreeBase,
     /// The iteration limit was reached.
     #[error(
@@ -99,7 +99,7 @@ const LBFGS_MEMORY: usize = 12;
 /// Newton steps that turn a node further than this are left to the minimization.
 const LARGEST_NEWTON_TURN: f64 = 0.5;
 
-/// Finds an equilibrium from `start`, with loads at their value at time `t`.
+/// Finds an equilibrium from `start` whose base stays where it is in `start`, with loads at their value at time `t`.
 ///
 /// # Errors
 /// [`EquilibriumError`] for a free base or when the iterations run out.

@@ -94,6 +94,16 @@ impl Rod {
         }
     }
 
+    /// That of node 0 in [`Self::rotary_at`].
+    pub(super) fn base_rotary(&self, positions: &[Vector3<f64>]) -> Vector3<f64> {
+        let rotary = self.nodes[0].rotary;
+        if self.model == RodModel::Standard {
+            return rotary;
+        }
+        let change = 1.0 / self.chord_dilatation(0, positions) - 1.0;
+        rotary + self.element_inertia[0][0].rotary * change
+    }
+
     /// `|x_{q+1} - x_q|/|x_{q+1} - x_q|_rest`
     #[inline]
     pub(super) fn chord_dilatation(&self, q: usize, positions: &[Vector3<f64>]) -> f64 {

@@ -18,12 +18,13 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::base_motion::BaseState;
 use super::configuration::State;
 use super::forces::NodalForces;
 use super::inertia::{InertiaRule, momentum_after};
 use super::load::Wrench;
 use super::rod::Rod;
-use super::rotation::{cay, hat};
+use super::rotation::{cay, cay_inverse, hat, log};
 
 /// A uniform time grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,6 +85,19 @@ pub enum StepError {
         time: f64,
         /// `|h g| / min J`.
         ratio: f64,
+    },
+    /// The given motion of the base is too fast for the step.
+    #[error(
+        "node 0, step {step} (t = {time} s): the base turns {angle:.3} rad in one step, must stay below a quarter turn; \
+         shorten time.step_s or slow the base motion"
+    )]
+    BaseTurnTooLarge {
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Rotation of the base in one step, rad.
+        angle: f64,
     },
     /// An element is pressed together so far that the time step does not resolve its stiffness `EA/e²` any more.
     #[error(
@@ -210,9 +224,12 @@ pub struct Integrator<'a> {
 }
 
 impl<'a> Integrator<'a> {
-    /// Starts from a state at time 0.
+    /// Starts from a state at time 0; a driven base is put where its motion starts.
     #[must_use]
-    pub fn new(rod: &'a Rod, time_step: f64, initial: State) -> Self {
+    pub fn new(rod: &'a Rod, time_step: f64, mut initial: State) -> Self {
+        if let Some(base) = rod.driven_base(0.0) {
+            rod.set_base(&base, &mut initial);
+        }
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(
             rod,
@@ -268,6 +285,7 @@ impl<'a> Integrator<'a> {
         let tip = self.rod.tip();
         let first = self.rod.first_free_node();
         let inertia_rule = InertiaRule::of(self.rod.model, self.step);
+        let base = self.approach_base()?;
         self.forces.forces[tip] += control[0].force;
         self.forces.moments[tip] += control[0].moment;
         for node in first..=tip {
@@ -286,6 +304,9 @@ impl<'a> Integrator<'a> {
             self.add_kinetic_reaction(undamp);
         }
         self.translate()?;
+        if let Some(base) = &base {
+            self.rod.set_base(base, &mut self.state);
+        }
         if inertia_rule != InertiaRule::Constant {
             self.follow_dilatation()?;
         }
@@ -395,6 +416,30 @@ impl<'a> Integrator<'a> {
             }
             self.state.linear_momentum[q + 1] += impulse;
         }
+    }
+
+    /// Where a driven base will be at the end of the step, and its turn until then.
+    fn approach_base(&mut self) -> Result<Option<BaseState>, StepError> {
+        let (step, time, h) = (self.step, self.time(), self.time_step);
+        let Some(base) = self.rod.driven_base((step + 1) as f64 * h) else {
+            return Ok(None);
+        };
+        let turn = self.state.configuration.rotations[0].tr_mul(&base.rotation);
+        // The speed as well, lest whole turns between two time nodes go unseen.
+        let angle = log(&turn).norm().max(base.angular_velocity.norm() * h);
+        if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
+            return Err(StepError::NotFinite {
+                node: 0,
+                step,
+                time,
+                quantity: "the given motion of the base",
+            });
+        }
+        if angle >= std::f64::consts::FRAC_PI_2 {
+            return Err(StepError::BaseTurnTooLarge { step, time, angle });
+        }
+        self.turns[0] = cay_inverse(&turn);
+        Ok(Some(base))
     }
 }
 

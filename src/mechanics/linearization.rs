@@ -370,6 +370,7 @@ impl StepLinearization {
         let loads = rod
             .loads
             .iter()
+            .filter(|load| load.turns())
             .map(|load| {
                 let (force, moment) = load.wrench_derivative(grid.time(k), &rotations[load.node]);
                 LoadDerivative {

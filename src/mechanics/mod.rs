@@ -1,5 +1,6 @@
 //! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
 
+pub mod base_motion;
 mod block_tridiagonal;
 pub mod configuration;
 pub mod constitutive;
@@ -17,12 +18,13 @@ pub mod sensitivity;
 pub mod stability;
 pub mod strain;
 
+pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use constitutive::RodModel;
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
 pub use integrator::{Integrator, StepError, TimeGrid};
-pub use load::{Load, LoadFrame, Wrench};
+pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,
     SectionProfile,

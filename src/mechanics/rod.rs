@@ -2,9 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::configuration::Configuration;
+use super::base_motion::{BaseMotion, BaseState};
+use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
-use super::load::Load;
+use super::load::{DistributedLoad, Load};
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
 use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
 
@@ -111,10 +112,12 @@ impl SectionProfile {
 }
 
 /// How the base node (node 0) is held.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum BaseCondition {
     /// Position and rotation fixed.
     Clamped,
+    /// Position and rotation given as functions of time.
+    Driven(BaseMotion),
     /// No constraint.
     Free,
 }
@@ -147,16 +150,20 @@ pub struct RodParameters {
     pub rest_stretch: f64,
     /// How node 0 is held.
     pub base: BaseCondition,
-    /// Position of the base, m.
+    /// Position of the base, m; what a driven base moves from.
     pub base_position: Vector3<f64>,
-    /// Rotation of the base, body to space; the rod starts along its third column.
+    /// Rotation of the base, body to space; the rod starts along its third column. What a driven base turns from.
     pub base_rotation: Matrix3<f64>,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
     pub viscous_damping: f64,
-    /// Given loads.
+    /// Given loads on nodes.
     pub loads: Vec<Load>,
+    /// Given loads along the rod.
+    pub distributed_loads: Vec<DistributedLoad>,
+    /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
+    pub payload: Option<NodeInertia>,
 }
 
 impl RodParameters {
@@ -178,12 +185,14 @@ impl RodParameters {
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
             loads: Vec::new(),
+            distributed_loads: Vec::new(),
+            payload: None,
         }
     }
 }
 
 /// Reference magnitudes of a rod, used to make residuals dimensionless: `EI` is the harmonic mean of the bending
-/// stiffness over the length (what a tip moment feels), `ρA` the mean mass per length.
+/// stiffness over the length (what a tip moment feels), `ρA` the rod's own mean mass per length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
     /// Rest length `L`, m.
@@ -223,21 +232,24 @@ pub struct Rod {
     pub model: RodModel,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
-    /// Lumped inertia of the nodes (trapezoidal rule: each element gives a half to each end).
+    /// Lumped inertia of the nodes (trapezoidal rule: each element gives a half to each end), with the payload at the
+    /// tip.
     pub nodes: Vec<NodeInertia>,
-    /// The share of each element in the inertia of its two ends.
+    /// The share of each element in the inertia of its two ends, without the payload.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// How node 0 is held.
     pub base: BaseCondition,
     /// Length of every element's chord in the stress-free configuration, m.
     pub rest_chords: Vec<f64>,
-    /// Stress-free configuration, starting at the base pose.
+    /// Pose that the motion of a driven base is relative to: position, m, and rotation, body to space.
+    pub base_reference: (Vector3<f64>, Matrix3<f64>),
+    /// Stress-free configuration, starting at the base pose (at t = 0).
     pub rest: Configuration,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
     /// Viscous damping, 1/s.
     pub viscous_damping: f64,
-    /// Given loads.
+    /// Given loads on nodes; distributed ones are lumped.
     pub loads: Vec<Load>,
     /// Reference magnitudes.
     pub scales: Scales,
@@ -277,7 +289,8 @@ impl Rod {
     ///
     /// # Errors
     /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
-    /// not exist, or half a turn or more of rest curvature per element.
+    /// not exist or on a part that is none, a base motion that is not finite, a negative payload, or half a turn or
+    /// more of rest curvature per element.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
         let positive = |x: f64| x > 0.0;
@@ -339,6 +352,20 @@ impl Rod {
                 "a node of the rod",
             )?;
         }
+        for load in &p.distributed_loads {
+            check_distributed(load)?;
+        }
+        if let Some(payload) = &p.payload {
+            let not_negative = |x: f64| x >= 0.0;
+            require("payload mass", payload.mass, not_negative, "zero or more")?;
+            for i in 0..3 {
+                let rotary = payload.rotary[i];
+                require("payload inertia", rotary, not_negative, "zero or more")?;
+            }
+        }
+        if let BaseCondition::Driven(motion) = &p.base {
+            motion.check()?;
+        }
         let l = p.length / k as f64;
         let psi = p.rest_curvature * l;
         require(
@@ -389,6 +416,14 @@ impl Rod {
         let rest_chords = (rest.positions.windows(2))
             .map(|ends| (ends[1] - ends[0]).norm())
             .collect();
+        if let Some(payload) = &p.payload {
+            nodes[k].mass += payload.mass;
+            nodes[k].rotary += payload.rotary;
+        }
+        let mut loads = p.loads.clone();
+        for load in &p.distributed_loads {
+            loads.extend(load.lumped(p.length, k));
+        }
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
@@ -396,11 +431,12 @@ impl Rod {
             nodes,
             element_inertia,
             rest_chords,
-            base: p.base,
+            base: p.base.clone(),
+            base_reference: (p.base_position, p.base_rotation),
             rest,
             gravity: p.gravity,
             viscous_damping: p.viscous_damping,
-            loads: p.loads.clone(),
+            loads,
             scales,
         })
     }
@@ -423,16 +459,79 @@ impl Rod {
         self.elements.len()
     }
 
-    /// First node that moves: 1 for a clamped rod, 0 for a free one.
+    /// First node whose motion is not given: 1 for a clamped or driven base, 0 for a free one.
     #[must_use]
     pub fn first_free_node(&self) -> usize {
         match self.base {
-            BaseCondition::Clamped => 1,
+            BaseCondition::Clamped | BaseCondition::Driven(_) => 1,
             BaseCondition::Free => 0,
         }
     }
 
-    /// Total mass, kg.
+    /// Where a driven base is at time `t` and how it moves; `None` for any other.
+    #[must_use]
+    pub fn driven_base(&self, t: f64) -> Option<BaseState> {
+        match &self.base {
+            BaseCondition::Driven(motion) => {
+                let (position, rotation) = &self.base_reference;
+                Some(motion.at(position, rotation, t))
+            }
+            BaseCondition::Clamped | BaseCondition::Free => None,
+        }
+    }
+
+    /// Puts node 0 where `base` is, with the momenta `m v` and `J ω` of its motion.
+    pub fn set_base(&self, base: &BaseState, state: &mut State) {
+        state.configuration.positions[0] = base.position;
+        state.configuration.rotations[0] = base.rotation;
+        let rotary = self.base_rotary(&state.configuration.positions);
+        state.linear_momentum[0] = base.velocity * self.nodes[0].mass;
+        state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
+    }
+
+    /// `Σ m x / Σ m`, m.
+    #[must_use]
+    pub fn center_of_mass(&self, positions: &[Vector3<f64>]) -> Vector3<f64> {
+        let nodes = self.nodes.iter().zip(positions);
+        nodes.map(|(node, x)| node.mass * x).sum::<Vector3<f64>>() / self.mass()
+    }
+
+    /// A configuration that moves as a rigid body: `p = m (v + ω × (x - x_ref))` and `π = J Rᵀω` at every node.
+    ///
+    /// `reference` is the point `x_ref` (m) that has the velocity `velocity` (m/s); `angular_velocity` (rad/s) is
+    /// spatial. The integrator takes these momenta as those at t = 0, before the first half kick.
+    #[must_use]
+    pub fn rigid_motion(
+        &self,
+        configuration: Configuration,
+        reference: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+        angular_velocity: &Vector3<f64>,
+    ) -> State {
+        let rotary = self.rotary_at(&configuration.positions);
+        let mut state = State::at_rest(configuration);
+        for (q, (node, rotary)) in self.nodes.iter().zip(&rotary).enumerate() {
+            let arm = state.configuration.positions[q] - reference;
+            let spin = state.configuration.rotations[q].tr_mul(angular_velocity);
+            state.linear_momentum[q] = node.mass * (velocity + angular_velocity.cross(&arm));
+            state.angular_momentum[q] = rotary.component_mul(&spin);
+        }
+        state
+    }
+
+    /// `configuration` at t = 0: at rest, or, where the base is driven, moving with it as a rigid body.
+    #[must_use]
+    pub fn at_rest_on_base(&self, configuration: Configuration) -> State {
+        match self.driven_base(0.0) {
+            None => State::at_rest(configuration),
+            Some(base) => {
+                let spin = base.rotation * base.angular_velocity;
+                self.rigid_motion(configuration, &base.position, &base.velocity, &spin)
+            }
+        }
+    }
+
+    /// Total mass, payload included, kg.
     #[must_use]
     pub fn mass(&self) -> f64 {
         self.nodes.iter().map(|node| node.mass).sum()
@@ -502,6 +601,22 @@ impl Rod {
     }
 }
 
+fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
+    let end = "a fraction of the length, the end after the start";
+    require("distributed load start", load.from, |from| from >= 0.0, end)?;
+    require(
+        "distributed load end",
+        load.to,
+        |to| to > load.from && to <= 1.0,
+        end,
+    )?;
+    for i in 0..3 {
+        require("distributed force", load.force[i], |_| true, "finite")?;
+        require("distributed moment", load.moment[i], |_| true, "finite")?;
+    }
+    Ok(())
+}
+
 /// The stress-free shape: constant curvature and stretch from the base pose on.
 fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
     let psi = p.rest_curvature * l;
@@ -512,9 +627,16 @@ fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
         .try_inverse()
         .unwrap_or_else(Matrix3::identity)
         * Vector3::new(0.0, 0.0, p.rest_stretch * l);
+    let (position, rotation) = match &p.base {
+        BaseCondition::Driven(motion) => {
+            let start = motion.at(&p.base_position, &p.base_rotation, 0.0);
+            (start.position, start.rotation)
+        }
+        BaseCondition::Clamped | BaseCondition::Free => (p.base_position, p.base_rotation),
+    };
     let mut shape = Configuration {
-        positions: vec![p.base_position],
-        rotations: vec![p.base_rotation],
+        positions: vec![position],
+        rotations: vec![rotation],
     };
     for q in 0..p.n_elements {
         let rotation = shape.rotations[q];

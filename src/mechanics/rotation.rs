@@ -71,6 +71,36 @@ pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + a * v_hat + b * v_hat * v_hat
 }
 
+/// Body-frame tangent of [`exp`]: the matrix `T` with `exp(v)ᵀ δexp(v) = (T δv)^`, at any angle `θ = |v|`,
+/// `T = I - (1 - cos θ)/θ² v̂ + (θ - sin θ)/θ³ v̂²`.
+#[must_use]
+pub fn exp_tangent(v: &Vector3<f64>) -> Matrix3<f64> {
+    let angle_squared = v.norm_squared();
+    let (a, b) = if angle_squared < 0.25 {
+        // Taylor, in nested form: the first neglected terms, θ¹²/14! and θ¹²/15!, are below rounding.
+        let nested = |first: f64, orders: [f64; 5]| {
+            let tail = orders
+                .iter()
+                .rev()
+                .fold(1.0, |sum, n| 1.0 - angle_squared / (n * (n + 1.0)) * sum);
+            tail / first
+        };
+        (
+            nested(2.0, [3.0, 5.0, 7.0, 9.0, 11.0]),
+            nested(6.0, [4.0, 6.0, 8.0, 10.0, 12.0]),
+        )
+    } else {
+        let angle = angle_squared.sqrt();
+        let half_sine = (0.5 * angle).sin();
+        (
+            2.0 * half_sine * half_sine / angle_squared,
+            (angle - angle.sin()) / (angle_squared * angle),
+        )
+    };
+    let v_hat = hat(v);
+    Matrix3::identity() - a * v_hat + b * v_hat * v_hat
+}
+
 /// Logarithm: the rotation vector of `rotation`, of length at most π.
 ///
 /// Accurate at every angle: beyond about 120 degrees it goes through the unit quaternion, whose vector part does
@@ -269,6 +299,22 @@ mod tests {
             let s = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
             let difference = (plus - minus) / (2.0 * h);
             prop_assert!((s.transpose() * zeta - difference).norm() < 1e-8 * (1.0 + difference.norm()) * (1.0 + s.norm()).powi(3));
+        }
+
+        /// It inverts the transposed tangent of the logarithm, to rounding: two formulas, series and closed forms.
+        #[test]
+        fn exp_tangent_inverts_the_logarithms(psi in vector(3.0)) {
+            let s = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+            prop_assert!((exp_tangent(&psi) * s.transpose() - Matrix3::identity()).norm() < 1e-14);
+        }
+
+        /// `exp(v)ᵀ δexp(v) = (T δv)^` beyond half a turn and beyond a full one: central difference.
+        #[test]
+        fn exp_tangent_is_the_derivative(v in vector(20.0), dv in vector(1.0)) {
+            let h = 1e-5;
+            let difference = (exp(&(v + dv * h)) - exp(&(v - dv * h))) / (2.0 * h);
+            let body = vee(&(exp(&v).transpose() * difference));
+            prop_assert!((exp_tangent(&v) * dv - body).norm() < 1e-9);
         }
 
         /// `cay(f)ᵀ δcay(f) = (T δf)^`: central difference.

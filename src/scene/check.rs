@@ -1,8 +1,8 @@
 //! Ranges and relations between keys: what the types of a scene cannot say.
 
 use super::model::{
-    Base, BaseKind, Bound, Control, Damping, Load, LoadNode, Material, Objective, Rod, RodModel,
-    Scene, Section, Solver, Task, Time, TimeStep,
+    Base, BaseKind, BaseMotion, Bound, Control, Damping, DistributedLoad, Initial, Load, LoadNode,
+    Material, Objective, Payload, Rod, RodModel, Scene, Section, Solver, Task, Time, TimeStep,
 };
 use super::{SceneError, SceneSource};
 
@@ -33,6 +33,15 @@ impl Scene {
         }
         for (index, load) in self.load.iter().enumerate() {
             keys.check_load(load, index, self.rod.elements)?;
+        }
+        for (index, load) in self.distributed_load.iter().enumerate() {
+            keys.check_distributed_load(load, index)?;
+        }
+        if let Some(payload) = &self.payload {
+            keys.check_payload(payload)?;
+        }
+        if let Some(initial) = &self.initial {
+            keys.check_initial(initial, self.base.kind)?;
         }
         keys.check_time(&self.time)?;
         if let Some(task) = &self.task {
@@ -245,6 +254,41 @@ impl Keys<'_> {
                 return Err(self.contradiction("base.orientation_wxyz", "base.roll_rad"));
             }
         }
+        match (&base.motion, base.kind) {
+            (Some(motion), BaseKind::Driven) => self.check_motion(motion),
+            (None, BaseKind::Driven) => Err(self.missing(
+                "base.motion",
+                "a driven base needs to know how it moves, for example velocity_m_s = [0.1, 0, 0]",
+            )),
+            (Some(_), BaseKind::Clamped | BaseKind::Free) => Err(self.source.error_at(
+                "base.motion",
+                "only a driven base has a given motion",
+                Some("set base.kind = \"driven\", or leave base.motion out".to_string()),
+            )),
+            (None, BaseKind::Clamped | BaseKind::Free) => Ok(()),
+        }
+    }
+
+    fn check_motion(&self, motion: &BaseMotion) -> Checked {
+        self.finite("base.motion.velocity_m_s", &motion.velocity_m_s)?;
+        self.finite(
+            "base.motion.angular_velocity_rad_s",
+            &motion.angular_velocity_rad_s,
+        )?;
+        if let Some(table) = &motion.translation_m {
+            self.table("base.motion.translation_m", table, "no translation")?;
+        }
+        if let Some(table) = &motion.rotation_rad {
+            self.table("base.motion.rotation_rad", table, "no rotation")?;
+        }
+        for (index, oscillation) in motion.oscillation.iter().enumerate() {
+            let key = |name: &str| format!("base.motion.oscillation.{index}.{name}");
+            self.finite(&key("translation_m"), &oscillation.translation_m)?;
+            self.finite(&key("rotation_rad"), &oscillation.rotation_rad)?;
+            let frequency = oscillation.frequency_hz;
+            self.positive(&key("frequency_hz"), frequency, "frequency", "Hz")?;
+            self.finite_number(&key("phase_rad"), oscillation.phase_rad)?;
+        }
         Ok(())
     }
 
@@ -274,20 +318,88 @@ impl Keys<'_> {
         }
         self.finite(&format!("load.{index}.force_n"), &load.force_n)?;
         self.finite(&format!("load.{index}.moment_n_m"), &load.moment_n_m)?;
-        let Some(profile) = &load.profile else {
-            return Ok(());
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&format!("load.{index}.profile"), profile, "a constant load")
+        })
+    }
+
+    fn check_distributed_load(&self, load: &DistributedLoad, index: usize) -> Checked {
+        let key = |name: &str| format!("distributed_load.{index}.{name}");
+        let fraction = |name: &str, value: f64| {
+            if (0.0..=1.0).contains(&value) {
+                return Ok(());
+            }
+            Err(self.out_of_range(&key(name), value, "fraction from 0 to 1", ""))
         };
-        let key = format!("load.{index}.profile");
-        if profile.is_empty() {
-            let help = "leave the profile out for a constant load".to_string();
+        fraction("from", load.from)?;
+        fraction("to", load.to)?;
+        if load.to <= load.from {
+            let message = format!(
+                "{} does not come after from, {}",
+                number(load.to),
+                number(load.from)
+            );
             return Err(self
                 .source
-                .error_at(&key, "a profile without points", Some(help)));
+                .error_at(&key("to"), message, None)
+                .expecting("expected a larger fraction, up to 1 (tip)"));
         }
-        for (point, pair) in profile.iter().enumerate() {
-            self.finite(&format!("{key}.{point}"), pair)?;
+        self.finite(&key("force_n_per_m"), &load.force_n_per_m)?;
+        self.finite(&key("moment_n_m_per_m"), &load.moment_n_m_per_m)?;
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&key("profile"), profile, "a constant load")
+        })
+    }
+
+    fn check_payload(&self, payload: &Payload) -> Checked {
+        self.not_negative("payload.mass_kg", payload.mass_kg, "mass", "kg")?;
+        for (axis, inertia) in payload.inertia_kg_m2.into_iter().enumerate() {
+            let key = format!("payload.inertia_kg_m2.{axis}");
+            self.not_negative(&key, inertia, "moment of inertia", "kg m²")?;
         }
-        for (point, pair) in profile.windows(2).enumerate() {
+        Ok(())
+    }
+
+    fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
+        for (name, velocity) in [
+            ("initial.velocity_m_s", &initial.velocity_m_s),
+            (
+                "initial.angular_velocity_rad_s",
+                &initial.angular_velocity_rad_s,
+            ),
+        ] {
+            self.finite(name, velocity)?;
+            if *velocity == [0.0; 3] {
+                continue;
+            }
+            let (message, help) = match base {
+                BaseKind::Free => continue,
+                BaseKind::Clamped => (
+                    "a clamped arm cannot start as a moving rigid body",
+                    "set base.kind = \"free\", or \"driven\" with a base.motion",
+                ),
+                BaseKind::Driven => (
+                    "an arm on a driven base starts with the velocity of its base",
+                    "give the velocity in base.motion",
+                ),
+            };
+            return Err(self.source.error_at(name, message, Some(help.to_string())));
+        }
+        Ok(())
+    }
+
+    /// Rows that begin with an increasing time; `without` is what there is without the table.
+    fn table<const N: usize>(&self, key: &str, rows: &[[f64; N]], without: &str) -> Checked {
+        if rows.is_empty() {
+            let help = format!("leave it out for {without}");
+            return Err(self
+                .source
+                .error_at(key, "a table without points", Some(help)));
+        }
+        for (point, row) in rows.iter().enumerate() {
+            self.finite(&format!("{key}.{point}"), row)?;
+        }
+        for (point, pair) in rows.windows(2).enumerate() {
             if pair[1][0] <= pair[0][0] {
                 let message = format!(
                     "{} s does not come after {} s",

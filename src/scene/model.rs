@@ -18,10 +18,16 @@ pub struct Scene {
     /// Damping. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<Damping>,
+    /// A rigid body at the tip. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
     /// Prescribed forces and moments on nodes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub load: Vec<Load>,
-    /// State at t = 0. Absent: at rest in the stress-free shape.
+    /// Prescribed forces and moments along the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub distributed_load: Vec<DistributedLoad>,
+    /// State at t = 0. Absent: in the stress-free shape, at rest or moving with a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,
     /// Duration and time step.
@@ -191,15 +197,15 @@ pub struct Reference {
     pub stretch: f64,
 }
 
-/// The first node: where it is, how it is turned, and whether it is held.
+/// The first node: where it is, how it is turned, and whether it is held or moved.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
-    /// Whether the base is held in place.
+    /// Whether the base is held in place, moved, or free.
     pub kind: BaseKind,
-    /// Position in m. Default: the origin.
+    /// Position in m; what a driven base moves from. Default: the origin.
     pub position_m: [f64; 3],
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -211,15 +217,62 @@ pub struct Base {
     /// `roll_rad`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
+    /// The given motion of a driven base.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<BaseMotion>,
 }
 
-/// Whether the base is held.
+/// The given motion of the base: the sum of a uniform motion, curves through tables, and oscillations.
+///
+/// Translations are displacements from `base.position_m`, in space. Rotations are rotation vectors r in the base's own
+/// frame, whose orientation at time t is its given one times exp(r(t)); parts about different axes add up as vectors.
+/// At t = 0 the arm has its shape where the base is then, and moves with it as a rigid body.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct BaseMotion {
+    /// Constant velocity in m/s. Default: none.
+    pub velocity_m_s: [f64; 3],
+    /// Constant angular velocity in rad/s. Default: none.
+    pub angular_velocity_rad_s: [f64; 3],
+    /// Displacement in m over time, as [t in s, x, y, z] with increasing t: the cubic spline through the points that
+    /// starts and ends with zero velocity; constant before and after.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub translation_m: Option<Vec<[f64; 4]>>,
+    /// Rotation vector in rad over time, as [t in s, x, y, z], likewise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_rad: Option<Vec<[f64; 4]>>,
+    /// Harmonic parts.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub oscillation: Vec<Oscillation>,
+}
+
+/// A harmonic motion, amplitude times sin(2π f t + phase) - sin(phase): zero at t = 0.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Oscillation {
+    /// Amplitude of the displacement in m. Default: none.
+    #[serde(default)]
+    pub translation_m: [f64; 3],
+    /// Amplitude of the rotation vector in rad. Default: none.
+    #[serde(default)]
+    pub rotation_rad: [f64; 3],
+    /// Frequency f in Hz, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub frequency_hz: f64,
+    /// Phase in rad, default 0; π/2 starts without velocity.
+    #[serde(default)]
+    pub phase_rad: f64,
+}
+
+/// Whether the base is held or moved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BaseKind {
     /// Position and orientation are held.
     #[default]
     Clamped,
+    /// Position and orientation follow `base.motion`.
+    Driven,
     /// The base moves like any other node.
     Free,
 }
@@ -243,6 +296,45 @@ pub struct Damping {
     /// Kelvin-Voigt time in s: stress in proportion to the rate of strain. This version has only 0, the default.
     #[schemars(range(min = 0.0, max = 0.0))]
     pub internal_s: f64,
+}
+
+/// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Payload {
+    /// Mass in kg, not negative.
+    #[schemars(range(min = 0.0))]
+    pub mass_kg: f64,
+    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
+    /// axis. Default: none.
+    #[serde(default)]
+    pub inertia_kg_m2: [f64; 3],
+}
+
+/// A prescribed force and moment per rest length on a part of the arm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DistributedLoad {
+    /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub from: f64,
+    /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub to: f64,
+    /// Force in N per m of the arm's rest length. Default: none.
+    #[serde(default)]
+    pub force_n_per_m: [f64; 3],
+    /// Moment in N m per m of the arm's rest length. Default: none.
+    #[serde(default)]
+    pub moment_n_m_per_m: [f64; 3],
+    /// The frame that force and moment are given in.
+    #[serde(default)]
+    pub frame: LoadFrame,
+    /// Factor on force and moment over time, as in `[[load]]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
 }
 
 /// A prescribed force and moment on one node.
@@ -518,12 +610,18 @@ pub enum Guess {
     Rest,
 }
 
-/// State at t = 0; always at rest.
+/// State at t = 0: a shape, and a velocity as of a rigid body.
+///
+/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with its base's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Shape that the motion starts from.
     pub shape: InitialShape,
+    /// Velocity of the center of mass in m/s. Default: none.
+    pub velocity_m_s: [f64; 3],
+    /// Angular velocity about the center of mass in rad/s, spatial frame. Default: none.
+    pub angular_velocity_rad_s: [f64; 3],
 }
 
 /// Shape that a motion starts from.
@@ -533,7 +631,7 @@ pub enum InitialShape {
     /// The stress-free shape: gravity and loads act suddenly.
     #[default]
     Rest,
-    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped base.
+    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped or driven base.
     Equilibrium,
 }
 
@@ -555,6 +653,7 @@ impl Default for Base {
             direction: None,
             roll_rad: None,
             orientation_wxyz: None,
+            motion: None,
         }
     }
 }

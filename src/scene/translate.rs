@@ -10,11 +10,12 @@ use super::source::SceneSource;
 use crate::control::{
     Bound, Channel, ControlGrid, Enforcement, Guess, Hold, OptimalControlProblem, TipTarget,
 };
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::from_quaternion;
 use crate::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use crate::mechanics::{
-    BaseCondition, Load, LoadFrame, Material, Rod, RodModel, RodParameters, Section,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
+    MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, Section,
     SectionProfile, State, StrainRule, TimeGrid,
 };
 use crate::sqp::{HessianChoice, SqpSettings};
@@ -221,6 +222,14 @@ impl Scene {
             rest_stretch: reference.map_or(1.0, |r| r.stretch),
             base: match self.base.kind {
                 model::BaseKind::Clamped => BaseCondition::Clamped,
+                model::BaseKind::Driven => {
+                    let motion = self.base.motion.clone().unwrap_or_default();
+                    BaseCondition::Driven(
+                        base_motion(&motion).map_err(|error| {
+                            source.error_at("base.motion", error.to_string(), None)
+                        })?,
+                    )
+                }
                 model::BaseKind::Free => BaseCondition::Free,
             },
             base_position: self.base.position_m.into(),
@@ -231,6 +240,11 @@ impl Scene {
                 .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
             loads: self.load.iter().map(|load| self.load_of(load)).collect(),
+            distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
+            payload: self.payload.as_ref().map(|payload| NodeInertia {
+                mass: payload.mass_kg,
+                rotary: payload.inertia_kg_m2.into(),
+            }),
         })
     }
 
@@ -287,16 +301,8 @@ impl Scene {
             },
             force: load.force_n.into(),
             moment: load.moment_n_m.into(),
-            frame: match load.frame {
-                model::LoadFrame::Spatial => LoadFrame::Spatial,
-                model::LoadFrame::Body => LoadFrame::Body,
-            },
-            profile: load
-                .profile
-                .iter()
-                .flatten()
-                .map(|&[t, factor]| (t, factor))
-                .collect(),
+            frame: load_frame(load.frame),
+            profile: load_profile(&load.profile),
         }
     }
 
@@ -347,33 +353,85 @@ impl Scene {
     }
 
     fn initial_state(&self, source: &SceneSource, rod: &Rod) -> Result<State, SceneError> {
-        self.initial_shape()
-            .state(rod)
-            .map_err(|reason| source.error_at("initial.shape", reason, None))
+        self.starting_state(rod)
+            .map_err(|error| source.error_at("initial.shape", error.to_string(), None))
     }
 
-    /// How a rod of this scene starts.
-    #[must_use]
-    pub fn initial_shape(&self) -> InitialShape {
-        self.initial
-            .as_ref()
-            .map_or(InitialShape::Rest, |i| i.shape)
+    /// State at t = 0 of a rod of this scene: in the shape of `[initial]`, moving as a rigid body with the velocities
+    /// given there (free base) or with its base (driven).
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] when there is no equilibrium to start from.
+    pub fn starting_state(&self, rod: &Rod) -> Result<State, EquilibriumError> {
+        let initial = self.initial.clone().unwrap_or_default();
+        let shape = match initial.shape {
+            InitialShape::Rest => rod.rest.clone(),
+            InitialShape::Equilibrium => {
+                static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default())?
+            }
+        };
+        Ok(match rod.base {
+            BaseCondition::Clamped | BaseCondition::Driven(_) => rod.at_rest_on_base(shape),
+            BaseCondition::Free => {
+                let center = rod.center_of_mass(&shape.positions);
+                let (velocity, spin) = (initial.velocity_m_s, initial.angular_velocity_rad_s);
+                rod.rigid_motion(shape, &center, &velocity.into(), &spin.into())
+            }
+        })
     }
 }
 
-impl InitialShape {
-    /// The state at rest in this shape.
-    ///
-    /// # Errors
-    /// A sentence when there is no such equilibrium.
-    pub fn state(self, rod: &Rod) -> Result<State, String> {
-        match self {
-            Self::Rest => Ok(State::at_rest(rod.rest.clone())),
-            Self::Equilibrium => static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default())
-                .map(State::at_rest)
-                .map_err(|error| error.to_string()),
-        }
+fn load_frame(frame: model::LoadFrame) -> LoadFrame {
+    match frame {
+        model::LoadFrame::Spatial => LoadFrame::Spatial,
+        model::LoadFrame::Body => LoadFrame::Body,
     }
+}
+
+fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
+    let points = profile.iter().flatten();
+    points.map(|&[t, factor]| (t, factor)).collect()
+}
+
+fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
+    DistributedLoad {
+        from: load.from,
+        to: load.to,
+        force: load.force_n_per_m.into(),
+        moment: load.moment_n_m_per_m.into(),
+        frame: load_frame(load.frame),
+        profile: load_profile(&load.profile),
+    }
+}
+
+fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
+    let curve = |rate: [f64; 3],
+                 table: &Option<Vec<[f64; 4]>>,
+                 amplitude: fn(&model::Oscillation) -> [f64; 3]|
+     -> Result<MotionCurve, RodError> {
+        let point = |&[t, x, y, z]: &[f64; 4]| (t, Vector3::new(x, y, z));
+        let table = table
+            .as_ref()
+            .map(|rows| CubicSpline::through(&rows.iter().map(point).collect::<Vec<_>>()));
+        let oscillations = motion.oscillation.iter().map(|o| Oscillation {
+            amplitude: amplitude(o).into(),
+            frequency: o.frequency_hz,
+            phase: o.phase_rad,
+        });
+        Ok(MotionCurve {
+            rate: rate.into(),
+            table: table.transpose()?,
+            oscillations: oscillations.collect(),
+        })
+    };
+    Ok(BaseMotion {
+        translation: curve(motion.velocity_m_s, &motion.translation_m, |o| {
+            o.translation_m
+        })?,
+        rotation: curve(motion.angular_velocity_rad_s, &motion.rotation_rad, |o| {
+            o.rotation_rad
+        })?,
+    })
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {

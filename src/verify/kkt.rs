@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::dual;
 use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Rod, Trajectory, Wrench};
+use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
 use crate::sqp::KktResidual;
 
 /// The recomputed conditions.
@@ -115,6 +115,27 @@ impl Conditions<'_> {
             moment += self.control[k].moment;
         }
         (force, moment)
+    }
+
+    /// Sum of the distances of node 0 from where the base is held or driven, scaled.
+    fn base_defects(&self) -> f64 {
+        let rod = self.rod();
+        if rod.base == BaseCondition::Free {
+            return 0.0;
+        }
+        let start = &self.problem.initial.configuration;
+        (0..=self.problem.grid.n_steps)
+            .map(|k| {
+                let (x, r) = rod
+                    .driven_base(self.problem.grid.time(k))
+                    .map_or((start.positions[0], start.rotations[0]), |base| {
+                        (base.position, base.rotation)
+                    });
+                let moved = self.trajectory.positions_at(k)[0] - x;
+                let turned = log(&r.tr_mul(&self.trajectory.rotations_at(k)[0]));
+                moved.norm() / rod.scales.length + turned.norm()
+            })
+            .sum()
     }
 
     /// Sum of the scaled defects, and the tip's momenta at the end.
@@ -392,7 +413,10 @@ pub fn recompute(
     RecomputedKkt {
         residual: KktResidual {
             stationarity: stationarity / scale,
-            feasibility: worse(worse(constraint_size, defect), relative_bound),
+            feasibility: worse(
+                worse(constraint_size, defect + conditions.base_defects()),
+                relative_bound,
+            ),
             complementarity: complementarity / scale,
         },
         bound_violation,

@@ -134,7 +134,7 @@ impl ForwardCheck {
 /// Energy account of a motion, J.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EnergyBalance {
-    /// Work of the control and of the loads on the tip and the other nodes.
+    /// Work of the control, of the loads on the tip and the other nodes, and of what drives the base.
     pub work: f64,
     /// Kinetic, elastic and potential energy at the end minus those at the start.
     pub change: f64,
@@ -199,9 +199,9 @@ pub fn replay(
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     let mut integrator = Integrator::new(rod, grid.step, initial.clone());
-    let start = Energy::of(rod, initial);
+    let start = Energy::of(rod, integrator.state());
     let mut energies = vec![start];
-    trajectory.push(&initial.configuration);
+    trajectory.push(&integrator.state().configuration);
     // Below this no energy passes through worth the name: rounding of the stiffest element.
     let mut balance = EnergyBalance {
         throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
@@ -210,9 +210,14 @@ pub fn replay(
     for k in 0..grid.n_steps {
         let before = integrator.state().clone();
         let pair = [control[k], control[k + 1]];
+        let base_before = base_wrench(&integrator);
         integrator.advance(pair)?;
         let after = integrator.state();
         balance.work += step_work(rod, grid, k, &before, after, &pair);
+        if rod.driven_base(0.0).is_some() {
+            let passive = [base_before, base_wrench(&integrator)];
+            balance.work += drive_work(rod, &before, after, &passive);
+        }
         balance.dissipation += step_dissipation(rod, grid.step, &before, after);
         let energy = Energy::of(rod, after);
         balance.change = energy.total() - start.total();
@@ -237,6 +242,40 @@ pub fn replay(
 /// Part of the rod's energy scale `EI/L` that counts as none.
 const NO_ENERGY: f64 = 1e-9;
 
+/// What acts on node 0 apart from what drives it.
+fn base_wrench(integrator: &Integrator) -> Wrench {
+    Wrench {
+        force: integrator.forces().forces[0],
+        moment: integrator.forces().moments[0],
+    }
+}
+
+/// Translation and rotation of a node over one step; the rotation vector has the same components in the frames of both
+/// of its ends.
+fn displacement(before: &State, after: &State, q: usize) -> (Vector3<f64>, Vector3<f64>) {
+    let (before, after) = (&before.configuration, &after.configuration);
+    (
+        after.positions[q] - before.positions[q],
+        log(&before.rotations[q].tr_mul(&after.rotations[q])),
+    )
+}
+
+/// Work of what drives the base over one step: the change of node 0's kinetic energy, less the work of all else that
+/// acts on it (`passive`, at both ends of the step).
+fn drive_work(rod: &Rod, before: &State, after: &State, passive: &[Wrench; 2]) -> f64 {
+    let kinetic = |state: &State| {
+        let rotary = rod.rotary_at(&state.configuration.positions)[0];
+        let (p, pi) = (state.linear_momentum[0], state.angular_momentum[0]);
+        0.5 * (p.norm_squared() / rod.nodes[0].mass + pi.dot(&pi.component_div(&rotary)))
+    };
+    let (dx, turn) = displacement(before, after, 0);
+    let done: f64 = passive
+        .iter()
+        .map(|wrench| 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn)))
+        .sum();
+    kinetic(after) - kinetic(before) - done
+}
+
 /// Work of loads and control over one step: forces at both ends, half each, along the step's own displacement.
 fn step_work(
     rod: &Rod,
@@ -246,21 +285,14 @@ fn step_work(
     after: &State,
     control: &[Wrench; 2],
 ) -> f64 {
-    let displacement = |q: usize| {
-        (
-            after.configuration.positions[q] - before.configuration.positions[q],
-            // The rotation of the step has the same components in the frames of both of its ends.
-            log(&(before.configuration.rotations[q].transpose() * after.configuration.rotations[q])),
-        )
-    };
     let tip = rod.tip();
-    let (dx, turn) = displacement(tip);
+    let (dx, turn) = displacement(before, after, tip);
     let mut work = 0.0;
     for wrench in control {
         work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
     }
     for load in &rod.loads {
-        let (dx, turn) = displacement(load.node);
+        let (dx, turn) = displacement(before, after, load.node);
         for (state, k) in [(before, k), (after, k + 1)] {
             let wrench = load.wrench(grid.time(k), &state.configuration.rotations[load.node]);
             work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));

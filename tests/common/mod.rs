@@ -4,7 +4,8 @@
 use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Load, LoadFrame, Material, Rod, RodModel, RodParameters, Section, SectionProfile, State,
+    BaseCondition, BaseMotion, DistributedLoad, Load, LoadFrame, Material, MotionCurve,
+    NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section, SectionProfile, State,
     StrainRule, TimeGrid, Trajectory,
 };
 
@@ -45,7 +46,37 @@ pub fn soft_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
     }
 }
 
-/// Everything at once: taper, rest curvature and stretch, oblique base, gravity, damping, dead and follower loads.
+/// A base that is carried along a line while it shakes and tumbles.
+pub fn shaking() -> BaseMotion {
+    let oscillation = |amplitude, frequency, phase| Oscillation {
+        amplitude,
+        frequency,
+        phase,
+    };
+    BaseMotion {
+        translation: MotionCurve {
+            rate: Vector3::new(0.2, -0.1, 0.3),
+            table: None,
+            oscillations: vec![oscillation(Vector3::new(0.02, 0.05, -0.03), 3.0, 0.4)],
+        },
+        rotation: MotionCurve {
+            rate: Vector3::new(0.5, 1.0, -0.8),
+            table: None,
+            oscillations: vec![oscillation(Vector3::new(0.2, -0.1, 0.3), 2.0, 1.0)],
+        },
+    }
+}
+
+pub fn bases() -> [BaseCondition; 3] {
+    [
+        BaseCondition::Clamped,
+        BaseCondition::Free,
+        BaseCondition::Driven(shaking()),
+    ]
+}
+
+/// Everything at once: taper, rest curvature and stretch, oblique base, gravity, damping, dead and follower loads on
+/// nodes and along the rod, payload.
 pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
     RodParameters {
         section: SectionProfile::TaperedCircle {
@@ -74,6 +105,18 @@ pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
                 profile: Vec::new(),
             },
         ],
+        distributed_loads: vec![DistributedLoad {
+            from: 0.2,
+            to: 0.9,
+            force: Vector3::new(-0.3, 0.4, 0.2),
+            moment: Vector3::new(0.01, 0.03, -0.05),
+            frame: LoadFrame::Body,
+            profile: vec![(0.0, 1.0), (0.3, 0.2)],
+        }],
+        payload: Some(NodeInertia {
+            mass: 0.4,
+            rotary: Vector3::new(3e-4, 5e-4, 2e-4),
+        }),
         ..soft_arm(strain_rule, n_elements)
     }
 }
@@ -98,7 +141,7 @@ impl Dice {
 
 /// A state away from rest: strains of order `size`, velocities of order `speed` (m/s, and rad/s tenfold).
 pub fn random_state(rod: &Rod, size: f64, speed: f64, dice: &mut Dice) -> State {
-    let mut state = State::at_rest(rod.rest.clone());
+    let mut state = rod.at_rest_on_base(rod.rest.clone());
     let l = rod.elements[0].length;
     for q in rod.first_free_node()..rod.n_nodes() {
         state.configuration.positions[q] += dice.vector(size * l);
@@ -111,7 +154,7 @@ pub fn random_state(rod: &Rod, size: f64, speed: f64, dice: &mut Dice) -> State 
     state
 }
 
-/// A lifted trajectory: it starts in `initial` and wanders, without obeying any dynamics.
+/// A lifted trajectory: it starts in `initial` and wanders, without obeying any dynamics; a driven base goes its way.
 pub fn random_trajectory(
     rod: &Rod,
     initial: &State,
@@ -121,7 +164,11 @@ pub fn random_trajectory(
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     let mut configuration = initial.configuration.clone();
     trajectory.push(&configuration);
-    for _ in 0..grid.n_steps {
+    for k in 1..=grid.n_steps {
+        if let Some(base) = rod.driven_base(grid.time(k)) {
+            configuration.positions[0] = base.position;
+            configuration.rotations[0] = base.rotation;
+        }
         for q in rod.first_free_node()..rod.n_nodes() {
             configuration.positions[q] += dice.vector(0.5 * grid.step);
             configuration.rotations[q] *= exp(&dice.vector(5.0 * grid.step));
