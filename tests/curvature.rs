@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Dice, RULES, busy_arm, random_state, random_trajectory};
+use common::{Dice, RULES, bases, busy_arm, random_state, random_trajectory};
 use faer::Mat;
 use nalgebra::{Matrix3, SVector, Vector3};
 use softarm::mechanics::curvature::{

@@ -4,7 +4,7 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use common::{Dice, soft_arm};
+use common::{Dice, shaking, soft_arm};
 use nalgebra::Vector3;
 use softarm::control::{
     Bound, Channel, ControlGrid, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem,
@@ -13,7 +13,8 @@ use softarm::control::{
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, Rod, RodParameters, Section, SectionProfile, State, StrainRule, TimeGrid, Wrench,
+    BaseCondition, DistributedLoad, LoadFrame, NodeInertia, Rod, RodParameters, Section,
+    SectionProfile, State, StrainRule, TimeGrid, Wrench,
 };
 use softarm::sqp::{HessianChoice, LiftedProgram as _, SqpOutcome, SqpSettings, SqpStatus, solve};
 use softarm::verify::{CheckLimits, ForwardCheck, Solution, forward_check, kkt};
@@ -104,7 +105,7 @@ impl Case {
         forward_check(
             &self.problem,
             &self.parameters,
-            &|rod| State::at_rest(rod.rest.clone()),
+            &|rod| rod.at_rest_on_base(rod.rest.clone()),
             &Solution {
                 trajectory: &point.trajectory,
                 coefficients: &self.problem.wrenches(&point.variables),
@@ -584,6 +585,48 @@ fn hessians_agree() {
         // At an optimum the objective is off by the square of the residual over the curvature.
         assert!((other / objectives[0] - 1.0).abs() < 1e-6, "{objectives:?}");
     }
+}
+
+/// A reach while the base is carried aside, shakes and tumbles, with a payload and a line load: solved from a path
+/// that goes with the base, and certified. The recomputed conditions know where the base has to be.
+#[test]
+fn reach_from_a_moving_base() {
+    let mut case = Case::reach();
+    case.parameters.base = BaseCondition::Driven(shaking());
+    case.parameters.payload = Some(NodeInertia {
+        mass: 0.2,
+        rotary: Vector3::new(1e-4, 1e-4, 2e-4),
+    });
+    case.parameters.distributed_loads = vec![DistributedLoad {
+        from: 0.3,
+        to: 1.0,
+        force: Vector3::new(0.5, 0.0, 0.2),
+        moment: Vector3::zeros(),
+        frame: LoadFrame::Body,
+        profile: Vec::new(),
+    }];
+    let rod = Rod::new(&case.parameters).unwrap();
+    case.problem.initial = rod.at_rest_on_base(rod.rest.clone());
+    case.problem.rod = rod;
+    case.problem.target.position = Some(Vector3::new(0.2, 0.05, 1.05));
+    let outcome = case.solved();
+    let grid = case.problem.grid;
+    for k in 0..=grid.n_steps {
+        let base = case.problem.rod.driven_base(grid.time(k)).unwrap();
+        assert_eq!(outcome.point.trajectory.positions_at(k)[0], base.position);
+    }
+    let check = case.check(&outcome.point, &outcome.multipliers.constraints);
+    assert!(check.is_certified(), "{:?} {:?}", failed(&check), check.kkt);
+
+    // The same trajectory on a base that should have stood still: nothing but its place is wrong.
+    case.problem.rod.base = BaseCondition::Clamped;
+    let found = kkt::recompute(
+        &case.problem,
+        &outcome.point.trajectory,
+        &case.problem.wrenches(&outcome.point.variables),
+        &outcome.multipliers.constraints,
+    );
+    assert!(found.residual.feasibility > 1.0);
 }
 
 /// A rod that is already there: no effort, no work, certified as it stands.

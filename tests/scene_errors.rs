@@ -223,6 +223,130 @@ fn components_out_of_range() {
     assert_eq!((error.line(), error.column()), (Some(11), Some(19)));
 }
 
+/// A base motion belongs to a driven base, and its tables and oscillations are functions of time.
+#[test]
+fn base_motions_that_cannot_be() {
+    let driven = format!("{ROD}[base]\nkind = 'driven'\n");
+    let none = error_of(&driven);
+    assert_eq!(none.key(), Some("base.motion"), "{none}");
+    for kind in ["clamped", "free"] {
+        let error = error_of(&format!(
+            "{ROD}[base]\nkind = '{kind}'\n[base.motion]\nvelocity_m_s = [1, 0, 0]\n"
+        ));
+        assert_eq!(error.key(), Some("base.motion"), "{error}");
+        assert!(error.help().is_some_and(|help| help.contains("driven")));
+    }
+    for (motion, key) in [
+        ("velocity_m_s = [1, nan, 0]", "velocity_m_s.1"),
+        ("velocity = [1, 0, 0]", "velocity"),
+        (
+            "angular_velocity_rad_s = [0, inf, 0]",
+            "angular_velocity_rad_s.1",
+        ),
+        ("angular_velocity_rad_s = [0, 1]", "angular_velocity_rad_s"),
+        ("translation_m = []", "translation_m"),
+        ("translation_m = [[0, 0, 0]]", "translation_m.0"),
+        (
+            "translation_m = [[0, 0, 0, 0], [0, 1, 0, 0]]",
+            "translation_m.1",
+        ),
+        (
+            "rotation_rad = [[1, 0, 0, 0], [0, 1, 0, 0]]",
+            "rotation_rad.1",
+        ),
+        ("rotation_rad = [[0, 0, inf, 0]]", "rotation_rad.0.2"),
+        ("oscillation = [{}]", "oscillation.0.frequency_hz"),
+        (
+            "oscillation = [{frequency_hz = 0}]",
+            "oscillation.0.frequency_hz",
+        ),
+        (
+            "oscillation = [{frequency_hz = nan}]",
+            "oscillation.0.frequency_hz",
+        ),
+        (
+            "oscillation = [{frequency_hz = 1, phase_rad = inf}]",
+            "oscillation.0.phase_rad",
+        ),
+        (
+            "oscillation = [{frequency_hz = 1, translation_m = [nan, 0, 0]}]",
+            "oscillation.0.translation_m.0",
+        ),
+    ] {
+        let error = error_of(&format!("{driven}[base.motion]\n{motion}\n"));
+        assert_eq!(
+            error.key(),
+            Some(format!("base.motion.{key}").as_str()),
+            "{error}"
+        );
+        assert_eq!(error.line(), Some(15), "{error}");
+    }
+}
+
+/// A distributed load covers a part of the arm.
+#[test]
+fn distributed_loads_that_cannot_be() {
+    for (load, key) in [
+        ("from = -0.1", "from"),
+        ("from = nan", "from"),
+        ("to = 1.5", "to"),
+        ("from = 0.5\nto = 0.5", "to"),
+        ("from = 1", "to"),
+        ("force_n_per_m = [1, nan, 0]", "force_n_per_m.1"),
+        ("moment_n_m_per_m = [0, 0]", "moment_n_m_per_m"),
+        ("force_n = [0, 0, 1]", "force_n"),
+        ("node = 'tip'", "node"),
+        ("profile = []", "profile"),
+        ("profile = [[0, 0], [0, 1]]", "profile.1"),
+    ] {
+        let error = error_of(&format!("{ROD}[[distributed_load]]\n{load}\n"));
+        let key = format!("distributed_load.0.{key}");
+        assert_eq!(error.key(), Some(key.as_str()), "{error}");
+        assert!(error.line() >= Some(12), "{error}");
+    }
+}
+
+/// A payload has no negative part.
+#[test]
+fn payloads_that_cannot_be() {
+    for (payload, key) in [
+        ("", "payload.mass_kg"),
+        ("mass_kg = -1", "payload.mass_kg"),
+        ("mass_kg = nan", "payload.mass_kg"),
+        (
+            "mass_kg = 1\ninertia_kg_m2 = [0, -1, 0]",
+            "payload.inertia_kg_m2.1",
+        ),
+        ("mass_kg = 1\ninertia_kg_m2 = 1", "payload.inertia_kg_m2"),
+    ] {
+        let error = error_of(&format!("{ROD}[payload]\n{payload}\n"));
+        assert_eq!(error.key(), Some(key), "{error}");
+    }
+}
+
+/// Only a free arm can be thrown; the error says what to do instead.
+#[test]
+fn initial_velocities_that_cannot_be() {
+    let driven = "[base]\nkind = 'driven'\n[base.motion]\nvelocity_m_s = [1, 0, 0]\n";
+    for key in ["velocity_m_s", "angular_velocity_rad_s"] {
+        for (base, help) in [("", "base.kind"), (driven, "base.motion")] {
+            let initial = |value: &str| format!("{ROD}{base}[initial]\n{key} = {value}\n");
+            let error = error_of(&initial("[0, 0, 1]"));
+            assert_eq!(error.key(), Some(format!("initial.{key}").as_str()));
+            assert!(
+                error.help().is_some_and(|text| text.contains(help)),
+                "{error}"
+            );
+            assert!(read(&initial("[0, 0, 0]"), &[]).is_ok());
+        }
+        let free =
+            |value: &str| format!("{ROD}[base]\nkind = 'free'\n[initial]\n{key} = {value}\n");
+        assert!(read(&free("[0, 0, 1]"), &[]).is_ok());
+        let error = error_of(&free("[0, 0, nan]"));
+        assert_eq!(error.key(), Some(format!("initial.{key}.2").as_str()));
+    }
+}
+
 /// A load names an existing node and has a profile of increasing, finite times.
 #[test]
 fn loads_that_cannot_be() {
@@ -599,7 +723,8 @@ fn unknown_scene_names() {
     let expected = "\
 error: no file and no built-in scene of this name
   --> raech.toml
-help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, paper-arm, swing";
+help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, paper-arm, swing, \
+shaken-base";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Dice, busy_arm, laws, random_trajectory};
+use common::{Dice, bases, busy_arm, laws, random_trajectory};
 use softarm::mechanics::linearization::{Motion, defects, forward_sweep};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities, tip_rows};
 use softarm::mechanics::stability::stable_step;

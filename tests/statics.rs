@@ -8,8 +8,8 @@ use common::{RULES, SILICONE, soft_arm};
 use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::{
-    BaseCondition, Configuration, Load, LoadFrame, Material, Rod, RodParameters, Section,
-    SectionProfile, StrainRule,
+    BaseCondition, Configuration, DistributedLoad, Load, LoadFrame, Material, Rod, RodParameters,
+    Section, SectionProfile, StrainRule,
 };
 
 fn tip_load(n: usize, force: [f64; 3], moment: [f64; 3], frame: LoadFrame) -> Vec<Load> {
@@ -30,6 +30,10 @@ fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configuration)
         let factor = part as f64 / parts as f64;
         let mut p = parameters.clone();
         for load in &mut p.loads {
+            load.force *= factor;
+            load.moment *= factor;
+        }
+        for load in &mut p.distributed_loads {
             load.force *= factor;
             load.moment *= factor;
         }
@@ -316,4 +320,36 @@ fn free_base_is_refused() {
         static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()),
         Err(EquilibriumError::FreeBase)
     );
+}
+
+/// Uniform dead line load across an inextensible cantilever, `(w L³/EI, w/L, u/L, θ)`: a shooting solution good to
+/// 1e-14 (notes/benchmarks section 4b). Second order in the element; the error of the coarser rod is near 0.2 l².
+#[test]
+fn uniform_line_load_converges() {
+    for (load, deflection, shortening, slope) in [
+        (1.0, 0.123_471_402_5, 0.008_753_604_7, 0.165_115_560_5),
+        (2.0, 0.238_506_583_9, 0.033_107_053_1, 0.321_593_797_7),
+        (4.0, 0.425_159_286_2, 0.109_889_253_3, 0.588_592_372_1),
+        (10.0, 0.700_199_720_5, 0.343_646_238_8, 1.052_643_117_2),
+    ] {
+        let error = |n: usize| {
+            let mut p = elastica(StrainRule::Helical, n);
+            p.distributed_loads = vec![DistributedLoad {
+                from: 0.0,
+                to: 1.0,
+                force: Vector3::x() * load,
+                moment: Vector3::zeros(),
+                frame: LoadFrame::Spatial,
+                profile: Vec::new(),
+            }];
+            let (_, shape) = equilibrium(&p, 4);
+            let tip = shape.positions[n];
+            let angle = (shape.rotations[n] * Vector3::z()).x.asin();
+            Vector3::new(tip.x - deflection, 1.0 - tip.z - shortening, angle - slope).norm()
+        };
+        let (coarse, fine) = (error(10), error(20));
+        let order = (coarse / fine).log2();
+        assert!((1.9..2.1).contains(&order), "{load}: {coarse} {fine}");
+        assert!(coarse < 0.01);
+    }
 }

@@ -1,7 +1,7 @@
 //! The scenes that come with the program.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 5] = [
+const SCENES: [(&str, &str); 6] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -16,6 +16,10 @@ const SCENES: [(&str, &str); 5] = [
         include_str!("../../examples/scenes/paper-arm.toml"),
     ),
     ("swing", include_str!("../../examples/scenes/swing.toml")),
+    (
+        "shaken-base",
+        include_str!("../../examples/scenes/shaken-base.toml"),
+    ),
 ];
 
 /// The names of the built-in scenes, the one to start with first.

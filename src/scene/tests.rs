@@ -1,6 +1,9 @@
 //! What holds for every scene that can be read. What cannot be read is in `tests/scene_errors.rs`.
 
 use super::*;
+use crate::mechanics::energy::linear_momentum;
+use crate::mechanics::rotation::{exp, from_direction};
+use nalgebra::Vector3;
 use proptest::prelude::*;
 
 fn builtin_scene(name: &str, overrides: &[&str]) -> Scene {
@@ -29,7 +32,14 @@ fn full_scene_round_trips() {
     let overrides = [
         "rod.strain=trapezoidal",
         "rod.reference={curvature_1_m = [0.1, 0, -2], stretch = 0.9}",
-        "base={kind = 'free', position_m = [1, 2, 3], orientation_wxyz = [1, 1, 0, 0]}",
+        "base={kind = 'driven', position_m = [1, 2, 3], orientation_wxyz = [1, 1, 0, 0]}",
+        "base.motion={velocity_m_s = [1, 0, 0], angular_velocity_rad_s = [0, 0, 1]}",
+        "base.motion.translation_m=[[0, 0, 0, 0], [1, 2, 3, 4]]",
+        "base.motion.rotation_rad=[[0.5, 0, 0, 1]]",
+        "base.motion.oscillation=[{translation_m = [1, 0, 0], rotation_rad = [0, 1, 0], frequency_hz = 3, phase_rad = -1}]",
+        "payload={mass_kg = 2, inertia_kg_m2 = [1, 2, 0]}",
+        "distributed_load.0={from = 0.1, to = 0.5, force_n_per_m = [1, 0, 0], moment_n_m_per_m = [0, 1, 0], frame = 'body'}",
+        "distributed_load.0.profile=[[0, 0], [0.1, 1]]",
         "gravity.acceleration_m_s2=[0, 0, -9.81]",
         "load.0={node = 7, moment_n_m = [0, 1, 0], frame = 'body', profile = [[0, 0], [0.1, 1]]}",
         "load.1.node=base",
@@ -50,6 +60,51 @@ fn full_scene_round_trips() {
         Ok(scene),
         "{text}"
     );
+}
+
+/// What a scene says of the base, the loads along the arm, the payload and the start is what the rod gets.
+#[test]
+fn motion_loads_payload_and_start_arrive() {
+    let overrides = [
+        "base={kind = 'driven', position_m = [1, 2, 3], direction = [1, 0, 0]}",
+        "base.motion={velocity_m_s = [1, 0, 0], rotation_rad = [[0, 0, 0, 0], [1, 0, 0, 0.4]]}",
+        "base.motion.oscillation=[{translation_m = [0, 0.1, 0], frequency_hz = 0.25}]",
+        "payload={mass_kg = 2, inertia_kg_m2 = [0.1, 0.2, 0.3]}",
+        "distributed_load=[{from = 0.5, force_n_per_m = [0, 4, 0], frame = 'body'}]",
+        "load=[]",
+    ];
+    let overrides = overrides.map(str::to_string);
+    let (scene, source) = Scene::load("swing", &overrides).expect("a scene");
+    let setup = scene.simulation(&source).expect("a simulation");
+    let base = setup.rod.driven_base(1.0).expect("a driven base");
+    let turn = from_direction(&Vector3::x(), 0.0) * exp(&Vector3::new(0.0, 0.0, 0.4));
+    assert!((base.position - Vector3::new(2.0, 2.1, 3.0)).norm() < 1e-15);
+    assert!((base.rotation - turn).norm() < 1e-14);
+    // The quarter period of the oscillation ends with its velocity gone, the table flat: the uniform part is left.
+    assert!((base.velocity - Vector3::x()).norm() < 1e-15);
+    let tip = setup.rod.nodes[setup.rod.tip()];
+    let bare = tip.rotary - Vector3::new(0.1, 0.2, 0.3);
+    assert!((setup.rod.mass() - 2.0 - 2.5 * std::f64::consts::PI).abs() < 1e-12);
+    assert!(bare.min() > 0.0 && bare.max() < 1e-3);
+    let pull: Vector3<f64> = setup.rod.loads.iter().map(|load| load.force).sum();
+    assert!((pull - Vector3::new(0.0, 2.0, 0.0)).norm() < 1e-14);
+    // It starts with the velocity of its base: uniform, and that of the oscillation, τ/4 · 0.1 m/s.
+    let velocity = Vector3::new(1.0, std::f64::consts::TAU * 0.025, 0.0);
+    for (p, node) in setup.initial.linear_momentum.iter().zip(&setup.rod.nodes) {
+        assert!((p - velocity * node.mass).norm() < 1e-14);
+    }
+
+    let free = [
+        "base.kind=free",
+        "initial={velocity_m_s = [0, 3, 0], angular_velocity_rad_s = [0, 0, 2]}",
+    ];
+    let (scene, source) = Scene::load("swing", &free.map(str::to_string)).expect("a scene");
+    let setup = scene.simulation(&source).expect("a simulation");
+    let momentum = linear_momentum(&setup.initial) / setup.rod.mass();
+    assert!((momentum - Vector3::new(0.0, 3.0, 0.0)).norm() < 1e-14);
+    for (pi, node) in setup.initial.angular_momentum.iter().zip(&setup.rod.nodes) {
+        assert!((pi.z - 2.0 * node.rotary.z).abs() < 1e-15);
+    }
 }
 
 proptest! {
@@ -94,6 +149,7 @@ fn absent_sections_are_not_written() {
 fn overrides_set_any_key() {
     let scene = builtin_scene(
         "swing",
+        "shaken-base",
         &[
             "rod.elements=40",
             "rod.strain = trapezoidal",
@@ -248,8 +304,8 @@ fn schema_is_strict_and_described() {
     }
     let mut sections = 0;
     visit(&Scene::schema(), "scene", &mut sections);
-    // The scene itself and its seventeen sections and sub-sections.
-    assert_eq!(sections, 18);
+    // The scene itself and its twenty-one sections and sub-sections.
+    assert_eq!(sections, 22);
 }
 
 /// A position in the source is found for keys in tables, inline tables, arrays and arrays of tables.
