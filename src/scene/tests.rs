@@ -149,7 +149,6 @@ fn absent_sections_are_not_written() {
 fn overrides_set_any_key() {
     let scene = builtin_scene(
         "swing",
-        "shaken-base",
         &[
             "rod.elements=40",
             "rod.strain = trapezoidal",
