@@ -4,9 +4,10 @@ use super::console::Console;
 use super::{Global, Outcome, exit, scene_name};
 use crate::control::{Enforcement, OptimalControlProblem};
 use crate::mechanics::Rod;
+use crate::mechanics::RodModel;
 use crate::mechanics::stability::stable_step;
 use crate::output::summary::{CheckSummary, ProblemSize, SCHEMA_VERSION, ScalesSummary};
-use crate::scene::{RodModel, Scene};
+use crate::scene::Scene;
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -27,7 +28,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         schema_version: SCHEMA_VERSION,
         command: "check",
         scene: scene_name(scene_argument),
-        model: model_name(scene.rod.model),
+        model: rod.model.name(),
         strain: rod.strain_rule.name(),
         elements: rod.n_elements(),
         mass_kg: rod.mass(),
@@ -63,15 +64,6 @@ fn memory(rod: &Rod, n_steps: usize, size: Option<&ProblemSize>) -> u64 {
 /// Hessians, eigenvectors and Clarabel's copies, in dense matrices of the subproblem's size.
 const DENSE_MATRICES: u64 = 12;
 
-/// Name of a model in the summaries.
-pub(super) fn model_name(model: RodModel) -> &'static str {
-    match model {
-        RodModel::Standard => "standard",
-        RodModel::Dilatation => "dilatation",
-        RodModel::Consistent => "consistent",
-    }
-}
-
 /// What a user should know before a run.
 pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
     let mut out = Vec::new();
@@ -84,6 +76,13 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
             100.0 * rod.locking_ratio(),
             rod.n_elements()
         ));
+    }
+    if rod.model == RodModel::Dilatation {
+        out.push(
+            "rod.model: \"dilatation\" is the paper's, which keeps neither energy nor angular momentum and can blow up in \
+             long or violent motions; \"consistent\" keeps both"
+                .into(),
+        );
     }
     let profiles = (scene.load.iter().map(|load| &load.profile))
         .chain(scene.distributed_load.iter().map(|load| &load.profile));

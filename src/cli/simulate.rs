@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::check::{model_name, warnings};
+use super::check::warnings;
 use super::console::{Console, interrupted};
 use super::report_pages::simulation_page;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
@@ -33,7 +33,7 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     let (record, tally) = integrate(&setup, every, console)?;
     let wall = started.elapsed().as_secs_f64();
 
-    let summary = summarize(arguments, &scene, &setup, &tally, wall, &target);
+    let summary = summarize(arguments, &setup, &tally, wall, &target);
     record.write_npz(&directory.path().join("trajectory.npz"))?;
     directory.write_text("scene.toml", &setup.resolved.to_toml())?;
     directory.write_json("summary.json", &summary)?;
@@ -192,7 +192,6 @@ pub(super) fn push_row(
 
 fn summarize(
     arguments: &SceneAndOut,
-    scene: &Scene,
     setup: &Simulation,
     tally: &Tally,
     wall: f64,
@@ -210,7 +209,7 @@ fn summarize(
         } else {
             "completed"
         },
-        model: model_name(scene.rod.model),
+        model: rod.model.name(),
         strain: rod.strain_rule.name(),
         elements: rod.n_elements(),
         step_s: setup.grid.step,

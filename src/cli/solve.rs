@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::check::{model_name, warnings};
+use super::check::warnings;
 use super::console::{Console, interrupted};
 use super::report_pages::{SolvePage, solve_page, step_kind};
 use super::simulate::push_row;
@@ -80,7 +80,6 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     let wall = started.elapsed().as_secs_f64();
     let summary = summarize(
         arguments,
-        &scene,
         &setup,
         guess,
         &solution,
@@ -197,7 +196,6 @@ fn table_row(row: &IterationRecord) -> String {
 #[allow(clippy::too_many_arguments)]
 fn summarize(
     arguments: &SceneAndOut,
-    scene: &Scene,
     setup: &OptimalControl,
     guess: Guess,
     solution: &Solved,
@@ -235,7 +233,7 @@ fn summarize(
         qp_backend: "condensed",
         hessian: setup.settings.hessian.name(),
         guess: guess.name(),
-        model: model_name(scene.rod.model),
+        model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),
         elements: problem.rod.n_elements(),
         step_s: problem.grid.step,

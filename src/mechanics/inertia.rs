@@ -36,7 +36,7 @@ impl InertiaRule {
         match model {
             RodModel::Standard => Self::Constant,
             RodModel::Dilatation => Self::Both,
-            RodModel::Consistent if k % 2 == 0 => Self::Start,
+            RodModel::Consistent if k.is_multiple_of(2) => Self::Start,
             RodModel::Consistent => Self::End,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Control, Damping, DistributedLoad, Initial, Load, LoadNode,
-    Material, Objective, Payload, Rod, RodModel, Scene, Section, Solver, Task, Time, TimeStep,
+    Material, Objective, Payload, Rod, Scene, Section, Solver, Task, Time, TimeStep,
 };
 use super::{SceneError, SceneSource};
 
@@ -74,9 +74,6 @@ impl Keys<'_> {
     fn check_rod(&self, rod: &Rod) -> Checked {
         self.positive("rod.length_m", rod.length_m, "length", "meters")?;
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
-        if rod.model != RodModel::Standard {
-            return Err(self.unavailable("rod.model", "this model is", "use \"standard\""));
-        }
         match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
             (Some(material), Some(section), None, None) => {
                 self.check_material(material)?;

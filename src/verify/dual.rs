@@ -5,8 +5,8 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::mechanics::StrainRule;
 use crate::mechanics::strain::{Element, ElementPose};
+use crate::mechanics::{RodModel, StrainRule};
 
 /// Directions: `δdx`, `η_a`, `η_b`.
 const DIRECTIONS: usize = 9;
@@ -33,6 +33,10 @@ impl Dual {
             *s *= derivative;
         }
         Self { value, slope }
+    }
+
+    fn ln(self) -> Self {
+        self.chain(self.value.ln(), 1.0 / self.value)
     }
 
     fn sqrt(self) -> Self {
@@ -162,7 +166,7 @@ fn bending_factor(t: f64) -> (f64, f64) {
     (value, (-inner - value) / t)
 }
 
-/// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy.
+/// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's model.
 pub(super) fn gradient(
     element: &Element,
     rule: StrainRule,
@@ -204,25 +208,47 @@ fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
             let strain: Vector = [0, 1, 2]
                 .map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
             let curvature = psi.map(|p| p.scale(inverse_length));
-            (quadratic(&strain, &element.rest.linear[0], &element.linear_stiffness)
-                + quadratic(
-                    &curvature,
-                    &element.rest.curvature,
-                    &element.angular_stiffness,
-                ))
-            .scale(l)
+            let linear = quadratic(&strain, &element.rest.linear[0], &element.linear_stiffness);
+            let angular = quadratic(
+                &curvature,
+                &element.rest.curvature,
+                &element.angular_stiffness,
+            );
+            density(element, &strain, linear, angular).scale(l)
         }
         StrainRule::Trapezoidal => {
             let far = body_difference(pose, pose.rotation_b, 6);
             let ends = [near, far].map(|d| d.map(|x| x.scale(inverse_length)));
             let cayley = v.map(|x| (x / w).scale(2.0 * inverse_length));
-            (quadratic(&ends[0], &element.rest.linear[0], &element.linear_stiffness).scale(0.5)
-                + quadratic(&ends[1], &element.rest.linear[1], &element.linear_stiffness)
-                    .scale(0.5)
-                + quadratic(&cayley, &element.rest.curvature, &element.angular_stiffness))
-            .scale(l)
+            let [near, far] = [0, 1].map(|end| {
+                quadratic(
+                    &ends[end],
+                    &element.rest.linear[end],
+                    &element.linear_stiffness,
+                )
+            });
+            let angular = quadratic(&cayley, &element.rest.curvature, &element.angular_stiffness);
+            density(element, &ends[0], (near + far).scale(0.5), angular).scale(l)
         }
     }
+}
+
+/// Energy per rest length with the dilatation `|v|/|v_rest|` of the model; under the paper's, it is a constant.
+fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> Dual {
+    let rest = element.rest.linear[0].norm();
+    let e = dot(strain, strain).sqrt().scale(1.0 / rest);
+    let e = match element.model {
+        RodModel::Standard => return linear + angular,
+        RodModel::Dilatation => Dual::constant(e.value),
+        RodModel::Consistent => e,
+    };
+    let thinned = linear / e + angular / (e * e * e);
+    if element.model == RodModel::Dilatation {
+        return thinned;
+    }
+    let u = e - Dual::constant(1.0);
+    let completion = u - e.ln() - (u * u / e).scale(0.5);
+    thinned + completion.scale(element.linear_stiffness.z * rest * rest)
 }
 
 /// `Rᵀ dx` with its derivatives along `δdx` and the rotation whose directions start at `at`.
@@ -243,7 +269,6 @@ fn body_difference(pose: &ElementPose, rotation: &Matrix3<f64>, at: usize) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mechanics::RodModel;
     use crate::mechanics::rotation::exp;
     use crate::mechanics::strain::ElementStrain;
 
@@ -269,21 +294,32 @@ mod tests {
                 rotation_a: &a,
                 rotation_b: &b,
             };
-            for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+            let laws = [StrainRule::Helical, StrainRule::Trapezoidal]
+                .into_iter()
+                .flat_map(|rule| {
+                    [
+                        RodModel::Standard,
+                        RodModel::Dilatation,
+                        RodModel::Consistent,
+                    ]
+                    .map(|model| (rule, model))
+                });
+            for (rule, model) in laws {
+                let element = Element { model, ..element };
                 let analytic = element.gradient(rule, &pose);
                 let [force, moment_a, moment_b] = gradient(&element, rule, &pose);
                 let scale = 1.0 + analytic.force.norm() + analytic.moment_a.norm();
                 assert!(
                     (analytic.force - force).norm() < 1e-12 * scale,
-                    "{rule:?} {size}"
+                    "{rule:?} {model:?} {size}"
                 );
                 assert!(
                     (analytic.moment_a - moment_a).norm() < 1e-12 * scale,
-                    "{rule:?} {size}"
+                    "{rule:?} {model:?} {size}"
                 );
                 assert!(
                     (analytic.moment_b - moment_b).norm() < 1e-12 * scale,
-                    "{rule:?} {size}"
+                    "{rule:?} {model:?} {size}"
                 );
                 let plain = element.energy(rule, &pose);
                 assert!(

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::dual;
 use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
+use crate::mechanics::{BaseCondition, Rod, RodModel, Trajectory, Wrench};
 use crate::sqp::KktResidual;
 
 /// The recomputed conditions.
@@ -67,16 +67,42 @@ fn momentum_before(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> Vector3<f64>
     axial(&(j_d * f - f.transpose() * j_d)) / h
 }
 
-/// Decay and weight of the force at time node `k`, as in the integrator's documentation.
-fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f64) {
+/// Decay and weight of the force at time node `k`, as in the integrator's documentation, and the weight of impulses.
+fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f64, f64) {
     let a = 0.5 * h * rod.viscous_damping;
     if k == 0 {
-        (1.0 / (1.0 + a), 0.5 * h / (1.0 + a))
+        (1.0 / (1.0 + a), 0.5 * h / (1.0 + a), 1.0 / (1.0 + a))
     } else if k == n {
-        (1.0 - a, 0.5 * h)
+        (1.0 - a, 0.5 * h, 1.0)
     } else {
-        ((1.0 - a) / (1.0 + a), h / (1.0 + a))
+        ((1.0 - a) / (1.0 + a), h / (1.0 + a), 1.0 / (1.0 + a))
     }
+}
+
+/// Length of the chord of element `q` over that at rest, and the chord.
+fn chord(rod: &Rod, q: usize, x: &[Vector3<f64>]) -> (f64, Vector3<f64>) {
+    let rest = (rod.rest.positions[q + 1] - rod.rest.positions[q]).norm();
+    let chord = x[q + 1] - x[q];
+    (chord.norm() / rest, chord)
+}
+
+/// Inertia of the nodes at the positions `x`: the rod's own shares over the dilatation.
+fn rotary(rod: &Rod, x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let mut out: Vec<_> = rod.nodes.iter().map(|node| node.rotary).collect();
+    if rod.model != RodModel::Standard {
+        for (q, shares) in rod.element_inertia.iter().enumerate() {
+            let (e, _) = chord(rod, q, x);
+            for (end, share) in shares.iter().enumerate() {
+                out[q + end] += share.rotary / e - share.rotary;
+            }
+        }
+    }
+    out
+}
+
+/// `tr((I - F) J_d)/h²`: rotational kinetic energy of a step.
+fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
+    ((Matrix3::identity() - f) * j_d).trace() / (h * h)
 }
 
 /// The whole computation, in one place because its parts share the trajectory's rotations.
@@ -93,6 +119,70 @@ impl Conditions<'_> {
 
     fn turn(&self, k: usize, q: usize) -> Matrix3<f64> {
         self.trajectory.rotations_at(k)[q].transpose() * self.trajectory.rotations_at(k + 1)[q]
+    }
+
+    /// Time nodes whose dilatation the interval from `k` on uses: for the momentum that leaves, and that arrives.
+    fn inertia_nodes(&self, k: usize) -> [usize; 2] {
+        match self.rod().model {
+            RodModel::Standard => [k, k],
+            RodModel::Dilatation => [k, k + 1],
+            // Even intervals use their start, odd ones their end.
+            RodModel::Consistent => [k + k % 2; 2],
+        }
+    }
+
+    /// `J_d` of every node over the interval from `k` on, leaving and arriving.
+    fn interval_inertia(&self, k: usize) -> [Vec<Matrix3<f64>>; 2] {
+        self.inertia_nodes(k).map(|k| {
+            rotary(self.rod(), self.trajectory.positions_at(k))
+                .iter()
+                .map(j_d)
+                .collect()
+        })
+    }
+
+    /// Time node at which the interval from `k` on has its kinetic reaction.
+    fn reaction_node(&self, k: usize) -> Option<usize> {
+        (self.rod().model == RodModel::Consistent).then_some(k + k % 2)
+    }
+
+    /// Rotational energy of element `q` at rest length over the interval from `k` on.
+    fn element_spin(&self, k: usize, q: usize) -> f64 {
+        (0..2)
+            .map(|end| {
+                let share = j_d(&self.rod().element_inertia[q][end].rotary);
+                spin_energy(&self.turn(k, q + end), &share, self.problem.grid.step)
+            })
+            .sum()
+    }
+
+    /// Impulse of the kinetic reaction on node `q` at time node `k`, from the intervals on both sides.
+    fn reaction(&self, k: usize, q: usize) -> Vector3<f64> {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        let mut sum = Vector3::zeros();
+        let intervals = [
+            k.checked_sub(1),
+            (k < self.problem.grid.n_steps).then_some(k),
+        ];
+        for interval in intervals.into_iter().flatten() {
+            if self.reaction_node(interval) != Some(k) {
+                continue;
+            }
+            let mut add = |element: usize, sign: f64| {
+                let (e, dx) = chord(rod, element, self.trajectory.positions_at(k));
+                // h ∂(T/e)/∂dx
+                let spin = self.element_spin(interval, element);
+                sum -= dx * (sign * h * spin / (e * dx.norm_squared()));
+            };
+            if q > 0 {
+                add(q - 1, 1.0);
+            }
+            if q < rod.tip() {
+                add(q, -1.0);
+            }
+        }
+        sum
     }
 
     fn velocity_momentum(&self, k: usize, q: usize) -> Vector3<f64> {
@@ -151,31 +241,31 @@ impl Conditions<'_> {
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
-            let (decay, weight) = kick(rod, h, k, n);
+            let (decay, weight, impulse) = kick(rod, h, k, n);
+            let leaving = (k < n).then(|| self.interval_inertia(k));
+            let arriving = (k > 0).then(|| self.interval_inertia(k - 1));
             for q in rod.first_free_node()..rod.n_nodes() {
-                let j_d = j_d(&rod.nodes[q].rotary);
-                let (before, before_angular) = if k == 0 {
-                    (
+                let (before, before_angular) = match &arriving {
+                    None => (
                         self.problem.initial.linear_momentum[q],
                         self.problem.initial.angular_momentum[q],
-                    )
-                } else {
-                    (
+                    ),
+                    Some([_, j_d]) => (
                         self.velocity_momentum(k - 1, q),
-                        momentum_before(&self.turn(k - 1, q), &j_d, h),
-                    )
+                        momentum_before(&self.turn(k - 1, q), &j_d[q], h),
+                    ),
                 };
                 let (force, moment) = self.applied(k, q, &gradient);
-                let after = decay * before + weight * force;
+                let after = decay * before + weight * force + impulse * self.reaction(k, q);
                 let after_angular = decay * before_angular + weight * moment;
-                if k == n {
+                let Some([j_d, _]) = &leaving else {
                     if q == rod.tip() {
                         tip_momenta = (after, after_angular);
                     }
                     continue;
-                }
+                };
                 sum += (self.velocity_momentum(k, q) - after).norm() / (scales.force * scales.time);
-                sum += (momentum_after(&self.turn(k, q), &j_d, h) - after_angular).norm()
+                sum += (momentum_after(&self.turn(k, q), &j_d[q], h) - after_angular).norm()
                     / (scales.moment * scales.time);
             }
         }
@@ -236,7 +326,7 @@ impl Conditions<'_> {
         }
         let mut out = vec![Wrench::default(); n + 1];
         for k in (0..=n).rev() {
-            let (decay, weight) = kick(rod, h, k, n);
+            let (decay, weight, impulse) = kick(rod, h, k, n);
             out[k] = Wrench {
                 force: weight * lx[tip],
                 moment: weight * lr[tip],
@@ -247,37 +337,143 @@ impl Conditions<'_> {
             }
             // The row at k - 1 holds +momentum of the interval (k-1, k); the one at k holds -decay times it. Its
             // multiplier follows from the derivative along the configuration at k, which is zero in all.
+            let next_x: Vec<_> = lx.iter().map(|l| decay * l).collect();
+            let next_r: Vec<_> = lr.iter().map(|l| decay * l).collect();
+            let [leaving, arriving] = self.interval_inertia(k - 1);
+            let [left, arrived] = self.inertia_nodes(k - 1);
+            let reaction = self.reaction_node(k - 1);
+            let thinned = rod.model != RodModel::Standard;
+            // Covectors of the configuration at k - 1, as far as this interval makes them.
+            let (mut earlier_x, mut earlier_eta) = (zeros.clone(), zeros.clone());
+            if thinned && arrived == k {
+                self.add_dilatation_covectors(k - 1, k, None, Some(&next_r), &mut cx);
+            }
+            if reaction == Some(k) {
+                let pull = lx.iter().map(|l| impulse * l).collect::<Vec<_>>();
+                let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
+                self.add_reaction_covectors(k - 1, k, &pull, &mut cx, etas);
+            }
+            let solve_x = |cx: &[Vector3<f64>], lx: &mut [Vector3<f64>]| {
+                for q in first..count {
+                    // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
+                    lx[q] = cx[q] * (h / rod.nodes[q].mass) + next_x[q];
+                }
+            };
+            // The multipliers of the rotational rows enter those of x where the inertia follows the end of the interval.
+            let x_first = !(thinned && left == k);
+            if x_first {
+                solve_x(&cx, &mut lx);
+            }
+            if reaction == Some(k - 1) {
+                let impulse = kick(rod, h, k - 1, n).2;
+                let pull = lx.iter().map(|l| impulse * l).collect::<Vec<_>>();
+                let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
+                self.add_reaction_covectors(k - 1, k - 1, &pull, &mut earlier_x, etas);
+            }
             for q in first..count {
-                let mass = rod.nodes[q].mass / h;
-                let j_d = j_d(&rod.nodes[q].rotary);
                 let f = self.turn(k - 1, q);
-                let (next_x, next_r) = (decay * lx[q], decay * lr[q]);
-                // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
-                let new_x = cx[q] / mass + next_x;
-                // η_k moves F by F η̂.
-                let along_end =
-                    |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
-                        columns(|axis| momentum(&(f * axis.cross_matrix()), &j_d, h))
-                    };
-                let rhs = ceta[q] + along_end(momentum_before).tr_mul(&next_r);
-                let slope = along_end(momentum_after).transpose();
-                let new_r = slope
+                // η_k moves F by F η̂, η_{k-1} by -η̂ F.
+                let end = |axis: Vector3<f64>| f * axis.cross_matrix();
+                let start = |axis: Vector3<f64>| -axis.cross_matrix() * f;
+                let before = |change: Matrix3<f64>| momentum_before(&change, &arriving[q], h);
+                let after = |change: Matrix3<f64>| momentum_after(&change, &leaving[q], h);
+                let rhs = ceta[q] + columns(|axis| before(end(axis))).tr_mul(&next_r[q]);
+                lr[q] = columns(|axis| after(end(axis)))
+                    .transpose()
                     .lu()
                     .solve(&rhs)
                     .unwrap_or_else(|| Vector3::repeat(f64::NAN));
-                // x_{k-1} and η_{k-1} (F moves by -η̂ F) of the same interval.
-                cx[q] = (new_x - next_x) * mass;
-                let along_start =
-                    |momentum: fn(&Matrix3<f64>, &Matrix3<f64>, f64) -> Vector3<f64>| {
-                        columns(|axis| momentum(&(-axis.cross_matrix() * f), &j_d, h))
-                    };
-                ceta[q] = along_start(momentum_before).tr_mul(&next_r)
-                    - along_start(momentum_after).tr_mul(&new_r);
-                lx[q] = new_x;
-                lr[q] = new_r;
+                earlier_eta[q] += columns(|axis| before(start(axis))).tr_mul(&next_r[q])
+                    - columns(|axis| after(start(axis))).tr_mul(&lr[q]);
             }
+            if thinned {
+                let target = if left == k { &mut cx } else { &mut earlier_x };
+                self.add_dilatation_covectors(k - 1, left, Some(&lr), None, target);
+                if arrived == k - 1 {
+                    self.add_dilatation_covectors(
+                        k - 1,
+                        k - 1,
+                        None,
+                        Some(&next_r),
+                        &mut earlier_x,
+                    );
+                }
+            }
+            if !x_first {
+                solve_x(&cx, &mut lx);
+            }
+            for q in first..count {
+                earlier_x[q] += (lx[q] - next_x[q]) * (rod.nodes[q].mass / h);
+            }
+            (cx, ceta) = (earlier_x, earlier_eta);
         }
         out
+    }
+
+    /// Covectors of the positions at `node` through the inertia of the interval from `k` on, of `arriving·π - leaving·g`.
+    fn add_dilatation_covectors(
+        &self,
+        k: usize,
+        node: usize,
+        leaving: Option<&[Vector3<f64>]>,
+        arriving: Option<&[Vector3<f64>]>,
+        cx: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        for (q, shares) in rod.element_inertia.iter().enumerate() {
+            let mut sum = 0.0;
+            for (end, share) in shares.iter().enumerate() {
+                let (f, share) = (self.turn(k, q + end), j_d(&share.rotary));
+                if q + end < rod.first_free_node() {
+                    continue;
+                }
+                sum += arriving.map_or(0.0, |l| l[q + end].dot(&momentum_before(&f, &share, h)))
+                    - leaving.map_or(0.0, |l| l[q + end].dot(&momentum_after(&f, &share, h)));
+            }
+            // ∂(1/e)/∂dx = -dx/(e |dx|²)
+            let (e, dx) = chord(rod, q, self.trajectory.positions_at(node));
+            let change = dx * (-sum / (e * dx.norm_squared()));
+            cx[q] -= change;
+            cx[q + 1] += change;
+        }
+    }
+
+    /// Covectors of the kinetic reaction at `node` of the interval from `k` on, for a covector `pull` of the impulses: of the
+    /// positions there, and of the rotations at the start and the end of the interval.
+    fn add_reaction_covectors(
+        &self,
+        k: usize,
+        node: usize,
+        pull: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: [&mut [Vector3<f64>]; 2],
+    ) {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        let [start, end] = ceta;
+        for q in 0..rod.n_elements() {
+            let (e, dx) = chord(rod, q, self.trajectory.positions_at(node));
+            // The multiplier of a node that is held is zero.
+            let along = pull[q + 1] - pull[q];
+            let square = dx.norm_squared();
+            let spin = h * self.element_spin(k, q) / (e * square);
+            // r = -h T dx/(e |dx|²), and e grows with |dx|.
+            let change = (dx * (3.0 * dx.dot(&along) / square) - along) * spin;
+            cx[q] -= change;
+            cx[q + 1] += change;
+            let weight = -h * dx.dot(&along) / (e * square);
+            for i in 0..2 {
+                let share = j_d(&rod.element_inertia[q][i].rotary);
+                let f = self.turn(k, q + i);
+                let slope = |change: Matrix3<f64>| -(change * share).trace() / (h * h);
+                for axis in 0..3 {
+                    let generator = Vector3::ith(axis, 1.0).cross_matrix();
+                    start[q + i][axis] += weight * slope(-generator * f);
+                    end[q + i][axis] += weight * slope(f * generator);
+                }
+            }
+        }
     }
 
     /// Adds the covectors of `weight (λx·force + λr·moment)` at time node `k`.
@@ -305,6 +501,16 @@ impl Conditions<'_> {
         if largest == 0.0 {
             return;
         }
+        let t = self.problem.grid.time(k);
+        for load in &rod.loads {
+            let (force, moment) = load.wrench_derivative(t, &r[load.node]);
+            ceta[load.node] +=
+                weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
+        }
+        if !rod.model.has_potential() {
+            self.add_stress_covectors(k, weight, lx, lr, cx, ceta);
+            return;
+        }
         let step = 1e-5 / largest;
         let moved = |sign: f64| {
             let positions: Vec<_> = x
@@ -321,17 +527,52 @@ impl Conditions<'_> {
         };
         let (plus, minus) = (moved(1.0), moved(-1.0));
         let here = energy_gradient(rod, x, r);
-        let t = self.problem.grid.time(k);
         for q in rod.first_free_node()..rod.n_nodes() {
             cx[q] -= weight * (plus.x[q] - minus.x[q]) / (2.0 * step);
             // E_b E_λ U = E_λ E_b U + E_{b×λ} U: the fields do not commute.
             let second = (plus.eta[q] - minus.eta[q]) / (2.0 * step) + lr[q].cross(&here.eta[q]);
             ceta[q] -= weight * second;
         }
-        for load in &rod.loads {
-            let (force, moment) = load.wrench_derivative(t, &r[load.node]);
-            ceta[load.node] +=
-                weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
+    }
+
+    /// The elastic part of [`Self::add_force_covectors`] where the stress has no potential: differences of the multipliers'
+    /// work along every direction of every element.
+    fn add_stress_covectors(
+        &self,
+        k: usize,
+        weight: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: &mut [Vector3<f64>],
+    ) {
+        const STEP: f64 = 1e-5;
+        let rod = self.rod();
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        for (q, element) in rod.elements.iter().enumerate() {
+            let work = |shift: Vector3<f64>, turn: [Vector3<f64>; 2]| {
+                let pose = crate::mechanics::strain::ElementPose {
+                    dx: x[q + 1] - x[q] + shift,
+                    rotation_a: &(r[q] * exp(&turn[0])),
+                    rotation_b: &(r[q + 1] * exp(&turn[1])),
+                };
+                let [force, a, b] = dual::gradient(element, rod.strain_rule, &pose);
+                -weight * (force.dot(&(lx[q + 1] - lx[q])) + a.dot(&lr[q]) + b.dot(&lr[q + 1]))
+            };
+            let slope = |along: &dyn Fn(f64) -> f64| (along(STEP) - along(-STEP)) / (2.0 * STEP);
+            let zero = Vector3::zeros();
+            for axis in 0..3 {
+                let unit = |size: f64| Vector3::ith(axis, size);
+                let stretch =
+                    slope(&|s| work(unit(s * element.length), [zero; 2])) / element.length;
+                cx[q + 1][axis] += stretch;
+                cx[q][axis] -= stretch;
+                ceta[q][axis] += slope(&|s| work(zero, [unit(s), zero]));
+                ceta[q + 1][axis] += slope(&|s| work(zero, [zero, unit(s)]));
+            }
         }
     }
 }

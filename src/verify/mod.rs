@@ -306,6 +306,7 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     if rod.viscous_damping == 0.0 {
         return 0.0;
     }
+    let rotary = rod.rotary_at(&before.configuration.positions);
     let sum: f64 = (rod.first_free_node()..rod.n_nodes())
         .map(|q| {
             let v = (after.configuration.positions[q] - before.configuration.positions[q]) / h;
@@ -314,7 +315,7 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
                     * after.configuration.rotations[q]))
                     / h;
             let node = &rod.nodes[q];
-            node.mass * v.norm_squared() + omega.dot(&node.rotary.component_mul(&omega))
+            node.mass * v.norm_squared() + omega.dot(&rotary[q].component_mul(&omega))
         })
         .sum();
     h * rod.viscous_damping * sum
@@ -538,6 +539,10 @@ fn items(
             "work in minus change of energy minus dissipation, over the energy that passed through",
         ),
     ];
+    if !problem.rod.model.has_potential() {
+        // There is no energy to balance.
+        items.retain(|item| item.name != "energy");
+    }
     if problem.target.enforcement == Enforcement::Hard {
         if problem.target.position.is_some() {
             items.push(item(
