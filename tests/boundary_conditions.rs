@@ -35,7 +35,7 @@ fn uniform_translation_cannot_be_felt() {
             ..busy_arm(rule, 6)
         };
         let moving = RodParameters {
-            base: BaseCondition::Driven(BaseMotion {
+            base: BaseCondition::driven(BaseMotion {
                 translation: MotionCurve {
                     rate: velocity,
                     ..MotionCurve::default()
@@ -79,7 +79,7 @@ fn shaken_base_drives_the_axial_wave() {
     for rule in RULES {
         let error = |n: usize| {
             let rod = Rod::new(&RodParameters {
-                base: BaseCondition::Driven(BaseMotion {
+                base: BaseCondition::driven(BaseMotion {
                     translation: MotionCurve {
                         oscillations: vec![Oscillation {
                             amplitude: Vector3::z() * amplitude,
@@ -138,7 +138,7 @@ fn turning_base_stretches_the_arm() {
             let orientation = from_direction(&Vector3::x(), 0.4);
             let rod = Rod::new(&RodParameters {
                 base_rotation: orientation,
-                base: BaseCondition::Driven(BaseMotion {
+                base: BaseCondition::driven(BaseMotion {
                     rotation: MotionCurve {
                         rate: orientation.tr_mul(&Vector3::z()) * omega,
                         ..MotionCurve::default()
@@ -215,7 +215,7 @@ fn base_motion_that_a_step_cannot_follow_is_refused() {
         motion.rotation.oscillations.clear();
         motion.rotation.rate = Vector3::z() * rate;
         let rod = Rod::new(&RodParameters {
-            base: BaseCondition::Driven(motion),
+            base: BaseCondition::driven(motion),
             ..soft_arm(StrainRule::Helical, 4)
         })
         .unwrap();
@@ -270,7 +270,7 @@ fn impossible_parameters_are_refused() {
     assert_eq!(payload(0.0, -1.0), "payload inertia");
     let mut motion = shaking();
     motion.translation.rate.x = f64::NAN;
-    let base = BaseCondition::Driven(motion);
+    let base = BaseCondition::driven(motion);
     assert_eq!(refused(&|p| p.base = base.clone()), "base motion");
 }
 

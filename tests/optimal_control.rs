@@ -596,7 +596,7 @@ fn reach_from_a_moving_base() {
     motion.translation.oscillations[0].amplitude *= 0.3;
     motion.rotation.rate *= 0.3;
     motion.rotation.oscillations[0].amplitude *= 0.1;
-    case.parameters.base = BaseCondition::Driven(motion);
+    case.parameters.base = BaseCondition::driven(motion);
     case.parameters.n_elements = 8;
     case.parameters.payload = Some(NodeInertia {
         mass: 0.2,

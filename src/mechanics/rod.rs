@@ -117,9 +117,17 @@ pub enum BaseCondition {
     /// Position and rotation fixed.
     Clamped,
     /// Position and rotation given as functions of time.
-    Driven(BaseMotion),
+    Driven(Box<BaseMotion>),
     /// No constraint.
     Free,
+}
+
+impl BaseCondition {
+    /// A base that follows `motion`.
+    #[must_use]
+    pub fn driven(motion: BaseMotion) -> Self {
+        Self::Driven(Box::new(motion))
+    }
 }
 
 /// Lumped inertia of a node.

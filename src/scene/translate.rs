@@ -224,7 +224,7 @@ impl Scene {
                 model::BaseKind::Clamped => BaseCondition::Clamped,
                 model::BaseKind::Driven => {
                     let motion = self.base.motion.clone().unwrap_or_default();
-                    BaseCondition::Driven(
+                    BaseCondition::driven(
                         base_motion(&motion).map_err(|error| {
                             source.error_at("base.motion", error.to_string(), None)
                         })?,

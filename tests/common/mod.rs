@@ -71,7 +71,7 @@ pub fn bases() -> [BaseCondition; 3] {
     [
         BaseCondition::Clamped,
         BaseCondition::Free,
-        BaseCondition::Driven(shaking()),
+        BaseCondition::driven(shaking()),
     ]
 }
 
