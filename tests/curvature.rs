@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Dice, RULES, bases, busy_arm, random_state, random_trajectory};
+use common::{Dice, RULES, bases, busy_arm, laws, random_state, random_trajectory};
 use faer::Mat;
 use nalgebra::{Matrix3, SVector, Vector3};
 use softarm::mechanics::curvature::{
@@ -17,8 +17,7 @@ use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Integrator, Rod, RodModel, RodParameters, State, StrainRule, TimeGrid,
-    Trajectory, Wrench,
+    BaseCondition, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -34,11 +33,11 @@ fn element_curvature_is_the_second_derivative() {
     let mut dice = Dice(11);
     let mut worst: f64 = 0.0;
     for trial in 0..200 {
-        for rule in RULES {
+        for (rule, model) in laws() {
             let (l, bend) = (0.13, [1.2, 1e-4, 0.0][trial % 3]);
             let first = Vector3::new(0.1, -0.05, 1.1);
             let element = Element {
-                model: RodModel::Standard,
+                model,
                 length: l,
                 linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
                 angular_stiffness: Vector3::new(0.03, 0.02, 0.05),

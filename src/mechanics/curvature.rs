@@ -13,9 +13,8 @@
 //! another chart, nor the derivative of the left-trivialized derivative; their sum over all rows is the same in each,
 //! because `L` is stationary.
 //!
-//! Where the inertia follows the dilatation, its second derivatives along the dilatation are left out, and under
-//! [`RodModel::Dilatation`](super::RodModel), whose stress has no potential, the elastic part is that of the symmetric part
-//! of the stiffness: the form is then an approximation, as good as the rotary inertia is small. Gradients are exact.
+//! Where the inertia follows the dilatation, its second derivatives along the dilatation are left out: the form is then an
+//! approximation, as good as the rotary inertia is small. Gradients are exact.
 
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -187,6 +186,7 @@ pub fn interval_curvature(
 /// With the left-invariant fields `E_a` and `[a, b] = a × b` of each rotation, `E_aE_bE_λU = E_λ(E_aE_bU) +
 /// E_[a,λ]E_bU + E_aE_[b,λ]U`; `E_aE_bU = b·Ka` is the [stiffness](Element::stiffness), given at the same pose, and
 /// its derivative along `λ` is a central difference, exact to about 1e-10 of `|K|` (unit of `K` times that of `λ`).
+/// Where the stress has no potential, the nine derivatives of `Kᵀλ` are differenced instead.
 #[must_use]
 pub fn element_curvature(
     element: &Element,
@@ -204,7 +204,7 @@ pub fn element_curvature(
     let step = DIFFERENCE_STEP / size;
     let shift = step * along_dx;
     let (turn_a, turn_b) = (exp(&(step * along_a)), exp(&(step * along_b)));
-    let at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
+    let stiffness_at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
         let pose = ElementPose {
             dx,
             rotation_a: &(pose.rotation_a * turn_a),
@@ -212,8 +212,26 @@ pub fn element_curvature(
         };
         element.stiffness(rule, &pose).1
     };
-    let ahead = at(pose.dx + shift, &turn_a, &turn_b);
-    let behind = at(pose.dx - shift, &turn_a.transpose(), &turn_b.transpose());
+    if !element.model.has_potential() {
+        let (still, identity) = (pose.dx, Matrix3::identity());
+        let columns: [SVector<f64, 9>; 9] = std::array::from_fn(|j| {
+            let (part, axis) = (j / 3, j % 3);
+            let size = DIFFERENCE_STEP * if part == 0 { element.length } else { 1.0 };
+            let moved = |size: f64| {
+                let unit = Vector3::ith(axis, size);
+                match part {
+                    0 => stiffness_at(still + unit, &identity, &identity),
+                    1 => stiffness_at(still, &exp(&unit), &identity),
+                    _ => stiffness_at(still, &identity, &exp(&unit)),
+                }
+            };
+            (moved(size) - moved(-size)).tr_mul(covector) * (0.5 / size)
+        });
+        let curvature = ElementCurvature::from_columns(&columns);
+        return 0.5 * (curvature + curvature.transpose());
+    }
+    let ahead = stiffness_at(pose.dx + shift, &turn_a, &turn_b);
+    let behind = stiffness_at(pose.dx - shift, &turn_a.transpose(), &turn_b.transpose());
     let mut curvature = (ahead - behind) * (0.5 / step);
     // [a, λ] = -λ̂ a: adds KA + AᵀK with A = -diag(0, λ̂_a, λ̂_b); λ̂ᵀ = -λ̂.
     for (at, turn) in [(3, hat(&along_a)), (6, hat(&along_b))] {

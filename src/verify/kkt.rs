@@ -546,7 +546,7 @@ impl Conditions<'_> {
         cx: &mut [Vector3<f64>],
         ceta: &mut [Vector3<f64>],
     ) {
-        const STEP: f64 = 1e-5;
+        const STEP: f64 = 1e-4;
         let rod = self.rod();
         let (x, r) = (
             self.trajectory.positions_at(k),
@@ -562,7 +562,10 @@ impl Conditions<'_> {
                 let [force, a, b] = dual::gradient(element, rod.strain_rule, &pose);
                 -weight * (force.dot(&(lx[q + 1] - lx[q])) + a.dot(&lr[q]) + b.dot(&lr[q + 1]))
             };
-            let slope = |along: &dyn Fn(f64) -> f64| (along(STEP) - along(-STEP)) / (2.0 * STEP);
+            let slope = |along: &dyn Fn(f64) -> f64| {
+                let central = |step: f64| (along(step) - along(-step)) / (2.0 * step);
+                (4.0 * central(STEP) - central(2.0 * STEP)) / 3.0
+            };
             let zero = Vector3::zeros();
             for axis in 0..3 {
                 let unit = |size: f64| Vector3::ith(axis, size);
