@@ -4,47 +4,13 @@ mod common;
 
 use std::f64::consts::PI;
 
-use common::{RULES, SILICONE, soft_arm};
+use common::{RULES, SILICONE, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::{
-    BaseCondition, Configuration, DistributedLoad, Load, LoadFrame, Material, Rod, RodParameters,
-    Section, SectionProfile, StrainRule,
+    BaseCondition, DistributedLoad, LoadFrame, Material, Rod, RodParameters, Section,
+    SectionProfile, StrainRule,
 };
-
-fn tip_load(n: usize, force: [f64; 3], moment: [f64; 3], frame: LoadFrame) -> Vec<Load> {
-    vec![Load {
-        node: n,
-        force: Vector3::from(force),
-        moment: Vector3::from(moment),
-        frame,
-        profile: Vec::new(),
-    }]
-}
-
-/// Equilibrium reached by raising the loads in `parts` equal parts.
-fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configuration) {
-    let mut shape = None;
-    let mut last = None;
-    for part in 1..=parts {
-        let factor = part as f64 / parts as f64;
-        let mut p = parameters.clone();
-        for load in &mut p.loads {
-            load.force *= factor;
-            load.moment *= factor;
-        }
-        for load in &mut p.distributed_loads {
-            load.force *= factor;
-            load.moment *= factor;
-        }
-        p.gravity *= factor;
-        let rod = Rod::new(&p).unwrap();
-        let start = shape.take().unwrap_or_else(|| rod.rest.clone());
-        shape = Some(static_equilibrium(&rod, &start, 0.0, &TipSpring::default()).unwrap());
-        last = Some(rod);
-    }
-    (last.unwrap(), shape.unwrap())
-}
 
 /// EI = 1, L = 1, and stretch and shear stiff enough to vanish from the elastica (1e8 EI/L²).
 fn elastica(rule: StrainRule, n: usize) -> RodParameters {

@@ -1,12 +1,12 @@
 //! Rods and random states that several tests share.
 #![allow(dead_code)]
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, DistributedLoad, Load, LoadFrame, Material, MotionCurve,
-    NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section, SectionProfile, State,
-    StrainRule, TimeGrid, Trajectory,
+    BaseCondition, BaseMotion, Configuration, DistributedLoad, Load, LoadFrame, Material,
+    MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section, SectionProfile,
+    State, StrainRule, TimeGrid, TipSpring, Trajectory, static_equilibrium,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -73,6 +73,101 @@ pub fn bases() -> [BaseCondition; 3] {
         BaseCondition::Free,
         BaseCondition::driven(shaking()),
     ]
+}
+
+/// [`soft_arm`] with Cowper's shear factor 27/28 for a circle, as in most published values for it.
+pub fn cowper_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    let material = Material {
+        shear_factor: 27.0 / 28.0,
+        ..SILICONE
+    };
+    RodParameters {
+        section: SectionProfile::Uniform(Section::circle(&material, 0.05)),
+        ..soft_arm(strain_rule, n_elements)
+    }
+}
+
+/// The rod of the paper's section 5 and of the flying beam: L = 10, EA = GA = 1e4, EI = GJ = 500, ρA = 1, ρI = 10.
+pub fn paper_rod(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    let section = Section {
+        linear_stiffness: Vector3::repeat(1e4),
+        angular_stiffness: Vector3::repeat(500.0),
+        mass: 1.0,
+        rotary: Vector3::repeat(10.0),
+    };
+    RodParameters {
+        strain_rule,
+        ..RodParameters::straight(10.0, n_elements, SectionProfile::Uniform(section))
+    }
+}
+
+/// A constant force and moment on node `n`.
+pub fn tip_load(n: usize, force: [f64; 3], moment: [f64; 3], frame: LoadFrame) -> Vec<Load> {
+    vec![Load {
+        node: n,
+        force: Vector3::from(force),
+        moment: Vector3::from(moment),
+        frame,
+        profile: Vec::new(),
+    }]
+}
+
+/// Equilibrium reached by raising the loads in `parts` equal parts.
+pub fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configuration) {
+    let mut shape = None;
+    let mut last = None;
+    for part in 1..=parts {
+        let factor = part as f64 / parts as f64;
+        let mut p = parameters.clone();
+        for load in &mut p.loads {
+            load.force *= factor;
+            load.moment *= factor;
+        }
+        for load in &mut p.distributed_loads {
+            load.force *= factor;
+            load.moment *= factor;
+        }
+        p.gravity *= factor;
+        let rod = Rod::new(&p).unwrap();
+        let start = shape.take().unwrap_or_else(|| rod.rest.clone());
+        shape = Some(static_equilibrium(&rod, &start, 0.0, &TipSpring::default()).unwrap());
+        last = Some(rod);
+    }
+    (last.unwrap(), shape.unwrap())
+}
+
+/// Tangent stiffness over `(δx, η)` of all nodes, six rows a node, assembled from the elements.
+pub fn stiffness(rod: &Rod, at: &Configuration) -> DMatrix<f64> {
+    let mut k = DMatrix::zeros(6 * rod.n_nodes(), 6 * rod.n_nodes());
+    for (q, element) in rod.elements.iter().enumerate() {
+        let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+        let (_, block) = element.stiffness(rod.strain_rule, &pose);
+        // (row of the whole, row of the element, sign): the element knows x_b - x_a, η_a, η_b.
+        let (a, b) = (6 * q, 6 * (q + 1));
+        let parts = [
+            (a, 0, -1.0),
+            (b, 0, 1.0),
+            (a + 3, 3, 1.0),
+            (b + 3, 6, 1.0),
+        ];
+        for (row, i, row_sign) in parts {
+            for (column, j, column_sign) in parts {
+                let mut view = k.fixed_view_mut::<3, 3>(row, column);
+                view += block.fixed_view::<3, 3>(i, j) * (row_sign * column_sign);
+            }
+        }
+    }
+    k
+}
+
+/// Halving l (or h) must divide the error by four: the observed order lies within 1.9 to 2.1.
+#[track_caller]
+pub fn assert_second_order(what: &str, coarse: f64, fine: f64) {
+    let order = (coarse / fine).log2();
+    assert!(
+        (1.9..2.1).contains(&order),
+        "{what}: order {order}, errors {coarse:e} {fine:e}"
+    );
 }
 
 /// Everything at once: taper, rest curvature and stretch, oblique base, gravity, damping, dead and follower loads on
