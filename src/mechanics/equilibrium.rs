@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use super::block_tridiagonal::BlockCholesky;
 use super::configuration::Configuration;
 use super::forces::NodalForces;
-use super::load::Wrench;
+use super::load::{LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
 
@@ -96,6 +96,10 @@ const TOLERANCE: f64 = 1e-9;
 const OUTER_LIMIT: usize = 200;
 const LBFGS_ITERATIONS: u64 = 30;
 const LBFGS_MEMORY: usize = 12;
+/// Newton steps without a smaller residual before the minimization takes over. A full step that turns a node stretches
+/// its elements by the square of the turn, and the residual falls only with the next one; without a potential the
+/// minimization would have no answer.
+const NEWTON_PATIENCE: usize = 8;
 /// Newton steps that turn a node further than this are left to the minimization.
 const LARGEST_NEWTON_TURN: f64 = 0.5;
 
@@ -120,7 +124,7 @@ pub fn static_equilibrium(
         if size <= TOLERANCE {
             return Ok(center);
         }
-        if let Some((trial, trial_residual)) = statics.newton(&center, &residual) {
+        if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
             if statics.scaled(&trial_residual) < 0.5 * size {
                 center = trial;
                 residual = trial_residual;
@@ -245,6 +249,36 @@ impl<'a> Statics<'a> {
         }
         out.diagonal[k - 1] += self.spring.stiffness(&at.rotations[rod.tip()]);
         out
+    }
+
+    /// Whether the work of the loads has a potential: forces fixed in space, no moments.
+    fn is_conservative(&self) -> bool {
+        self.rod.loads.iter().all(|load| {
+            load.moment == Vector3::zeros()
+                && (load.frame == LoadFrame::Spatial || load.force == Vector3::zeros())
+        })
+    }
+
+    /// Newton steps until the residual is halved: one where the minimization can do better, otherwise a few.
+    fn newton_steps(
+        &mut self,
+        at: &Configuration,
+        residual: &[Vector6<f64>],
+    ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
+        let enough = 0.5 * self.scaled(residual);
+        let patience = if self.is_conservative() {
+            1
+        } else {
+            NEWTON_PATIENCE
+        };
+        let mut trial = self.newton(at, residual)?;
+        for _ in 1..patience {
+            if self.scaled(&trial.1) < enough {
+                break;
+            }
+            trial = self.newton(&trial.0, &trial.1)?;
+        }
+        Some(trial)
     }
 
     /// One full Newton step; `None` when the matrix is singular or the step is too long to be trusted.

@@ -144,12 +144,7 @@ pub fn stiffness(rod: &Rod, at: &Configuration) -> DMatrix<f64> {
         let (_, block) = element.stiffness(rod.strain_rule, &pose);
         // (row of the whole, row of the element, sign): the element knows x_b - x_a, η_a, η_b.
         let (a, b) = (6 * q, 6 * (q + 1));
-        let parts = [
-            (a, 0, -1.0),
-            (b, 0, 1.0),
-            (a + 3, 3, 1.0),
-            (b + 3, 6, 1.0),
-        ];
+        let parts = [(a, 0, -1.0), (b, 0, 1.0), (a + 3, 3, 1.0), (b + 3, 6, 1.0)];
         for (row, i, row_sign) in parts {
             for (column, j, column_sign) in parts {
                 let mut view = k.fixed_view_mut::<3, 3>(row, column);
