@@ -189,19 +189,6 @@ fn natural_frequencies() {
         };
         for (rule, n) in RULES.into_iter().zip(family.grids) {
             let (coarse, fine) = (errors(rule, n), errors(rule, 2 * n));
-            eprintln!(
-                "TABLE | {} {rule:?} | K = {n} | {coarse:.1?} |",
-                family.name
-            );
-            eprintln!(
-                "TABLE | {} | K = {n} | {} |",
-                family.name,
-                coarse
-                    .iter()
-                    .map(|e| format!("{e:.1e}"))
-                    .collect::<Vec<_>>()
-                    .join(", ")
-            );
             for (i, (c, f)) in coarse.iter().zip(&fine).enumerate() {
                 assert_second_order(&format!("{}, {rule:?}, mode {i}", family.name), *c, *f);
                 // About i + 1/2 half waves on the rod.
@@ -221,12 +208,6 @@ fn natural_frequencies() {
         }
         let helical = errors(StrainRule::Helical, 16);
         let ten_times = errors(StrainRule::Trapezoidal, 160);
-        for i in 0..helical.len() {
-            eprintln!(
-                "TENTH {} mode {i}: {:.1e} {:.1e}",
-                family.name, helical[i], ten_times[i]
-            );
-        }
         for i in 0..family.tenth {
             assert!(
                 helical[i] <= ten_times[i],
@@ -259,11 +240,6 @@ fn stability_limit() {
                 .unwrap();
                 let limit = 2.0 / frequencies(&rod, ALL).last().unwrap();
                 let bound = stable_step(&rod);
-                eprintln!(
-                    "TABLE | stability {rule:?} {base:?} K={n} L={} | limit {limit:.6e} | bound/limit {:.4}",
-                    rod.scales.length,
-                    bound / limit
-                );
                 assert!(
                     bound <= limit * (1.0 + 1e-12) && bound > 0.9 * limit,
                     "{rule:?} {base:?} K = {n}: {bound:e} of {limit:e}"

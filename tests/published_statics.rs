@@ -19,6 +19,8 @@ use softarm::mechanics::{
     Configuration, LoadFrame, Rod, RodParameters, Section, SectionProfile, StrainRule,
 };
 
+type Triple = [f64; 3];
+
 /// A rod under its loads, and the tip that it is known to have.
 struct Benchmark<'a> {
     name: &'a str,
@@ -49,11 +51,6 @@ impl Benchmark<'_> {
         let n = self.helical;
         let helical = self.error(StrainRule::Helical, n);
         let ten_times = self.error(StrainRule::Trapezoidal, 10 * n);
-        eprintln!(
-            "TABLE | {} | K = {n} | {helical:.1e} | trapezoidal at {}: {ten_times:.1e} |",
-            self.name,
-            10 * n
-        );
         assert!(
             helical < self.tolerance,
             "{}: K = {n}, error {helical:e}",
@@ -92,7 +89,7 @@ fn unit_rod(rule: StrainRule, n: usize, stiffness: f64) -> RodParameters {
 /// residual below 1e-14; notes/benchmarks section 6).
 #[test]
 fn paper_rod_table() {
-    let rows: [([f64; 3], [f64; 3], [f64; 3]); 3] = [
+    let rows: [(Triple, Triple, Triple); 3] = [
         (
             [10.0, 0.0, 0.0],
             [0.0; 3],
@@ -131,7 +128,7 @@ fn paper_rod_table() {
 /// section 5; the planar rows agree with Exudyn).
 #[test]
 fn soft_arm_table() {
-    let rows: [([f64; 3], [f64; 3], f64, [f64; 3]); 6] = [
+    let rows: [(Triple, Triple, f64, Triple); 6] = [
         (
             [0.1, 0.0, 0.0],
             [0.0; 3],
@@ -260,7 +257,7 @@ fn forty_five_degree_bend() {
 /// `e = 1 + F/EA`; two elements.
 #[test]
 fn constant_strain_is_exact() {
-    let rows: [([f64; 3], [f64; 3], [f64; 3]); 3] = [
+    let rows: [(Triple, Triple, Triple); 3] = [
         ([0.0, 0.0, 1000.0], [0.0; 3], [0.0, 0.0, 11.0]),
         ([0.0, 0.0, 1200.0], [0.0; 3], [0.0, 0.0, 11.2]),
         (
@@ -296,10 +293,6 @@ fn end_moment_rolls_up_to_two_circles() {
             (shape.positions[n] - exact).norm()
         };
         let helical = error(StrainRule::Helical, 5);
-        eprintln!(
-            "TABLE | roll-up, {turns} circles | K = 5 | {helical:.1e} | trapezoidal at 50: {:.1e} |",
-            error(StrainRule::Trapezoidal, 50)
-        );
         assert!(helical < 1e-8, "{turns} circles: {helical:e}");
         if turns == 2.0 {
             assert_second_order(
@@ -403,10 +396,6 @@ fn end_wrench_makes_a_helix() {
             (shape.positions[n] - helix.position(1.0)).norm()
         };
         let helical = error(StrainRule::Helical, 6);
-        eprintln!(
-            "TABLE | helix, slope {slope} | K = 6 | {helical:.1e} | trapezoidal at 200: {:.1e} |",
-            error(StrainRule::Trapezoidal, 200)
-        );
         assert!(helical < 1e-8, "slope {slope}: {helical:e}");
         if slope == 0.3 {
             assert_second_order(
@@ -497,9 +486,6 @@ fn follower_load() {
         };
         let helical = error(StrainRule::Helical, 20);
         let trapezoidal = error(StrainRule::Trapezoidal, 200);
-        eprintln!(
-            "TABLE | follower {force:?} {moment:?} | K = 20 | {helical:.1e} | trapezoidal at 200: {trapezoidal:.1e} |"
-        );
         assert!(helical < 2e-3, "{force:?} {moment:?}: {helical:e}");
         assert!(helical <= trapezoidal, "{force:?} {moment:?}");
         assert_second_order("helical", helical, error(StrainRule::Helical, 40));
@@ -524,7 +510,6 @@ fn stiff_shear_does_not_lock_helical_elements() {
     };
     let helical = [1e2, 1e4, 1e6, 1e8].map(|s| error(StrainRule::Helical, s));
     let trapezoidal = [1e2, 1e4, 1e6].map(|s| error(StrainRule::Trapezoidal, s));
-    eprintln!("TABLE | locking GA 1e2 1e4 1e6 1e8 | K = 10 | {helical:?} | {trapezoidal:?} |");
     for (i, e) in helical.iter().enumerate() {
         assert!(*e < 3e-3 && *e < 1.1 * helical[0], "{i}: {helical:?}");
     }
@@ -585,9 +570,6 @@ fn axial_post_buckling() {
             error(StrainRule::Helical, 40),
         );
         let sensitivity = load / (load - 0.25 * PI * PI);
-        eprintln!(
-            "TABLE | post-buckling, {load} | K = 20 | {coarse:.1e} | sens {sensitivity:.1} |"
-        );
         assert!(coarse < 2e-3 * sensitivity, "{load}: {coarse:e}");
         assert_second_order(&format!("load {load}"), coarse, fine);
     }
@@ -649,9 +631,6 @@ fn euler_buckling_load() {
         }
         let helical = error(StrainRule::Helical, grids[0]);
         let ten_times = error(StrainRule::Trapezoidal, 10 * grids[0]);
-        eprintln!(
-            "TABLE | Euler load | K = 10 | {helical:.1e} | trapezoidal at 100 {ten_times:.1e} |"
-        );
         assert!(helical < 2.5e-3, "{helical:e}");
         assert!(helical <= ten_times, "{helical:e} {ten_times:e}");
     }
