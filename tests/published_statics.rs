@@ -128,7 +128,13 @@ fn paper_rod_table() {
 /// section 5; the planar rows agree with Exudyn).
 #[test]
 fn soft_arm_table() {
-    let rows: [(Triple, Triple, f64, Triple); 6] = [
+    let rows: [(Triple, Triple, f64, Triple); 7] = [
+        (
+            [1.0, 0.0, 0.0],
+            [0.0; 3],
+            0.0,
+            [0.067_980_043_8, 0.0, 0.997_236_922_5],
+        ),
         (
             [0.1, 0.0, 0.0],
             [0.0; 3],
@@ -252,28 +258,60 @@ fn forty_five_degree_bend() {
     }
 }
 
-/// Loads under which the strain is constant along the rod: the helical rule is exact on any grid, up to what the static
-/// solver leaves (1e-9 of EI/L² per node). Rows of the paper's rod (notes/benchmarks section 6) and pure stretch,
-/// `e = 1 + F/EA`; two elements.
+/// Loads under which the strain is constant along the rod: two helical elements are exact, up to what the static solver
+/// leaves (1e-9 of EI/L² per node). Rows of the paper's rod and of the soft arm (notes/benchmarks sections 5 and 6);
+/// pure stretch is `e = 1 + F/EA`. A hanging arm, `u = ρ g L²/(2E)`, is exact as well: the lumped weight below each
+/// element is the weight below its middle.
 #[test]
 fn constant_strain_is_exact() {
-    let rows: [(Triple, Triple, Triple); 3] = [
-        ([0.0, 0.0, 1000.0], [0.0; 3], [0.0, 0.0, 11.0]),
-        ([0.0, 0.0, 1200.0], [0.0; 3], [0.0, 0.0, 11.2]),
+    type MakeRod = fn(StrainRule, usize) -> RodParameters;
+    let rows: [(MakeRod, Triple, Triple, f64, Triple); 6] = [
         (
+            paper_rod,
+            [0.0, 0.0, 1000.0],
+            [0.0; 3],
+            0.0,
+            [0.0, 0.0, 11.0],
+        ),
+        (
+            paper_rod,
+            [0.0, 0.0, 1200.0],
+            [0.0; 3],
+            0.0,
+            [0.0, 0.0, 11.2],
+        ),
+        (
+            paper_rod,
             [0.0; 3],
             [0.0, -100.0, 0.0],
+            0.0,
             [-5.0 * (1.0 - 2f64.cos()), 0.0, 5.0 * 2f64.sin()],
         ),
+        (
+            cowper_arm,
+            [0.0, 0.0, 500.0],
+            [0.0; 3],
+            0.0,
+            [0.0, 0.0, 1.063_661_977_237],
+        ),
+        (
+            cowper_arm,
+            [0.0; 3],
+            [0.0, 5.0, 0.0],
+            0.0,
+            [0.466_756_718_8, 0.0, 0.835_830_628_6],
+        ),
+        (cowper_arm, [0.0; 3], [0.0; 3], 9.81, [0.0, 0.0, 1.004_905]),
     ];
-    for (force, moment, tip) in rows {
+    for (rod, force, moment, gravity, tip) in rows {
         let p = RodParameters {
             loads: tip_load(2, force, moment, LoadFrame::Spatial),
-            ..paper_rod(StrainRule::Helical, 2)
+            gravity: Vector3::new(0.0, 0.0, gravity),
+            ..rod(StrainRule::Helical, 2)
         };
         let (_, shape) = equilibrium(&p, 4);
-        let error = (shape.positions[2] - Vector3::from(tip)).norm();
-        assert!(error < 1e-8, "{force:?} {moment:?}: {error:e}");
+        let error = (shape.positions[2] - Vector3::from(tip)).norm() / p.length;
+        assert!(error < 1e-9, "{force:?} {moment:?} {gravity}: {error:e}");
     }
 }
 
