@@ -175,7 +175,7 @@ fn natural_frequencies() {
     for family in FAMILIES {
         let errors = |rule, n: usize| -> Vec<f64> {
             let rod = Rod::new(&RodParameters {
-                base: family.base,
+                base: family.base.clone(),
                 ..(family.rod)(rule, n)
             })
             .unwrap();
@@ -234,7 +234,7 @@ fn stability_limit() {
                 (BaseCondition::Free, 10),
             ] {
                 let rod = Rod::new(&RodParameters {
-                    base,
+                    base: base.clone(),
                     ..parameters(rule, n)
                 })
                 .unwrap();
