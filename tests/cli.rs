@@ -147,6 +147,14 @@ const SOLVE_FILES: [&str; 6] = [
     "trajectory.npz",
 ];
 
+const SIMULATE_FILES: [&str; 5] = [
+    "checkpoint.json",
+    "report.html",
+    "scene.toml",
+    "summary.json",
+    "trajectory.npz",
+];
+
 /// `check` says what a run would do, writes nothing, and talks on stderr only.
 #[test]
 fn check_reports_derived_figures() {
@@ -203,15 +211,7 @@ fn simulate_writes_its_directory() {
         ],
     );
     assert_eq!(summary["command"], "simulate");
-    assert_eq!(
-        names(&desk.path("run")),
-        [
-            "report.html",
-            "scene.toml",
-            "summary.json",
-            "trajectory.npz"
-        ]
-    );
+    assert_eq!(names(&desk.path("run")), SIMULATE_FILES);
     let written = std::fs::read_to_string(desk.path("run/summary.json")).unwrap();
     assert_eq!(serde_json::from_str::<Value>(&written).unwrap(), summary);
 }
@@ -535,20 +535,287 @@ fn results_are_reproducible() {
     assert_eq!(bytes("one/scene.toml"), bytes("again/scene.toml"));
 }
 
-/// A load that tears the arm apart: code 5, with node, step and time, nothing on stdout and no directory.
+/// A load that tears the arm apart: code 5, with node, step and time; what was computed until then is written. A solve
+/// has nothing to write.
 #[test]
 fn breakdown_is_located() {
     let desk = Desk::new();
     let load = "[[load]]\nnode = \"tip\"\nforce_n = [1e6, 0, 0]\nmoment_n_m = [0, 1e5, 0]\n";
     desk.write("wild.toml", &format!("{SCENE}{load}"));
-    let run = desk
-        .run(&["simulate", "wild.toml", "--out", "run", "--json"])
-        .exits(NUMERICAL);
-    assert_eq!(run.stdout, "");
-    for word in ["node 4", "step 0", "t = 0 s"] {
-        assert!(run.stderr.contains(word), "{}", run.stderr);
+    desk.write(
+        "late.toml",
+        &format!("{SCENE}{load}profile = [[0.0, 0.0], [0.1, 0.0], [0.2, 1.0]]\n"),
+    );
+    for (scene, words) in [
+        ("wild.toml", ["node 4", "step 0", "t = 0 s"]),
+        ("late.toml", ["node 4", "step ", "t = 0.1"]),
+    ] {
+        let run = desk
+            .run(&["simulate", scene, "--out", "run", "--json"])
+            .exits(NUMERICAL);
+        let summary = run.summary();
+        assert_eq!(summary["status"], "failed");
+        let error = summary["error"].as_str().unwrap();
+        for word in words {
+            assert!(error.contains(word) && run.stderr.contains(word), "{error}");
+        }
+        // Nothing continues it.
+        let files: Vec<&str> = SIMULATE_FILES[1..].to_vec();
+        assert_eq!(names(&desk.path("run")), files);
+        let record = motion(&desk.path("run"));
+        assert_eq!(
+            record.n_rows() as u64,
+            summary["steps"].as_u64().unwrap() + 1
+        );
+        desk.run(&["simulate", scene, "--out", "run", "--resume"])
+            .refused(&["checkpoint", "without --resume"]);
     }
-    assert_eq!(names(desk.folder.path()), ["scene.toml", "wild.toml"]);
-    desk.run(&["solve", "wild.toml", "--out", "run"])
+    assert_eq!(
+        names(desk.folder.path()),
+        ["late.toml", "run", "scene.toml", "wild.toml"]
+    );
+    desk.run(&["solve", "wild.toml", "--out", "solve"])
         .exits(NUMERICAL);
+}
+
+fn motion(folder: &Path) -> softarm::output::MotionRecord {
+    softarm::output::MotionRecord::read_npz(&folder.join("trajectory.npz")).unwrap()
+}
+
+/// Minutes of computing, if one lets it; loads with profiles and both frames, gravity, damping, and diagnostics.
+const LONG: &str = "\
+[rod]
+length_m = 1.0
+elements = 12
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[gravity]
+acceleration_m_s2 = [0.0, 1.0, -3.0]
+[damping]
+viscous_1_s = 0.3
+[[load]]
+node = \"tip\"
+force_n = [1.0, 0.5, 0.0]
+moment_n_m = [0.0, 0.1, 0.2]
+profile = [[0.0, 0.0], [1.0, 1.0], [7.0, -0.5], [50.0, 1.0]]
+[[load]]
+node = 5
+force_n = [0.3, 0.0, 0.1]
+frame = \"body\"
+[time]
+end_s = 1e5
+[output]
+rate_hz = 2.0
+diagnostics = true
+";
+
+/// The summary without what the clock and the folder say.
+fn timeless(mut summary: Value) -> Value {
+    let fields = summary.as_object_mut().unwrap();
+    for field in ["wall_s", "node_steps_per_s", "directory", "scene"] {
+        fields.remove(field).unwrap();
+    }
+    summary
+}
+
+#[track_caller]
+fn same_result(desk: &Desk, one: &str, other: &str) {
+    let read = |folder: &str, name: &str| std::fs::read(desk.path(folder).join(name)).unwrap();
+    for name in [
+        "trajectory.npz",
+        "diagnostics.npz",
+        "scene.toml",
+        "checkpoint.json",
+    ] {
+        assert!(read(one, name) == read(other, name), "{name} differs");
+    }
+    let summary = |folder| timeless(serde_json::from_slice(&read(folder, "summary.json")).unwrap());
+    assert_eq!(summary(one), summary(other));
+}
+
+impl Desk {
+    /// Starts the tool and waits until `ready`.
+    fn spawn(&self, arguments: &[&str], ready: impl Fn() -> bool) -> std::process::Child {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let started = std::time::Instant::now();
+        while !ready() {
+            if started.elapsed().as_secs() > 60 || child.try_wait().unwrap().is_some() {
+                let _ = child.kill();
+                panic!("ended, or never ready: {arguments:?}");
+            }
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        child
+    }
+
+    /// Steps in the checkpoint of a run that is on its way; 0 before there is one.
+    fn running_step(&self, out: &str) -> u64 {
+        std::fs::read_to_string(self.path(&format!(".{out}.running/checkpoint.json")))
+            .ok()
+            .and_then(|text| serde_json::from_str::<Value>(&text).ok())
+            .map_or(0, |checkpoint| checkpoint["step"].as_u64().unwrap())
+    }
+}
+
+/// A run that is interrupted by Ctrl-C, resumed, killed, and resumed again ends with the same bytes as one that was left
+/// alone. The interrupted one exits with 6 and a result of its own.
+#[cfg(unix)]
+#[test]
+fn resumed_runs_are_the_same_to_the_bit() {
+    const STEP: f64 = 1.0 / 1024.0;
+    let desk = Desk::new();
+    desk.write(
+        "long.toml",
+        &LONG.replace("1e5", &format!("1e5\nstep_s = {STEP}")),
+    );
+    let simulate = ["simulate", "long.toml", "--out", "parts"];
+    let resume = ["simulate", "long.toml", "--out", "parts", "--resume"];
+    let running = desk.path(".parts.running/checkpoint.json");
+    let mut child = desk.spawn(&simulate, || running.exists());
+    let interrupt = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(interrupt.success());
+    assert_eq!(child.wait().unwrap().code(), Some(STOPPED));
+    let summary = std::fs::read(desk.path("parts/summary.json")).unwrap();
+    let summary: Value = serde_json::from_slice(&summary).unwrap();
+    assert_eq!(summary["status"], "interrupted");
+    let interrupted_at = summary["steps"].as_u64().unwrap();
+    assert!(!running.exists());
+
+    // Killed after it has got on: the result of the interruption still stands, the rest is in the hidden folder.
+    let mut child = desk.spawn(&resume, || desk.running_step("parts") > interrupted_at);
+    child.kill().unwrap();
+    assert_eq!(child.wait().unwrap().code(), None);
+    let killed_at = desk.running_step("parts");
+    assert!(desk.path("parts/trajectory.npz").exists());
+
+    let end = format!("time.end_s={}", (killed_at + 5000) as f64 * STEP);
+    let run = desk
+        .run(&[&resume[..], &["--set", &end]].concat())
+        .exits(DONE);
+    assert!(
+        run.stderr.contains(&format!("step {killed_at} of")),
+        "{}",
+        run.stderr
+    );
+    desk.run(&["simulate", "long.toml", "--out", "whole", "--set", &end])
+        .exits(DONE);
+    same_result(&desk, "whole", "parts");
+    assert_eq!(
+        names(desk.folder.path()),
+        ["long.toml", "parts", "scene.toml", "whole"]
+    );
+}
+
+/// A finished run goes on to a later end, with the bytes of one that was that long from the start; in a model whose odd and
+/// even steps differ, from an odd step. A changed scene, an
+/// end between two steps, an earlier end and a directory without a checkpoint are refused, and nothing is touched.
+#[test]
+fn finished_runs_can_be_extended() {
+    let desk = Desk::new();
+    let base = LONG.replace("1e5", "0.501").replace("2.0", "200.0");
+    desk.write("short.toml", &base);
+    // 100.85 rows: the last row of the short run is not one of the long run.
+    let set = [
+        "--set",
+        "output.rate_hz=201.3",
+        "--set",
+        "time.step_s=1e-3",
+        "--set",
+        "rod.model=consistent",
+    ];
+    let run = |out: &str, more: &[&str]| {
+        let mut arguments = vec!["simulate", "short.toml", "--out", out];
+        arguments.extend(set);
+        arguments.extend(more);
+        desk.run(&arguments)
+    };
+    run("parts", &[]).exits(DONE);
+    let before = std::fs::read(desk.path("parts/summary.json")).unwrap();
+    run("parts", &["--resume", "--set", "rod.elements=11"]).refused(&[
+        "elements = 11",
+        "elements = 12",
+        "without --resume",
+    ]);
+    run("parts", &["--resume", "--set", "time.end_s=0.7505"])
+        .refused(&["time.end_s", "whole number"]);
+    run("parts", &["--resume", "--set", "time.end_s=0.25"]).refused(&[
+        "time.end_s",
+        "0.25",
+        "0.501",
+    ]);
+    run("nowhere", &["--resume"]).refused(&["nowhere", "checkpoint", "without --resume"]);
+    assert_eq!(
+        std::fs::read(desk.path("parts/summary.json")).unwrap(),
+        before
+    );
+    assert_eq!(
+        names(desk.folder.path()),
+        ["parts", "scene.toml", "short.toml"]
+    );
+
+    run("parts", &["--resume", "--set", "time.end_s=1.002"]).exits(DONE);
+    run("whole", &["--set", "time.end_s=1.002"]).exits(DONE);
+    same_result(&desk, "whole", "parts");
+}
+
+/// Diagnostics are written when they are asked for, with as many rows as the trajectory; `check` says how much a
+/// simulation writes and warns when it is more than a gigabyte.
+#[test]
+fn output_is_what_was_asked_for() {
+    let desk = Desk::new();
+    desk.write(
+        "short.toml",
+        &LONG.replace("1e5", "0.5").replace("2.0", "200.0"),
+    );
+    let summary = desk
+        .run(&["check", "short.toml", "--json"])
+        .exits(DONE)
+        .summary();
+    // Row: time, 13 nodes of 12 numbers, 9 of the tip and the energy, 12 dilatations; and diagnostics with time, 12
+    // elements of 12 numbers, 8 vectors, volume and 4 powers.
+    let row = 8 * ((1 + 13 * 12 + 9 + 12) + (1 + 12 * 12 + 8 * 3 + 1 + 4));
+    let rows = summary["output"]["rows"].as_u64().unwrap();
+    assert_eq!(summary["output"]["bytes"].as_u64().unwrap(), rows * row);
+    desk.run(&["simulate", "short.toml", "--out", "run"])
+        .exits(DONE);
+    assert_eq!(motion(&desk.path("run")).n_rows() as u64, rows);
+    assert!(desk.path("run/diagnostics.npz").exists());
+    // Resuming what is finished, with a step that the tool chose, changes nothing.
+    desk.run(&["simulate", "short.toml", "--out", "again"])
+        .exits(DONE);
+    desk.run(&["simulate", "short.toml", "--out", "run", "--resume"])
+        .exits(DONE);
+    same_result(&desk, "run", "again");
+    desk.run(&[
+        "simulate",
+        "short.toml",
+        "--out",
+        "run",
+        "--set",
+        "output.diagnostics=false",
+    ])
+    .exits(DONE);
+    assert_eq!(names(&desk.path("run")), SIMULATE_FILES);
+
+    let run = desk
+        .run(&["check", "short.toml", "--set", "time.end_s=1e5"])
+        .exits(DONE);
+    assert!(
+        run.stderr.contains("GB") && run.stderr.contains("output.rate_hz"),
+        "{}",
+        run.stderr
+    );
 }

@@ -565,7 +565,7 @@ fn unknown_keys() {
         assert_eq!(error.column(), Some(1), "{error}");
     }
     let error = error_of(&format!("{ROD}[output]\nxyzzy = 1\n"));
-    assert_eq!(error.help(), Some("known keys here: rate_hz"));
+    assert_eq!(error.help(), Some("known keys here: rate_hz, diagnostics"));
     let error = error_of(&format!("{ROD}[output]\n\"a.b\" = 1\n"));
     assert_eq!(
         (error.line(), error.column()),

@@ -6,8 +6,11 @@ use crate::control::{Enforcement, OptimalControlProblem};
 use crate::mechanics::Rod;
 use crate::mechanics::RodModel;
 use crate::mechanics::stability::stable_step;
-use crate::output::summary::{CheckSummary, ProblemSize, SCHEMA_VERSION, ScalesSummary};
-use crate::scene::Scene;
+use crate::output::summary::{
+    CheckSummary, OutputSize, ProblemSize, SCHEMA_VERSION, ScalesSummary,
+};
+use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
+use crate::scene::{Scene, Simulation};
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -16,14 +19,18 @@ const NODE_BYTES: usize = 12 * 8;
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
-    let (rod, grid, size) = if scene.task.is_some() || scene.control.is_some() {
+    let mut concerns = Vec::new();
+    let (rod, grid, size, output) = if scene.task.is_some() || scene.control.is_some() {
         let setup = scene.optimal_control(&source)?;
         let size = problem_size(&setup.problem);
-        (setup.problem.rod, setup.problem.grid, Some(size))
+        (setup.problem.rod, setup.problem.grid, Some(size), None)
     } else {
         let setup = scene.simulation(&source)?;
-        (setup.rod, setup.grid, None)
+        let output = output_size(&setup);
+        concerns.extend(size_warning(&output));
+        (setup.rod, setup.grid, None, Some(output))
     };
+    concerns.splice(0..0, warnings(&scene, &rod));
     let summary = CheckSummary {
         schema_version: SCHEMA_VERSION,
         command: "check",
@@ -43,8 +50,12 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
             time_s: rod.scales.time,
         },
         optimal_control: size,
-        memory_bytes: memory(&rod, grid.n_steps, size.as_ref()),
-        warnings: warnings(&scene, &rod),
+        output,
+        memory_bytes: size
+            .as_ref()
+            .map_or(0, |size| solve_memory(&rod, grid.n_steps, size))
+            + output.as_ref().map_or(0, simulation_memory),
+        warnings: concerns,
     };
     show(&summary, console);
     console.summary(&summary);
@@ -53,11 +64,41 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
 
 /// Trajectories (a solve holds four: point, trial, direction, replay), and the dense matrices of the subproblem with
 /// Clarabel's factors of them.
-fn memory(rod: &Rod, n_steps: usize, size: Option<&ProblemSize>) -> u64 {
+fn solve_memory(rod: &Rod, n_steps: usize, size: &ProblemSize) -> u64 {
     let trajectory = (NODE_BYTES * rod.n_nodes() * (n_steps + 1)) as u64;
-    size.map_or(trajectory, |size| {
-        let n = size.variables as u64;
-        4 * trajectory + DENSE_MATRICES * 8 * n * n
+    let n = size.variables as u64;
+    4 * trajectory + DENSE_MATRICES * 8 * n * n
+}
+
+/// The rows that a report is drawn from; the others stay on disk.
+fn simulation_memory(output: &OutputSize) -> u64 {
+    output.bytes / output.rows as u64 * output.rows.min(ThinnedMotion::MOST_ROWS) as u64
+}
+
+/// Beyond this, a user may not have meant to write every step.
+const LARGE_OUTPUT_BYTES: u64 = 1_000_000_000;
+
+/// What a simulation writes.
+pub(super) fn output_size(setup: &Simulation) -> OutputSize {
+    let rows = setup.n_rows(setup.grid.n_steps);
+    let mut row = row_bytes(&MotionRecord::empty(setup.rod.n_nodes()).arrays());
+    if setup.diagnostics {
+        row += row_bytes(&DiagnosticsRecord::empty(setup.rod.n_elements()).arrays());
+    }
+    OutputSize {
+        rows,
+        bytes: (rows as u64).saturating_mul(row),
+    }
+}
+
+/// Whether a simulation writes more than a user may have meant.
+pub(super) fn size_warning(output: &OutputSize) -> Option<String> {
+    (output.bytes > LARGE_OUTPUT_BYTES).then(|| {
+        format!(
+            "output.rate_hz: {} rows take {:.1} GB, and twice that while they are packed at the end; give a lower rate",
+            output.rows,
+            output.bytes as f64 * 1e-9
+        )
     })
 }
 
@@ -128,6 +169,13 @@ fn show(summary: &CheckSummary, console: &Console) {
         console.say(&format!(
             "  control {} blocks, {} variables; {} target equations; {} configuration unknowns eliminated",
             size.control_blocks, size.variables, size.target_equations, size.eliminated
+        ));
+    }
+    if let Some(output) = &summary.output {
+        console.say(&format!(
+            "  output {} rows, {:.1} MB",
+            output.rows,
+            output.bytes as f64 * 1e-6
         ));
     }
     console.say(&format!(

@@ -67,7 +67,13 @@ enum Command {
     /// Validate a scene and print derived figures; solve nothing
     Check(SceneArgument),
     /// Forward simulation
-    Simulate(SceneAndOut),
+    Simulate {
+        #[command(flatten)]
+        arguments: SceneAndOut,
+        /// Continue an interrupted or killed run of this scene, bit for bit, or a finished one to a later time.end_s
+        #[arg(long)]
+        resume: bool,
+    },
     /// Optimal control: tip force and moment sequences, checked by forward simulation
     Solve(SceneAndOut),
     /// Re-check a saved solution by code that does not share the solver's assembly
@@ -141,7 +147,9 @@ pub fn run() -> ExitCode {
     let console = Console::new(&cli.global);
     let outcome = match &cli.command {
         Command::Check(argument) => check::run(&argument.scene, &cli.global, &console),
-        Command::Simulate(arguments) => simulate::run(arguments, &cli.global, &console),
+        Command::Simulate { arguments, resume } => {
+            simulate::run(arguments, *resume, &cli.global, &console)
+        }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
         Command::Verify { directory } => verify::run(directory, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),

@@ -22,6 +22,7 @@ pub(super) fn simulation_page(
     summary: &SimulateSummary,
 ) -> ReportData {
     let tip = summary.tip.position_m;
+    let error = summary.error.iter().map(|error| fact("error", error));
     ReportData {
         title: summary.scene.clone(),
         command: ReportCommand::Simulate,
@@ -55,7 +56,10 @@ pub(super) fn simulation_page(
                     summary.dilatation.min, summary.dilatation.max
                 ),
             ),
-        ],
+        ]
+        .into_iter()
+        .chain(error)
+        .collect(),
         summary: serde_json::to_value(summary).unwrap_or_default(),
         arm: arm(scene, &setup.rod),
         motion: ReportMotion::thinned(record, FRAMES),

@@ -1,54 +1,101 @@
-//! `softarm simulate SCENE [--out DIR]`
+//! `softarm simulate SCENE [--out DIR] [--resume]`
 
-use std::time::Instant;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use super::check::warnings;
+use nalgebra::{Matrix3, Vector3};
+
+use super::check::{output_size, size_warning, warnings};
 use super::console::{Console, interrupted};
+use super::error::CliError;
 use super::report_pages::simulation_page;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::rotation::quaternion;
-use crate::mechanics::{Energy, Integrator, Rod, State, Wrench};
+use crate::mechanics::{
+    Diagnostics, Energy, Integrator, PowerBalance, Rod, State, StepError, Wrench,
+};
 use crate::output::summary::{EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TipPose};
-use crate::output::{MotionRecord, ResultDirectory, render_report};
-use crate::scene::{Scene, Simulation};
+use crate::output::{
+    ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory, RowFiles,
+    RunDirectory, ThinnedMotion, render_report,
+};
+use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
 
 /// Steps between two looks at the clock and at Ctrl-C.
 const GLANCE: usize = 256;
+/// At most this much work is lost when the process is killed.
+const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
+/// Relative difference below which two step lengths are one: roundings of a quotient.
+const SAME_STEP: f64 = 1e-9;
 
-pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -> Outcome {
+pub(super) fn run(
+    arguments: &SceneAndOut,
+    resume: bool,
+    global: &Global,
+    console: &Console,
+) -> Outcome {
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
-    let setup = scene.simulation(&source)?;
-    for warning in warnings(&scene, &setup.rod) {
+    let target = arguments.directory("simulate");
+    let found = if resume {
+        Some(Found::beside(&target)?)
+    } else {
+        None
+    };
+    let setup = match &found {
+        Some(found) => continued(&scene, &source, &found.checkpoint)?,
+        None => scene.simulation(&source)?,
+    };
+    let mut concerns = warnings(&scene, &setup.rod);
+    concerns.extend(size_warning(&output_size(&setup)));
+    for warning in concerns {
         console.warn(&warning);
     }
     if scene.task.is_some() || scene.control.is_some() {
         console.warn("[task] and [control] play no part in a simulation; `softarm solve` computes the control");
     }
-    let target = arguments.directory("simulate");
-    let directory = ResultDirectory::create(&target)?;
+    ResultDirectory::permit(&target)?;
+    let directory = RunDirectory::open(&target)?;
     console.catch_interrupts();
 
-    let every = rows_every(&scene, &setup);
+    let opened = match &found {
+        Some(found) => Run::resume(&setup, &directory, found, &target),
+        None => Run::start(&setup, &directory),
+    };
+    let mut run = match opened {
+        Ok(run) => run,
+        Err(error) => {
+            if found.is_none_or(|found| !found.killed) {
+                directory.remove()?;
+            }
+            return Err(error);
+        }
+    };
+    let first_step = run.integrator.step();
+    if resume {
+        console.say(&format!(
+            "continuing at step {first_step} of {}, t = {:.6} s",
+            setup.grid.n_steps,
+            run.integrator.time()
+        ));
+    }
     let started = Instant::now();
-    let (record, tally) = integrate(&setup, every, console)?;
+    let end = run.integrate(console)?;
     let wall = started.elapsed().as_secs_f64();
 
-    let summary = summarize(arguments, &setup, &tally, wall, &target);
-    record.write_npz(&directory.path().join("trajectory.npz"))?;
-    directory.write_text("scene.toml", &setup.resolved.to_toml())?;
-    directory.write_json("summary.json", &summary)?;
-    let page = simulation_page(&scene, &setup, &record, &summary);
-    directory.write_text("report.html", &render_report(&page))?;
-    let written = directory.finish()?;
+    let summary = run.summarize(arguments, &end, first_step, wall, &target);
+    let written = run.write(&scene, &end, &summary, &target)?;
+    directory.remove()?;
 
-    let speed = if summary.steps > 0 {
+    let speed = if summary.steps > first_step {
         format!(" ({:.1} ns per node-step)", 1e9 / summary.node_steps_per_s)
     } else {
         String::new()
     };
     console.say(&format!(
         "{} steps of {:.3e} s in {:.3} s{speed}",
-        summary.steps, summary.step_s, summary.wall_s
+        summary.steps - first_step,
+        summary.step_s,
+        summary.wall_s
     ));
     let tip = summary.tip.position_m;
     console.say(&format!(
@@ -60,109 +107,444 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
         written.join("report.html").display()
     ));
     console.summary(&summary);
-    Ok(if tally.interrupted {
-        exit::STOPPED
-    } else {
-        exit::DONE
+    Ok(match end {
+        End::Completed => exit::DONE,
+        End::Interrupted => {
+            console.say("interrupted; the same command with --resume goes on");
+            exit::STOPPED
+        }
+        End::Failed(error) => {
+            console.error(&error.into());
+            exit::NUMERICAL
+        }
     })
 }
 
-/// Steps between two rows of the trajectory.
-fn rows_every(scene: &Scene, setup: &Simulation) -> usize {
-    scene
-        .output
-        .as_ref()
-        .and_then(|output| output.rate_hz)
-        .map_or(1, |rate| {
-            ((1.0 / (rate * setup.grid.step)).round() as usize).max(1)
-        })
+/// What an earlier run left to continue.
+struct Found {
+    checkpoint: Checkpoint,
+    /// Whether the run was killed: its rows are still in files of their own.
+    killed: bool,
 }
 
-/// What is kept of every step.
+impl Found {
+    /// A run that was killed, or else one that wrote its result.
+    fn beside(target: &Path) -> Result<Self, CliError> {
+        for (folder, killed) in [
+            (RunDirectory::folder_of(target)?, true),
+            (target.to_path_buf(), false),
+        ] {
+            if let Some(checkpoint) = Checkpoint::read(&folder)? {
+                return Ok(Self { checkpoint, killed });
+            }
+        }
+        Err(CliError::Directory(format!(
+            "{}: holds no checkpoint to continue from; run without --resume",
+            target.display()
+        )))
+    }
+}
+
+/// The simulation that a checkpoint belongs to, on its grid; `time.end_s` may be later.
+fn continued(
+    scene: &Scene,
+    source: &SceneSource,
+    checkpoint: &Checkpoint,
+) -> Result<Simulation, CliError> {
+    let (earlier, _) = Scene::from_toml("the scene of the checkpoint", &checkpoint.scene, &[])?;
+    let mut scene = scene.clone();
+    if scene.time.step_s == TimeStep::Auto {
+        scene.time.step_s = earlier.time.step_s;
+    }
+    let mut setup = scene.simulation(source)?;
+    let refuse = |reason: String| {
+        Err(CliError::Directory(format!(
+            "cannot resume: {reason}; restore it, or run without --resume"
+        )))
+    };
+    let timeless = Scene {
+        time: earlier.time.clone(),
+        ..setup.resolved.clone()
+    };
+    if timeless != earlier {
+        let (now, then) = (timeless.to_toml(), earlier.to_toml());
+        let mut lines = now.lines().zip(then.lines());
+        let (now, then) = lines.find(|(now, then)| now != then).unwrap_or_default();
+        return refuse(format!(
+            "the scene has changed (`{}`, and in the earlier run `{}`)",
+            now.trim(),
+            then.trim()
+        ));
+    }
+    let step = checkpoint.step_s;
+    if !((setup.grid.step - step).abs() <= SAME_STEP * step) {
+        return refuse(format!(
+            "the earlier run has steps of {step} s, and this one of {} s; time.end_s must be a whole number of the \
+             earlier steps, for instance {}, and time.step_s may be left out",
+            setup.grid.step,
+            (scene.time.end_s / step).round() * step
+        ));
+    }
+    setup.grid.step = step;
+    setup.resolved.time.step_s = TimeStep::Seconds(step);
+    if setup.grid.n_steps < checkpoint.step {
+        return refuse(format!(
+            "time.end_s is {} s, before the {} s that the earlier run reached",
+            scene.time.end_s,
+            setup.grid.time(checkpoint.step)
+        ));
+    }
+    Ok(setup)
+}
+
+/// How a run ended.
+enum End {
+    Completed,
+    Interrupted,
+    Failed(StepError),
+}
+
+/// A simulation on its way. Rows go to files, so that memory does not grow with them; from time to time, a checkpoint
+/// says how far they count.
+struct Run<'a> {
+    setup: &'a Simulation,
+    directory: &'a RunDirectory,
+    integrator: Integrator<'a>,
+    trajectory: RowFiles,
+    diagnostics: Option<RowFiles>,
+    /// The last row.
+    row: MotionRecord,
+    thinned: ThinnedMotion,
+    tally: Tally,
+}
+
+impl<'a> Run<'a> {
+    /// From the beginning; what an earlier run left is removed.
+    fn start(setup: &'a Simulation, directory: &'a RunDirectory) -> Result<Self, CliError> {
+        directory.clear()?;
+        let files = |name: &str, layout: &[ArrayView]| {
+            RowFiles::open(&directory.path().join(name), layout, 0)
+        };
+        let integrator = Integrator::new(&setup.rod, setup.grid.step, setup.initial.clone());
+        let mut run = Self::of(setup, directory, integrator, files)?;
+        run.observe(None)?;
+        Ok(run)
+    }
+
+    /// From a checkpoint, with the rows up to it.
+    fn resume(
+        setup: &'a Simulation,
+        directory: &'a RunDirectory,
+        found: &Found,
+        target: &Path,
+    ) -> Result<Self, CliError> {
+        let checkpoint = &found.checkpoint;
+        if !found.killed {
+            directory.clear()?;
+        }
+        let n_rows = setup.n_rows(checkpoint.step);
+        let files = |name: &str, layout: &[ArrayView]| {
+            let folder = directory.path().join(name);
+            if found.killed {
+                RowFiles::open(&folder, layout, n_rows)
+            } else {
+                RowFiles::unpack(&target.join(format!("{name}.npz")), &folder, layout, n_rows)
+            }
+        };
+        let integrator = Integrator::resume(
+            &setup.rod,
+            setup.grid.step,
+            checkpoint.state(),
+            checkpoint.step,
+        );
+        let mut run = Self::of(setup, directory, integrator, files)?;
+        let Self {
+            row,
+            thinned,
+            tally,
+            trajectory,
+            ..
+        } = &mut run;
+        trajectory.replay(|values| {
+            for (array, values) in row.arrays_mut().into_iter().zip(values) {
+                array.clone_from(values);
+            }
+            thinned.push(row);
+            tally.include(row, &setup.rod);
+        })?;
+        Ok(run)
+    }
+
+    fn of(
+        setup: &'a Simulation,
+        directory: &'a RunDirectory,
+        integrator: Integrator<'a>,
+        files: impl Fn(&str, &[ArrayView]) -> Result<RowFiles, OutputError>,
+    ) -> Result<Self, CliError> {
+        let row = MotionRecord::empty(setup.rod.n_nodes());
+        let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
+        Ok(Self {
+            setup,
+            directory,
+            integrator,
+            trajectory: files("trajectory", &row.arrays())?,
+            diagnostics: if setup.diagnostics {
+                Some(files("diagnostics", &diagnostics.arrays())?)
+            } else {
+                None
+            },
+            thinned: ThinnedMotion::new(row.n_nodes),
+            row,
+            tally: Tally::default(),
+        })
+    }
+
+    /// Steps to the end, or until something happens.
+    fn integrate(&mut self, console: &Console) -> Result<End, CliError> {
+        let n_steps = self.setup.grid.n_steps;
+        let bar = console.progress(n_steps as u64);
+        bar.set_position(self.integrator.step() as u64);
+        bar.reset_eta();
+        self.save()?;
+        let mut saved = Instant::now();
+        let end = loop {
+            let k = self.integrator.step();
+            if k == n_steps {
+                break End::Completed;
+            }
+            if k.is_multiple_of(GLANCE) {
+                bar.set_position(k as u64);
+                if interrupted() {
+                    break End::Interrupted;
+                }
+                if saved.elapsed() > CHECKPOINT_PERIOD {
+                    self.save()?;
+                    saved = Instant::now();
+                }
+            }
+            let leads_to_row = self.setup.n_rows(k + 1) > self.trajectory.n_rows();
+            let before =
+                (leads_to_row && self.setup.diagnostics).then(|| self.integrator.state().clone());
+            if let Err(error) = self.integrator.advance([Wrench::default(); 2]) {
+                break End::Failed(error);
+            }
+            if leads_to_row {
+                match self.observe(before.as_ref()) {
+                    Err(CliError::Step(error)) => break End::Failed(error),
+                    other => other?,
+                }
+            }
+        };
+        bar.finish_and_clear();
+        if !matches!(end, End::Failed(_)) {
+            self.save()?;
+        }
+        Ok(end)
+    }
+
+    /// Writes a row; `before` is the state one step ago.
+    fn observe(&mut self, before: Option<&State>) -> Result<(), CliError> {
+        let (rod, state, t) = (
+            &self.setup.rod,
+            self.integrator.state(),
+            self.integrator.time(),
+        );
+        let mut row = MotionRecord::empty(rod.n_nodes());
+        push_row(
+            &mut row,
+            t,
+            state,
+            &tip_load(rod, t, state),
+            &Energy::of(rod, state),
+            &rod.dilatation(&state.configuration.positions),
+        );
+        self.check_finite(&row.arrays())?;
+        if self.setup.diagnostics {
+            let h = self.setup.grid.step;
+            let power = before.map_or_else(PowerBalance::default, |before| {
+                PowerBalance::over_step(rod, h, t, before, state)
+            });
+            let row = DiagnosticsRecord::row(t, &Diagnostics::of(rod, h, t, state), &power);
+            self.check_finite(&row.arrays())?;
+            if let Some(files) = &mut self.diagnostics {
+                files.push(&row.arrays())?;
+            }
+        }
+        self.trajectory.push(&row.arrays())?;
+        self.thinned.push(&row);
+        self.tally.include(&row, rod);
+        self.row = row;
+        Ok(())
+    }
+
+    /// A motion that grows without bound shows in its energy before a position overflows.
+    fn check_finite(&self, row: &[ArrayView]) -> Result<(), StepError> {
+        let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
+        match row.iter().find(|(_, _, values)| !finite(values)) {
+            None => Ok(()),
+            Some(&(quantity, _, _)) => Err(StepError::NotFinite {
+                node: self.setup.rod.tip(),
+                step: self.integrator.step(),
+                time: self.integrator.time(),
+                quantity,
+            }),
+        }
+    }
+
+    fn checkpoint(&self) -> Checkpoint {
+        Checkpoint::new(
+            self.integrator.step(),
+            self.setup.grid.step,
+            self.integrator.state(),
+            &self.setup.resolved.to_toml(),
+        )
+    }
+
+    /// Makes sure that a run that dies from here on can be continued from here. Rows first: a checkpoint never promises
+    /// rows that are not there.
+    fn save(&mut self) -> Result<(), OutputError> {
+        self.trajectory.flush()?;
+        if let Some(diagnostics) = &mut self.diagnostics {
+            diagnostics.flush()?;
+        }
+        self.checkpoint().write(self.directory.path())
+    }
+
+    /// Puts the result directory in place.
+    fn write(
+        mut self,
+        scene: &Scene,
+        end: &End,
+        summary: &SimulateSummary,
+        target: &Path,
+    ) -> Result<PathBuf, OutputError> {
+        let result = ResultDirectory::create_in(Some(self.directory.path()), target)?;
+        self.trajectory
+            .write_npz(&result.path().join("trajectory.npz"))?;
+        if let Some(diagnostics) = &mut self.diagnostics {
+            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
+        }
+        if !matches!(end, End::Failed(_)) {
+            self.checkpoint().write(result.path())?;
+        }
+        result.write_text("scene.toml", &self.setup.resolved.to_toml())?;
+        result.write_json("summary.json", summary)?;
+        let record = self.thinned.finish(&self.row);
+        let page = simulation_page(scene, self.setup, &record, summary);
+        result.write_text("report.html", &render_report(&page))?;
+        result.finish()
+    }
+
+    fn summarize(
+        &self,
+        arguments: &SceneAndOut,
+        end: &End,
+        first_step: usize,
+        wall: f64,
+        target: &Path,
+    ) -> SimulateSummary {
+        let rod = &self.setup.rod;
+        let tip = rod.tip();
+        let error = match end {
+            End::Failed(error) => Some(error.to_string()),
+            End::Completed | End::Interrupted => None,
+        };
+        let (position, rotation) = if error.is_some() {
+            // The integrator's state is spoiled.
+            let row = &self.row;
+            (
+                Vector3::from_column_slice(&row.x[3 * tip..]),
+                Matrix3::from_row_slice(&row.rotation[9 * tip..]),
+            )
+        } else {
+            let configuration = &self.integrator.state().configuration;
+            (configuration.positions[tip], configuration.rotations[tip])
+        };
+        let q = quaternion(&rotation);
+        let steps = self.integrator.step();
+        SimulateSummary {
+            schema_version: SCHEMA_VERSION,
+            command: "simulate",
+            scene: scene_name(&arguments.scene),
+            status: match end {
+                End::Completed => "completed",
+                End::Interrupted => "interrupted",
+                End::Failed(_) => "failed",
+            },
+            error,
+            model: rod.model.name(),
+            strain: rod.strain_rule.name(),
+            elements: rod.n_elements(),
+            step_s: self.setup.grid.step,
+            steps,
+            wall_s: wall,
+            node_steps_per_s: ((steps - first_step) * rod.n_nodes()) as f64
+                / wall.max(f64::MIN_POSITIVE),
+            tip: TipPose {
+                position_m: position.into(),
+                orientation_wxyz: [q.w, q.i, q.j, q.k],
+            },
+            energy: self.tally.energy,
+            dilatation: self.tally.dilatation,
+            length_m: self.tally.length,
+            directory: target.display().to_string(),
+        }
+    }
+}
+
+/// Extremes over the rows.
 struct Tally {
-    steps: usize,
-    interrupted: bool,
-    end: State,
-    energy: Range,
-    initial_energy: f64,
-    final_energy: f64,
+    n_rows: usize,
+    energy: EnergySummary,
     dilatation: Range,
     length: Range,
 }
 
-fn integrate(
-    setup: &Simulation,
-    every: usize,
-    console: &Console,
-) -> Result<(MotionRecord, Tally), crate::mechanics::StepError> {
-    let rod = &setup.rod;
-    let bar = console.progress(setup.grid.n_steps as u64);
-    let mut record = MotionRecord::empty(rod.n_nodes());
-    let mut integrator = Integrator::new(rod, setup.grid.step, setup.initial.clone());
-    let first = Energy::of(rod, integrator.state()).total();
-    let mut tally = Tally {
-        steps: 0,
-        interrupted: false,
-        end: setup.initial.clone(),
-        energy: Range::EMPTY,
-        initial_energy: first,
-        final_energy: first,
-        dilatation: Range::EMPTY,
-        length: Range::EMPTY,
-    };
-    for k in 0..=setup.grid.n_steps {
-        if k % every == 0 || k == setup.grid.n_steps {
-            observe(rod, &integrator, &mut record, &mut tally);
-        }
-        if k % GLANCE == 0 {
-            bar.set_position(k as u64);
-            if interrupted() {
-                tally.interrupted = true;
-                break;
-            }
-        }
-        if k < setup.grid.n_steps {
-            integrator.advance([Wrench::default(); 2])?;
+impl Default for Tally {
+    fn default() -> Self {
+        Self {
+            n_rows: 0,
+            energy: EnergySummary {
+                initial: 0.0,
+                r#final: 0.0,
+                min: Range::EMPTY.min,
+                max: Range::EMPTY.max,
+            },
+            dilatation: Range::EMPTY,
+            length: Range::EMPTY,
         }
     }
-    bar.finish_and_clear();
-    tally.steps = integrator.step();
-    tally.end = integrator.state().clone();
-    Ok((record, tally))
 }
 
-/// Appends a row, and widens the ranges.
-fn observe(rod: &Rod, integrator: &Integrator, record: &mut MotionRecord, tally: &mut Tally) {
-    let state = integrator.state();
-    let energy = Energy::of(rod, state);
-    let dilatation = rod.dilatation(&state.configuration.positions);
-    tally.energy.include(energy.total());
-    tally.final_energy = energy.total();
-    for &e in &dilatation {
-        tally.dilatation.include(e);
+impl Tally {
+    fn include(&mut self, row: &MotionRecord, rod: &Rod) {
+        let energy = row.energy[0] + row.energy[1] + row.energy[2];
+        if self.n_rows == 0 {
+            self.energy.initial = energy;
+        }
+        self.n_rows += 1;
+        self.energy.r#final = energy;
+        self.energy.min = self.energy.min.min(energy);
+        self.energy.max = self.energy.max.max(energy);
+        for &e in &row.dilatation {
+            self.dilatation.include(e);
+        }
+        let lengths = row.dilatation.iter().zip(&rod.elements);
+        self.length
+            .include(lengths.map(|(e, element)| e * element.length).sum());
     }
-    tally.length.include(
-        dilatation
-            .iter()
-            .zip(&rod.elements)
-            .map(|(e, element)| e * element.length)
-            .sum(),
-    );
+}
+
+/// Sum of the loads on the tip.
+fn tip_load(rod: &Rod, t: f64, state: &State) -> Wrench {
     let tip = rod.tip();
     let mut wrench = Wrench::default();
     for load in rod.loads.iter().filter(|load| load.node == tip) {
-        let acting = load.wrench(integrator.time(), &state.configuration.rotations[tip]);
+        let acting = load.wrench(t, &state.configuration.rotations[tip]);
         wrench.force += acting.force;
         wrench.moment += acting.moment;
     }
-    push_row(
-        record,
-        integrator.time(),
-        state,
-        &wrench,
-        &energy,
-        &dilatation,
-    );
+    wrench
 }
 
 /// Appends one time to a record.
@@ -188,46 +570,4 @@ pub(super) fn push_row(
         .energy
         .extend([energy.kinetic, energy.elastic, energy.potential]);
     record.dilatation.extend(dilatation);
-}
-
-fn summarize(
-    arguments: &SceneAndOut,
-    setup: &Simulation,
-    tally: &Tally,
-    wall: f64,
-    target: &std::path::Path,
-) -> SimulateSummary {
-    let rod = &setup.rod;
-    let tip = rod.tip();
-    let q = quaternion(&tally.end.configuration.rotations[tip]);
-    SimulateSummary {
-        schema_version: SCHEMA_VERSION,
-        command: "simulate",
-        scene: scene_name(&arguments.scene),
-        status: if tally.interrupted {
-            "interrupted"
-        } else {
-            "completed"
-        },
-        model: rod.model.name(),
-        strain: rod.strain_rule.name(),
-        elements: rod.n_elements(),
-        step_s: setup.grid.step,
-        steps: tally.steps,
-        wall_s: wall,
-        node_steps_per_s: (tally.steps * rod.n_nodes()) as f64 / wall.max(f64::MIN_POSITIVE),
-        tip: TipPose {
-            position_m: tally.end.configuration.positions[tip].into(),
-            orientation_wxyz: [q.w, q.i, q.j, q.k],
-        },
-        energy: EnergySummary {
-            initial: tally.initial_energy,
-            r#final: tally.final_energy,
-            min: tally.energy.min,
-            max: tally.energy.max,
-        },
-        dilatation: tally.dilatation,
-        length_m: tally.length,
-        directory: target.display().to_string(),
-    }
 }

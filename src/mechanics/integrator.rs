@@ -230,20 +230,26 @@ impl<'a> Integrator<'a> {
         if let Some(base) = rod.driven_base(0.0) {
             rod.set_base(&base, &mut initial);
         }
+        Self::resume(rod, time_step, initial, 0)
+    }
+
+    /// Goes on from the state after `step` steps of the same length; what follows is the same to the bit.
+    #[must_use]
+    pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(
             rod,
-            &initial.configuration.positions,
-            &initial.configuration.rotations,
-            0.0,
+            &state.configuration.positions,
+            &state.configuration.rotations,
+            step as f64 * time_step,
         );
         Self {
             rod,
             time_step,
-            step: 0,
-            rotary: rod.rotary_at(&initial.configuration.positions),
+            step,
+            rotary: rod.rotary_at(&state.configuration.positions),
             turns: vec![Vector3::zeros(); rod.n_nodes()],
-            state: initial,
+            state,
             forces,
         }
     }

@@ -149,6 +149,27 @@ impl Element {
         self.linear_stiffness.z * self.rest.linear[0].norm_squared()
     }
 
+    /// Internal force (N) and moment (N m), with the dilatation of the [model](RodModel). Components in the body frame: under
+    /// the helical rule the same all along the element, under the trapezoidal rule means of those in the frames of the ends.
+    #[must_use]
+    pub fn stress(&self, rule: StrainRule, pose: &ElementPose) -> (Vector3<f64>, Vector3<f64>) {
+        match rule {
+            StrainRule::Helical => {
+                let terms = self.helical(pose);
+                (terms.n, terms.m)
+            }
+            StrainRule::Trapezoidal => {
+                let terms = self.trapezoidal(pose);
+                let along_chord = terms.thinning.map_or_else(Vector3::zeros, |chord| {
+                    chord.along * (self.length * chord.thinning.slope)
+                });
+                let ends =
+                    [0, 1].map(|end| terms.n[end] + terms.rotations[end].tr_mul(&along_chord));
+                (0.5 * (ends[0] + ends[1]), terms.y)
+            }
+        }
+    }
+
     /// Gradient of the energy.
     #[inline]
     #[must_use]
@@ -212,6 +233,7 @@ impl Element {
             c,
             s,
             n,
+            m,
             mu: m + tangent_derivative(&psi, &y, &c, -1.0).transpose() * n,
             w: s.transpose() * n,
             thinning,
@@ -303,6 +325,8 @@ struct HelicalTerms<'a> {
     s: Matrix3<f64>,
     /// Internal force `C₁ (v - v_rest)`, body.
     n: Vector3<f64>,
+    /// Internal moment `C₂ (ψ/l - κ_rest)`, body.
+    m: Vector3<f64>,
     /// `∂U/∂ψ = m + ∂(n·S(ψ)y)/∂ψ`
     mu: Vector3<f64>,
     /// `Sᵀ n`

@@ -24,6 +24,12 @@ impl ResultDirectory {
     ///
     /// The target may be absent, empty, or an earlier result (its `summary.json` has a `schema_version`).
     pub fn create(target: &Path) -> Result<Self, OutputError> {
+        Self::create_in(None, target)
+    }
+
+    /// The same with the files in `folder`, on the disk of the target, until they are in place; without one, beside the
+    /// target.
+    pub fn create_in(folder: Option<&Path>, target: &Path) -> Result<Self, OutputError> {
         let cannot_create = |path| OutputError::io(path, "cannot create");
         let target = resolve(target)?;
         refuse_to_destroy(&target)?;
@@ -31,6 +37,7 @@ impl ResultDirectory {
             return Err(OutputError::refused(&target, "not a name for a directory"));
         };
         fs::create_dir_all(parent).map_err(cannot_create(parent))?;
+        let parent = folder.unwrap_or(parent);
         let workshop = tempfile::Builder::new()
             .prefix(&format!(".{}.", name.to_string_lossy()))
             .tempdir_in(parent)
@@ -43,6 +50,11 @@ impl ResultDirectory {
             workshop,
             path,
         })
+    }
+
+    /// Whether [`create`](Self::create) would accept `target`, without touching anything.
+    pub fn permit(target: &Path) -> Result<(), OutputError> {
+        refuse_to_destroy(&resolve(target)?)
     }
 
     /// Where to write files until [`finish`](Self::finish).
@@ -92,7 +104,7 @@ impl ResultDirectory {
 }
 
 /// The absolute target, through symbolic links if it exists.
-fn resolve(target: &Path) -> Result<PathBuf, OutputError> {
+pub(super) fn resolve(target: &Path) -> Result<PathBuf, OutputError> {
     match fs::canonicalize(target) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => std::path::absolute(target),
         other => other,

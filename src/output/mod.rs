@@ -1,17 +1,24 @@
 //! What a simulation or an optimal-control solve writes to disk.
 
 mod controls;
+mod diagnostics;
 mod directory;
 mod error;
 mod motion;
+mod npz;
 mod report;
+mod rows;
+mod running;
 pub mod summary;
 
 pub use controls::{ControlRow, read_controls, write_controls};
+pub use diagnostics::DiagnosticsRecord;
 pub use directory::ResultDirectory;
 pub use error::OutputError;
-pub use motion::MotionRecord;
+pub use motion::{MotionRecord, ThinnedMotion};
 pub use report::{
     Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
     ReportIteration, ReportMotion, ReportTarget, ReportVerdict, render_report,
 };
+pub use rows::{ArrayView, RowFiles, row_bytes};
+pub use running::{Checkpoint, RunDirectory};

@@ -1,11 +1,7 @@
-use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use npyz::npz::{NpzArchive, NpzWriter, NpzWriterBuilder, file_name_from_array_name};
-use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
-
-use super::OutputError;
+use super::npz::{self, read_array, write_array};
+use super::{ArrayView, OutputError};
 
 /// A motion of the arm, sampled at `n` times: the content of `trajectory.npz`.
 ///
@@ -53,25 +49,16 @@ impl MotionRecord {
     /// Writes the arrays as a numpy archive; the same record gives the same bytes.
     pub fn write_npz(&self, path: &Path) -> Result<(), OutputError> {
         self.validate(path)?;
-        let io_error = || OutputError::io(path, "cannot write");
-        let file = File::create(path).map_err(io_error())?;
-        let mut archive = NpzWriter::new(BufWriter::new(file));
-        for (name, shape, values) in self.arrays() {
-            write_array(&mut archive, name, &shape, values).map_err(io_error())?;
-        }
-        let mut writer = archive
-            .zip_writer()
-            .finish()
-            .map_err(|error| io_error()(error.into()))?;
-        writer.flush().map_err(io_error())
+        npz::write(path, |archive| {
+            self.arrays().iter().try_for_each(|(name, shape, values)| {
+                write_array(archive, name, shape, values.iter().copied().map(Ok))
+            })
+        })
     }
 
     /// Reads what [`write_npz`](Self::write_npz) writes; refuses wrong shapes, missing arrays and non-finite numbers.
     pub fn read_npz(path: &Path) -> Result<Self, OutputError> {
-        let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
-        let mut archive = NpzArchive::new(BufReader::new(file)).map_err(|error| {
-            OutputError::malformed(path, format!("not a numpy archive: {error}"))
-        })?;
+        let mut archive = npz::open(path)?;
         let mut read = |name: &str, expected: &[Option<usize>]| {
             read_array(&mut archive, name, expected)
                 .map_err(|reason| OutputError::malformed(path, format!("array {name}: {reason}")))
@@ -107,8 +94,41 @@ impl MotionRecord {
         (0..kept).map(|i| i * (n - 1) / (kept - 1)).collect()
     }
 
+    /// Appends the rows of another record of the same arm.
+    fn append(&mut self, other: &Self) {
+        for (array, (_, _, values)) in self.arrays_mut().into_iter().zip(other.arrays()) {
+            array.extend_from_slice(values);
+        }
+    }
+
+    /// Keeps rows 0, 2, 4, ...
+    fn drop_every_second_row(&mut self) {
+        let n = self.n_rows();
+        for array in self.arrays_mut() {
+            let width = array.len() / n;
+            let mut index = 0;
+            array.retain(|_| {
+                index += 1;
+                ((index - 1) / width).is_multiple_of(2)
+            });
+        }
+    }
+
+    /// The arrays in the order of the file.
+    pub fn arrays_mut(&mut self) -> [&mut Vec<f64>; 7] {
+        [
+            &mut self.t,
+            &mut self.x,
+            &mut self.rotation,
+            &mut self.tip_force,
+            &mut self.tip_moment,
+            &mut self.energy,
+            &mut self.dilatation,
+        ]
+    }
+
     /// Name, shape and values of every array of the file, in the order of the file.
-    fn arrays(&self) -> [(&'static str, Vec<usize>, &[f64]); 7] {
+    pub fn arrays(&self) -> [ArrayView<'_>; 7] {
         let n = self.n_rows();
         let nodes = self.n_nodes;
         [
@@ -162,90 +182,50 @@ impl MotionRecord {
     }
 }
 
-/// Fastest deflate: mantissas do not compress, but zeros of planar motions and held controls do.
-const DEFLATE_LEVEL: i32 = 1;
-
-fn write_array(
-    archive: &mut NpzWriter<BufWriter<File>>,
-    name: &str,
-    shape: &[usize],
-    values: &[f64],
-) -> io::Result<()> {
-    // Through memory, because the compressor is slow with eight bytes at a time.
-    let mut bytes = Vec::with_capacity(size_of_val(values) + 128);
-    let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
-    let mut array = WriteOptions::<f64>::new()
-        .default_dtype()
-        .shape(&shape)
-        .writer(&mut bytes)
-        .begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()?;
-
-    let options = default_options(NpzWriter::<BufWriter<File>>::array::<f64>)
-        .last_modified_time(Default::default()) // 1980, instead of the clock
-        .compression_level(Some(DEFLATE_LEVEL))
-        .large_file(bytes.len() as u64 > u64::from(u32::MAX) / 2);
-    let zip = archive.zip_writer();
-    zip.start_file(file_name_from_array_name(name), options)?;
-    zip.write_all(&bytes)
+/// At most [`MOST_ROWS`](Self::MOST_ROWS) rows, and the last one, of a motion of any length, evenly spread, for pictures.
+///
+/// Keeps every `stride`-th row; when full, every second of those, and doubles `stride`.
+#[derive(Debug, Clone)]
+pub struct ThinnedMotion {
+    record: MotionRecord,
+    stride: usize,
+    n_seen: usize,
 }
 
-/// The default of the zip options that [`NpzWriter::array`] takes: npyz does not re-export their type,
-/// so it is inferred from the signature.
-fn default_options<O: Default>(
-    _: impl for<'a> Fn(
-        &'a mut NpzWriter<BufWriter<File>>,
-        &str,
-        O,
-    ) -> io::Result<NpzWriterBuilder<'a, f64, BufWriter<File>>>,
-) -> O {
-    O::default()
-}
+impl ThinnedMotion {
+    /// Enough for a picture and a curve.
+    pub const MOST_ROWS: usize = 480;
 
-/// Shape and values of an array; `None` in `expected` admits any size in that dimension.
-fn read_array(
-    archive: &mut NpzArchive<BufReader<File>>,
-    name: &str,
-    expected: &[Option<usize>],
-) -> Result<(Vec<usize>, Vec<f64>), String> {
-    let array = archive
-        .by_name(name)
-        .map_err(|error| error.to_string())?
-        .ok_or("missing")?;
-    let shape: Vec<usize> = array.shape().iter().map(|&size| size as usize).collect();
-    let matches = shape.len() == expected.len()
-        && shape
-            .iter()
-            .zip(expected)
-            .all(|(size, expected)| expected.is_none_or(|expected| *size == expected));
-    if !matches {
-        let expected: Vec<String> = expected
-            .iter()
-            .map(|size| size.map_or("any".into(), |size| size.to_string()))
-            .collect();
-        return Err(format!("shape {shape:?}, not [{}]", expected.join(", ")));
+    /// Of an arm of `n_nodes` nodes.
+    pub fn new(n_nodes: usize) -> Self {
+        Self {
+            record: MotionRecord::empty(n_nodes),
+            stride: 1,
+            n_seen: 0,
+        }
     }
-    if array.order() != Order::C && shape.len() > 1 {
-        return Err("in Fortran order; save it in C order".into());
+
+    /// Takes note of the next row: a record of one.
+    pub fn push(&mut self, row: &MotionRecord) {
+        if self.n_seen.is_multiple_of(self.stride) {
+            if self.record.n_rows() == Self::MOST_ROWS {
+                self.record.drop_every_second_row();
+                self.stride *= 2;
+            }
+            if self.n_seen.is_multiple_of(self.stride) {
+                self.record.append(row);
+            }
+        }
+        self.n_seen += 1;
     }
-    let header = array.header().clone();
-    let mut bytes = array.into_inner();
-    let numbers = NpyFile::with_header(header, &mut bytes)
-        .data::<f64>()
-        .map_err(|error| error.to_string())?;
-    // Not `into_vec`: it would reserve whatever the header claims.
-    let mut values = Vec::new();
-    for value in numbers {
-        values.push(value.map_err(|error| error.to_string())?);
+
+    /// The rows that were kept, and the last one, which is `last`.
+    pub fn finish(mut self, last: &MotionRecord) -> MotionRecord {
+        if self.record.t.last() != last.t.last() {
+            self.record.append(last);
+        }
+        self.record
     }
-    // The archive compares its checksum only where the array ends.
-    match bytes.read(&mut [0]) {
-        Ok(0) => {}
-        Ok(_) => return Err("longer than its shape".into()),
-        Err(error) => return Err(error.to_string()),
-    }
-    Ok((shape, values))
 }
 
 #[cfg(test)]
@@ -343,14 +323,16 @@ pub(super) mod tests {
         let path = folder.path().join("trajectory.npz");
         let record = record(3, 4);
         let error_after = |change: Change| {
-            let mut archive = NpzWriter::new(BufWriter::new(File::create(&path).unwrap()));
-            for (name, mut shape, values) in record.arrays() {
-                let mut values = values.to_vec();
-                if change(name, &mut shape, &mut values) {
-                    write_array(&mut archive, name, &shape, &values).unwrap();
+            npz::write(&path, |archive| {
+                for (name, mut shape, values) in record.arrays() {
+                    let mut values = values.to_vec();
+                    if change(name, &mut shape, &mut values) {
+                        write_array(archive, name, &shape, values.into_iter().map(Ok))?;
+                    }
                 }
-            }
-            drop(archive);
+                Ok(())
+            })
+            .unwrap();
             MotionRecord::read_npz(&path).unwrap_err().to_string()
         };
 
@@ -396,6 +378,45 @@ pub(super) mod tests {
             assert_eq!((rows[0], *rows.last().unwrap()), (0, n - 1));
             assert!(rows.len() <= max_rows.max(2));
             assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
+        }
+    }
+
+    /// However long the motion, the thinned one is bounded, evenly spread but for the last step, and holds the first
+    /// and the last row; a short one is whole.
+    #[test]
+    fn thinned_motion_is_bounded() {
+        for n in [
+            1,
+            2,
+            ThinnedMotion::MOST_ROWS,
+            ThinnedMotion::MOST_ROWS + 1,
+            5000,
+        ] {
+            let mut thinned = ThinnedMotion::new(2);
+            let mut row = record(1, 2);
+            for k in 0..n {
+                row.t[0] = k as f64;
+                row.dilatation[0] = -(k as f64);
+                thinned.push(&row);
+            }
+            let thinned = thinned.finish(&row);
+            assert!(thinned.n_rows() <= ThinnedMotion::MOST_ROWS + 1);
+            assert!(thinned.n_rows() >= n.min(ThinnedMotion::MOST_ROWS / 2));
+            assert_eq!(
+                (thinned.t[0], thinned.t.last()),
+                (0.0, Some(&((n - 1) as f64)))
+            );
+            assert!(
+                thinned
+                    .dilatation
+                    .iter()
+                    .zip(&thinned.t)
+                    .all(|(e, t)| *e == -t)
+            );
+            let gaps: Vec<f64> = thinned.t.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            assert!(gaps.split_last().is_none_or(|(last, gaps)| {
+                gaps.iter().all(|gap| *gap == gaps[0] && last <= gap)
+            }));
         }
     }
 }

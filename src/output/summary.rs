@@ -36,6 +36,8 @@ pub struct CheckSummary {
     pub scales: ScalesSummary,
     /// Size of the optimal-control problem, if the scene has one.
     pub optimal_control: Option<ProblemSize>,
+    /// What a simulation writes; absent for an optimal-control scene.
+    pub output: Option<OutputSize>,
     /// Bytes that a run needs for its trajectory, about.
     pub memory_bytes: u64,
     /// Things a user should know before running.
@@ -66,6 +68,15 @@ pub struct ProblemSize {
     pub target_equations: usize,
     /// Configuration unknowns that condensing eliminates.
     pub eliminated: usize,
+}
+
+/// Size of what a simulation writes.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OutputSize {
+    /// Rows of every array.
+    pub rows: usize,
+    /// Bytes of all arrays, not compressed. While they are packed at the end of a run, the disk holds them twice.
+    pub bytes: u64,
 }
 
 /// Smallest and largest value over a run.
@@ -122,8 +133,10 @@ pub struct SimulateSummary {
     pub command: &'static str,
     /// Name of the scene.
     pub scene: String,
-    /// `completed`, or `interrupted`.
+    /// `completed`, `interrupted`, or `failed`.
     pub status: &'static str,
+    /// Why the run failed, with node, step and time.
+    pub error: Option<String>,
     /// Rod model.
     pub model: &'static str,
     /// Strain rule.
@@ -132,13 +145,13 @@ pub struct SimulateSummary {
     pub elements: usize,
     /// Time step, s.
     pub step_s: f64,
-    /// Steps taken.
+    /// Steps taken, those before a resumption included.
     pub steps: usize,
-    /// Wall time, s.
+    /// Wall time, s, since the start or the last resumption.
     pub wall_s: f64,
-    /// Nodes times steps per second.
+    /// Nodes times steps per second, since the start or the last resumption.
     pub node_steps_per_s: f64,
-    /// Tip at the end.
+    /// Tip at the end; in a failed run, in the last row.
     pub tip: TipPose,
     /// Energy over the run.
     #[serde(rename = "energy_J")]

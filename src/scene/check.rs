@@ -13,7 +13,7 @@ const MOST_ELEMENTS: usize = 5000;
 const LARGEST_COUNT: usize = 1_000_000;
 
 /// Steps beyond this number would run for days.
-const MOST_STEPS: f64 = 1e10;
+pub(super) const MOST_STEPS: f64 = 1e10;
 
 /// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
 const LARGEST_STRETCH: f64 = 1.3;

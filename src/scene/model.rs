@@ -643,6 +643,9 @@ pub struct Output {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
+    /// Whether a simulation also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
+    /// of momentum and power. Default: false.
+    pub diagnostics: bool,
 }
 
 impl Default for Base {

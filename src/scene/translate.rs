@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::check::MOST_STEPS;
 use super::error::SceneError;
 use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
 use super::source::SceneSource;
@@ -29,10 +30,23 @@ pub struct Simulation {
     pub rod: Rod,
     /// The time grid.
     pub grid: TimeGrid,
+    /// Steps between two rows of the result.
+    pub steps_per_row: usize,
+    /// Whether diagnostics are written.
+    pub diagnostics: bool,
     /// State at time 0.
     pub initial: State,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
+}
+
+impl Simulation {
+    /// Rows up to step `k`, the first one included: one every [`steps_per_row`](Self::steps_per_row), and one at the end.
+    #[must_use]
+    pub fn n_rows(&self, k: usize) -> usize {
+        let at_end = k == self.grid.n_steps && !k.is_multiple_of(self.steps_per_row);
+        k / self.steps_per_row + 1 + usize::from(at_end)
+    }
 }
 
 /// An optimal-control problem, and how to solve it.
@@ -52,7 +66,7 @@ pub struct OptimalControl {
 
 /// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
 const MOST_VARIABLES: usize = 2000;
-/// Steps that one run may take; beyond, the trajectory alone would not fit in memory.
+/// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
 impl Scene {
@@ -66,10 +80,15 @@ impl Scene {
         let initial = self.initial_state(source, &rod)?;
         let mut resolved = self.clone();
         resolve_time(&mut resolved, &grid);
+        let output = self.output.clone().unwrap_or_default();
         Ok(Simulation {
             parameters,
             rod,
             grid,
+            steps_per_row: output.rate_hz.map_or(1, |rate| {
+                ((1.0 / (rate * grid.step)).round() as usize).max(1)
+            }),
+            diagnostics: output.diagnostics,
             initial,
             resolved,
         })
@@ -94,6 +113,19 @@ impl Scene {
         let (parameters, rod) = self.rod_of(source)?;
         let horizon = task.instant(self.time.end_s);
         let grid = self.grid(source, &rod, horizon, control.blocks)?;
+        let states = grid.n_steps as f64 * rod.n_nodes() as f64;
+        if !(states <= MOST_STORED_STATES) {
+            return Err(source.error_at(
+                "time.end_s",
+                format!(
+                    "{:.3e} steps of {:.3e} s with {} nodes do not fit in memory",
+                    grid.n_steps as f64,
+                    grid.step,
+                    rod.n_nodes()
+                ),
+                Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
+            ));
+        }
         let initial = self.initial_state(source, &rod)?;
         let hold = match control.hold {
             model::Hold::Constant => Hold::Constant,
@@ -336,20 +368,17 @@ impl Scene {
                 ));
             }
         };
-        let grid = TimeGrid::covering(end, step, multiple);
-        let states = grid.n_steps as f64 * rod.n_nodes() as f64;
-        if !(states <= MOST_STORED_STATES) {
+        if !(end / step <= MOST_STEPS) {
             return Err(source.error_at(
                 "time.end_s",
                 format!(
-                    "{:.3e} steps of {step:.3e} s with {} nodes do not fit in memory",
-                    grid.n_steps as f64,
-                    rod.n_nodes()
+                    "{:.3e} steps of {step:.3e} s are more than {MOST_STEPS:e}",
+                    end / step
                 ),
                 Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
             ));
         }
-        Ok(grid)
+        Ok(TimeGrid::covering(end, step, multiple))
     }
 
     fn initial_state(&self, source: &SceneSource, rod: &Rod) -> Result<State, SceneError> {

@@ -1,0 +1,111 @@
+use nalgebra::Vector3;
+
+use super::ArrayView;
+use crate::mechanics::{Diagnostics, PowerBalance};
+
+/// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows are those of `trajectory.npz`.
+///
+/// All arrays are flat in C order, `K` elements. Energies and dilatation are in `trajectory.npz`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DiagnosticsRecord {
+    /// Elements of the arm.
+    pub n_elements: usize,
+    /// `[n]` times, s.
+    pub t: Vec<f64>,
+    /// `[n, 3]` total linear momentum, spatial, kg m/s.
+    pub linear_momentum: Vec<f64>,
+    /// `[n, 3]` total angular momentum about the origin, spatial, kg m²/s.
+    pub angular_momentum: Vec<f64>,
+    /// `[n, K, 3]` shear, shear and stretch beyond the stress-free ones, body frame.
+    pub linear_strain: Vec<f64>,
+    /// `[n, K, 3]` curvatures and twist beyond the stress-free ones, body frame, 1/m.
+    pub angular_strain: Vec<f64>,
+    /// `[n, K, 3]` internal force, body frame, N.
+    pub internal_force: Vec<f64>,
+    /// `[n, K, 3]` internal moment, body frame, N m.
+    pub internal_moment: Vec<f64>,
+    /// `[n, 3]` reaction force at a clamped or driven base, spatial, N; zero for a free one.
+    pub base_force: Vec<f64>,
+    /// `[n, 3]` reaction moment at a clamped or driven base, body frame of the base, N m.
+    pub base_moment: Vec<f64>,
+    /// `[n, 3]` gravity, loads and reaction together, spatial, N.
+    pub external_force: Vec<f64>,
+    /// `[n, 3]` their moment about the origin, spatial, N m.
+    pub external_moment: Vec<f64>,
+    /// `[n, 3]` mean damping force over the step that begins at the row, spatial, N.
+    pub damping_force: Vec<f64>,
+    /// `[n, 3]` its moment about the origin, spatial, N m.
+    pub damping_moment: Vec<f64>,
+    /// `[n]` largest relative change of volume of any element.
+    pub volume_error: Vec<f64>,
+    /// `[n, 4]` power of the loads and of what drives the base, dissipated power, rate of change of the energy, and what does not add up, W, over
+    /// the step that ends at the row; zero in the first row.
+    pub power: Vec<f64>,
+}
+
+impl DiagnosticsRecord {
+    /// A record without rows.
+    pub fn empty(n_elements: usize) -> Self {
+        Self {
+            n_elements,
+            ..Self::default()
+        }
+    }
+
+    /// A record of one row.
+    pub fn row(t: f64, diagnostics: &Diagnostics, power: &PowerBalance) -> Self {
+        let d = diagnostics;
+        let vector = |v: &Vector3<f64>| v.as_slice().to_vec();
+        let mut row = Self {
+            n_elements: d.elements.len(),
+            t: vec![t],
+            linear_momentum: vector(&d.linear_momentum),
+            angular_momentum: vector(&d.angular_momentum),
+            base_force: vector(&d.reaction.force),
+            base_moment: vector(&d.reaction.moment),
+            external_force: vector(&d.external.force),
+            external_moment: vector(&d.external.moment),
+            damping_force: vector(&d.damping.force),
+            damping_moment: vector(&d.damping.moment),
+            volume_error: vec![d.volume_error],
+            power: vec![
+                power.external,
+                power.dissipated,
+                power.energy_rate,
+                power.residual,
+            ],
+            ..Self::default()
+        };
+        for element in &d.elements {
+            row.linear_strain.extend(element.linear_strain.iter());
+            row.angular_strain.extend(element.angular_strain.iter());
+            row.internal_force.extend(element.force.iter());
+            row.internal_moment.extend(element.moment.iter());
+        }
+        row
+    }
+
+    /// Name, shape and values of every array of the file, in the order of the file.
+    pub fn arrays(&self) -> [ArrayView<'_>; 15] {
+        let n = self.t.len();
+        let vectors = || vec![n, 3];
+        let elements = || vec![n, self.n_elements, 3];
+        [
+            ("t", vec![n], &self.t),
+            ("linear_momentum", vectors(), &self.linear_momentum),
+            ("angular_momentum", vectors(), &self.angular_momentum),
+            ("linear_strain", elements(), &self.linear_strain),
+            ("angular_strain", elements(), &self.angular_strain),
+            ("internal_force", elements(), &self.internal_force),
+            ("internal_moment", elements(), &self.internal_moment),
+            ("base_force", vectors(), &self.base_force),
+            ("base_moment", vectors(), &self.base_moment),
+            ("external_force", vectors(), &self.external_force),
+            ("external_moment", vectors(), &self.external_moment),
+            ("damping_force", vectors(), &self.damping_force),
+            ("damping_moment", vectors(), &self.damping_moment),
+            ("volume_error", vec![n], &self.volume_error),
+            ("power", vec![n, 4], &self.power),
+        ]
+    }
+}
