@@ -14,10 +14,13 @@ use softarm::mechanics::linearization::{
 };
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{Integrator, Rod, State, StrainRule, TimeGrid, Trajectory, Wrench};
+use softarm::mechanics::{
+    Integrator, LaneIntegrator, Rod, State, StrainRule, TimeGrid, Trajectory, Wrench,
+};
 
 fn main() {
     println!("SIMD level chosen at run time: {:?}", pulp::Arch::new());
+    forward_table();
     for rule in RULES {
         let rod = Rod::new(&soft_arm(rule, 20)).expect("a valid rod");
         let n_steps = 1000;
@@ -50,7 +53,11 @@ fn main() {
     divan::main();
 }
 
-fn median(runs: usize, mut work: impl FnMut()) -> f64 {
+fn median(runs: usize, work: impl FnMut()) -> f64 {
+    sorted_times(runs, work)[runs / 2]
+}
+
+fn sorted_times(runs: usize, mut work: impl FnMut()) -> Vec<f64> {
     work();
     let mut times: Vec<f64> = (0..runs)
         .map(|_| {
@@ -60,7 +67,61 @@ fn median(runs: usize, mut work: impl FnMut()) -> f64 {
         })
         .collect();
     times.sort_by(f64::total_cmp);
-    times[runs / 2]
+    times
+}
+
+/// Instruction sets that this machine offers, the best first.
+fn levels() -> Vec<(&'static str, pulp::Arch)> {
+    let mut levels = Vec::new();
+    #[cfg(target_arch = "x86_64")]
+    {
+        use pulp::x86::{V3, V4};
+        levels.extend(V4::try_new().map(|simd| ("AVX-512", pulp::Arch::V4(simd))));
+        levels.extend(V3::try_new().map(|simd| ("AVX2", pulp::Arch::V3(simd))));
+    }
+    levels.push(("baseline", pulp::Arch::Scalar));
+    levels
+}
+
+/// Nanoseconds per node-step of the forward simulation, median and minimum, for every length, rule and instruction set.
+fn forward_table() {
+    println!("forward step, ns per node-step: median (minimum)");
+    for rule in RULES {
+        for n_elements in [10, 20, 40, 100, 400, 2000] {
+            let rod = Rod::new(&soft_arm(rule, n_elements)).expect("a valid rod");
+            let n_steps = 400_000 / rod.n_nodes();
+            let scale = 1e9 / (n_steps * rod.n_nodes()) as f64;
+            let mut line = format!("{:12} K = {n_elements:4}", rule.name());
+            for (name, arch) in levels() {
+                let times = sorted_times(15, || simulate_lanes(arch, &rod, n_steps));
+                line += &format!(
+                    "   {name} {:6.1} ({:6.1})",
+                    times[7] * scale,
+                    times[0] * scale
+                );
+            }
+            let times = sorted_times(3, || simulate(&rod, n_steps));
+            line += &format!(
+                "   plain {:6.1} ({:6.1})",
+                times[1] * scale,
+                times[0] * scale
+            );
+            println!("{line}");
+        }
+    }
+}
+
+fn simulate_lanes(arch: pulp::Arch, rod: &Rod, n_steps: usize) {
+    let initial = State::at_rest(rod.rest.clone());
+    let mut integrator = LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial);
+    let wrench = Wrench {
+        force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
+        ..Wrench::default()
+    };
+    for _ in 0..n_steps {
+        integrator.advance([wrench; 2]).expect("a stable step");
+    }
+    divan::black_box(integrator.position(rod.tip()));
 }
 
 fn simulate(rod: &Rod, n_steps: usize) {

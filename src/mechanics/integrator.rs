@@ -449,7 +449,7 @@ impl<'a> Integrator<'a> {
     }
 }
 
-fn rotation_error(
+pub(super) fn rotation_error(
     node: usize,
     step: usize,
     time: f64,

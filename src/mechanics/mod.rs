@@ -2,6 +2,7 @@
 
 pub mod base_motion;
 mod block_tridiagonal;
+mod buffer;
 pub mod configuration;
 pub mod constitutive;
 pub mod curvature;
@@ -11,6 +12,7 @@ pub mod equilibrium;
 pub mod forces;
 pub mod inertia;
 pub mod integrator;
+pub mod lanes;
 pub mod linearization;
 pub mod load;
 pub mod rod;
@@ -26,6 +28,7 @@ pub use diagnostics::{Diagnostics, PowerBalance};
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
 pub use integrator::{Integrator, StepError, TimeGrid};
+pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,

@@ -179,9 +179,9 @@ impl InverseTangentCoefficients {
             let mut half_second = 0.0;
             // Neighbors usually turn by less than 0.2 rad, where six terms are exact to rounding.
             let terms = if t < SHORT_SERIES_LIMIT {
-                &SERIES[..6]
+                &INVERSE_TANGENT_SERIES[..6]
             } else {
-                &SERIES[..]
+                &INVERSE_TANGENT_SERIES[..]
             };
             for &coefficient in terms.iter().rev() {
                 half_second = half_second * t + first;
@@ -212,14 +212,14 @@ impl InverseTangentCoefficients {
     }
 }
 
-/// Below this θ² the series with [`SERIES`] is exact to rounding: the ratio of its terms is θ²/(2π)² < 0.04.
+/// Below this θ² the series with [`INVERSE_TANGENT_SERIES`] is exact to rounding: the ratio of its terms is θ²/(2π)² < 0.04.
 const SERIES_LIMIT: f64 = 1.5;
 
 /// Below this θ² the first six terms are exact to rounding.
 const SHORT_SERIES_LIMIT: f64 = 0.05;
 
 /// Taylor coefficients `|B₂ⱼ|/(2j)!` of `c` in θ², j = 1, 2, … (Bernoulli numbers).
-const SERIES: [f64; 13] = [
+pub(super) const INVERSE_TANGENT_SERIES: [f64; 13] = [
     1.0 / 12.0,
     1.0 / 720.0,
     1.0 / 30_240.0,

@@ -9,12 +9,11 @@
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
-use std::ops::{Deref, DerefMut};
-
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
+use super::buffer::Buffer;
 use super::configuration::Trajectory;
 use super::constitutive::RodModel;
 use super::curvature::{Multipliers, StepCurvature, interval_curvature};
@@ -379,36 +378,6 @@ impl PackedCurvature {
             elements,
             couplings,
         }
-    }
-}
-
-/// Numbers that start on a cache line, so that no vector straddles two.
-struct Buffer {
-    store: Vec<f64>,
-    start: usize,
-    len: usize,
-}
-
-impl Buffer {
-    fn zeros(len: usize) -> Self {
-        const LINE: usize = 64;
-        let store = vec![0.0; len + LINE / size_of::<f64>()];
-        let start = store.as_ptr().align_offset(LINE).min(store.len() - len);
-        Self { store, start, len }
-    }
-}
-
-impl Deref for Buffer {
-    type Target = [f64];
-
-    fn deref(&self) -> &[f64] {
-        &self.store[self.start..][..self.len]
-    }
-}
-
-impl DerefMut for Buffer {
-    fn deref_mut(&mut self) -> &mut [f64] {
-        &mut self.store[self.start..][..self.len]
     }
 }
 

@@ -1,0 +1,113 @@
+//! The rotation of a node during one step, without a division, a square root or a branch.
+
+use pulp::Simd;
+
+use super::vector::{Lanes, Quaternion, Vec3};
+
+/// What the rotation of a step needs of an axisymmetric node inertia `diag(a, a, b)` and the time step `h`.
+#[derive(Clone, Copy, Debug)]
+pub struct Gyration<T> {
+    /// `h/a`
+    pub lateral: T,
+    /// `h/b`
+    pub axial: T,
+    /// `(b - a)/a`
+    pub excess: T,
+    /// `4 (b - a)/h`
+    pub precession: T,
+}
+
+/// A node's rotation during one step.
+#[derive(Clone, Copy, Debug)]
+pub struct Turn<S: Simd> {
+    /// `F`, from the old body frame to the new one.
+    pub rotation: Quaternion<S>,
+    /// `Fᵀ g`, the angular momentum in the new body frame.
+    pub momentum: Vec3<S>,
+    /// Valid where at most [`TURN_LIMIT`].
+    pub level: Lanes<S>,
+}
+
+/// Largest level at which two Newton steps are exact to rounding; every `h |g| <= min(a, b)/2` is inside when
+/// `a <= b`, as it is for every section.
+pub const TURN_LIMIT: f64 = 0.25;
+
+/// `1/(1 + sqrt(1 - z))` for `0 <= z <= 1/4` to 6e-5: interpolated at Chebyshev points.
+const START: [f64; 3] = [0.50002539995366, 0.12318935511503, 0.08071405498084];
+
+/// `1/sqrt(1 + t)` for `0 <= t <= 0.072` to 8e-10: interpolated at Chebyshev points.
+const INVERSE_ROOT: [f64; 5] = [
+    0.99999999921347,
+    -0.49999945232042,
+    0.37493864113049,
+    -0.31007387904985,
+    0.23354634570100,
+];
+
+impl<S: Simd> Gyration<Lanes<S>> {
+    /// Solves `J f + ½ f × J f = (1 + |f|²/4) h g` for the Cayley vector `f` of the rotation.
+    ///
+    /// With `s = (1 + |f|²/4)/2`, `σ = h g₃/b`, `λ = h² (g₁² + g₂²)/a²` and `κ = (b - a) σ/a` the scalar equation is
+    /// `1 - 2s + s² (λ + σ² + κ²) - κ² s³ (2 - σ² s) = 0`; then `f₃ = 2 s σ` and
+    /// `(f₁, f₂) = 2 s [1, κs; -κs, 1]⁻¹ (h/a) (g₁, g₂)`. The unit quaternion is `(1, f/2)/sqrt(2s)`, and
+    /// `g - Fᵀ g = (4/h) v × J v` with its vector part `v`.
+    #[inline(always)]
+    pub fn turn(&self, g: Vec3<S>) -> Turn<S> {
+        let one = Lanes::splat(g.x.simd, 1.0);
+        let (gx, gy) = (g.x * self.lateral, g.y * self.lateral);
+        let spin = g.z * self.axial;
+        let kappa = spin * self.excess;
+        let lateral = gx * gx + gy * gy;
+        let spin_squared = spin * spin;
+        let kappa_squared = kappa * kappa;
+        let isotropic = lateral + spin_squared;
+        let level = isotropic + kappa_squared;
+
+        let mut s = (isotropic - lateral * kappa_squared * 0.25).polynomial(&START);
+        // Errors 1.3e-4, 5e-10, 1e-19 in the worst of random cases up to the limit.
+        for _ in 0..2 {
+            let ks = kappa_squared * s;
+            let gain = spin_squared * s;
+            let value = one - (s + s) + s * s * (level - ks * (-gain + 2.0));
+            // The slope is -2 (1 - deviation).
+            let deviation = s * (level - ks * (-(gain + gain) + 3.0));
+            s = s + value * 0.5 * inverse_of_one_minus::<S, 3>(deviation);
+        }
+
+        let ks = kappa * s;
+        let inverse = inverse_of_one_minus::<S, 4>(-(ks * ks));
+        let alpha = s + s;
+        let root = (alpha - 1.0).polynomial(&INVERSE_ROOT);
+        let w = root * (-(alpha * root * root) * 0.5 + 1.5);
+        let axial = s * w;
+        let scale = axial * inverse;
+        let v = Vec3 {
+            x: scale * (gx - ks * gy),
+            y: scale * (gy + ks * gx),
+            z: axial * spin,
+        };
+        let precession = self.precession * v.z;
+        Turn {
+            rotation: Quaternion { w, v },
+            momentum: Vec3 {
+                x: g.x - precession * v.y,
+                y: g.y + precession * v.x,
+                z: g.z,
+            },
+            level,
+        }
+    }
+}
+
+/// `1/(1 - x)` as `(1 + x)(1 + x²)(1 + x⁴) …` of `FACTORS` factors; the relative error is `x` to the power
+/// `2^FACTORS`: below 1e-7 for three and `|x| <= 0.134`, below 1e-18 for four and `|x| <= 0.072`.
+#[inline(always)]
+fn inverse_of_one_minus<S: Simd, const FACTORS: usize>(x: Lanes<S>) -> Lanes<S> {
+    let mut power = x;
+    let mut product = x + 1.0;
+    for _ in 1..FACTORS {
+        power = power * power;
+        product = product * (power + 1.0);
+    }
+    product
+}

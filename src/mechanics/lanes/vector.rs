@@ -1,0 +1,397 @@
+//! Vectors and quaternions with one number per lane, as readable as scalars and as fast as intrinsics.
+//!
+//! No fused multiply-add and no sums over lanes: every lane does the same IEEE operations in the same order whatever
+//! the vector length, so all instruction sets give the same bits.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use pulp::Simd;
+
+/// One number per lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Lanes<S: Simd> {
+    pub simd: S,
+    pub value: S::f64s,
+}
+
+impl<S: Simd> Lanes<S> {
+    #[inline(always)]
+    pub fn splat(simd: S, value: f64) -> Self {
+        Self {
+            simd,
+            value: simd.splat_f64s(value),
+        }
+    }
+
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.sqrt_f64s(self.value),
+        }
+    }
+
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.abs_f64s(self.value),
+        }
+    }
+
+    /// Whether every lane is at most `limit`; false where one is NaN.
+    #[inline(always)]
+    pub fn all_at_most(self, limit: f64) -> bool {
+        let simd = self.simd;
+        let holds = simd.less_than_or_equal_f64s(self.value, simd.splat_f64s(limit));
+        simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES
+    }
+
+    /// `below` in the lanes of `self < limit`, `otherwise` in the others.
+    #[inline(always)]
+    pub fn select_below(self, limit: f64, below: Self, otherwise: Self) -> Self {
+        let simd = self.simd;
+        let mask = simd.less_than_f64s(self.value, simd.splat_f64s(limit));
+        Self {
+            simd,
+            value: simd.select_f64s(mask, below.value, otherwise.value),
+        }
+    }
+
+    /// Every lane from its right neighbor, the last from the first.
+    #[inline(always)]
+    pub fn from_next_lane(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.rotate_left_f64s(self.value, 1),
+        }
+    }
+
+    /// Every lane from its left neighbor, the first from the last.
+    #[inline(always)]
+    pub fn from_previous_lane(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.rotate_right_f64s(self.value, 1),
+        }
+    }
+
+    /// `Σ cᵢ selfⁱ` by Horner's rule.
+    #[inline(always)]
+    pub fn polynomial<const N: usize>(self, coefficients: &[f64; N]) -> Self {
+        let mut sum = Self::splat(self.simd, coefficients[N - 1]);
+        let mut i = N - 1;
+        while i > 0 {
+            i -= 1;
+            sum = sum * self + coefficients[i];
+        }
+        sum
+    }
+}
+
+macro_rules! lane_operator {
+    ($trait:ident, $name:ident, $operation:ident) => {
+        impl<S: Simd> $trait for Lanes<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                Self {
+                    simd: self.simd,
+                    value: self.simd.$operation(self.value, other.value),
+                }
+            }
+        }
+
+        impl<S: Simd> $trait<f64> for Lanes<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: f64) -> Self {
+                let other = self.simd.splat_f64s(other);
+                Self {
+                    simd: self.simd,
+                    value: self.simd.$operation(self.value, other),
+                }
+            }
+        }
+    };
+}
+
+lane_operator!(Add, add, add_f64s);
+lane_operator!(Sub, sub, sub_f64s);
+lane_operator!(Mul, mul, mul_f64s);
+lane_operator!(Div, div, div_f64s);
+
+impl<S: Simd> Neg for Lanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.neg_f64s(self.value),
+        }
+    }
+}
+
+/// A 3-vector per lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Vec3<S: Simd> {
+    pub x: Lanes<S>,
+    pub y: Lanes<S>,
+    pub z: Lanes<S>,
+}
+
+impl<S: Simd> Vec3<S> {
+    #[inline(always)]
+    pub fn zero(simd: S) -> Self {
+        let zero = Lanes::splat(simd, 0.0);
+        Self {
+            x: zero,
+            y: zero,
+            z: zero,
+        }
+    }
+
+    /// From three consecutive rows.
+    #[inline(always)]
+    pub fn load<const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Self {
+        Self {
+            x: row(simd, rows, at),
+            y: row(simd, rows, at + 1),
+            z: row(simd, rows, at + 2),
+        }
+    }
+
+    /// To three consecutive rows.
+    #[inline(always)]
+    pub fn store<const N: usize>(self, rows: &mut [S::f64s; N], at: usize) {
+        rows[at] = self.x.value;
+        rows[at + 1] = self.y.value;
+        rows[at + 2] = self.z.value;
+    }
+
+    #[inline(always)]
+    pub fn dot(self, other: Self) -> Lanes<S> {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    #[inline(always)]
+    pub fn cross(self, other: Self) -> Self {
+        Self {
+            x: self.y * other.z - self.z * other.y,
+            y: self.z * other.x - self.x * other.z,
+            z: self.x * other.y - self.y * other.x,
+        }
+    }
+
+    #[inline(always)]
+    pub fn component_mul(self, other: Self) -> Self {
+        Self {
+            x: self.x * other.x,
+            y: self.y * other.y,
+            z: self.z * other.z,
+        }
+    }
+
+    /// See [`Lanes::from_next_lane`].
+    #[inline(always)]
+    pub fn from_next_lane(self) -> Self {
+        Self {
+            x: self.x.from_next_lane(),
+            y: self.y.from_next_lane(),
+            z: self.z.from_next_lane(),
+        }
+    }
+
+    /// See [`Lanes::from_previous_lane`].
+    #[inline(always)]
+    pub fn from_previous_lane(self) -> Self {
+        Self {
+            x: self.x.from_previous_lane(),
+            y: self.y.from_previous_lane(),
+            z: self.z.from_previous_lane(),
+        }
+    }
+}
+
+macro_rules! vector_operator {
+    ($trait:ident, $name:ident) => {
+        impl<S: Simd> $trait for Vec3<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                Self {
+                    x: $trait::$name(self.x, other.x),
+                    y: $trait::$name(self.y, other.y),
+                    z: $trait::$name(self.z, other.z),
+                }
+            }
+        }
+    };
+}
+
+vector_operator!(Add, add);
+vector_operator!(Sub, sub);
+
+impl<S: Simd> Neg for Vec3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self {
+            x: -self.x,
+            y: -self.y,
+            z: -self.z,
+        }
+    }
+}
+
+impl<S: Simd> Mul<Lanes<S>> for Vec3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, factor: Lanes<S>) -> Self {
+        Self {
+            x: self.x * factor,
+            y: self.y * factor,
+            z: self.z * factor,
+        }
+    }
+}
+
+impl<S: Simd> Mul<f64> for Vec3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, factor: f64) -> Self {
+        self * Lanes::splat(self.x.simd, factor)
+    }
+}
+
+/// A quaternion `w + v` per lane, of unit length where it stands for a rotation.
+#[derive(Clone, Copy, Debug)]
+pub struct Quaternion<S: Simd> {
+    pub w: Lanes<S>,
+    pub v: Vec3<S>,
+}
+
+impl<S: Simd> Quaternion<S> {
+    /// From four consecutive rows `w, x, y, z`.
+    #[inline(always)]
+    pub fn load<const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Self {
+        Self {
+            w: row(simd, rows, at),
+            v: Vec3::load(simd, rows, at + 1),
+        }
+    }
+
+    /// To four consecutive rows `w, x, y, z`.
+    #[inline(always)]
+    pub fn store<const N: usize>(self, rows: &mut [S::f64s; N], at: usize) {
+        rows[at] = self.w.value;
+        self.v.store(rows, at + 1);
+    }
+
+    /// Hamilton's product: the rotation `self`, then `other` in the turned frame.
+    #[inline(always)]
+    pub fn product(self, other: Self) -> Self {
+        Self {
+            w: self.w * other.w - self.v.dot(other.v),
+            v: other.v * self.w + self.v * other.w + self.v.cross(other.v),
+        }
+    }
+
+    /// `conj(self) other`: the rotation of `other` seen from the frame of `self`.
+    #[inline(always)]
+    pub fn relative(self, other: Self) -> Self {
+        Self {
+            w: self.w * other.w + self.v.dot(other.v),
+            v: other.v * self.w - self.v * other.w - self.v.cross(other.v),
+        }
+    }
+
+    /// Unit length again, for a length within rounding of one: a Newton step for `1/|q|`.
+    #[inline(always)]
+    pub fn normalized_near_one(self) -> Self {
+        let square = self.w * self.w + self.v.dot(self.v);
+        let factor = Lanes::splat(self.w.simd, 1.5) - square * 0.5;
+        Self {
+            w: self.w * factor,
+            v: self.v * factor,
+        }
+    }
+
+    /// See [`Lanes::from_next_lane`].
+    #[inline(always)]
+    pub fn from_next_lane(self) -> Self {
+        Self {
+            w: self.w.from_next_lane(),
+            v: self.v.from_next_lane(),
+        }
+    }
+}
+
+/// The three columns of a rotation matrix per lane: the body axes in space.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<S: Simd> {
+    axes: [Vec3<S>; 3],
+}
+
+impl<S: Simd> Frame<S> {
+    #[inline(always)]
+    pub fn of(q: &Quaternion<S>) -> Self {
+        let Quaternion { w, v } = *q;
+        let twice = v * 2.0;
+        let one = Lanes::splat(w.simd, 1.0);
+        let (xx, yy, zz) = (v.x * twice.x, v.y * twice.y, v.z * twice.z);
+        let (xy, xz, yz) = (v.x * twice.y, v.x * twice.z, v.y * twice.z);
+        let (wx, wy, wz) = (w * twice.x, w * twice.y, w * twice.z);
+        Self {
+            axes: [
+                Vec3 {
+                    x: one - (yy + zz),
+                    y: xy + wz,
+                    z: xz - wy,
+                },
+                Vec3 {
+                    x: xy - wz,
+                    y: one - (xx + zz),
+                    z: yz + wx,
+                },
+                Vec3 {
+                    x: xz + wy,
+                    y: yz - wx,
+                    z: one - (xx + yy),
+                },
+            ],
+        }
+    }
+
+    /// `R v`
+    #[inline(always)]
+    pub fn to_space(&self, v: Vec3<S>) -> Vec3<S> {
+        self.axes[0] * v.x + self.axes[1] * v.y + self.axes[2] * v.z
+    }
+
+    /// `Rᵀ v`
+    #[inline(always)]
+    pub fn to_body(&self, v: Vec3<S>) -> Vec3<S> {
+        Vec3 {
+            x: self.axes[0].dot(v),
+            y: self.axes[1].dot(v),
+            z: self.axes[2].dot(v),
+        }
+    }
+}
+
+/// Row `at` of a block.
+#[inline(always)]
+pub fn row<S: Simd, const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Lanes<S> {
+    Lanes {
+        simd,
+        value: rows[at],
+    }
+}
