@@ -22,6 +22,19 @@ pub struct Pose<S: Simd> {
     pub frame: Frame<S>,
 }
 
+impl<S: Simd> Pose<S> {
+    /// See [`Lanes::from_next_lane`].
+    #[inline(always)]
+    pub fn from_next_lane(&self) -> Self {
+        let rotation = self.rotation.from_next_lane();
+        Self {
+            position: self.position.from_next_lane(),
+            rotation,
+            frame: Frame::of(&rotation),
+        }
+    }
+}
+
 /// Gradient of the energy of an element: `δU = F·(δx_b - δx_a) + M_a·η_a + M_b·η_b`.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradient<S: Simd> {

@@ -314,7 +314,8 @@ impl<'a> LaneIntegrator<'a> {
         self.step += 1;
         self.control = control[1];
         let time = self.time();
-        for load in &self.rod.loads {
+        let free = self.rod.first_free_node();
+        for load in self.rod.loads.iter().filter(|load| load.node >= free) {
             let wrench = load.wrench(time, &self.rotation(load.node));
             let force = self.get(load.node, FORCE) + wrench.force;
             let moment = self.get(load.node, MOMENT) + wrench.moment;

@@ -83,27 +83,22 @@ impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
             sum: Lanes::splat(simd, 0.0),
         };
 
+        // The nodes of a block drift well before the elements to their left need them, so that their long chains of
+        // dependent operations overlap with those of other blocks.
         let last = blocks.len() - 1;
         let first = drift.advance(&mut blocks[0], &nodes[0], 0);
         let mut left = first;
+        let mut right = drift.advance_or(blocks, nodes, 1, &first);
         let mut pull = Vec3::zero(simd);
         let mut twist = Vec3::zero(simd);
         for i in 0..=last {
-            let right = if i < last {
-                drift.advance(&mut blocks[i + 1], &nodes[i + 1], i + 1)
-            } else {
-                let rotation = first.rotation.from_next_lane();
-                Pose {
-                    position: first.position.from_next_lane(),
-                    rotation,
-                    frame: Frame::of(&rotation),
-                }
-            };
+            let next = drift.advance_or(blocks, nodes, i + 2, &first);
             let gradient = R::gradient::<S, L>(&elements[i], &left, &right);
             let weight = Vec3::load(simd, &nodes[i], WEIGHT);
             (weight + gradient.force - pull).store(&mut blocks[i], FORCE);
             (-(twist + gradient.moment_a)).store(&mut blocks[i], MOMENT);
             left = right;
+            right = next;
             pull = gradient.force;
             twist = gradient.moment_b;
         }
@@ -127,6 +122,21 @@ struct Drift<'a, S: Simd, T> {
 }
 
 impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
+    /// The nodes of a block; beyond the last block those of the first, a lane further.
+    #[inline(always)]
+    fn advance_or(
+        &mut self,
+        blocks: &mut [[S::f64s; STATE_ROWS]],
+        nodes: &[[S::f64s; NODE_ROWS]],
+        index: usize,
+        first: &Pose<S>,
+    ) -> Pose<S> {
+        match (blocks.get_mut(index), nodes.get(index)) {
+            (Some(block), Some(constants)) => self.advance(block, constants, index),
+            _ => first.from_next_lane(),
+        }
+    }
+
     #[inline(always)]
     fn advance(
         &mut self,
@@ -154,9 +164,10 @@ impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
         if !turn.level.all_at_most(TURN_LIMIT) {
             turn = self.turn_singly(g, &turn, index);
         }
+        // Normalized before the product, which has more to wait for.
         let rotation = Quaternion::load(simd, block, ROTATION)
-            .product(turn.rotation)
-            .normalized_near_one();
+            .normalized_near_one()
+            .product(turn.rotation);
         rotation.store(block, ROTATION);
         (turn.momentum * self.decay).store(block, ANGULAR_MOMENTUM);
         Pose {
