@@ -7,8 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, Integrator, LaneIntegrator, Rod, RodParameters, SectionProfile, State,
-    StepError, StrainRule, Wrench,
+    BaseCondition, Integrator, LaneIntegrator, Rod, RodParameters, State, StepError, Wrench,
 };
 
 /// Largest difference of two states, relative to their size: positions to the length of the rod, momenta to the largest.
@@ -72,9 +71,100 @@ fn lanes_follow_the_plain_integrator() {
                     let initial = random_state(&rod, 0.05, 0.3, &mut dice);
                     let h = 0.5 * stable_step(&rod);
                     let apart = run_both(&rod, h, &initial, 240, &mut dice);
-                    println!("{rule:?} {n_elements} {base:?} {apart:e}");
                     assert!(apart < 1e-11, "{rule:?} {n_elements} {base:?}: {apart}");
                 }
+            }
+        }
+    }
+}
+
+/// Three different moments of inertia, and turns beyond the lanes' range: the scalar solver takes over, node by node.
+#[test]
+fn lanes_follow_where_nodes_are_turned_singly() {
+    for rule in RULES {
+        let mut rod = Rod::new(&busy_arm(rule, 9)).unwrap();
+        for node in rod.nodes.iter_mut().step_by(2) {
+            node.rotary.y *= 1.2;
+        }
+        let mut dice = Dice(5);
+        let h = 0.1 * stable_step(&rod);
+        let mut initial = random_state(&rod, 0.05, 0.3, &mut dice);
+        for (pi, node) in initial.angular_momentum.iter_mut().zip(&rod.nodes).skip(1) {
+            *pi = dice.vector(0.4 * node.rotary.min() / h);
+        }
+        let apart = run_both(&rod, h, &initial, 20, &mut dice);
+        assert!(apart < 1e-11, "{rule:?}: {apart}");
+    }
+}
+
+/// Free rod, no loads, no damping: momenta stay put and rotations orthogonal, both to rounding, over 10⁶ steps.
+#[test]
+fn momenta_and_orthogonality_last() {
+    for rule in RULES {
+        let rod = Rod::new(&RodParameters {
+            base: BaseCondition::Free,
+            ..soft_arm(rule, 6)
+        })
+        .unwrap();
+        let initial = random_state(&rod, 0.1, 0.5, &mut Dice(1));
+        let (p0, l0) = (linear_momentum(&initial), angular_momentum(&initial));
+        let mut lanes = LaneIntegrator::new(&rod, 0.5 * stable_step(&rod), &initial);
+        let mut farthest: f64 = 0.0;
+        for _ in 0..1_000_000 {
+            lanes.advance([Wrench::default(); 2]).unwrap();
+            farthest = farthest.max(lanes.position(0).norm());
+        }
+        let state = lanes.state();
+        // Rounding of 1e6 steps: about sqrt(1e6) 1e-16 of the impulses, the angular one about the origin.
+        let size: f64 = state.linear_momentum.iter().map(Vector3::norm).sum();
+        assert!((linear_momentum(&state) - p0).norm() < 3e-12 * size.max(p0.norm()));
+        assert!((angular_momentum(&state) - l0).norm() < 3e-12 * size * (1.0 + farthest));
+        for r in &state.configuration.rotations {
+            assert!((r.transpose() * r - Matrix3::identity()).norm() < 4e-15);
+        }
+    }
+}
+
+/// Advances both until they fail, and gives back their errors.
+fn errors(rod: &Rod, h: f64, initial: &State, control: Wrench) -> [StepError; 2] {
+    let mut plain = Integrator::new(rod, h, initial.clone());
+    let mut lanes = LaneIntegrator::new(rod, h, initial);
+    let plain = (0..1000).find_map(|_| plain.advance([control; 2]).err());
+    let lanes = (0..1000).find_map(|_| lanes.advance([control; 2]).err());
+    [
+        plain.expect("a failing step"),
+        lanes.expect("a failing step"),
+    ]
+}
+
+/// What cannot be advanced is refused with the error of the plain integrator: a node that turns too far, whichever it
+/// is, and numbers that are none.
+#[test]
+fn failures_are_those_of_the_plain_integrator() {
+    for rule in RULES {
+        for n_elements in [1, 9, 20] {
+            let rod = Rod::new(&soft_arm(rule, n_elements)).unwrap();
+            let h = 0.5 * stable_step(&rod);
+            let rest = State::at_rest(rod.rest.clone());
+            let control = |moment: f64| Wrench {
+                moment: Vector3::new(moment, 0.0, 0.0),
+                ..Wrench::default()
+            };
+            let too_much = 3.0 * rod.nodes[rod.tip()].rotary.x / (h * h);
+            let [plain, lanes] = errors(&rod, h, &rest, control(too_much));
+            assert!(matches!(plain, StepError::RotationTooLarge { node, .. } if node == rod.tip()));
+            assert_eq!(plain, lanes);
+
+            let [plain, lanes] = errors(&rod, h, &rest, control(f64::NAN));
+            assert!(matches!(plain, StepError::NotFinite { .. }));
+            assert_eq!(plain, lanes);
+
+            for node in [1, n_elements] {
+                let mut lost = rest.clone();
+                lost.linear_momentum[node].y = f64::INFINITY;
+                let [plain, lanes] = errors(&rod, h, &lost, Wrench::default());
+                assert!(matches!(plain, StepError::NotFinite { node: at, .. } if at == node));
+                assert_eq!(plain, lanes);
             }
         }
     }

@@ -240,12 +240,17 @@ fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
     if (-w).all_at_most(-NEAR) {
         return near;
     }
-    let far = far_logarithm(rotation);
+    // The other sign of a quaternion is the same rotation, the short way round.
+    let one = Lanes::splat(w.simd, 1.0);
+    let sign = w.select_below(0.0, -one, one);
+    let w = w.abs();
+    let far = far_logarithm(w, v * sign, t);
+    let psi = near.psi * sign;
     Logarithm {
         psi: Vec3 {
-            x: w.select_below(NEAR, far.psi.x, near.psi.x),
-            y: w.select_below(NEAR, far.psi.y, near.psi.y),
-            z: w.select_below(NEAR, far.psi.z, near.psi.z),
+            x: w.select_below(NEAR, far.psi.x, psi.x),
+            y: w.select_below(NEAR, far.psi.y, psi.y),
+            z: w.select_below(NEAR, far.psi.z, psi.z),
         },
         angle_squared: w.select_below(NEAR, far.angle_squared, near.angle_squared),
         c: w.select_below(NEAR, far.c, near.c),
@@ -253,16 +258,12 @@ fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
     }
 }
 
-/// Any rotation but those near the identity, the short way round: three halvings of the angle lead to the near range.
+/// Any rotation but those near the identity: three halvings of the angle lead to the near range. `w >= 0`, `t = |v|²`.
 ///
 /// `c = (1 - (θ/2) cot(θ/2))/θ²` satisfies `c'/θ = (1/4 - 3c + c²θ²)/θ²`.
 #[inline(always)]
-fn far_logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
-    let Quaternion { w, v } = rotation;
+fn far_logarithm<S: Simd>(w: Lanes<S>, v: Vec3<S>, t: Lanes<S>) -> Logarithm<S> {
     let one = Lanes::splat(w.simd, 1.0);
-    let v = v * w.select_below(0.0, -one, one);
-    let w = w.abs();
-    let t = v.dot(v);
     let mut halved = t;
     let mut cosine = w;
     let mut cosines = one;
@@ -280,5 +281,39 @@ fn far_logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
         angle_squared,
         c,
         slope: (c * c * angle_squared - c * 3.0 + 0.25) / angle_squared,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::rotation::InverseTangentCoefficients;
+    use proptest::prelude::*;
+    use pulp::Scalar;
+
+    proptest! {
+        /// Angle and coefficients for every angle below half a turn and both signs of the quaternion. What cancels in
+        /// the far coefficients is below rounding of `1/12`, divided by the angle's square where the slope is.
+        #[test]
+        fn logarithm_is_accurate(
+            angle in prop_oneof![Just(0.0), Just(1e-9), 0.0..0.6f64, 0.5..0.51f64, 0.0..3.14f64],
+            flip in any::<bool>(),
+        ) {
+            let sign = if flip { -1.0 } else { 1.0 };
+            let one = |value: f64| Lanes::splat(Scalar, value * sign);
+            let (sine, cosine) = (0.5 * angle).sin_cos();
+            let rotation = Quaternion {
+                w: one(cosine),
+                v: Vec3 { x: one(0.6 * sine), y: one(0.0), z: one(-0.8 * sine) },
+            };
+            let log = logarithm(rotation);
+            let exact = InverseTangentCoefficients::at(angle * angle);
+            let error = |value: Lanes<Scalar>, exact: f64| (value.value - exact).abs();
+            prop_assert!(error(log.psi.x, 0.6 * angle) <= 2e-15 * angle);
+            prop_assert!(error(log.psi.z, -0.8 * angle) <= 2e-15 * angle);
+            prop_assert!(error(log.angle_squared, angle * angle) <= 4e-15 * angle * angle);
+            prop_assert!(error(log.c, exact.value) <= 3e-15);
+            prop_assert!(error(log.slope, exact.slope) <= 2e-14, "{} {}", log.slope.value, exact.slope);
+        }
     }
 }

@@ -61,6 +61,8 @@ pub struct Sweep<'a, R, L, T> {
     pub kick: f64,
     /// `(1 - a)/(1 + a)`
     pub decay: f64,
+    /// Whether to bring the quaternions back to unit length.
+    pub normalize: bool,
     pub kind: PhantomData<(R, L)>,
 }
 
@@ -80,6 +82,7 @@ impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
             singly: self.singly,
             kick: Lanes::splat(simd, self.kick),
             decay: Lanes::splat(simd, self.decay),
+            normalize: self.normalize,
             sum: Lanes::splat(simd, 0.0),
         };
 
@@ -117,6 +120,7 @@ struct Drift<'a, S: Simd, T> {
     singly: &'a mut T,
     kick: Lanes<S>,
     decay: Lanes<S>,
+    normalize: bool,
     /// Of all positions: not finite as soon as one is not.
     sum: Lanes<S>,
 }
@@ -164,10 +168,11 @@ impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
         if !turn.level.all_at_most(TURN_LIMIT) {
             turn = self.turn_singly(g, &turn, index);
         }
-        // Normalized before the product, which has more to wait for.
-        let rotation = Quaternion::load(simd, block, ROTATION)
-            .normalized_near_one()
-            .product(turn.rotation);
+        let mut before = Quaternion::load(simd, block, ROTATION);
+        if self.normalize {
+            before = before.normalized_near_one();
+        }
+        let rotation = before.product(turn.rotation);
         rotation.store(block, ROTATION);
         (turn.momentum * self.decay).store(block, ANGULAR_MOMENTUM);
         Pose {

@@ -114,3 +114,62 @@ fn inverse_of_one_minus<S: Simd>(x: Lanes<S>) -> Lanes<S> {
     let eighth = fourth * fourth;
     ((x + 1.0) * (square + 1.0)) * ((fourth + 1.0) * (eighth + 1.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::integrator::solve_rotation;
+    use crate::mechanics::rotation::cay;
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+    use pulp::Scalar;
+
+    fn one(value: f64) -> Lanes<Scalar> {
+        Lanes::splat(Scalar, value)
+    }
+
+    fn vector(v: &Vector3<f64>) -> Vec3<Scalar> {
+        Vec3 {
+            x: one(v.x),
+            y: one(v.y),
+            z: one(v.z),
+        }
+    }
+
+    fn plain(v: Vec3<Scalar>) -> Vector3<f64> {
+        Vector3::new(v.x.value, v.y.value, v.z.value)
+    }
+
+    proptest! {
+        /// Every rotation of at most half the limit is within the lanes' range, and the same as the scalar solver's to
+        /// rounding: turn, momentum, unit length; flat, isotropic and elongated inertia.
+        #[test]
+        fn turn_agrees_with_the_scalar_solver(
+            direction in proptest::array::uniform3(-1.0..1.0f64),
+            size in prop_oneof![Just(0.0), Just(1e-9), 0.0..0.5f64, Just(0.5)],
+            flatness in prop_oneof![Just(1.0), Just(2.0), 1.0..30.0f64],
+            exponent in -8i32..8,
+        ) {
+            let direction = Vector3::from(direction);
+            prop_assume!(direction.norm() > 1e-3);
+            let h = 1e-3;
+            let a = 10f64.powi(exponent);
+            let inertia = Vector3::new(a, a, a * flatness);
+            let g = direction.normalize() * (0.999_999 * size * a / h);
+            let turn = Gyration {
+                lateral: one(h / a),
+                axial: one(h / inertia.z),
+                excess: one((inertia.z - a) / a),
+                precession: one(4.0 * (inertia.z - a) / h),
+            }
+            .turn(vector(&g));
+            prop_assert!(turn.level.value <= TURN_LIMIT);
+            let f = solve_rotation(&inertia, &(g * h)).expect("inside the limit");
+            let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
+            let v = plain(turn.rotation.v);
+            prop_assert!((turn.rotation.w.value - w).abs() < 1e-15);
+            prop_assert!((v - f * (0.5 * w)).norm() <= 2e-15 * v.norm(), "{v} {f}");
+            prop_assert!((plain(turn.momentum) - cay(&f).transpose() * g).norm() <= 4e-15 * g.norm());
+        }
+    }
+}
