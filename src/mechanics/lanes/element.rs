@@ -23,12 +23,12 @@ pub struct Pose<S: Simd> {
 }
 
 impl<S: Simd> Pose<S> {
-    /// See [`Lanes::from_next_lane`].
+    /// See [`Lanes::next_lane`].
     #[inline(always)]
-    pub fn from_next_lane(&self) -> Self {
-        let rotation = self.rotation.from_next_lane();
+    pub fn next_lane(&self) -> Self {
+        let rotation = self.rotation.next_lane();
         Self {
-            position: self.position.from_next_lane(),
+            position: self.position.next_lane(),
             rotation,
             frame: Frame::of(&rotation),
         }
@@ -296,7 +296,7 @@ mod tests {
         /// the far coefficients is below rounding of `1/12`, divided by the angle's square where the slope is.
         #[test]
         fn logarithm_is_accurate(
-            angle in prop_oneof![Just(0.0), Just(1e-9), 0.0..0.6f64, 0.5..0.51f64, 0.0..3.14f64],
+            angle in prop_oneof![Just(0.0), Just(1e-9), 0.0..0.6f64, 0.5..0.51f64, 0.0..3.1f64],
             flip in any::<bool>(),
         ) {
             let sign = if flip { -1.0 } else { 1.0 };

@@ -21,6 +21,7 @@ use self::sweep::{
 };
 use super::buffer::Buffer;
 use super::configuration::{Configuration, State};
+use super::constitutive::RodModel;
 use super::forces::NodalForces;
 use super::integrator::{StepError, rotation_error, solve_rotation};
 use super::load::Wrench;
@@ -89,16 +90,22 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    /// Starts from a state at time 0.
+    /// Starts from a state at time 0. `None` for what only the plain integrator can do: a driven base, or a model other
+    /// than the standard one.
     #[must_use]
-    pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Self {
+    pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, time_step, initial)
     }
 
     /// The same on a given instruction set; the result does not depend on it.
     #[must_use]
-    pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Self {
-        Self::with_lanes(arch, dispatch(arch, CountLanes), rod, time_step, initial)
+    pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
+        let driven = matches!(rod.base, BaseCondition::Driven(_));
+        if driven || rod.model != RodModel::Standard {
+            return None;
+        }
+        let n_lanes = dispatch(arch, CountLanes);
+        Some(Self::with_lanes(arch, n_lanes, rod, time_step, initial))
     }
 
     fn with_lanes(
@@ -158,7 +165,7 @@ impl<'a> LaneIntegrator<'a> {
         let configuration = &initial.configuration;
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(rod, &configuration.positions, &configuration.rotations, 0.0);
-        if rod.base == BaseCondition::Clamped {
+        if rod.first_free_node() > 0 {
             forces.forces[0] = Vector3::zeros();
             forces.moments[0] = Vector3::zeros();
         }
@@ -180,7 +187,7 @@ impl<'a> LaneIntegrator<'a> {
             self.set(node, FORCE, &force);
             self.set(node, MOMENT, &moment);
         }
-        if rod.base == BaseCondition::Clamped {
+        if rod.first_free_node() > 0 {
             let mut rows = [0.0; STATE_ROWS];
             for (row, value) in rows.iter_mut().enumerate() {
                 *value = self.state[slots.index(0, STATE_ROWS, row)];
@@ -329,26 +336,20 @@ impl<'a> LaneIntegrator<'a> {
         Ok(())
     }
 
-    /// What the first node in trouble has to say.
+    /// What went wrong, in the order in which the plain integrator looks: rotations of all nodes, then positions.
     fn error(&self, failure: Option<(usize, Vector3<f64>)>) -> StepError {
         let (step, time) = (self.step, self.time());
+        if let Some((node, g)) = failure {
+            let rotary = &self.rod.nodes[node].rotary;
+            return rotation_error(node, step, time, &g, self.time_step, rotary);
+        }
         let lost = (0..self.rod.n_nodes())
             .find(|&node| !self.position(node).iter().all(|c| c.is_finite()));
-        match (lost, failure) {
-            (lost, Some((node, g))) if lost.is_none_or(|lost| node < lost) => rotation_error(
-                node,
-                step,
-                time,
-                &g,
-                self.time_step,
-                &self.rod.nodes[node].rotary,
-            ),
-            (lost, _) => StepError::NotFinite {
-                node: lost.unwrap_or(self.rod.tip()),
-                step,
-                time,
-                quantity: "the position",
-            },
+        StepError::NotFinite {
+            node: lost.unwrap_or(self.rod.tip()),
+            step,
+            time,
+            quantity: "the position",
         }
     }
 }
@@ -449,17 +450,19 @@ mod tests {
             let bend = if q % 3 == 0 { 1.0 } else { 0.1 };
             state.configuration.rotations[q] *= exp(&(direction * bend));
             state.configuration.positions[q] += direction * (0.02 / rod.n_nodes() as f64);
-            state.angular_momentum[q] = direction * (spin * rod.nodes[q].rotary.min() / h);
+            // The same turn everywhere, lest neighbors twist each other by half a turn.
+            let inertia = rod.nodes[q].rotary.min();
+            state.angular_momentum[q] = Vector3::new(0.6, -0.5, 0.62) * (spin * inertia / h);
         }
         state
     }
 
     fn run<R: Rule, S: Simd>(rod: &Rod, simd: S, spin: f64) -> Vec<u64> {
-        let h = 0.1 * stable_step(rod);
+        let h = 0.003 * stable_step(rod);
         let mut integrator =
             LaneIntegrator::with_lanes(Arch::Scalar, S::F64_LANES, rod, h, &initial(rod, h, spin));
         let control = Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]);
-        for _ in 0..4 {
+        for _ in 0..3 {
             let result =
                 integrator.advance_with::<R>([control; 2], |_, sweep| sweep.with_simd(simd));
             result.unwrap();
@@ -478,7 +481,7 @@ mod tests {
 
     fn assert_same_bits<R: Rule>(rule: StrainRule, unequal: f64) {
         for n_elements in [1, 2, 7, 8, 9, 20] {
-            for spin in [1e-3, 0.2, 0.45] {
+            for spin in [1e-3, 0.2, 0.7] {
                 let rod = rod(rule, n_elements, unequal);
                 let one = run::<R, _>(&rod, Scalar, spin);
                 assert_eq!(one, run::<R, _>(&rod, Scalar128b, spin));

@@ -105,9 +105,9 @@ impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
             pull = gradient.force;
             twist = gradient.moment_b;
         }
-        let force = Vec3::load(simd, &blocks[0], FORCE) - pull.from_previous_lane();
+        let force = Vec3::load(simd, &blocks[0], FORCE) - pull.previous_lane();
         force.store(&mut blocks[0], FORCE);
-        let moment = Vec3::load(simd, &blocks[0], MOMENT) - twist.from_previous_lane();
+        let moment = Vec3::load(simd, &blocks[0], MOMENT) - twist.previous_lane();
         moment.store(&mut blocks[0], MOMENT);
         simd.reduce_sum_f64s(drift.sum.value).is_finite()
     }
@@ -137,7 +137,7 @@ impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
     ) -> Pose<S> {
         match (blocks.get_mut(index), nodes.get(index)) {
             (Some(block), Some(constants)) => self.advance(block, constants, index),
-            _ => first.from_next_lane(),
+            _ => first.next_lane(),
         }
     }
 

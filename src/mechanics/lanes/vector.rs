@@ -60,7 +60,7 @@ impl<S: Simd> Lanes<S> {
 
     /// Every lane from its right neighbor, the last from the first.
     #[inline(always)]
-    pub fn from_next_lane(self) -> Self {
+    pub fn next_lane(self) -> Self {
         Self {
             simd: self.simd,
             value: self.simd.rotate_left_f64s(self.value, 1),
@@ -69,7 +69,7 @@ impl<S: Simd> Lanes<S> {
 
     /// Every lane from its left neighbor, the first from the last.
     #[inline(always)]
-    pub fn from_previous_lane(self) -> Self {
+    pub fn previous_lane(self) -> Self {
         Self {
             simd: self.simd,
             value: self.simd.rotate_right_f64s(self.value, 1),
@@ -195,23 +195,23 @@ impl<S: Simd> Vec3<S> {
         }
     }
 
-    /// See [`Lanes::from_next_lane`].
+    /// See [`Lanes::next_lane`].
     #[inline(always)]
-    pub fn from_next_lane(self) -> Self {
+    pub fn next_lane(self) -> Self {
         Self {
-            x: self.x.from_next_lane(),
-            y: self.y.from_next_lane(),
-            z: self.z.from_next_lane(),
+            x: self.x.next_lane(),
+            y: self.y.next_lane(),
+            z: self.z.next_lane(),
         }
     }
 
-    /// See [`Lanes::from_previous_lane`].
+    /// See [`Lanes::previous_lane`].
     #[inline(always)]
-    pub fn from_previous_lane(self) -> Self {
+    pub fn previous_lane(self) -> Self {
         Self {
-            x: self.x.from_previous_lane(),
-            y: self.y.from_previous_lane(),
-            z: self.z.from_previous_lane(),
+            x: self.x.previous_lane(),
+            y: self.y.previous_lane(),
+            z: self.z.previous_lane(),
         }
     }
 }
@@ -324,12 +324,12 @@ impl<S: Simd> Quaternion<S> {
         }
     }
 
-    /// See [`Lanes::from_next_lane`].
+    /// See [`Lanes::next_lane`].
     #[inline(always)]
-    pub fn from_next_lane(self) -> Self {
+    pub fn next_lane(self) -> Self {
         Self {
-            w: self.w.from_next_lane(),
-            v: self.v.from_next_lane(),
+            w: self.w.next_lane(),
+            v: self.v.next_lane(),
         }
     }
 }
@@ -372,13 +372,13 @@ impl<S: Simd> Frame<S> {
 
     /// `R v`
     #[inline(always)]
-    pub fn to_space(&self, v: Vec3<S>) -> Vec3<S> {
+    pub fn to_space(self, v: Vec3<S>) -> Vec3<S> {
         self.axes[0] * v.x + self.axes[1] * v.y + self.axes[2] * v.z
     }
 
     /// `Rᵀ v`
     #[inline(always)]
-    pub fn to_body(&self, v: Vec3<S>) -> Vec3<S> {
+    pub fn to_body(self, v: Vec3<S>) -> Vec3<S> {
         Vec3 {
             x: self.axes[0].dot(v),
             y: self.axes[1].dot(v),
