@@ -604,8 +604,6 @@ fn unavailable_features() {
         format!("{ROD}[[obstacle]]\nsphere = 1\n"),
         format!("{ROD}[mpc]\nhorizon_s = 1\n"),
         format!("{ROD}[damping]\ninternal_s = 0.01\n"),
-        ROD.replace("elements", "model = 'dilatation'\nelements"),
-        ROD.replace("elements", "model = 'consistent'\nelements"),
     ] {
         let error = error_of(&text);
         assert!(
