@@ -1,6 +1,7 @@
 //! What is wrong with a scene is said by key, line, column and what was expected, whatever the input is.
 
 use proptest::prelude::*;
+use softarm::mechanics::stable_step;
 use softarm::scene::{Scene, SceneError, builtin};
 
 const ROD: &str = "\
@@ -137,7 +138,7 @@ fn numbers_out_of_range() {
         ),
         ("base.orientation_wxyz", vec!["[0, 0, 0, 0]", "[1, 0, 0]"]),
         ("damping.viscous_1_s", vec!["-1", "nan", "inf"]),
-        ("damping.internal_s", vec!["-1", "0.1", "nan"]),
+        ("damping.internal_s", vec!["-1", "nan", "inf"]),
         ("time.end_s", vec!["-1", "nan", "inf", "0"]),
         (
             "time.step_s",
@@ -603,7 +604,6 @@ fn unavailable_features() {
     for text in [
         format!("{ROD}[[obstacle]]\nsphere = 1\n"),
         format!("{ROD}[mpc]\nhorizon_s = 1\n"),
-        format!("{ROD}[damping]\ninternal_s = 0.01\n"),
     ] {
         let error = error_of(&text);
         assert!(
@@ -612,6 +612,33 @@ fn unavailable_features() {
         );
         assert!(error.line().is_some(), "{error}");
     }
+}
+
+/// Optimal control knows explicit steps without internal damping only, and says so at the key; a simulation of the same arm
+/// takes a step far beyond the explicit limit.
+#[test]
+fn implicit_steps_are_for_simulation() {
+    for setting in ["time.integrator=implicit", "damping.internal_s=0.01"] {
+        let (scene, source) =
+            Scene::load("reach", &[setting.to_string()]).unwrap_or_else(|error| panic!("{error}"));
+        let error = scene.optimal_control(&source).expect_err("refused");
+        assert_eq!(error.key(), setting.split('=').next());
+        assert!(error.message().contains("not available in this version"));
+    }
+    let wire = |settings: &[&str]| {
+        let settings: Vec<String> = settings.iter().map(ToString::to_string).collect();
+        let (scene, source) =
+            Scene::load("wire", &settings).unwrap_or_else(|error| panic!("{error}"));
+        scene.simulation(&source)
+    };
+    let limit = stable_step(&wire(&[]).expect("a simulation").rod);
+    let auto = wire(&[]).expect("a simulation").grid.step;
+    assert!(auto > 50.0 * limit, "{auto} over {limit}");
+    let given = wire(&["time.step_s=1e-3"]).expect("a simulation").grid.step;
+    assert!((given - 1e-3).abs() < 1e-15);
+    let error =
+        wire(&["time.step_s=1e-3", "time.integrator=explicit"]).expect_err("too long a step");
+    assert_eq!(error.key(), Some("time.step_s"));
 }
 
 /// A target that a clamped arm cannot reach is refused with the distance and the reach; a free arm may go there.
@@ -722,7 +749,7 @@ fn unknown_scene_names() {
 error: no file and no built-in scene of this name
   --> raech.toml
 help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, paper-arm, swing, \
-shaken-base";
+shaken-base, wire";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

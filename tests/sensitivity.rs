@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{Dice, bases, busy_arm, laws, random_trajectory};
+use common::{Dice, bases, busy_arm, methods, random_trajectory};
 use softarm::mechanics::linearization::{Motion, defects, forward_sweep};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities, tip_rows};
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{Rod, RodParameters, State, TimeGrid, Wrench};
+use softarm::mechanics::{RodParameters, State, TimeGrid, Wrench};
 
 /// Blocks of constant control, six components each, with the mean of both sides where blocks meet.
 struct Blocks {
@@ -51,14 +51,12 @@ impl ControlColumns for Blocks {
 /// Every column, and the one of the defects, equals the forward sweep of the same change; threads change nothing.
 #[test]
 fn columns_equal_the_forward_sweep() {
-    for (rule, model) in laws() {
+    for method in methods() {
         for base in bases() {
-            let rod = Rod::new(&RodParameters {
+            let rod = method.rod(RodParameters {
                 base,
-                model,
-                ..busy_arm(rule, 5)
-            })
-            .unwrap();
+                ..busy_arm(method.rule, 5)
+            });
             let grid = TimeGrid {
                 step: 0.5 * stable_step(&rod),
                 n_steps: 70,

@@ -3,17 +3,20 @@
 use super::console::Console;
 use super::{Global, Outcome, exit, scene_name};
 use crate::control::{Enforcement, OptimalControlProblem};
-use crate::mechanics::Rod;
-use crate::mechanics::RodModel;
-use crate::mechanics::stability::stable_step;
+use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::output::summary::{
-    CheckSummary, OutputSize, ProblemSize, SCHEMA_VERSION, ScalesSummary,
+    CheckSummary, CostEstimate, OutputSize, ProblemSize, SCHEMA_VERSION, ScalesSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
 use crate::scene::{Scene, Simulation};
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
+/// Seconds of one explicit step of a node, helical: ARCHITECTURE.md.
+const EXPLICIT_NODE_STEP_S: f64 = 1.7e-7;
+/// Seconds of one implicit step of a node, with the three Newton iterations that a resolved motion takes.
+const IMPLICIT_NODE_STEP_S: f64 = 1.0e-5;
 /// Bytes of a node's position and rotation.
 const NODE_BYTES: usize = 12 * 8;
 
@@ -40,6 +43,8 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         elements: rod.n_elements(),
         mass_kg: rod.mass(),
         stable_step_s: stable_step(&rod),
+        integrator: rod.scheme.name(),
+        cost: cost(&rod, &grid),
         step_s: grid.step,
         steps: grid.n_steps,
         locking_ratio: rod.locking_ratio(),
@@ -60,6 +65,44 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     show(&summary, console);
     console.summary(&summary);
     Ok(exit::DONE)
+}
+
+/// Either integrator with the step that the scene gives it, or its automatic one.
+fn cost(rod: &Rod, grid: &TimeGrid) -> CostEstimate {
+    let step = |scheme| {
+        if scheme == rod.scheme {
+            grid.step
+        } else {
+            automatic_step(&Rod {
+                scheme,
+                ..rod.clone()
+            })
+        }
+    };
+    let explicit_step_s = step(TimeScheme::Explicit);
+    let implicit_step_s = step(TimeScheme::Implicit);
+    let damped = rod.internal_damping > 0.0;
+    let explicit = if damped {
+        IMPLICIT_NODE_STEP_S
+    } else {
+        EXPLICIT_NODE_STEP_S
+    };
+    let wall =
+        |step: f64, node_step: f64| (grid.end() / step).ceil() * rod.n_nodes() as f64 * node_step;
+    let explicit_wall_s = wall(explicit_step_s, explicit);
+    let implicit_wall_s = wall(implicit_step_s, IMPLICIT_NODE_STEP_S);
+    let cheaper = if implicit_wall_s < explicit_wall_s {
+        TimeScheme::Implicit
+    } else {
+        TimeScheme::Explicit
+    };
+    CostEstimate {
+        explicit_step_s,
+        explicit_wall_s,
+        implicit_step_s,
+        implicit_wall_s,
+        cheaper: cheaper.name(),
+    }
 }
 
 /// Trajectories (a solve holds four: point, trial, direction, replay), and the dense matrices of the subproblem with
@@ -155,8 +198,17 @@ fn show(summary: &CheckSummary, console: &Console) {
         summary.scene, summary.elements, summary.strain, summary.model, summary.mass_kg
     ));
     console.say(&format!(
-        "  time   step {:.4e} s (stable below {:.4e} s), {} steps",
-        summary.step_s, summary.stable_step_s, summary.steps
+        "  time   {} step {:.4e} s (explicit: stable below {:.4e} s), {} steps",
+        summary.integrator, summary.step_s, summary.stable_step_s, summary.steps
+    ));
+    let cost = &summary.cost;
+    console.say(&format!(
+        "  cost   simulation explicit {:.1e} s at {:.4e} s, implicit {:.1e} s at {:.4e} s: {} is cheaper",
+        cost.explicit_wall_s,
+        cost.explicit_step_s,
+        cost.implicit_wall_s,
+        cost.implicit_step_s,
+        cost.cheaper
     ));
     console.say(&format!(
         "  scales length {:.4} m, force EI/L² {:.4e} N, moment EI/L {:.4e} N m, time {:.4} s",

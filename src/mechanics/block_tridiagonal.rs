@@ -1,6 +1,7 @@
-//! Cholesky factorization of symmetric block-tridiagonal matrices with 6×6 blocks, in O(K).
+//! Factorizations of block-tridiagonal matrices with 6×6 blocks, in O(K): Cholesky of symmetric ones, LU of others.
 //!
-//! Neither faer nor nalgebra has a banded type; the blocks themselves are nalgebra's.
+//! Neither faer nor nalgebra has a banded type, and a general sparse LU spends most of its time on the bookkeeping of a
+//! pattern that is known here; the blocks themselves are nalgebra's.
 
 use nalgebra::{Matrix6, Vector6};
 
@@ -59,9 +60,146 @@ impl BlockCholesky {
     }
 }
 
+/// A block-tridiagonal matrix: `diagonal[i] = A_ii`, `below[i] = A_{i+1,i}`, `above[i] = A_{i,i+1}`.
+#[derive(Clone, Debug)]
+pub struct BlockTridiagonal {
+    /// Diagonal blocks.
+    pub diagonal: Vec<Matrix6<f64>>,
+    /// Blocks below the diagonal, one fewer.
+    pub below: Vec<Matrix6<f64>>,
+    /// Blocks above the diagonal, one fewer.
+    pub above: Vec<Matrix6<f64>>,
+}
+
+impl BlockTridiagonal {
+    /// The zero matrix of `n_blocks` block rows.
+    #[must_use]
+    pub fn zeros(n_blocks: usize) -> Self {
+        let off_diagonal = vec![Matrix6::zeros(); n_blocks.saturating_sub(1)];
+        Self {
+            diagonal: vec![Matrix6::zeros(); n_blocks],
+            below: off_diagonal.clone(),
+            above: off_diagonal,
+        }
+    }
+
+    /// `A = L U` with `U` of unit diagonal blocks; pivoting stays within the blocks, which is stable where the diagonal
+    /// blocks dominate, as those of an inertia plus a stiffness do. `None` when a pivot block is singular.
+    #[must_use]
+    pub fn factor(mut self) -> Option<BlockLu> {
+        for i in 0..self.diagonal.len() {
+            if let Some(previous) = i.checked_sub(1) {
+                let fill = self.below[previous] * self.above[previous];
+                self.diagonal[i] -= fill;
+            }
+            self.diagonal[i] = self.diagonal[i].lu().try_inverse()?;
+            if let Some(above) = self.above.get_mut(i) {
+                *above = self.diagonal[i] * *above;
+            }
+        }
+        Some(BlockLu { factors: self })
+    }
+}
+
+/// Factors of a [`BlockTridiagonal`]. Solves with the matrix and with its transpose use the same numbers, so that each is the
+/// other's transpose to rounding, however the matrix is conditioned.
+#[derive(Clone, Debug)]
+pub struct BlockLu {
+    /// Inverses of the pivot blocks, the blocks of `L` below them, and the blocks of `U` above its unit diagonal.
+    factors: BlockTridiagonal,
+}
+
+impl BlockLu {
+    /// `A⁻¹ b`, in place.
+    pub fn solve(&self, b: &mut [Vector6<f64>]) {
+        let BlockTridiagonal {
+            diagonal,
+            below,
+            above,
+        } = &self.factors;
+        for i in 0..b.len() {
+            if i > 0 {
+                let before = below[i - 1] * b[i - 1];
+                b[i] -= before;
+            }
+            b[i] = diagonal[i] * b[i];
+        }
+        for i in (1..b.len()).rev() {
+            let after = above[i - 1] * b[i];
+            b[i - 1] -= after;
+        }
+    }
+
+    /// `A⁻ᵀ b`, in place.
+    pub fn solve_transposed(&self, b: &mut [Vector6<f64>]) {
+        let BlockTridiagonal {
+            diagonal,
+            below,
+            above,
+        } = &self.factors;
+        for i in 1..b.len() {
+            let before = above[i - 1].tr_mul(&b[i - 1]);
+            b[i] -= before;
+        }
+        for i in (0..b.len()).rev() {
+            if i + 1 < b.len() {
+                let after = below[i].tr_mul(&b[i + 1]);
+                b[i] -= after;
+            }
+            b[i] = diagonal[i].tr_mul(&b[i]);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// LU of a matrix without symmetry: both solves reproduce a known solution, and a singular matrix is refused.
+    #[test]
+    fn lu_solves_both_ways() {
+        let n = 6;
+        let noise =
+            |seed: f64| Matrix6::from_fn(|i, j| (seed + 2.3 * i as f64 - 1.1 * j as f64).sin());
+        let matrix = BlockTridiagonal {
+            diagonal: (0..n)
+                .map(|i| noise(0.7 * i as f64) + Matrix6::identity() * 9.0)
+                .collect(),
+            below: (1..n).map(|i| noise(20.0 + i as f64)).collect(),
+            above: (1..n).map(|i| noise(40.0 + 1.3 * i as f64)).collect(),
+        };
+        let dense = nalgebra::DMatrix::from_fn(6 * n, 6 * n, |i, j| {
+            let (p, q) = (i / 6, j / 6);
+            let at = (i % 6, j % 6);
+            match p as isize - q as isize {
+                0 => matrix.diagonal[p][at],
+                1 => matrix.below[q][at],
+                -1 => matrix.above[p][at],
+                _ => 0.0,
+            }
+        });
+        let x = nalgebra::DVector::from_fn(6 * n, |i, _| (0.4 * i as f64).cos());
+        let factor = matrix.clone().factor().expect("regular");
+        for transposed in [false, true] {
+            let right = if transposed {
+                dense.tr_mul(&x)
+            } else {
+                &dense * &x
+            };
+            let mut b: Vec<Vector6<f64>> = (0..n)
+                .map(|i| right.fixed_rows::<6>(6 * i).into_owned())
+                .collect();
+            if transposed {
+                factor.solve_transposed(&mut b);
+            } else {
+                factor.solve(&mut b);
+            }
+            for (i, solved) in b.iter().enumerate() {
+                assert!((solved - x.fixed_rows::<6>(6 * i)).norm() < 1e-13);
+            }
+        }
+        assert!(BlockTridiagonal::zeros(2).factor().is_none());
+    }
 
     /// `L Lᵀ` solves reproduce a known solution of a random positive definite matrix.
     #[test]

@@ -79,7 +79,7 @@ impl ElementStress {
 pub struct PowerBalance {
     /// Of the loads and of what drives the base, `Σ f·v + τ·ω`, the mean of both ends of the step. Gravity counts as energy.
     pub external: f64,
-    /// Taken by damping, `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends.
+    /// Taken by damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
     pub dissipated: f64,
     /// Change of the energy over the step, divided by its length.
     pub energy_rate: f64,
@@ -98,10 +98,12 @@ impl PowerBalance {
         let external =
             mean(&|t, state| load_power(rod, t, state) + base_power(rod, time_step, t, state));
         let energies = ends.map(|(_, state)| Energy::of(rod, state));
-        let dissipated = energies
+        let viscous: f64 = energies
             .iter()
             .map(|energy| rod.viscous_damping * energy.kinetic)
             .sum();
+        let [start, end] = [&before.configuration, &after.configuration];
+        let dissipated = viscous + rod.internal_dissipation(time_step, start, end);
         let energy_rate = (energies[1].total() - energies[0].total()) / time_step;
         Self {
             external,

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::integrator::TimeScheme;
 use super::rod::Rod;
 
 /// Force (spatial, N) and moment (body frame, N m) on every node.
@@ -31,6 +32,28 @@ impl NodalForces {
         rotations: &[Matrix3<f64>],
         t: f64,
     ) {
+        self.start_with_gravity(rod);
+        self.add_elastic(rod, positions, rotations);
+        self.add_loads(rod, rotations, t);
+    }
+
+    /// What acts at a time node by itself: all of [`Self::evaluate`], or under [`TimeScheme::Implicit`] gravity and loads
+    /// only, because the elastic forces are those of the intervals.
+    pub fn evaluate_at_node(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+        t: f64,
+    ) {
+        self.start_with_gravity(rod);
+        if rod.scheme == TimeScheme::Explicit {
+            self.add_elastic(rod, positions, rotations);
+        }
+        self.add_loads(rod, rotations, t);
+    }
+
+    fn start_with_gravity(&mut self, rod: &Rod) {
         for ((force, moment), node) in self
             .forces
             .iter_mut()
@@ -40,6 +63,9 @@ impl NodalForces {
             *force = rod.gravity * node.mass;
             *moment = Vector3::zeros();
         }
+    }
+
+    fn add_elastic(&mut self, rod: &Rod, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) {
         for (q, element) in rod.elements.iter().enumerate() {
             let gradient =
                 element.gradient(rod.strain_rule, &Rod::element_pose(q, positions, rotations));
@@ -48,6 +74,9 @@ impl NodalForces {
             self.moments[q] -= gradient.moment_a;
             self.moments[q + 1] -= gradient.moment_b;
         }
+    }
+
+    fn add_loads(&mut self, rod: &Rod, rotations: &[Matrix3<f64>], t: f64) {
         for load in &rod.loads {
             let wrench = load.wrench(t, &rotations[load.node]);
             self.forces[load.node] += wrench.force;

@@ -49,6 +49,19 @@ pub(super) fn momentum_before(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -
     (jf + 0.5 * f.cross(&jf)) / ((1.0 + 0.25 * f.norm_squared()) * h)
 }
 
+/// `∂(J f + ½ f × J f)/(α h)/∂f`
+pub(super) fn momentum_before_slope(
+    rotary: &Vector3<f64>,
+    f: &Vector3<f64>,
+    h: f64,
+) -> Matrix3<f64> {
+    let hat = super::rotation::hat;
+    let alpha = 1.0 + 0.25 * f.norm_squared();
+    let j = Matrix3::from_diagonal(rotary);
+    (j + 0.5 * (hat(f) * j - hat(&rotary.component_mul(f)))) / (alpha * h)
+        - momentum_before(rotary, f, h) * f.transpose() * (0.5 / alpha)
+}
+
 /// `(J f - ½ f × J f)/(α h)`: angular momentum of a step in the frame after it.
 #[inline]
 pub(super) fn momentum_after(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Vector3<f64> {

@@ -1,4 +1,4 @@
-//! The Lie group variational integrator.
+//! The Lie group variational integrator, explicit; [`implicit`](super::implicit) is its counterpart for stiff arms.
 //!
 //! The discrete Lagrangian pairs the kinetic energy of the interval with the potential at both of its ends (half
 //! weight each), so one step is: half a kick, a drift, half a kick (the paper's equations (77) and (81) after the
@@ -21,10 +21,33 @@ use nalgebra::{Matrix3, Vector3};
 use super::base_motion::BaseState;
 use super::configuration::State;
 use super::forces::NodalForces;
+use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{cay, cay_inverse, hat, log};
+
+/// How the elastic forces act within a time step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TimeScheme {
+    /// Those of both ends, half weight each: no equation to solve, and a [largest stable step](super::stable_step).
+    #[default]
+    Explicit,
+    /// Those of the mean strain of both ends: a block-tridiagonal system a step, and no linear limit of the step. See
+    /// [`implicit`](super::implicit).
+    Implicit,
+}
+
+impl TimeScheme {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Explicit => "explicit",
+            Self::Implicit => "implicit",
+        }
+    }
+}
 
 /// A uniform time grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,6 +138,23 @@ pub enum StepError {
         dilatation: f64,
         /// `h c/l`, `c` the speed of axial waves.
         least: f64,
+    },
+    /// Newton's method for an implicit step came to no end.
+    #[error(
+        "node {node}, step {step} (t = {time} s): the implicit step leaves {residual:.1e} of the momentum after {iterations} \
+         iterations; shorten time.step_s or soften the load"
+    )]
+    NotConverged {
+        /// Rod node with the largest residual.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Its residual over the largest momentum of any node, linear or angular.
+        residual: f64,
+        /// Newton iterations taken.
+        iterations: usize,
     },
     /// A force, moment or momentum is not a number any more.
     #[error(
@@ -221,6 +261,8 @@ pub struct Integrator<'a> {
     rotary: Vec<Vector3<f64>>,
     /// Cayley vectors of the last step.
     turns: Vec<Vector3<f64>>,
+    /// Present where a stress depends on both ends of the interval.
+    implicit: Option<ImplicitStep>,
 }
 
 impl<'a> Integrator<'a> {
@@ -237,13 +279,16 @@ impl<'a> Integrator<'a> {
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
         let mut forces = NodalForces::zeros(rod.n_nodes());
-        forces.evaluate(
+        forces.evaluate_at_node(
             rod,
             &state.configuration.positions,
             &state.configuration.rotations,
             step as f64 * time_step,
         );
+        let implicit = IntervalWeights::of(rod, time_step)
+            .map(|weights| ImplicitStep::new(rod, weights, &state.configuration));
         Self {
+            implicit,
             rod,
             time_step,
             step,
@@ -272,7 +317,14 @@ impl<'a> Integrator<'a> {
         self.step as f64 * self.time_step
     }
 
-    /// Forces at the current configuration, without the control wrench.
+    /// Newton iterations of all implicit steps so far.
+    #[must_use]
+    pub fn newton_iterations(&self) -> usize {
+        self.implicit.as_ref().map_or(0, ImplicitStep::iterations)
+    }
+
+    /// Forces at the current configuration, without the control wrench, and under [`TimeScheme::Implicit`] without the
+    /// elastic forces.
     #[must_use]
     pub fn forces(&self) -> &NodalForces {
         &self.forces
@@ -282,9 +334,14 @@ impl<'a> Integrator<'a> {
     /// the next.
     ///
     /// # Errors
-    /// [`StepError`] when a node would turn more than a quarter turn, or when something is not finite. The state is
-    /// then no longer meaningful.
+    /// [`StepError`] when a node would turn more than a quarter turn, when an implicit step does not converge, or when
+    /// something is not finite. The state is then no longer meaningful.
     pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+        if let Some(mut implicit) = self.implicit.take() {
+            let outcome = self.advance_implicitly(&mut implicit, control);
+            self.implicit = Some(implicit);
+            return outcome;
+        }
         let h = self.time_step;
         let a = 0.5 * self.rod.viscous_damping * h;
         let undamp = 1.0 / (1.0 + a);
@@ -292,17 +349,7 @@ impl<'a> Integrator<'a> {
         let first = self.rod.first_free_node();
         let inertia_rule = InertiaRule::of(self.rod.model, self.step);
         let base = self.approach_base()?;
-        self.forces.forces[tip] += control[0].force;
-        self.forces.moments[tip] += control[0].moment;
-        for node in first..=tip {
-            let State {
-                linear_momentum: p,
-                angular_momentum: g,
-                ..
-            } = &mut self.state;
-            p[node] = (p[node] + 0.5 * h * self.forces.forces[node]) * undamp;
-            g[node] = (g[node] + 0.5 * h * self.forces.moments[node]) * undamp;
-        }
+        self.leave(&control[0], undamp);
         if inertia_rule != InertiaRule::End {
             self.solve_turns()?;
         }
@@ -338,25 +385,77 @@ impl<'a> Integrator<'a> {
         if inertia_rule == InertiaRule::End {
             self.add_kinetic_reaction(1.0);
         }
+        self.arrive(&control[1]);
+        Ok(())
+    }
+
+    /// The step of [`implicit`](super::implicit).
+    fn advance_implicitly(
+        &mut self,
+        implicit: &mut ImplicitStep,
+        control: [Wrench; 2],
+    ) -> Result<(), StepError> {
+        let h = self.time_step;
+        let a = 0.5 * self.rod.viscous_damping * h;
+        let undamp = 1.0 / (1.0 + a);
+        let base = self.approach_base()?;
+        implicit.guess(self.rod, &self.state, base.as_ref(), &mut self.turns);
+        self.leave(&control[0], undamp);
+        let weight = 0.5 * h * undamp;
+        let (state, turns) = (&mut self.state, &mut self.turns);
+        implicit.solve(self.rod, h, weight, self.step, state, turns)?;
+        if let Some(base) = &base {
+            self.rod.set_base(base, &mut self.state);
+        }
+        for node in self.rod.first_free_node()..self.rod.n_nodes() {
+            self.state.linear_momentum[node] *= 1.0 - a;
+            let g = &mut self.state.angular_momentum[node];
+            *g = cay(&self.turns[node]).tr_mul(g) * (1.0 - a);
+        }
+        implicit.arrive(self.rod, 0.5 * h, &mut self.state);
+        self.arrive(&control[1]);
+        Ok(())
+    }
+
+    /// The first half of the kicks, with the forces at hand and the control just after the time node.
+    fn leave(&mut self, control: &Wrench, undamp: f64) {
+        let half_step = 0.5 * self.time_step;
+        let tip = self.rod.tip();
+        self.forces.forces[tip] += control.force;
+        self.forces.moments[tip] += control.moment;
+        let State {
+            linear_momentum: p,
+            angular_momentum: g,
+            ..
+        } = &mut self.state;
+        for node in self.rod.first_free_node()..=tip {
+            p[node] = (p[node] + half_step * self.forces.forces[node]) * undamp;
+            g[node] = (g[node] + half_step * self.forces.moments[node]) * undamp;
+        }
+    }
+
+    /// The second half, with the forces at the next time node and the control just before it.
+    fn arrive(&mut self, control: &Wrench) {
+        let half_step = 0.5 * self.time_step;
+        let tip = self.rod.tip();
         self.step += 1;
         let State {
             configuration,
             linear_momentum,
             angular_momentum,
         } = &mut self.state;
-        self.forces.evaluate(
+        self.forces.evaluate_at_node(
             self.rod,
             &configuration.positions,
             &configuration.rotations,
-            self.step as f64 * h,
+            self.step as f64 * self.time_step,
         );
-        for node in first..=tip {
-            linear_momentum[node] += 0.5 * h * self.forces.forces[node];
-            angular_momentum[node] += 0.5 * h * self.forces.moments[node];
+        for node in self.rod.first_free_node()..=tip {
+            linear_momentum[node] += half_step * self.forces.forces[node];
+            angular_momentum[node] += half_step * self.forces.moments[node];
         }
-        linear_momentum[tip] += 0.5 * h * control[1].force;
-        angular_momentum[tip] += 0.5 * h * control[1].moment;
-        Ok(())
+        linear_momentum[tip] += half_step * control.force;
+        angular_momentum[tip] += half_step * control.moment;
     }
 
     /// Cayley vectors of the step from the angular momenta, with the inertia at hand.

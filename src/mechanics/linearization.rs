@@ -12,17 +12,24 @@
 //!
 //! where `k = 0` is the initial Legendre transform (`p^{-½}` is the given initial momentum), and the momentum at `N`
 //! is the terminal one. A trajectory whose defects vanish is what [`Integrator`](super::Integrator) computes.
+//!
+//! A stress of the [interval](super::implicit) acts where the interval starts, after the kick there, and where it ends: that
+//! impulse is added to the momentum that arrives, `p^{k-½}` above.
 
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 
+use super::block_tridiagonal::BlockLu;
 use super::configuration::{State, Trajectory, TrajectoryTangent};
 use super::forces::NodalForces;
-use super::inertia::{InertiaRule, momentum_after, momentum_after_slope, momentum_before};
-use super::integrator::{StepError, TimeGrid};
+use super::implicit::{IntervalWeights, join, scatter, spin_inertia, step_matrix};
+use super::inertia::{
+    InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
+};
+use super::integrator::{StepError, TimeGrid, TimeScheme};
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{cay_inverse, cay_tangent, hat};
-use super::strain::ElementStiffness;
+use super::strain::{ElementStiffness, IntervalStress};
 
 /// A rod on a time grid, from a given state on.
 ///
@@ -80,6 +87,42 @@ impl Motion<'_> {
     /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
     fn arriving_impulse(&self) -> f64 {
         1.0 / (1.0 - 0.5 * self.rod.viscous_damping * self.grid.step)
+    }
+
+    /// `σ` of every element over the interval from `k` to `k + 1`; `None` where stresses are those of the time nodes.
+    fn interval_stresses(&self, trajectory: &Trajectory, k: usize) -> Option<Vec<IntervalStress>> {
+        let rod = self.rod;
+        let weights = IntervalWeights::of(rod, self.grid.step)?;
+        let strain = |k: usize, q: usize| {
+            let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let pose = Rod::element_pose(q, positions, rotations);
+            rod.strain_rule.strain(rod.elements[q].length, &pose)
+        };
+        let stress = |q| weights.stress(rod, q, &strain(k, q), &strain(k + 1, q));
+        Some((0..rod.n_elements()).map(stress).collect())
+    }
+
+    /// Adds the impulses `-weight B_kᵀ σ` of the given stresses at time node `k`.
+    fn add_stress_impulses(
+        &self,
+        trajectory: &Trajectory,
+        k: usize,
+        stresses: &[IntervalStress],
+        weight: f64,
+        p: &mut [Vector3<f64>],
+        pi: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod;
+        let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        for (q, stress) in stresses.iter().enumerate() {
+            let pose = Rod::element_pose(q, positions, rotations);
+            let pull = rod.elements[q].gradient_under(rod.strain_rule, &pose, stress);
+            let pull = stack(&pull.force, &pull.moment_a, &pull.moment_b);
+            scatter(rod.first_free_node(), q, &pull, |node, linear, angular| {
+                p[node] -= linear * weight;
+                pi[node] -= angular * weight;
+            });
+        }
     }
 
     /// Inertia of every node over the interval from `k` to `k + 1`: where it leaves, and where it arrives.
@@ -176,7 +219,7 @@ pub fn defects(
     let mut pi = initial.angular_momentum.clone();
     for k in 0..=grid.n_steps {
         let positions = trajectory.positions_at(k);
-        forces.evaluate(rod, positions, trajectory.rotations_at(k), grid.time(k));
+        forces.evaluate_at_node(rod, positions, trajectory.rotations_at(k), grid.time(k));
         forces.forces[tip] += control[k].force;
         forces.moments[tip] += control[k].moment;
         let Kick {
@@ -197,6 +240,11 @@ pub fn defects(
         let rule = InertiaRule::of(rod.model, k);
         if rule == InertiaRule::Start {
             add_kinetic_reaction(motion, positions, &intervals, impulse, &mut p);
+        }
+        let stresses = motion.interval_stresses(trajectory, k);
+        if let Some(stresses) = &stresses {
+            let weight = 0.5 * h * impulse;
+            motion.add_stress_impulses(trajectory, k, stresses, weight, &mut p, &mut pi);
         }
         let next = trajectory.positions_at(k + 1);
         for q in first..n {
@@ -223,6 +271,10 @@ pub fn defects(
         if rule == InertiaRule::End {
             let arrival = motion.arriving_impulse();
             add_kinetic_reaction(motion, next, &intervals, arrival, &mut p);
+        }
+        if let Some(stresses) = &stresses {
+            let weight = 0.5 * h * motion.arriving_impulse();
+            motion.add_stress_impulses(trajectory, k + 1, stresses, weight, &mut p, &mut pi);
         }
     }
     Ok(Defects {
@@ -336,7 +388,7 @@ pub struct ReactionDrift {
 pub struct StepLinearization {
     /// Decay and weight of the kick.
     pub kick: Kick,
-    /// Stiffness of every element at `k`.
+    /// Stiffness of every element at `k`; none under [`TimeScheme::Implicit`].
     pub elements: Vec<ElementStiffness>,
     /// Loads that turn with their node.
     pub loads: Vec<LoadDerivative>,
@@ -344,6 +396,8 @@ pub struct StepLinearization {
     pub drifts: Vec<NodeDrift>,
     /// How the dilatation of every element enters the drift; absent where it does not.
     pub element_drifts: Vec<ElementDrift>,
+    /// What the stress of the interval adds to the drift; absent where there is none.
+    pub stress_drift: Option<StressDrift>,
     /// First node that moves.
     pub first_free_node: usize,
 }
@@ -357,16 +411,15 @@ impl StepLinearization {
         let Motion { rod, grid, .. } = *motion;
         let positions = trajectory.positions_at(k);
         let rotations = trajectory.rotations_at(k);
-        let elements = rod
-            .elements
-            .iter()
-            .enumerate()
-            .map(|(q, element)| {
-                element
-                    .stiffness(rod.strain_rule, &Rod::element_pose(q, positions, rotations))
-                    .1
-            })
-            .collect();
+        let elements = match rod.scheme {
+            TimeScheme::Implicit => Vec::new(),
+            TimeScheme::Explicit => (rod.elements.iter().enumerate())
+                .map(|(q, element)| {
+                    let pose = Rod::element_pose(q, positions, rotations);
+                    element.stiffness(rod.strain_rule, &pose).1
+                })
+                .collect(),
+        };
         let loads = rod
             .loads
             .iter()
@@ -381,6 +434,7 @@ impl StepLinearization {
             })
             .collect();
         let (mut drifts, mut element_drifts) = (Vec::new(), Vec::new());
+        let mut stress_drift = None;
         if k < grid.n_steps {
             let [leaving, arriving] = motion.inertia(trajectory, k);
             let intervals = Interval::all(motion, trajectory, &leaving, k)?;
@@ -396,6 +450,10 @@ impl StepLinearization {
                     .map(|q| ElementDrift::new(motion, trajectory, &intervals, &drifts, q, k))
                     .collect();
             }
+            if let Some(weights) = IntervalWeights::of(rod, grid.step) {
+                let drift = StressDrift::new(motion, trajectory, &intervals, weights, k)?;
+                stress_drift = Some(drift);
+            }
         }
         Ok(Self {
             kick: motion.kick(k),
@@ -403,12 +461,33 @@ impl StepLinearization {
             loads,
             drifts,
             element_drifts,
+            stress_drift,
             first_free_node: rod.first_free_node(),
         })
     }
 
+    /// The kick at `k` of a direction without a change of control: `p ← decay p + weight δf`.
+    pub fn kick_unforced(&self, column: &mut StateTangent) {
+        let zeros = vec![Vector3::zeros(); column.positions.len()];
+        let (mut force, mut moment) = (zeros.clone(), zeros);
+        self.force_change(
+            &column.positions,
+            &column.rotations,
+            &mut force,
+            &mut moment,
+        );
+        let Kick { decay, weight, .. } = self.kick;
+        for q in self.first_free_node..force.len() {
+            column.linear[q] = decay * column.linear[q] + weight * force[q];
+            column.angular[q] = decay * column.angular[q] + weight * moment[q];
+        }
+    }
+
     /// The drift to `k + 1` of a direction whose momenta are those after the kick.
     pub fn drift(&self, column: &mut StateTangent) {
+        if let Some(stress) = &self.stress_drift {
+            return self.drift_under(stress, column);
+        }
         let first = self.first_free_node;
         let nodes = first..self.drifts.len();
         let mut turns = vec![Vector3::zeros(); self.drifts.len()];
@@ -448,8 +527,108 @@ impl StepLinearization {
         }
     }
 
+    /// [`Self::drift`] where the stress of the interval answers to its end: with `u` what the step adds to the
+    /// configuration, `(D + β B_kᵀCB_{k+1}) u = δp - (…)`, `D` the momentum per motion of the nodes.
+    fn drift_under(&self, stress: &StressDrift, column: &mut StateTangent) {
+        let first = self.first_free_node;
+        let nodes = first..self.drifts.len();
+        // The configuration at the end without the change of momentum.
+        let carried: Vec<_> = (self.drifts.iter().zip(&column.rotations))
+            .map(|(drift, zeta)| drift.turn_transposed * zeta)
+            .collect();
+        let mut added: Vec<_> = nodes
+            .clone()
+            .map(|q| join(&column.linear[q], &column.angular[q]))
+            .collect();
+        for q in 0..stress.start_start.len() {
+            let here = element_change(&column.positions, &column.rotations, q);
+            let there = element_change(&column.positions, &carried, q);
+            let change = stress.start_start[q] * here + stress.start_end[q] * there;
+            scatter(first, q, &change, |node, linear, angular| {
+                added[node - first] -= join(&linear, &angular);
+            });
+        }
+        stress.step.solve(&mut added);
+        let before = (column.positions.clone(), column.rotations.clone());
+        for (u, q) in added.iter().zip(nodes) {
+            let drift = &self.drifts[q];
+            let (moved, turned) = split(u);
+            column.positions[q] += moved;
+            column.rotations[q] = carried[q] + turned;
+            column.linear[q] = moved / drift.mobility;
+            column.angular[q] = drift.momentum * (stress.spin_inertia[q] * turned);
+        }
+        for q in 0..stress.end_end.len() {
+            let here = element_change(&before.0, &before.1, q);
+            let there = element_change(&column.positions, &column.rotations, q);
+            let change = stress.end_start[q] * here + stress.end_end[q] * there;
+            scatter(first, q, &change, |node, linear, angular| {
+                column.linear[node] -= linear;
+                column.angular[node] -= angular;
+            });
+        }
+    }
+
+    fn drift_under_transposed(&self, stress: &StressDrift, covector: &mut StateTangent) {
+        let first = self.first_free_node;
+        let nodes = first..self.drifts.len();
+        let zeros = vec![Vector3::zeros(); self.drifts.len()];
+        // Covectors of the configuration at the start, and of the one that is carried to the end.
+        let (mut x, mut zeta) = (zeros.clone(), zeros);
+        let (mut x_end, mut zeta_end) = (covector.positions.clone(), covector.rotations.clone());
+        let pull = |matrix: &ElementStiffness,
+                    q: usize,
+                    w: &SVector<f64, 9>,
+                    x: &mut [Vector3<f64>],
+                    zeta: &mut [Vector3<f64>]| {
+            scatter(first, q, &matrix.tr_mul(w), |node, linear, angular| {
+                x[node] -= linear;
+                zeta[node] -= angular;
+            });
+        };
+        let free_change = |linear: &[Vector3<f64>], angular: &[Vector3<f64>], q: usize| {
+            if q < first {
+                stack(&linear[q + 1], &Vector3::zeros(), &angular[q + 1])
+            } else {
+                element_change(linear, angular, q)
+            }
+        };
+        for q in 0..stress.end_end.len() {
+            let w = free_change(&covector.linear, &covector.angular, q);
+            pull(&stress.end_end[q], q, &w, &mut x_end, &mut zeta_end);
+            pull(&stress.end_start[q], q, &w, &mut x, &mut zeta);
+        }
+        let mut added: Vec<_> = nodes
+            .clone()
+            .map(|q| {
+                let drift = &self.drifts[q];
+                let spin = drift.momentum.tr_mul(&covector.angular[q]);
+                join(
+                    &(x_end[q] + covector.linear[q] / drift.mobility),
+                    &(zeta_end[q] + stress.spin_inertia[q].tr_mul(&spin)),
+                )
+            })
+            .collect();
+        stress.step.solve_transposed(&mut added);
+        for (pulled, q) in added.iter().zip(nodes.clone()) {
+            (covector.linear[q], covector.angular[q]) = split(pulled);
+        }
+        for q in 0..stress.start_start.len() {
+            let w = free_change(&covector.linear, &covector.angular, q);
+            pull(&stress.start_start[q], q, &w, &mut x, &mut zeta);
+            pull(&stress.start_end[q], q, &w, &mut x_end, &mut zeta_end);
+        }
+        for q in nodes {
+            covector.positions[q] = x[q] + x_end[q];
+            covector.rotations[q] = zeta[q] + self.drifts[q].turn_transposed.tr_mul(&zeta_end[q]);
+        }
+    }
+
     /// Transpose of [`Self::drift`]: pulls a covector of the direction at `k + 1` back.
     pub fn drift_transposed(&self, covector: &mut StateTangent) {
+        if let Some(stress) = &self.stress_drift {
+            return self.drift_under_transposed(stress, covector);
+        }
         let first = self.first_free_node;
         let nodes = first..self.drifts.len();
         let spins = covector.angular.clone();
@@ -566,12 +745,7 @@ impl NodeDrift {
     ) -> Option<Self> {
         let h = motion.grid.step;
         let Interval { f, turn, g } = interval;
-        let j = Matrix3::from_diagonal(leaving);
-        let alpha = 1.0 + 0.25 * f.norm_squared();
-        let slope = (j + 0.5 * (hat(f) * j - hat(&leaving.component_mul(f)))
-            - (0.5 * h) * g * f.transpose())
-            / alpha;
-        let turn_rate = slope.try_inverse()? * h;
+        let turn_rate = momentum_before_slope(leaving, f, h).try_inverse()?;
         let theta = cay_tangent(f) * turn_rate;
         let turn_transposed = turn.transpose();
         let momentum = if InertiaRule::of(motion.rod.model, k) == InertiaRule::Both {
@@ -584,6 +758,77 @@ impl NodeDrift {
             turn_transposed,
             theta,
             momentum,
+        })
+    }
+}
+
+/// The stress of an interval, linearized; each matrix is over `(δx_b - δx_a, ζ_a, ζ_b)` of an element and includes the weight
+/// of the impulse, and `σ` depends on the configuration at both ends.
+#[derive(Clone, Debug)]
+pub struct StressDrift {
+    /// `∂(B_kᵀ σ)` along the configuration at `k`.
+    pub start_start: Vec<ElementStiffness>,
+    /// `∂(B_kᵀ σ)` along the configuration at `k + 1`.
+    pub start_end: Vec<ElementStiffness>,
+    /// `∂(B_{k+1}ᵀ σ)` along the configuration at `k`.
+    pub end_start: Vec<ElementStiffness>,
+    /// `∂(B_{k+1}ᵀ σ)` along the configuration at `k + 1`.
+    pub end_end: Vec<ElementStiffness>,
+    /// `Θ⁻¹` of every node: angular momentum per rotation.
+    pub spin_inertia: Vec<Matrix3<f64>>,
+    /// Momentum per motion at `k + 1`, nodes and `start_end` together.
+    step: BlockLu,
+}
+
+impl StressDrift {
+    fn new(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        intervals: &[Interval],
+        weights: IntervalWeights,
+        k: usize,
+    ) -> Result<Self, StepError> {
+        let Motion { rod, grid, .. } = *motion;
+        let h = grid.step;
+        let leaving = 0.5 * h * motion.kick(k).impulse;
+        let arriving = 0.5 * h * motion.arriving_impulse();
+        let n = rod.n_elements();
+        let mut out = [(); 4].map(|()| Vec::with_capacity(n));
+        for (q, element) in rod.elements.iter().enumerate() {
+            let poses = [k, k + 1].map(|k| {
+                Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k))
+            });
+            let [(strain, start), (strain_end, end)] = (poses.each_ref())
+                .map(|pose| rod.strain_rule.strain_derivative(element.length, pose));
+            let stress = weights.stress(rod, q, &strain, &strain_end);
+            let coupling = element.coupling(&start, &end);
+            let stiffness = |at: usize, factor| {
+                element.stiffness_under(rod.strain_rule, &poses[at], &stress, factor)
+            };
+            out[0].push(stiffness(0, weights.start) * leaving);
+            out[1].push(coupling * (weights.end * leaving));
+            out[2].push(coupling.transpose() * (weights.start * arriving));
+            out[3].push(stiffness(1, weights.end) * arriving);
+        }
+        let spin: Vec<_> = (rod.nodes.iter().zip(intervals))
+            .map(|(node, interval)| spin_inertia(&node.rotary, &interval.f, h))
+            .collect();
+        let [start_start, start_end, end_start, end_end] = out;
+        let step = step_matrix(rod, h, &spin, start_end.iter().copied())
+            .factor()
+            .ok_or(StepError::NotFinite {
+                node: rod.first_free_node(),
+                step: k,
+                time: grid.time(k),
+                quantity: "the inverse of the implicit step",
+            })?;
+        Ok(Self {
+            start_start,
+            start_end,
+            end_start,
+            end_end,
+            spin_inertia: spin,
+            step,
         })
     }
 }
@@ -691,6 +936,18 @@ fn stack(a: &Vector3<f64>, b: &Vector3<f64>, c: &Vector3<f64>) -> SVector<f64, 9
     out
 }
 
+/// `(δx_b - δx_a, ζ_a, ζ_b)` of element `q`.
+fn element_change(dx: &[Vector3<f64>], zeta: &[Vector3<f64>], q: usize) -> SVector<f64, 9> {
+    stack(&(dx[q + 1] - dx[q]), &zeta[q], &zeta[q + 1])
+}
+
+fn split(both: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    (
+        both.fixed_rows::<3>(0).into(),
+        both.fixed_rows::<3>(3).into(),
+    )
+}
+
 /// One column of the linearized motion at one instant: `(δx, ζ, δp, δπ)` of every node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateTangent {
@@ -749,24 +1006,14 @@ pub fn forward_sweep(
         positions: Vec::with_capacity(n * n_times),
         rotations: Vec::with_capacity(n * n_times),
     };
-    let mut force = vec![Vector3::zeros(); n];
-    let mut moment = force.clone();
     for k in 0..n_times {
         direction.positions.extend_from_slice(&column.positions);
         direction.rotations.extend_from_slice(&column.rotations);
         let step = StepLinearization::at(motion, trajectory, k)?;
-        step.force_change(
-            &column.positions,
-            &column.rotations,
-            &mut force,
-            &mut moment,
-        );
-        force[tip] += control_change[k].force;
-        moment[tip] += control_change[k].moment;
-        let Kick { decay, weight, .. } = step.kick;
+        step.kick_unforced(&mut column);
+        column.linear[tip] += control_change[k].force * step.kick.weight;
+        column.angular[tip] += control_change[k].moment * step.kick.weight;
         for q in step.first_free_node..n {
-            column.linear[q] = decay * column.linear[q] + weight * force[q];
-            column.angular[q] = decay * column.angular[q] + weight * moment[q];
             if let Some(defects) = defects.filter(|_| k < motion.grid.n_steps) {
                 column.linear[q] -= defects.linear[k * n + q];
                 column.angular[q] -= defects.angular[k * n + q];

@@ -10,6 +10,7 @@ pub mod diagnostics;
 pub mod energy;
 pub mod equilibrium;
 pub mod forces;
+pub mod implicit;
 pub mod inertia;
 pub mod integrator;
 pub mod lanes;
@@ -27,7 +28,7 @@ pub use constitutive::RodModel;
 pub use diagnostics::{Diagnostics, PowerBalance};
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
-pub use integrator::{Integrator, StepError, TimeGrid};
+pub use integrator::{Integrator, StepError, TimeGrid, TimeScheme};
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
+use super::integrator::TimeScheme;
 use super::load::{DistributedLoad, Load};
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
 use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
@@ -166,6 +167,10 @@ pub struct RodParameters {
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
     pub viscous_damping: f64,
+    /// Kelvin-Voigt time `τ`, s: an additional stress `τ C ṡ`, `ṡ` the rate of strain; [`RodModel::Standard`] only.
+    pub internal_damping: f64,
+    /// How the elastic forces act within a time step; implicit under [`RodModel::Standard`] only.
+    pub scheme: TimeScheme,
     /// Given loads on nodes.
     pub loads: Vec<Load>,
     /// Given loads along the rod.
@@ -192,6 +197,8 @@ impl RodParameters {
             base_rotation: Matrix3::identity(),
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
+            internal_damping: 0.0,
+            scheme: TimeScheme::Explicit,
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             payload: None,
@@ -257,6 +264,11 @@ pub struct Rod {
     pub gravity: Vector3<f64>,
     /// Viscous damping, 1/s.
     pub viscous_damping: f64,
+    /// Kelvin-Voigt time, s.
+    pub internal_damping: f64,
+    /// How the elastic forces act within a time step: no property of the rod itself, but whatever steps, linearizes or
+    /// checks it must know.
+    pub scheme: TimeScheme,
     /// Given loads on nodes; distributed ones are lumped.
     pub loads: Vec<Load>,
     /// Reference magnitudes.
@@ -297,8 +309,9 @@ impl Rod {
     ///
     /// # Errors
     /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
-    /// not exist or on a part that is none, a base motion that is not finite, a negative payload, or half a turn or
-    /// more of rest curvature per element.
+    /// not exist or on a part that is none, a base motion that is not finite, a negative payload, half a turn or
+    /// more of rest curvature per element, or a model other than the standard one with internal damping or the implicit
+    /// scheme.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
         let positive = |x: f64| x > 0.0;
@@ -320,6 +333,19 @@ impl Rod {
             p.viscous_damping,
             |c| c >= 0.0,
             "a non-negative damping",
+        )?;
+        let standard = p.model == RodModel::Standard;
+        require(
+            "internal_damping",
+            p.internal_damping,
+            |tau| tau == 0.0 || (tau > 0.0 && standard),
+            "a non-negative time, nor 0 where the model is not standard",
+        )?;
+        require(
+            "scheme",
+            f64::from(u8::from(p.scheme == TimeScheme::Implicit)),
+            |implicit| implicit == 0.0 || standard,
+            "explicit (0), the only scheme where the model is not standard",
         )?;
         for i in 0..3 {
             require("gravity", p.gravity[i], |_| true, "finite")?;
@@ -444,6 +470,8 @@ impl Rod {
             rest,
             gravity: p.gravity,
             viscous_damping: p.viscous_damping,
+            internal_damping: p.internal_damping,
+            scheme: p.scheme,
             loads,
             scales,
         })
@@ -495,6 +523,34 @@ impl Rod {
         let rotary = self.base_rotary(&state.configuration.positions);
         state.linear_momentum[0] = base.velocity * self.nodes[0].mass;
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
+    }
+
+    /// Mean power that Kelvin-Voigt damping takes over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
+    #[must_use]
+    pub fn internal_dissipation(
+        &self,
+        time_step: f64,
+        start: &Configuration,
+        end: &Configuration,
+    ) -> f64 {
+        if self.internal_damping == 0.0 {
+            return 0.0;
+        }
+        let strain = |q: usize, at: &Configuration| {
+            let pose = Self::element_pose(q, &at.positions, &at.rotations);
+            self.strain_rule.strain(self.elements[q].length, &pose)
+        };
+        let work: f64 = (self.elements.iter().enumerate())
+            .map(|(q, element)| {
+                let (start, end) = (strain(q, start), strain(q, end));
+                let stress = element.interval_stress([&start, &end], [-1.0, 1.0]);
+                let linear: f64 = (0..2)
+                    .map(|i| 0.5 * stress.linear[i].dot(&(end.linear[i] - start.linear[i])))
+                    .sum();
+                element.length * (linear + stress.angular.dot(&(end.curvature - start.curvature)))
+            })
+            .sum();
+        self.internal_damping * work / (time_step * time_step)
     }
 
     /// `Σ m x / Σ m`, m.

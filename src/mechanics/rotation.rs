@@ -48,6 +48,13 @@ pub fn cay_tangent(f: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() - 0.5 * hat(f)) / (1.0 + 0.25 * f.norm_squared())
 }
 
+/// Inverse of [`cay_tangent`]: `δf = P ζ` for a body-frame rotation of `cay(f)`, `P = I + f̂/2 + f fᵀ/4`.
+#[inline]
+#[must_use]
+pub fn cay_inverse_tangent(f: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::identity() + 0.5 * hat(f) + 0.25 * f * f.transpose()
+}
+
 /// Exponential map: the rotation by the angle `|v|` about `v`.
 #[must_use]
 pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {

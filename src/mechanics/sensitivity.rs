@@ -3,7 +3,8 @@
 //! All columns share the linearization of every step, so it is computed once and applied to tiles of [`TILE`] columns
 //! that lie next to each other in memory (column index fastest). The kernel is written once over
 //! [`pulp`]'s vectors and dispatched at run time; [`forward_sweep`](super::linearization::forward_sweep) is its clear
-//! counterpart and test oracle. A column whose control has not begun to act is zero and is skipped.
+//! counterpart and test oracle. A column whose control has not begun to act is zero and is skipped. Steps whose stress depends
+//! on both ends of the interval have no kernel of their own: their columns go through [`StepLinearization`] one by one.
 //!
 //! On request the same sweep reduces the second derivative of the Lagrangian to the columns, `H = Σ_k Z_kᵀ Q_k Z`:
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
@@ -61,7 +62,8 @@ pub struct Sensitivities {
 }
 
 /// Propagates all control columns, and one for the defects, along a trajectory; with `multipliers`, also reduces the
-/// second derivative of the Lagrangian to the control columns.
+/// second derivative of the Lagrangian to the control columns. Multipliers must not be given where a stress depends on both ends of
+/// an [interval](super::implicit): its second derivative is not available.
 ///
 /// `n_threads` changes the time only: every number is computed by the same operations in the same order.
 ///
@@ -191,7 +193,7 @@ fn linearize_chunk(
         StepLinearization::at(motion, trajectory, k).map(|step| {
             let curvature = multipliers
                 .map(|multipliers| PackedCurvature::at(motion, trajectory, &step, multipliers, k));
-            PackedStep::new(&step, curvature)
+            PackedStep::new(step, curvature)
         })
     };
     if n_threads == 1 {
@@ -234,6 +236,8 @@ struct PackedStep {
     element_drifts: Vec<PackedElementDrift>,
     first_free_node: usize,
     curvature: Option<PackedCurvature>,
+    /// The step itself, where the kernel does not know it.
+    plain: Option<StepLinearization>,
 }
 
 struct PackedDrift {
@@ -280,7 +284,7 @@ fn rows(m: &Matrix3<f64>, factor: f64) -> [[f64; 3]; 3] {
 }
 
 impl PackedStep {
-    fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
+    fn new(step: StepLinearization, curvature: Option<PackedCurvature>) -> Self {
         let weight = step.kick.weight;
         Self {
             decay: step.kick.decay,
@@ -318,6 +322,7 @@ impl PackedStep {
                 .collect(),
             first_free_node: step.first_free_node,
             curvature,
+            plain: (step.stress_drift.is_some() || step.elements.is_empty()).then_some(step),
         }
     }
 }
@@ -439,11 +444,15 @@ impl Tile {
         defects: &Defects,
         columns: &dyn ControlColumns,
     ) {
-        arch.dispatch(Kick {
-            step,
-            data: &mut self.data,
-        });
-        let n_nodes = step.elements.len() + 1;
+        if let Some(plain) = &step.plain {
+            self.for_each_column(|column| plain.kick_unforced(column));
+        } else {
+            arch.dispatch(Kick {
+                step,
+                data: &mut self.data,
+            });
+        }
+        let n_nodes = self.data.len() / (NODE_ROWS * TILE);
         if self.first_column == 0 && !step.drifts.is_empty() {
             for node in step.first_free_node..n_nodes {
                 let row = k * n_nodes + node;
@@ -461,7 +470,11 @@ impl Tile {
                     step.weight * weight;
             }
         });
-        if !step.element_drifts.is_empty() {
+        if let Some(plain) = &step.plain {
+            if !step.drifts.is_empty() {
+                self.for_each_column(|column| plain.drift(column));
+            }
+        } else if !step.element_drifts.is_empty() {
             arch.dispatch(CoupledDrift {
                 step,
                 data: &mut self.data,
@@ -475,6 +488,40 @@ impl Tile {
         }
         // 9×9 per element (multiply and add) with its scatter, four 3×3 products and the translation per node.
         self.flops += (TILE * (step.elements.len() * (162 + 15) + n_nodes * (72 + 12))) as u64;
+    }
+}
+
+impl Tile {
+    /// Takes the columns out one by one and puts them back.
+    fn for_each_column(&mut self, mut change: impl FnMut(&mut StateTangent)) {
+        let n_nodes = self.data.len() / (NODE_ROWS * TILE);
+        let mut tangent = StateTangent::zeros(n_nodes);
+        for column in 0..TILE {
+            let mut swap = |tangent: &mut StateTangent, store: bool| {
+                for node in 0..n_nodes {
+                    let parts = [
+                        &mut tangent.positions[node],
+                        &mut tangent.rotations[node],
+                        &mut tangent.linear[node],
+                        &mut tangent.angular[node],
+                    ];
+                    for (part, vector) in parts.into_iter().enumerate() {
+                        for axis in 0..3 {
+                            let row = node * NODE_ROWS + 3 * part + axis;
+                            let entry = &mut self.data[row * TILE + column];
+                            if store {
+                                *entry = vector[axis];
+                            } else {
+                                vector[axis] = *entry;
+                            }
+                        }
+                    }
+                }
+            };
+            swap(&mut tangent, false);
+            change(&mut tangent);
+            swap(&mut tangent, true);
+        }
     }
 }
 

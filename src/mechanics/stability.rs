@@ -2,6 +2,7 @@
 
 use nalgebra::SMatrix;
 
+use super::integrator::TimeScheme;
 use super::rod::Rod;
 use super::strain::ElementStiffness;
 
@@ -54,5 +55,41 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
     difference.transpose() * k * difference
 }
 
-/// Fraction of [`stable_step`] that `step_s = "auto"` uses: room for compressed elements and large rotations.
+/// Fraction of [`stable_step`] that `step_s = "auto"` uses with the explicit scheme: room for compressed elements and large rotations.
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
+
+/// Steps of [`resolving_step`] in a period: the implicit scheme lengthens it by `(2π/40)²/12`, 0.2 %.
+pub const STEPS_PER_PERIOD: f64 = 40.0;
+/// `(β₃ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: frequency of the third bending mode in units of the rod's own time.
+const THIRD_BENDING_MODE: f64 = 61.697_214;
+
+/// A time step that resolves the three slowest bending modes, s: [`STEPS_PER_PERIOD`] of them are a period of the third one of a
+/// clamped Euler-Bernoulli beam with the mean stiffness and mass of the rod.
+#[must_use]
+pub fn resolving_step(rod: &Rod) -> f64 {
+    std::f64::consts::TAU * rod.scales.time / (THIRD_BENDING_MODE * STEPS_PER_PERIOD)
+}
+
+/// The step up to which the implicit scheme is stable while the rod is bent into a circle, s: `2 sqrt(J/m)` of the worst element,
+/// `m = 2π EI/L` its bending (or twisting) moment and `J` its least rotary inertia. See [`implicit`](super::implicit).
+#[must_use]
+pub fn bent_step(rod: &Rod) -> f64 {
+    (rod.elements.iter().zip(&rod.element_inertia))
+        .map(|(element, [a, b])| {
+            let moment =
+                std::f64::consts::TAU * element.angular_stiffness.max() / rod.scales.length;
+            2.0 * ((a.rotary + b.rotary).min() / moment).sqrt()
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// What `step_s = "auto"` uses, s: [`AUTO_STEP_FRACTION`] of the stable step; under the implicit scheme the resolving step, or
+/// the bent step if that is shorter, unless the explicit one is longer.
+#[must_use]
+pub fn automatic_step(rod: &Rod) -> f64 {
+    let stable = AUTO_STEP_FRACTION * stable_step(rod);
+    match rod.scheme {
+        TimeScheme::Explicit => stable,
+        TimeScheme::Implicit => stable.max(resolving_step(rod).min(bent_step(rod))),
+    }
+}

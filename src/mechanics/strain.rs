@@ -17,7 +17,9 @@
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::constitutive::{RodModel, Tangent, Thinning};
-use super::rotation::{InverseTangentCoefficients, cay_inverse, hat, log, log_tangent};
+use super::rotation::{
+    InverseTangentCoefficients, cay_inverse, cay_inverse_tangent, hat, log, log_tangent,
+};
 
 /// How the strains of an element follow from its two end nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +48,15 @@ pub struct ElementStrain {
     pub linear: [Vector3<f64>; 2],
     /// `ψ/l`, 1/m, body frame.
     pub curvature: Vector3<f64>,
+}
+
+/// Stress of one element over an [interval](super::implicit), conjugate to an [`ElementStrain`]: the energy changes by `l/2 Σ_ends n·δv + l m·δκ`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntervalStress {
+    /// `n` at node a and at node b, body frame, N. Equal under the helical rule.
+    pub linear: [Vector3<f64>; 2],
+    /// `m`, body frame, N m.
+    pub angular: Vector3<f64>,
 }
 
 /// Stiffness and stress-free strain of one element.
@@ -78,6 +89,9 @@ pub struct ElementGradient {
 ///
 /// Not symmetric where moments are not zero: left-invariant fields do not commute.
 pub type ElementStiffness = SMatrix<f64, 9, 9>;
+
+/// Derivative of the strain `(v_a, v_b, κ)` along `(δx_b - δx_a, η_a, η_b)`.
+pub type StrainDerivative = SMatrix<f64, 9, 9>;
 
 impl StrainRule {
     /// Name in scene and result files.
@@ -112,6 +126,59 @@ impl StrainRule {
                 curvature: cay_inverse(&relative) / length,
             },
         }
+    }
+
+    /// [`Self::strain`] and its derivative. Helical: `δv = (S (R_aᵀ δdx + ŷ η_a) + G δψ)/l`, `G = ∂(S y)/∂ψ`,
+    /// `δψ = Sᵀ η_b - S η_a`; trapezoidal: `δv_i = R_iᵀ δdx/l + v̂_i η_i`, `δψ = P η_b - Pᵀ η_a`.
+    #[must_use]
+    pub fn strain_derivative(
+        self,
+        length: f64,
+        pose: &ElementPose,
+    ) -> (ElementStrain, StrainDerivative) {
+        let mut b = StrainDerivative::zeros();
+        let mut set = |row: usize, column: usize, block: &Matrix3<f64>| {
+            b.fixed_view_mut::<3, 3>(row, column).copy_from(block);
+        };
+        let strain = match self {
+            Self::Helical => {
+                let HelicalPose {
+                    rotation_a,
+                    psi,
+                    y,
+                    c,
+                    s,
+                } = HelicalPose::at(pose);
+                let s = s / length;
+                let g = tangent_derivative(&psi, &y, &c, -1.0);
+                let along_dx = s * rotation_a.transpose();
+                let along_a = s * hat(&y) - g * s;
+                let along_b = g * s.transpose();
+                for row in [0, 3] {
+                    set(row, 0, &along_dx);
+                    set(row, 3, &along_a);
+                    set(row, 6, &along_b);
+                }
+                set(6, 3, &-s);
+                set(6, 6, &s.transpose());
+                ElementStrain {
+                    linear: [s * y; 2],
+                    curvature: psi / length,
+                }
+            }
+            Self::Trapezoidal => {
+                let strain = self.strain(length, pose);
+                for (end, rotation) in [pose.rotation_a, pose.rotation_b].into_iter().enumerate() {
+                    set(3 * end, 0, &(rotation.transpose() / length));
+                    set(3 * end, 3 + 3 * end, &hat(&strain.linear[end]));
+                }
+                let p = cay_inverse_tangent(&(strain.curvature * length)) / length;
+                set(6, 3, &-p.transpose());
+                set(6, 6, &p);
+                strain
+            }
+        };
+        (strain, b)
     }
 }
 
@@ -199,12 +266,84 @@ impl Element {
         }
     }
 
+    /// `weights[0] C (s₀ - s_rest) + weights[1] C (s₁ - s_rest)` of two strains, by the standard model.
+    #[must_use]
+    pub fn interval_stress(
+        &self,
+        strains: [&ElementStrain; 2],
+        weights: [f64; 2],
+    ) -> IntervalStress {
+        let rest = self.rest.linear;
+        let [start, end] = strains;
+        let mean = |start: Vector3<f64>, end: Vector3<f64>| start * weights[0] + end * weights[1];
+        IntervalStress {
+            linear: [0, 1].map(|i| {
+                self.linear_stiffness
+                    .component_mul(&mean(start.linear[i] - rest[i], end.linear[i] - rest[i]))
+            }),
+            angular: self.angular_stiffness.component_mul(&mean(
+                start.curvature - self.rest.curvature,
+                end.curvature - self.rest.curvature,
+            )),
+        }
+    }
+
+    /// What a given stress does on the ends of the element: `Bᵀ` times the stress, [`Self::gradient`] where the
+    /// stress is that of the pose.
+    #[must_use]
+    pub fn gradient_under(
+        &self,
+        rule: StrainRule,
+        pose: &ElementPose,
+        stress: &IntervalStress,
+    ) -> ElementGradient {
+        match rule {
+            StrainRule::Helical => HelicalPose::at(pose).under(stress).gradient(),
+            StrainRule::Trapezoidal => self.trapezoidal_under(pose, stress).gradient(),
+        }
+    }
+
+    /// Derivative of [`Self::gradient_under`] when the stress changes with `factor` times the standard model's stiffness.
+    #[must_use]
+    pub fn stiffness_under(
+        &self,
+        rule: StrainRule,
+        pose: &ElementPose,
+        stress: &IntervalStress,
+        factor: f64,
+    ) -> ElementStiffness {
+        let scaled = Self {
+            model: RodModel::Standard,
+            linear_stiffness: self.linear_stiffness * factor,
+            angular_stiffness: self.angular_stiffness * factor,
+            ..*self
+        };
+        match rule {
+            StrainRule::Helical => HelicalPose::at(pose).under(stress).stiffness(&scaled),
+            StrainRule::Trapezoidal => self.trapezoidal_under(pose, stress).stiffness(&scaled),
+        }
+    }
+
+    /// `B_startᵀ C B_end` with the weights of the two ends and the length: how the forces at one instant change with the
+    /// configuration at another.
+    #[must_use]
+    pub fn coupling(&self, start: &StrainDerivative, end: &StrainDerivative) -> ElementStiffness {
+        let mut stressed = *end;
+        for axis in 0..3 {
+            let linear = 0.5 * self.length * self.linear_stiffness[axis];
+            let angular = self.length * self.angular_stiffness[axis];
+            for (row, stiffness) in [(0, linear), (3, linear), (6, angular)] {
+                let mut row = stressed.row_mut(row + axis);
+                row *= stiffness;
+            }
+        }
+        start.tr_mul(&stressed)
+    }
+
     #[inline]
     fn helical<'a>(&self, pose: &ElementPose<'a>) -> HelicalTerms<'a> {
-        let psi = log(&(pose.rotation_a.transpose() * pose.rotation_b));
-        let y = pose.rotation_a.transpose() * pose.dx;
-        let c = InverseTangentCoefficients::at(psi.norm_squared());
-        let s = log_tangent(&psi, &c);
+        let kinematics = HelicalPose::at(pose);
+        let HelicalPose { psi, y, s, .. } = &kinematics;
         let v = s * y / self.length;
         let eps = v - self.rest.linear[0];
         let kappa = psi / self.length - self.rest.curvature;
@@ -226,18 +365,7 @@ impl Element {
             m *= thinning.angular;
             tangent
         });
-        HelicalTerms {
-            rotation_a: pose.rotation_a,
-            psi,
-            y,
-            c,
-            s,
-            n,
-            m,
-            mu: m + tangent_derivative(&psi, &y, &c, -1.0).transpose() * n,
-            w: s.transpose() * n,
-            thinning,
-        }
+        kinematics.terms(n, m, thinning)
     }
 
     #[inline]
@@ -274,8 +402,26 @@ impl Element {
             n,
             psi,
             y,
-            p: Matrix3::identity() + 0.5 * hat(&psi) + 0.25 * psi * psi.transpose(),
+            p: cay_inverse_tangent(&psi),
             thinning,
+        }
+    }
+
+    fn trapezoidal_under<'a>(
+        &self,
+        pose: &ElementPose<'a>,
+        stress: &IntervalStress,
+    ) -> TrapezoidalTerms<'a> {
+        let psi = cay_inverse(&(pose.rotation_a.transpose() * pose.rotation_b));
+        TrapezoidalTerms {
+            rotations: [pose.rotation_a, pose.rotation_b],
+            length: self.length,
+            v: [pose.rotation_a, pose.rotation_b].map(|r| r.transpose() * pose.dx / self.length),
+            n: stress.linear,
+            psi,
+            y: stress.angular,
+            p: cay_inverse_tangent(&psi),
+            thinning: None,
         }
     }
 }
@@ -312,6 +458,64 @@ pub fn log_second_derivative(psi: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f6
     let c = InverseTangentCoefficients::at(psi.norm_squared());
     let m = tangent_derivative(psi, y, &c, -1.0) * log_tangent(psi, &c).transpose();
     0.5 * (m + m.transpose())
+}
+
+/// What the helical rule needs of a pose, whatever the stress.
+struct HelicalPose<'a> {
+    rotation_a: &'a Matrix3<f64>,
+    psi: Vector3<f64>,
+    /// `R_aᵀ dx`
+    y: Vector3<f64>,
+    c: InverseTangentCoefficients,
+    /// `S(ψ)`
+    s: Matrix3<f64>,
+}
+
+impl<'a> HelicalPose<'a> {
+    #[inline]
+    fn at(pose: &ElementPose<'a>) -> Self {
+        let psi = log(&(pose.rotation_a.transpose() * pose.rotation_b));
+        let c = InverseTangentCoefficients::at(psi.norm_squared());
+        Self {
+            rotation_a: pose.rotation_a,
+            psi,
+            y: pose.rotation_a.transpose() * pose.dx,
+            c,
+            s: log_tangent(&psi, &c),
+        }
+    }
+
+    #[inline]
+    fn terms(
+        self,
+        n: Vector3<f64>,
+        m: Vector3<f64>,
+        thinning: Option<Tangent>,
+    ) -> HelicalTerms<'a> {
+        let Self {
+            rotation_a,
+            psi,
+            y,
+            c,
+            s,
+        } = self;
+        HelicalTerms {
+            rotation_a,
+            psi,
+            y,
+            c,
+            s,
+            n,
+            m,
+            mu: m + tangent_derivative(&psi, &y, &c, -1.0).transpose() * n,
+            w: s.transpose() * n,
+            thinning,
+        }
+    }
+
+    fn under(self, stress: &IntervalStress) -> HelicalTerms<'a> {
+        self.terms(stress.linear[0], stress.angular, None)
+    }
 }
 
 /// Intermediate quantities of the helical rule; see the [module documentation](self).
@@ -690,6 +894,74 @@ pub(crate) mod tests {
                 let difference = derivative(|h| flat(&e.gradient(rule, &pose.moved(&d, h).view())));
                 let error = (difference - k * d).norm();
                 prop_assert!(error < 1e-8 * (k * d).norm().max(k.norm() * 0.1), "{rule:?} {model:?} error {:e}", error / k.norm());
+            }
+        }
+
+        /// Differences of the strain agree with its derivative to the differences' own error.
+        #[test]
+        fn strain_derivative_is_the_derivative(pose in pose(), d in direction()) {
+            for rule in RULES {
+                let l = element().length;
+                let flat = |s: ElementStrain| {
+                    let mut out = SMatrix::<f64, 9, 1>::zeros();
+                    for (at, v) in [s.linear[0], s.linear[1], s.curvature * l].iter().enumerate() {
+                        out.fixed_rows_mut::<3>(3 * at).copy_from(v);
+                    }
+                    out
+                };
+                let (strain, b) = rule.strain_derivative(l, &pose.view());
+                let again = rule.strain(l, &pose.view());
+                prop_assert!((flat(strain) - flat(again)).norm() < 1e-14 * flat(again).norm());
+                let mut along = b * d;
+                let mut curvature = along.fixed_rows_mut::<3>(6);
+                curvature *= l;
+                let difference = derivative(|h| flat(rule.strain(l, &pose.moved(&d, h).view())));
+                let error = (difference - along).norm();
+                prop_assert!(error < 1e-8 * (1.0 + along.norm()), "{rule:?} error {error:e}");
+            }
+        }
+
+        /// Under the stress of its own pose an element has its own gradient and stiffness, and the gradient is `Bᵀ` times
+        /// the stress; under any other stress the stiffness is the derivative of that product.
+        #[test]
+        fn given_stress_acts_like_ones_own(pose in pose(), other in pose(), d in direction()) {
+            for rule in RULES {
+                let e = element_for(rule, RodModel::Standard);
+                let (strain, b) = rule.strain_derivative(e.length, &pose.view());
+                let elsewhere = rule.strain(e.length, &other.view());
+                let own = e.interval_stress([&strain, &strain], [0.3, 0.7]);
+                let (g, k) = e.stiffness(rule, &pose.view());
+                let (g, again) = (flat(&g), flat(&e.gradient_under(rule, &pose.view(), &own)));
+                prop_assert!((g - again).norm() < 1e-13 * (1.0 + g.norm()));
+                let k_again = e.stiffness_under(rule, &pose.view(), &own, 1.0);
+                prop_assert!((k - k_again).norm() < 1e-13 * k.norm());
+
+                let stress = |strain: &ElementStrain| e.interval_stress([strain, &elsewhere], [1.4, -0.9]);
+                let given = stress(&strain);
+                let pulled = |b: &StrainDerivative, s: &IntervalStress| {
+                    b.fixed_rows::<3>(0).tr_mul(&s.linear[0]) * (0.5 * e.length)
+                        + b.fixed_rows::<3>(3).tr_mul(&s.linear[1]) * (0.5 * e.length)
+                        + b.fixed_rows::<3>(6).tr_mul(&s.angular) * e.length
+                };
+                let under = flat(&e.gradient_under(rule, &pose.view(), &given));
+                prop_assert!((pulled(&b, &given) - under).norm() < 1e-13 * (1.0 + under.norm()));
+                let tangent = e.stiffness_under(rule, &pose.view(), &given, 1.4);
+                let difference = derivative(|h| {
+                    let moved = pose.moved(&d, h);
+                    let s = rule.strain(e.length, &moved.view());
+                    flat(&e.gradient_under(rule, &moved.view(), &stress(&s)))
+                });
+                let error = (difference - tangent * d).norm();
+                prop_assert!(error < 1e-8 * (tangent * d).norm().max(tangent.norm() * 0.1), "{rule:?} {error:e}");
+                // Only the other end moves: B of this end, C, and B of the other one.
+                let there = rule.strain_derivative(e.length, &other.view()).1;
+                let moved_stress = derivative(|h| {
+                    let s = rule.strain(e.length, &other.moved(&d, h).view());
+                    flat(&e.gradient_under(rule, &pose.view(), &e.interval_stress([&strain, &s], [1.4, -0.9])))
+                });
+                let coupled = e.coupling(&b, &there) * d * -0.9;
+                let error = (moved_stress - coupled).norm();
+                prop_assert!(error < 1e-8 * (1.0 + coupled.norm()), "{rule:?} {error:e}");
             }
         }
 

@@ -24,8 +24,12 @@ pub struct CheckSummary {
     pub elements: usize,
     /// Mass of the rod, kg.
     pub mass_kg: f64,
-    /// Stable step, s.
+    /// Stable step of the explicit integrator, s.
     pub stable_step_s: f64,
+    /// `explicit` or `implicit`.
+    pub integrator: &'static str,
+    /// What a second of motion costs with either integrator.
+    pub cost: CostEstimate,
     /// Step that a run takes, s.
     pub step_s: f64,
     /// Steps of a run.
@@ -42,6 +46,21 @@ pub struct CheckSummary {
     pub memory_bytes: u64,
     /// Things a user should know before running.
     pub warnings: Vec<String>,
+}
+
+/// What a simulation costs with either integrator, from the time of a node's step on the machine of ARCHITECTURE.md.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct CostEstimate {
+    /// Step of the explicit integrator, s: the scene's own, or the automatic one.
+    pub explicit_step_s: f64,
+    /// Seconds for the whole motion.
+    pub explicit_wall_s: f64,
+    /// Step of the implicit integrator, s.
+    pub implicit_step_s: f64,
+    /// Seconds for the whole motion.
+    pub implicit_wall_s: f64,
+    /// `explicit` or `implicit`.
+    pub cheaper: &'static str,
 }
 
 /// Reference magnitudes.

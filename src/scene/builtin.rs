@@ -1,7 +1,7 @@
 //! The scenes that come with the program.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 6] = [
+const SCENES: [(&str, &str); 7] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -20,6 +20,7 @@ const SCENES: [(&str, &str); 6] = [
         "shaken-base",
         include_str!("../../examples/scenes/shaken-base.toml"),
     ),
+    ("wire", include_str!("../../examples/scenes/wire.toml")),
 ];
 
 /// The names of the built-in scenes, the one to start with first.

@@ -296,11 +296,7 @@ impl Keys<'_> {
             "damping rate",
             "1/s",
         )?;
-        self.not_negative("damping.internal_s", damping.internal_s, "time", "seconds")?;
-        if damping.internal_s > 0.0 {
-            return Err(self.unavailable("damping.internal_s", "internal damping is", "use 0"));
-        }
-        Ok(())
+        self.not_negative("damping.internal_s", damping.internal_s, "time", "seconds")
     }
 
     fn check_load(&self, load: &Load, index: usize, elements: usize) -> Checked {
@@ -662,14 +658,6 @@ impl Keys<'_> {
             key,
             format!("contradicts {other}"),
             Some("give one or the other".to_string()),
-        )
-    }
-
-    fn unavailable(&self, key: &str, what: &str, instead: &str) -> SceneError {
-        self.source.error_at(
-            key,
-            format!("{what} not available in this version; {instead}"),
-            None,
         )
     }
 }

@@ -293,8 +293,9 @@ pub struct Damping {
     /// angular momentum.
     #[schemars(range(min = 0.0))]
     pub viscous_1_s: f64,
-    /// Kelvin-Voigt time in s: stress in proportion to the rate of strain. This version has only 0, the default.
-    #[schemars(range(min = 0.0, max = 0.0))]
+    /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
+    /// It damps a mode of angular frequency ω with the ratio τω/2.
+    #[schemars(range(min = 0.0))]
     pub internal_s: f64,
 }
 
@@ -428,16 +429,31 @@ pub struct Time {
     /// Duration in s, from t = 0; not negative.
     #[schemars(range(min = 0.0))]
     pub end_s: f64,
-    /// Time step in s, or "auto": a step that is stable for this rod. Default: "auto".
+    /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
+    /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
     #[serde(default)]
     pub step_s: TimeStep,
+    /// How a step is taken. Default: "explicit".
+    #[serde(default)]
+    pub integrator: TimeScheme,
+}
+
+/// How a time step is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeScheme {
+    /// Cheap steps that must resolve the fastest elastic wave of an element.
+    #[default]
+    Explicit,
+    /// Costlier steps that need not resolve elastic waves, for stiff and thin arms; strong bending still limits them.
+    Implicit,
 }
 
 /// The time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "TimeStepKey", into = "TimeStepKey")]
 pub enum TimeStep {
-    /// A step that is stable for this rod.
+    /// A step that suits this rod and the integrator.
     #[default]
     Auto,
     /// This many seconds, positive.

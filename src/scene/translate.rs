@@ -13,11 +13,11 @@ use crate::control::{
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::from_quaternion;
-use crate::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
+use crate::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, stable_step};
 use crate::mechanics::{
     BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
     MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, Section,
-    SectionProfile, State, StrainRule, TimeGrid,
+    SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
 };
 use crate::sqp::{HessianChoice, SqpSettings};
 
@@ -110,6 +110,7 @@ impl Scene {
         let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
         let objective = self.objective.clone().unwrap_or_default();
         let solver = self.solver.clone().unwrap_or_default();
+        self.check_can_be_controlled(source)?;
         let (parameters, rod) = self.rod_of(source)?;
         let horizon = task.instant(self.time.end_s);
         let grid = self.grid(source, &rod, horizon, control.blocks)?;
@@ -214,6 +215,24 @@ impl Scene {
         })
     }
 
+    /// The check of a solution, and the exact Hessian, know explicit elastic forces only.
+    fn check_can_be_controlled(&self, source: &SceneSource) -> Result<(), SceneError> {
+        let refuse = |key: &str, what: &str, instead: &str| {
+            let message = format!("optimal control with {what} is not available in this version");
+            Err(source.error_at(key, message, Some(instead.into())))
+        };
+        if self.time.integrator == model::TimeScheme::Implicit {
+            let instead = "use \"explicit\", or leave [task] and [control] out and simulate";
+            return refuse("time.integrator", "the implicit integrator", instead);
+        }
+        if self.damping.as_ref().is_some_and(|d| d.internal_s > 0.0) {
+            let instead =
+                "use 0 and damping.viscous_1_s, or leave [task] and [control] out and simulate";
+            return refuse("damping.internal_s", "internal damping", instead);
+        }
+        Ok(())
+    }
+
     /// Radius of every node for pictures, m; empty when the scene does not say.
     #[must_use]
     pub fn display_radii(&self) -> Vec<f64> {
@@ -271,6 +290,11 @@ impl Scene {
                 .as_ref()
                 .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
+            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s),
+            scheme: match self.time.integrator {
+                model::TimeScheme::Explicit => TimeScheme::Explicit,
+                model::TimeScheme::Implicit => TimeScheme::Implicit,
+            },
             loads: self.load.iter().map(|load| self.load_of(load)).collect(),
             distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
             payload: self.payload.as_ref().map(|payload| NodeInertia {
@@ -355,14 +379,15 @@ impl Scene {
             ));
         }
         let step = match self.time.step_s {
-            TimeStep::Auto => AUTO_STEP_FRACTION * limit,
-            TimeStep::Seconds(step) if step <= limit => step,
+            TimeStep::Auto => automatic_step(rod),
+            TimeStep::Seconds(step) if step <= limit || rod.scheme == TimeScheme::Implicit => step,
             TimeStep::Seconds(step) => {
                 return Err(source.error_at(
                     "time.step_s",
                     format!("{step} s is above the stable step of this rod, {limit:.4e} s"),
                     Some(format!(
-                        "use \"auto\" ({:.4e} s) or fewer elements; with this step the motion would grow without bound",
+                        "use \"auto\" ({:.4e} s), fewer elements, or time.integrator = \"implicit\"; with this step the motion \
+                         would grow without bound",
                         AUTO_STEP_FRACTION * limit
                     )),
                 ));

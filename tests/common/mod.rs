@@ -6,7 +6,7 @@ use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, DistributedLoad, Load, LoadFrame, Material,
     MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section, SectionProfile,
-    State, StrainRule, TimeGrid, TipSpring, Trajectory, static_equilibrium,
+    State, StrainRule, TimeGrid, TimeScheme, TipSpring, Trajectory, static_equilibrium,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -24,9 +24,61 @@ pub fn laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
         .flat_map(|rule| MODELS.map(|model| (rule, model)))
 }
 
-/// The laws that derive from an action.
-pub fn variational_laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
-    laws().filter(|law| law.1.has_potential())
+/// A law of motion with the way it is stepped.
+#[derive(Clone, Copy, Debug)]
+pub struct Method {
+    pub rule: StrainRule,
+    pub model: RodModel,
+    pub scheme: TimeScheme,
+    /// Kelvin-Voigt time, s.
+    pub internal_damping: f64,
+}
+
+impl Method {
+    /// The rod of these parameters, by this method.
+    pub fn rod(&self, parameters: RodParameters) -> Rod {
+        Rod::new(&self.of(parameters)).unwrap()
+    }
+
+    pub fn of(&self, parameters: RodParameters) -> RodParameters {
+        RodParameters {
+            strain_rule: self.rule,
+            model: self.model,
+            scheme: self.scheme,
+            internal_damping: self.internal_damping,
+            ..parameters
+        }
+    }
+
+    /// Whether the step derives from an action.
+    pub fn is_variational(&self) -> bool {
+        self.model.has_potential() && self.internal_damping == 0.0
+    }
+}
+
+/// Every law, explicit, and the standard model implicit, with Kelvin-Voigt damping, and both; the damping is strong (ratio
+/// 0.5 and more) in the fastest waves of the soft arm and weak in its bending.
+pub fn methods() -> impl Iterator<Item = Method> {
+    let explicit = laws().map(|(rule, model)| Method {
+        rule,
+        model,
+        scheme: TimeScheme::Explicit,
+        internal_damping: 0.0,
+    });
+    let others = RULES.into_iter().flat_map(|rule| {
+        [
+            (TimeScheme::Implicit, 0.0),
+            (TimeScheme::Explicit, 2e-3),
+            (TimeScheme::Implicit, 2e-3),
+        ]
+        .map(|(scheme, internal_damping)| Method {
+            rule,
+            model: RodModel::Standard,
+            scheme,
+            internal_damping,
+        })
+    });
+    explicit.chain(others)
 }
 
 /// L = 1 m, r = 0.05 m, E = 1 MPa, G = E/3, density 1000, the silicone-like arm of the notes and scenes.

@@ -23,6 +23,7 @@ use super::buffer::Buffer;
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
+use super::implicit::IntervalWeights;
 use super::integrator::{StepError, rotation_error, solve_rotation};
 use super::load::Wrench;
 use super::rod::{BaseCondition, NodeInertia, Rod};
@@ -90,8 +91,8 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    /// Starts from a state at time 0. `None` for what only the plain integrator can do: a driven base, or a model other
-    /// than the standard one.
+    /// Starts from a state at time 0. `None` for what only the plain integrator can do: a driven base, a model other
+    /// than the standard one, implicit steps, or internal damping.
     #[must_use]
     pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, time_step, initial)
@@ -101,7 +102,8 @@ impl<'a> LaneIntegrator<'a> {
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         let driven = matches!(rod.base, BaseCondition::Driven(_));
-        if driven || rod.model != RodModel::Standard {
+        let implicit = IntervalWeights::of(rod, time_step).is_some();
+        if driven || implicit || rod.model != RodModel::Standard {
             return None;
         }
         let n_lanes = dispatch(arch, CountLanes);
