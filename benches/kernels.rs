@@ -113,8 +113,8 @@ fn forward_table() {
 
 fn simulate_lanes(arch: pulp::Arch, rod: &Rod, n_steps: usize) {
     let initial = State::at_rest(rod.rest.clone());
-    let mut integrator = LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial)
-        .expect("a rod of the standard model");
+    let mut integrator =
+        LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial).expect("an explicit step");
     let wrench = Wrench {
         force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
         ..Wrench::default()

@@ -488,21 +488,22 @@ impl<'a> Integrator<'a> {
         Ok(())
     }
 
+    /// Where a driven base will be at the end of the step; its turn until then is kept.
+    fn approach_base(&mut self) -> Result<Option<BaseState>, StepError> {
+        let rotation = &self.state.configuration.rotations[0];
+        let base = approach_base(self.rod, rotation, self.step, self.time_step)?;
+        Ok(base.map(|(base, turn)| {
+            self.turns[0] = turn;
+            base
+        }))
+    }
+
     /// Inertia of the nodes at the present positions.
     fn follow_dilatation(&mut self) -> Result<(), StepError> {
         let positions = &self.state.configuration.positions;
         for q in 0..self.rod.n_elements() {
-            let dilatation = self.rod.chord_dilatation(q, positions);
-            let least = self.rod.least_dilatation(q, self.time_step);
-            if !(dilatation > least) {
-                return Err(StepError::ElementCollapsed {
-                    element: q,
-                    step: self.step,
-                    time: self.time(),
-                    dilatation,
-                    least,
-                });
-            }
+            let ends = [positions[q], positions[q + 1]];
+            check_dilatation(self.rod, q, &ends, self.step, self.time_step)?;
         }
         self.rod.write_rotary(positions, &mut self.rotary);
         Ok(())
@@ -522,30 +523,59 @@ impl<'a> Integrator<'a> {
             self.state.linear_momentum[q + 1] += impulse;
         }
     }
+}
 
-    /// Where a driven base will be at the end of the step, and its turn until then.
-    fn approach_base(&mut self) -> Result<Option<BaseState>, StepError> {
-        let (step, time, h) = (self.step, self.time(), self.time_step);
-        let Some(base) = self.rod.driven_base((step + 1) as f64 * h) else {
-            return Ok(None);
-        };
-        let turn = self.state.configuration.rotations[0].tr_mul(&base.rotation);
-        // The speed as well, lest whole turns between two time nodes go unseen.
-        let angle = log(&turn).norm().max(base.angular_velocity.norm() * h);
-        if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
-            return Err(StepError::NotFinite {
-                node: 0,
-                step,
-                time,
-                quantity: "the given motion of the base",
-            });
-        }
-        if angle >= std::f64::consts::FRAC_PI_2 {
-            return Err(StepError::BaseTurnTooLarge { step, time, angle });
-        }
-        self.turns[0] = cay_inverse(&turn);
-        Ok(Some(base))
+/// Where a driven base will be at the end of the step, and the Cayley vector of its turn from `rotation` until then.
+pub(super) fn approach_base(
+    rod: &Rod,
+    rotation: &Matrix3<f64>,
+    step: usize,
+    time_step: f64,
+) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
+    let time = step as f64 * time_step;
+    let Some(base) = rod.driven_base((step + 1) as f64 * time_step) else {
+        return Ok(None);
+    };
+    let turn = rotation.tr_mul(&base.rotation);
+    // The speed as well, lest whole turns between two time nodes go unseen.
+    let angle = log(&turn)
+        .norm()
+        .max(base.angular_velocity.norm() * time_step);
+    if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
+        return Err(StepError::NotFinite {
+            node: 0,
+            step,
+            time,
+            quantity: "the given motion of the base",
+        });
     }
+    if angle >= std::f64::consts::FRAC_PI_2 {
+        return Err(StepError::BaseTurnTooLarge { step, time, angle });
+    }
+    let turn = cay_inverse(&turn);
+    Ok(Some((base, turn)))
+}
+
+/// Whether the time step resolves the dilatation of element `q` with its ends at `ends`.
+pub(super) fn check_dilatation(
+    rod: &Rod,
+    q: usize,
+    ends: &[Vector3<f64>; 2],
+    step: usize,
+    time_step: f64,
+) -> Result<(), StepError> {
+    let dilatation = (ends[1] - ends[0]).norm() / rod.rest_chords[q];
+    let least = rod.least_dilatation(q, time_step);
+    if dilatation > least {
+        return Ok(());
+    }
+    Err(StepError::ElementCollapsed {
+        element: q,
+        step,
+        time: step as f64 * time_step,
+        dilatation,
+        least,
+    })
 }
 
 pub(super) fn rotation_error(

@@ -2,17 +2,36 @@
 
 use pulp::Simd;
 
-use super::vector::{Frame, Lanes, Quaternion, Vec3};
+use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
+use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::INVERSE_TANGENT_SERIES;
-use crate::mechanics::strain::Element;
 
-/// Rows of an element's constants: see the constants below.
-pub const ELEMENT_ROWS: usize = 15;
 const LINEAR_STIFFNESS: usize = 0;
 const ANGULAR_STIFFNESS: usize = 3;
 /// Of end a, then of end b.
 const REST_LINEAR: usize = 6;
 const REST_ANGULAR: usize = 12;
+/// Rows of an element's constants: those above.
+const STRESS_ROWS: usize = 15;
+
+/// `l |v_rest|`; zero where there is no element.
+const REST_STRETCH: usize = 15;
+/// Factor of `Σ (y - y_rest)·n` that makes it `ε·C₁ε/2`, N.
+const LINEAR_DENSITY: usize = 16;
+/// The same for three times `κ·C₂κ/2`.
+const ANGULAR_DENSITY: usize = 17;
+/// `EA |v_rest|²/2`
+const AXIAL: usize = 18;
+/// `1/(l |v_rest|²)`
+const ALONG: usize = 19;
+/// Length of the chord at rest.
+const REST_CHORD: usize = 20;
+/// See [`Rod::least_dilatation`].
+const LEAST_DILATATION: usize = 21;
+/// Rotary inertia that end a has of the element at rest, then end b.
+const SHARES: usize = 22;
+/// Rows of an element's constants where the dilatation counts: all of the above.
+const THINNING_ROWS: usize = 28;
 
 /// Position and rotation of a node.
 #[derive(Clone, Copy, Debug)]
@@ -23,12 +42,10 @@ pub struct Pose<S: Simd> {
 }
 
 impl<S: Simd> Pose<S> {
-    /// See [`Lanes::next_lane`].
     #[inline(always)]
-    pub fn next_lane(&self) -> Self {
-        let rotation = self.rotation.next_lane();
+    pub fn of(position: Vec3<S>, rotation: Quaternion<S>) -> Self {
         Self {
-            position: self.position.next_lane(),
+            position,
             rotation,
             frame: Frame::of(&rotation),
         }
@@ -43,63 +60,251 @@ pub struct Gradient<S: Simd> {
     pub moment_b: Vec3<S>,
 }
 
+/// The chord of an element.
+#[derive(Clone, Copy, Debug)]
+pub struct Chord<S: Simd> {
+    /// `x_b - x_a`
+    pub dx: Vec3<S>,
+    pub inverse_length: Lanes<S>,
+}
+
+impl<S: Simd> Chord<S> {
+    #[inline(always)]
+    pub fn between(a: Vec3<S>, b: Vec3<S>) -> Self {
+        let dx = b - a;
+        Self {
+            dx,
+            inverse_length: inverse_length(dx),
+        }
+    }
+
+    /// `1/e - 1`: what the inertia at rest is to grow by.
+    #[inline(always)]
+    pub fn thickening(&self, constants: &[Row<S>]) -> Lanes<S> {
+        self.inverse_length * row(self.dx.x.simd, constants, REST_CHORD) - 1.0
+    }
+
+    /// The least dilatation that the time step resolves over the present one.
+    #[inline(always)]
+    pub fn compression(&self, constants: &[Row<S>]) -> Lanes<S> {
+        let simd = self.dx.x.simd;
+        let inverse = self.inverse_length * row(simd, constants, REST_CHORD);
+        inverse * row(simd, constants, LEAST_DILATATION)
+    }
+
+    /// Inertia that the two ends gain by the dilatation.
+    #[inline(always)]
+    pub fn inertia(&self, constants: &[Row<S>]) -> [Vec3<S>; 2] {
+        let thickening = self.thickening(constants);
+        let [a, b] = shares(self.dx.x.simd, constants);
+        [a * thickening, b * thickening]
+    }
+
+    /// Impulse of the kinetic reaction on the right node, the opposite on the left one, over `2/h`, for the vector parts
+    /// of the quaternions by which the ends turn; see [`Rod::kinetic_reaction`].
+    #[inline(always)]
+    pub fn kinetic_reaction(&self, constants: &[Row<S>], turns: [Vec3<S>; 2]) -> Vec3<S> {
+        let simd = self.dx.x.simd;
+        let [a, b] = shares(simd, constants);
+        let spin =
+            turns[0].dot(a.component_mul(turns[0])) + turns[1].dot(b.component_mul(turns[1]));
+        let cube = self.inverse_length * self.inverse_length * self.inverse_length;
+        -(self.dx * (spin * row(simd, constants, REST_CHORD) * cube))
+    }
+}
+
+#[inline(always)]
+fn shares<S: Simd>(simd: S, constants: &[Row<S>]) -> [Vec3<S>; 2] {
+    [
+        Vec3::load(simd, constants, SHARES),
+        Vec3::load(simd, constants, SHARES + 3),
+    ]
+}
+
+/// Far below the square of any length; the cube of the inverse of its root is finite.
+const LEAST_SQUARE: f64 = 1e-200;
+
+/// `1/|v|`, finite for a zero vector too, so that a lane without an element stays without force.
+#[inline(always)]
+fn inverse_length<S: Simd>(v: Vec3<S>) -> Lanes<S> {
+    Lanes::splat(v.x.simd, 1.0) / (v.dot(v) + LEAST_SQUARE).sqrt()
+}
+
 /// Stress as a function of strain.
 pub trait Law {
+    /// Rows of an element's constants.
+    const ROWS: usize;
+    /// Whether stiffness and inertia follow the dilatation.
+    const THINS: bool;
+    /// Whether the kinetic energy pulls at the elements.
+    const REACTS: bool;
+
     /// Stress at `ENDS` ends from `y_i` (the linear strain times `l`), and from the angular strain, both in the scale
-    /// of the [rule](Rule) and its [constants](Rule::constants).
+    /// of the [rule](Rule) and its [constants](Rule::constants); `inverse_stretch` is `1/|y_0|`.
     fn stress<S: Simd, const ENDS: usize>(
-        constants: &[S::f64s; ELEMENT_ROWS],
+        constants: &[Row<S>],
         y: [Vec3<S>; ENDS],
+        inverse_stretch: Lanes<S>,
         psi: Vec3<S>,
     ) -> ([Vec3<S>; ENDS], Vec3<S>);
 }
 
-/// Proportional to strain: [`RodModel::Standard`](crate::mechanics::RodModel::Standard).
+/// [`RodModel::Standard`](crate::mechanics::RodModel::Standard)
 pub struct Standard;
 
+/// [`RodModel::Dilatation`](crate::mechanics::RodModel::Dilatation)
+pub struct Dilatation;
+
+/// [`RodModel::Consistent`](crate::mechanics::RodModel::Consistent)
+pub struct Consistent;
+
+/// Strain without that at rest.
+#[inline(always)]
+fn excess<S: Simd, const ENDS: usize>(
+    constants: &[Row<S>],
+    mut y: [Vec3<S>; ENDS],
+    psi: Vec3<S>,
+) -> ([Vec3<S>; ENDS], Vec3<S>) {
+    let simd = psi.x.simd;
+    for end in 0..ENDS {
+        y[end] = y[end] - Vec3::load(simd, constants, REST_LINEAR + 3 * end);
+    }
+    (y, psi - Vec3::load(simd, constants, REST_ANGULAR))
+}
+
+#[inline(always)]
+fn proportional<S: Simd, const ENDS: usize>(
+    constants: &[Row<S>],
+    mut eps: [Vec3<S>; ENDS],
+    kappa: Vec3<S>,
+) -> ([Vec3<S>; ENDS], Vec3<S>) {
+    let simd = kappa.x.simd;
+    let stiffness = Vec3::load(simd, constants, LINEAR_STIFFNESS);
+    for end in 0..ENDS {
+        eps[end] = stiffness.component_mul(eps[end]);
+    }
+    let stiffness = Vec3::load(simd, constants, ANGULAR_STIFFNESS);
+    (eps, stiffness.component_mul(kappa))
+}
+
 impl Law for Standard {
+    const ROWS: usize = STRESS_ROWS;
+    const THINS: bool = false;
+    const REACTS: bool = false;
+
     #[inline(always)]
     fn stress<S: Simd, const ENDS: usize>(
-        constants: &[S::f64s; ELEMENT_ROWS],
+        constants: &[Row<S>],
         y: [Vec3<S>; ENDS],
+        _: Lanes<S>,
+        psi: Vec3<S>,
+    ) -> ([Vec3<S>; ENDS], Vec3<S>) {
+        let (eps, kappa) = excess(constants, y, psi);
+        proportional(constants, eps, kappa)
+    }
+}
+
+impl Law for Dilatation {
+    const ROWS: usize = THINNING_ROWS;
+    const THINS: bool = true;
+    const REACTS: bool = false;
+
+    #[inline(always)]
+    fn stress<S: Simd, const ENDS: usize>(
+        constants: &[Row<S>],
+        y: [Vec3<S>; ENDS],
+        inverse_stretch: Lanes<S>,
+        psi: Vec3<S>,
+    ) -> ([Vec3<S>; ENDS], Vec3<S>) {
+        let (eps, kappa) = excess(constants, y, psi);
+        let (mut n, m) = proportional(constants, eps, kappa);
+        let inverse = inverse_stretch * row(psi.x.simd, constants, REST_STRETCH);
+        for end in 0..ENDS {
+            n[end] = n[end] * inverse;
+        }
+        (n, m * (inverse * inverse * inverse))
+    }
+}
+
+impl Law for Consistent {
+    const ROWS: usize = THINNING_ROWS;
+    const THINS: bool = true;
+    const REACTS: bool = true;
+
+    #[inline(always)]
+    fn stress<S: Simd, const ENDS: usize>(
+        constants: &[Row<S>],
+        y: [Vec3<S>; ENDS],
+        inverse_stretch: Lanes<S>,
         psi: Vec3<S>,
     ) -> ([Vec3<S>; ENDS], Vec3<S>) {
         let simd = psi.x.simd;
-        let linear = Vec3::load(simd, constants, LINEAR_STIFFNESS);
-        let angular = Vec3::load(simd, constants, ANGULAR_STIFFNESS);
-        let mut n = y;
-        for end in 0..ENDS {
-            let rest = Vec3::load(simd, constants, REST_LINEAR + 3 * end);
-            n[end] = linear.component_mul(y[end] - rest);
+        let (eps, kappa) = excess(constants, y, psi);
+        let (mut n, m) = proportional(constants, eps, kappa);
+        let inverse = inverse_stretch * row(simd, constants, REST_STRETCH);
+        let square = inverse * inverse;
+        let mut linear = eps[0].dot(n[0]);
+        for end in 1..ENDS {
+            linear = linear + eps[end].dot(n[end]);
         }
-        let rest = Vec3::load(simd, constants, REST_ANGULAR);
-        (n, angular.component_mul(psi - rest))
+        let linear = linear * row(simd, constants, LINEAR_DENSITY);
+        let angular = kappa.dot(m) * row(simd, constants, ANGULAR_DENSITY);
+        // ∂u/∂e: (e - 1)/e in the completion is 1 - 1/e.
+        let stretch = -inverse + 1.0;
+        let axial = row(simd, constants, AXIAL) * (stretch * stretch);
+        let slope = axial - square * (linear + angular * square);
+        let along = slope * inverse * row(simd, constants, ALONG);
+        for end in 0..ENDS {
+            n[end] = n[end] * inverse;
+        }
+        // Along the chord or the strain: no matter at which end.
+        n[0] = n[0] + y[0] * along;
+        (n, m * (square * inverse))
     }
 }
 
 /// A strain rule: the [`StrainRule`](crate::mechanics::StrainRule) of the same name.
 pub trait Rule {
     /// `linear` over `l` times the rule's weight of an end, `angular` over `l`, and the rest strains times `l`; the
-    /// angular ones in the rule's measure of the rotation.
-    fn constants(element: &Element) -> [f64; ELEMENT_ROWS];
+    /// angular ones in the rule's measure of the rotation. Then what the dilatation needs.
+    fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS];
 
     fn gradient<S: Simd, L: Law>(
-        constants: &[S::f64s; ELEMENT_ROWS],
+        constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
+        chord: &Chord<S>,
     ) -> Gradient<S>;
 }
 
-fn constants(element: &Element, end_weight: f64, half_turns: f64) -> [f64; ELEMENT_ROWS] {
+fn constants(
+    rod: &Rod,
+    q: usize,
+    time_step: f64,
+    end_weight: f64,
+    half_turns: f64,
+) -> [f64; THINNING_ROWS] {
+    let element = &rod.elements[q];
     let l = element.length;
-    let mut rows = [0.0; ELEMENT_ROWS];
+    let mut rows = [0.0; THINNING_ROWS];
     for i in 0..3 {
         rows[LINEAR_STIFFNESS + i] = end_weight * element.linear_stiffness[i] / l;
         rows[ANGULAR_STIFFNESS + i] = element.angular_stiffness[i] / (half_turns * l);
         rows[REST_LINEAR + i] = element.rest.linear[0][i] * l;
         rows[REST_LINEAR + 3 + i] = element.rest.linear[1][i] * l;
         rows[REST_ANGULAR + i] = element.rest.curvature[i] * (half_turns * l);
+        for end in 0..2 {
+            rows[SHARES + 3 * end + i] = rod.element_inertia[q][end].rotary[i];
+        }
     }
+    let stretch = element.rest.linear[0].norm();
+    rows[REST_STRETCH] = l * stretch;
+    rows[LINEAR_DENSITY] = 0.5 / l;
+    rows[ANGULAR_DENSITY] = 1.5 / (half_turns * l);
+    rows[AXIAL] = 0.5 * element.linear_stiffness.z * stretch * stretch;
+    rows[ALONG] = 1.0 / (l * stretch * stretch);
+    rows[REST_CHORD] = rod.rest_chords[q];
+    rows[LEAST_DILATATION] = rod.least_dilatation(q, time_step);
     rows
 }
 
@@ -108,22 +313,22 @@ pub struct Trapezoidal;
 
 impl Rule for Trapezoidal {
     /// The measure of the rotation is `ψ/2`.
-    fn constants(element: &Element) -> [f64; ELEMENT_ROWS] {
-        constants(element, 0.5, 0.5)
+    fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS] {
+        constants(rod, q, time_step, 0.5, 0.5)
     }
 
     #[inline(always)]
     fn gradient<S: Simd, L: Law>(
-        constants: &[S::f64s; ELEMENT_ROWS],
+        constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
+        chord: &Chord<S>,
     ) -> Gradient<S> {
-        let dx = b.position - a.position;
-        let y = [a.frame.to_body(dx), b.frame.to_body(dx)];
+        let y = [a.frame.to_body(chord.dx), b.frame.to_body(chord.dx)];
         let Quaternion { w, v } = a.rotation.relative(b.rotation);
         // v/w; at exactly half a turn zero instead of infinite, so that a lane without an element stays without force.
         let half_psi = v * (w / (w * w + f64::MIN_POSITIVE));
-        let (n, m) = L::stress(constants, y, half_psi);
+        let (n, m) = L::stress(constants, y, chord.inverse_length, half_psi);
         let twist = half_psi.cross(m);
         let even = m + half_psi * half_psi.dot(m);
         Gradient {
@@ -138,15 +343,16 @@ impl Rule for Trapezoidal {
 pub struct Helical;
 
 impl Rule for Helical {
-    fn constants(element: &Element) -> [f64; ELEMENT_ROWS] {
-        constants(element, 1.0, 1.0)
+    fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS] {
+        constants(rod, q, time_step, 1.0, 1.0)
     }
 
     #[inline(always)]
     fn gradient<S: Simd, L: Law>(
-        constants: &[S::f64s; ELEMENT_ROWS],
+        constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
+        chord: &Chord<S>,
     ) -> Gradient<S> {
         let Logarithm {
             psi,
@@ -154,11 +360,11 @@ impl Rule for Helical {
             c,
             slope,
         } = logarithm(a.rotation.relative(b.rotation));
-        let y = a.frame.to_body(b.position - a.position);
+        let y = a.frame.to_body(chord.dx);
         let psi_y = psi.dot(y);
         let double_cross = psi * psi_y - y * angle_squared;
         let strain = y - psi.cross(y) * 0.5 + double_cross * c;
-        let ([n], m) = L::stress(constants, [strain], psi);
+        let ([n], m) = L::stress(constants, [strain], inverse_length(strain), psi);
 
         let psi_n = psi.dot(n);
         let y_n = y.dot(n);
@@ -308,12 +514,12 @@ mod tests {
             };
             let log = logarithm(rotation);
             let exact = InverseTangentCoefficients::at(angle * angle);
-            let error = |value: Lanes<Scalar>, exact: f64| (value.value - exact).abs();
+            let error = |value: Lanes<Scalar>, exact: f64| (value.value[0] - exact).abs();
             prop_assert!(error(log.psi.x, 0.6 * angle) <= 2e-15 * angle);
             prop_assert!(error(log.psi.z, -0.8 * angle) <= 2e-15 * angle);
             prop_assert!(error(log.angle_squared, angle * angle) <= 4e-15 * angle * angle);
             prop_assert!(error(log.c, exact.value) <= 3e-15);
-            prop_assert!(error(log.slope, exact.slope) <= 2e-14, "{} {}", log.slope.value, exact.slope);
+            prop_assert!(error(log.slope, exact.slope) <= 2e-14, "{} {}", log.slope.value[0], exact.slope);
         }
     }
 }

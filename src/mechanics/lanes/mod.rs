@@ -1,4 +1,4 @@
-//! The [`Integrator`](super::integrator::Integrator) for rods of the standard model, several nodes at a time.
+//! The [`Integrator`](super::integrator::Integrator), several nodes at a time.
 //!
 //! The same steps, with unit quaternions for rotations: an order of magnitude faster, equal to rounding, and the same to
 //! the bit on every instruction set. The [`Integrator`](super::integrator::Integrator) is its clear counterpart and
@@ -14,17 +14,23 @@ use std::marker::PhantomData;
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
-use self::element::{ELEMENT_ROWS, Helical, Rule, Standard, Trapezoidal};
+use self::element::{Consistent, Dilatation, Helical, Law, Rule, Standard, Trapezoidal};
 use self::sweep::{
-    ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, GYRATION, LINEAR_MOMENTUM, MOBILITY, MOMENT, NODE_ROWS,
-    POSITION, ROTATION, STATE_ROWS, Sweep, TurnSingly, WEIGHT,
+    ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, Finding, GYRATION, LAST_TURN, LINEAR_MOMENTUM,
+    MOBILITY, MOMENT, NODE_ROWS, POSITION, Part, ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
+    TurnSingly, WEIGHT,
 };
+use self::vector::UNROLL;
+use super::base_motion::BaseState;
 use super::buffer::Buffer;
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
-use super::integrator::{StepError, rotation_error, solve_rotation};
+use super::inertia::InertiaRule;
+use super::integrator::{
+    StepError, approach_base, check_dilatation, rotation_error, solve_rotation,
+};
 use super::load::Wrench;
 use super::rod::{BaseCondition, NodeInertia, Rod};
 use super::rotation::{cay, from_quaternion, quaternion};
@@ -32,6 +38,9 @@ use super::strain::StrainRule;
 
 /// Steps between normalizations of the quaternions; each product changes their length by rounding only.
 const NORMALIZE_EVERY: usize = 16;
+
+/// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and its square is finite.
+const HELD_INERTIA: f64 = 1e150;
 
 /// Advances a rod in time, like [`Integrator`](super::integrator::Integrator).
 #[derive(Clone, Debug)]
@@ -41,14 +50,32 @@ pub struct LaneIntegrator<'a> {
     step: usize,
     arch: Arch,
     slots: Slots,
+    tip: Place,
     state: Buffer,
-    nodes: Buffer,
-    elements: Buffer,
+    constants: Constants,
+    /// Empty where the inertia is constant.
+    spin: Buffer,
     exchange: Buffer,
-    /// The rows of a clamped base, which stay.
-    base: Option<[f64; STATE_ROWS]>,
+    base: Option<HeldBase>,
     /// The control just before this time node.
     control: Wrench,
+}
+
+/// What a clamped or driven base is set to.
+#[derive(Clone, Debug)]
+struct HeldBase {
+    rows: [f64; STATE_ROWS],
+    /// Quaternion of its last turn.
+    turn: [f64; 4],
+}
+
+/// Constants of nodes and elements in blocks; equal neighbors share one.
+#[derive(Clone, Debug)]
+struct Constants {
+    nodes: Buffer,
+    elements: Buffer,
+    /// Of every block the blocks of `nodes` and of `elements`.
+    kinds: Vec<[usize; 2]>,
 }
 
 /// Where the nodes are; see [`sweep`].
@@ -58,16 +85,42 @@ struct Slots {
     n_lanes: usize,
 }
 
+/// A block, and a number in each of its rows.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    block: usize,
+    lane: usize,
+}
+
+/// Place of node 0.
+const BASE: Place = Place { block: 0, lane: 0 };
+
 impl Slots {
-    /// Index of a row of a node among blocks of `n_rows` rows.
+    /// Runs go through the vectors of a row first, then through their lanes; see [`vector`].
     #[inline]
-    fn index(self, node: usize, n_rows: usize, row: usize) -> usize {
-        ((node % self.n_blocks) * n_rows + row) * self.n_lanes + node / self.n_blocks
+    fn place(self, node: usize) -> Place {
+        let run = node / self.n_blocks;
+        Place {
+            block: node % self.n_blocks,
+            lane: (run % UNROLL) * (self.n_lanes / UNROLL) + run / UNROLL,
+        }
+    }
+
+    /// Index of a row among blocks of `n_rows` rows.
+    #[inline]
+    fn index(self, place: Place, n_rows: usize, row: usize) -> usize {
+        (place.block * n_rows + row) * self.n_lanes + place.lane
     }
 
     #[inline]
-    fn node(self, block: usize, lane: usize) -> usize {
-        lane * self.n_blocks + block
+    fn node(self, place: Place) -> usize {
+        let n = self.n_lanes / UNROLL;
+        let run = (place.lane % n) * UNROLL + place.lane / n;
+        run * self.n_blocks + place.block
+    }
+
+    fn len(self) -> usize {
+        self.n_blocks * self.n_lanes
     }
 }
 
@@ -91,8 +144,8 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    /// Starts from a state at time 0. `None` for what only the plain integrator can do: a driven base, a model other
-    /// than the standard one, implicit steps, or internal damping.
+    /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain integrator
+    /// can do: implicit steps, or internal damping.
     #[must_use]
     pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, time_step, initial)
@@ -101,101 +154,143 @@ impl<'a> LaneIntegrator<'a> {
     /// The same on a given instruction set; the result does not depend on it.
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
-        let driven = matches!(rod.base, BaseCondition::Driven(_));
-        let implicit = IntervalWeights::of(rod, time_step).is_some();
-        if driven || implicit || rod.model != RodModel::Standard {
-            return None;
-        }
-        let n_lanes = dispatch(arch, CountLanes);
-        Some(Self::with_lanes(arch, n_lanes, rod, time_step, initial))
+        let vector_len = dispatch(arch, CountLanes);
+        let explicit = IntervalWeights::of(rod, time_step).is_none();
+        explicit.then(|| Self::with_vectors(arch, vector_len, rod, time_step, initial))
     }
 
-    fn with_lanes(
+    /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
+    /// there, to the bit. `None` as in [`Self::new`].
+    #[must_use]
+    pub fn resume(rod: &'a Rod, time_step: f64, state: &State, step: usize) -> Option<Self> {
+        let arch = Arch::new();
+        let vector_len = dispatch(arch, CountLanes);
+        let explicit = IntervalWeights::of(rod, time_step).is_none();
+        explicit.then(|| Self::empty(arch, vector_len, rod, time_step).seated(state, step))
+    }
+
+    fn with_vectors(
         arch: Arch,
-        n_lanes: usize,
+        vector_len: usize,
         rod: &'a Rod,
         time_step: f64,
         initial: &State,
     ) -> Self {
+        let integrator = Self::empty(arch, vector_len, rod, time_step);
+        match rod.driven_base(0.0) {
+            None => integrator.seated(initial, 0),
+            Some(base) => {
+                let mut initial = initial.clone();
+                rod.set_base(&base, &mut initial);
+                integrator.seated(&initial, 0)
+            }
+        }
+    }
+
+    fn empty(arch: Arch, vector_len: usize, rod: &'a Rod, time_step: f64) -> Self {
+        let n_lanes = vector_len * UNROLL;
         let slots = Slots {
             n_blocks: rod.n_nodes().div_ceil(n_lanes),
             n_lanes,
         };
-        let n_slots = slots.n_blocks * n_lanes;
-        let mut integrator = Self {
+        let spin_rows = if rod.model == RodModel::Standard {
+            0
+        } else {
+            SPIN_ROWS
+        };
+        Self {
             rod,
             time_step,
             step: 0,
             arch,
             slots,
-            state: Buffer::zeros(n_slots * STATE_ROWS),
-            nodes: Buffer::zeros(n_slots * NODE_ROWS),
-            elements: Buffer::zeros(n_slots * ELEMENT_ROWS),
+            tip: slots.place(rod.tip()),
+            state: Buffer::zeros(slots.len() * STATE_ROWS),
+            constants: Constants::new(rod, slots, time_step),
+            spin: Buffer::zeros(slots.len() * spin_rows),
             exchange: Buffer::zeros(n_lanes * EXCHANGE_ROWS),
             base: None,
             control: Wrench::default(),
-        };
-        integrator.fill_constants();
-        integrator.fill_state(initial);
-        integrator
-    }
-
-    fn fill_constants(&mut self) {
-        let Self { rod, slots, .. } = *self;
-        for node in rod.first_free_node()..rod.n_nodes() {
-            let rows = node_constants(&rod.nodes[node], &rod.gravity, self.time_step);
-            for (row, value) in rows.into_iter().enumerate() {
-                self.nodes[slots.index(node, NODE_ROWS, row)] = value;
-            }
-        }
-        for (q, element) in rod.elements.iter().enumerate() {
-            let rows = match rod.strain_rule {
-                StrainRule::Helical => Helical::constants(element),
-                StrainRule::Trapezoidal => Trapezoidal::constants(element),
-            };
-            for (row, value) in rows.into_iter().enumerate() {
-                self.elements[slots.index(q, ELEMENT_ROWS, row)] = value;
-            }
         }
     }
 
-    fn fill_state(&mut self, initial: &State) {
+    fn seated(mut self, state: &State, step: usize) -> Self {
+        self.seat(state, step);
+        self
+    }
+
+    /// Forgets all but [`Self::state`], whose rotation matrices and momenta are rounded: what follows is the same to the
+    /// bit as after [`Self::resume`] from that state.
+    pub fn reseat(&mut self) {
+        let state = self.state();
+        self.seat(&state, self.step);
+    }
+
+    fn seat(&mut self, state: &State, step: usize) {
         let Self { rod, slots, .. } = *self;
-        for slot in 0..slots.n_blocks * slots.n_lanes {
-            self.state[slots.index(slot, STATE_ROWS, ROTATION)] = 1.0;
+        self.step = step;
+        self.control = Wrench::default();
+        for slot in 0..slots.len() {
+            let place = slots.place(slot);
+            self.state[slots.index(place, STATE_ROWS, ROTATION)] = 1.0;
+            if !self.spin.is_empty() {
+                self.spin[slots.index(place, SPIN_ROWS, LAST_TURN)] = 1.0;
+                for i in 0..3 {
+                    self.spin[slots.index(place, SPIN_ROWS, ROTARY + i)] = HELD_INERTIA;
+                }
+            }
         }
-        let configuration = &initial.configuration;
+        let configuration = &state.configuration;
         let mut forces = NodalForces::zeros(rod.n_nodes());
-        forces.evaluate(rod, &configuration.positions, &configuration.rotations, 0.0);
-        if rod.first_free_node() > 0 {
+        forces.evaluate(
+            rod,
+            &configuration.positions,
+            &configuration.rotations,
+            self.time(),
+        );
+        let free = rod.first_free_node();
+        if free > 0 {
             forces.forces[0] = Vector3::zeros();
             forces.moments[0] = Vector3::zeros();
+        }
+        if !self.spin.is_empty() {
+            let rotary = rod.rotary_at(&configuration.positions);
+            for node in free..rod.n_nodes() {
+                let place = slots.place(node);
+                for i in 0..3 {
+                    self.spin[slots.index(place, SPIN_ROWS, ROTARY + i)] = rotary[node][i];
+                }
+            }
         }
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.time_step;
         let mut last = quaternion(&configuration.rotations[0]);
         for node in 0..rod.n_nodes() {
+            let place = slots.place(node);
             let (force, moment) = (forces.forces[node], forces.moments[node]);
-            self.set(node, POSITION, &configuration.positions[node]);
+            self.set(place, POSITION, &configuration.positions[node]);
             // Of the two signs the one near the neighbor, so that the relative rotation is near +1.
             let q = quaternion(&configuration.rotations[node]);
             last = if q.dot(&last) < 0.0 { -q } else { q };
-            self.state[slots.index(node, STATE_ROWS, ROTATION)] = last.w;
-            self.set(node, ROTATION + 1, &last.imag());
-            let p = (initial.linear_momentum[node] - force * before) / damping;
-            self.set(node, LINEAR_MOMENTUM, &p);
-            let pi = (initial.angular_momentum[node] - moment * before) / damping;
-            self.set(node, ANGULAR_MOMENTUM, &pi);
-            self.set(node, FORCE, &force);
-            self.set(node, MOMENT, &moment);
+            self.state[slots.index(place, STATE_ROWS, ROTATION)] = last.w;
+            self.set(place, ROTATION + 1, &last.imag());
+            let p = (state.linear_momentum[node] - force * before) / damping;
+            self.set(place, LINEAR_MOMENTUM, &p);
+            let pi = (state.angular_momentum[node] - moment * before) / damping;
+            self.set(place, ANGULAR_MOMENTUM, &pi);
+            self.set(place, FORCE, &force);
+            self.set(place, MOMENT, &moment);
         }
-        if rod.first_free_node() > 0 {
+        self.base = (free > 0).then(|| {
             let mut rows = [0.0; STATE_ROWS];
             for (row, value) in rows.iter_mut().enumerate() {
-                *value = self.state[slots.index(0, STATE_ROWS, row)];
+                *value = self.state[slots.index(BASE, STATE_ROWS, row)];
             }
-            self.base = Some(rows);
-        }
+            HeldBase {
+                rows,
+                turn: [1.0, 0.0, 0.0, 0.0],
+            }
+        });
     }
 
     /// `a = c h/2`
@@ -204,18 +299,24 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     #[inline]
-    fn get(&self, node: usize, row: usize) -> Vector3<f64> {
-        let at = self.slots.index(node, STATE_ROWS, row);
+    fn get(&self, place: Place, row: usize) -> Vector3<f64> {
+        let at = self.slots.index(place, STATE_ROWS, row);
         let n = self.slots.n_lanes;
         Vector3::new(self.state[at], self.state[at + n], self.state[at + 2 * n])
     }
 
     #[inline]
-    fn set(&mut self, node: usize, row: usize, value: &Vector3<f64>) {
-        let at = self.slots.index(node, STATE_ROWS, row);
+    fn set(&mut self, place: Place, row: usize, value: &Vector3<f64>) {
+        let at = self.slots.index(place, STATE_ROWS, row);
         for i in 0..3 {
             self.state[at + i * self.slots.n_lanes] = value[i];
         }
+    }
+
+    #[inline]
+    fn add(&mut self, place: Place, row: usize, value: &Vector3<f64>) {
+        let sum = self.get(place, row) + value;
+        self.set(place, row, &sum);
     }
 
     /// Steps taken so far.
@@ -233,14 +334,15 @@ impl<'a> LaneIntegrator<'a> {
     /// Position of a node, spatial, m.
     #[must_use]
     pub fn position(&self, node: usize) -> Vector3<f64> {
-        self.get(node, POSITION)
+        self.get(self.slots.place(node), POSITION)
     }
 
     /// Rotation of a node, body to space.
     #[must_use]
     pub fn rotation(&self, node: usize) -> Matrix3<f64> {
-        let w = self.state[self.slots.index(node, STATE_ROWS, ROTATION)];
-        let v = self.get(node, ROTATION + 1);
+        let place = self.slots.place(node);
+        let w = self.state[self.slots.index(place, STATE_ROWS, ROTATION)];
+        let v = self.get(place, ROTATION + 1);
         from_quaternion([w, v.x, v.y, v.z])
     }
 
@@ -251,9 +353,9 @@ impl<'a> LaneIntegrator<'a> {
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.time_step;
         let momentum = |row: usize, force_row: usize, control: Vector3<f64>| {
-            let mut momentum: Vec<_> = nodes
-                .clone()
-                .map(|q| self.get(q, row) * damping + self.get(q, force_row) * before)
+            let places = nodes.clone().map(|q| self.slots.place(q));
+            let mut momentum: Vec<_> = places
+                .map(|at| self.get(at, row) * damping + self.get(at, force_row) * before)
                 .collect();
             momentum[self.rod.tip()] += control * before;
             momentum
@@ -272,111 +374,314 @@ impl<'a> LaneIntegrator<'a> {
     /// the next.
     ///
     /// # Errors
-    /// [`StepError`] when a node would turn more than a quarter turn, or when something is not finite. The state is
-    /// then no longer meaningful.
+    /// [`StepError`] when a node would turn more than a quarter turn, when the base does, when an element collapses, or when
+    /// something is not finite. The state is then no longer meaningful.
     pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
         match self.rod.strain_rule {
-            StrainRule::Helical => self.advance_with::<Helical>(control, dispatch_sweep),
-            StrainRule::Trapezoidal => self.advance_with::<Trapezoidal>(control, dispatch_sweep),
+            StrainRule::Helical => self.advance_by::<Helical>(control),
+            StrainRule::Trapezoidal => self.advance_by::<Trapezoidal>(control),
         }
     }
 
-    fn advance_with<R: Rule>(
+    fn advance_by<R: Rule>(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+        match self.rod.model {
+            RodModel::Standard => self.advance_with::<R, Standard>(control, dispatch_sweep),
+            RodModel::Dilatation => self.advance_with::<R, Dilatation>(control, dispatch_sweep),
+            RodModel::Consistent => self.advance_with::<R, Consistent>(control, dispatch_sweep),
+        }
+    }
+
+    fn advance_with<R: Rule, L: Law>(
         &mut self,
         control: [Wrench; 2],
-        run: impl FnOnce(Arch, Sweep<R, Standard, SingleTurns>) -> bool,
+        run: impl Fn(Arch, Sweep<R, L, SingleTurns>) -> Finding,
     ) -> Result<(), StepError> {
-        let tip = self.rod.tip();
+        let base = match &self.rod.base {
+            BaseCondition::Driven(_) => {
+                approach_base(self.rod, &self.rotation(0), self.step, self.time_step)?
+            }
+            BaseCondition::Clamped | BaseCondition::Free => None,
+        };
         // Half a kick of the control before this time node and half of the one after it.
         let kick = |before: Vector3<f64>, after: Vector3<f64>| (before + after) * 0.5;
-        let force = self.get(tip, FORCE) + kick(self.control.force, control[0].force);
-        let moment = self.get(tip, MOMENT) + kick(self.control.moment, control[0].moment);
-        self.set(tip, FORCE, &force);
-        self.set(tip, MOMENT, &moment);
+        let force = kick(self.control.force, control[0].force);
+        let moment = kick(self.control.moment, control[0].moment);
+        self.add(self.tip, FORCE, &force);
+        self.add(self.tip, MOMENT, &moment);
+        if let Some((base, turn)) = &base {
+            self.aim_base(base, turn);
+        }
 
-        let a = self.half_damping();
-        let mut singly = SingleTurns {
-            rod: self.rod,
-            slots: self.slots,
-            time_step: self.time_step,
-            failure: None,
+        let mut failure = None;
+        let (mut finite, mut resolved) = (true, true);
+        let inertia_rule = InertiaRule::of(self.rod.model, self.step);
+        let parts: &[Part] = match inertia_rule {
+            InertiaRule::Constant | InertiaRule::Both => &[Part::Whole],
+            InertiaRule::Start => &[Part::Turn, Part::ReactAndTranslate, Part::Forces],
+            InertiaRule::End => &[Part::Translate, Part::FollowAndTurn, Part::ReactingForces],
         };
-        let finite = run(
-            self.arch,
-            Sweep {
+        for &part in parts {
+            match part {
+                Part::Turn => {}
+                // Turned already, but still where it was.
+                Part::ReactAndTranslate => self.turn_base(),
+                _ if base.is_some() => self.put_base(),
+                _ => {}
+            }
+            let mut singly = SingleTurns {
+                rod: self.rod,
+                slots: self.slots,
+                time_step: self.time_step,
+                failure,
+            };
+            let sweep = Sweep {
+                part,
                 state: &mut self.state,
-                nodes: &self.nodes,
-                elements: &self.elements,
+                nodes: &self.constants.nodes,
+                elements: &self.constants.elements,
+                kinds: &self.constants.kinds,
+                spin: &mut self.spin,
                 exchange: &mut self.exchange,
                 singly: &mut singly,
-                kick: self.time_step / (1.0 + a),
-                decay: (1.0 - a) / (1.0 + a),
+                time_step: self.time_step,
+                half_damping: 0.5 * self.rod.viscous_damping * self.time_step,
                 normalize: self.step.is_multiple_of(NORMALIZE_EVERY),
                 kind: PhantomData,
-            },
-        );
-        if let Some(rows) = &self.base {
-            for (row, value) in rows.iter().enumerate() {
-                let at = self.slots.index(0, STATE_ROWS, row);
-                self.state[at] = *value;
-            }
+            };
+            let finding = run(self.arch, sweep);
+            failure = singly.failure;
+            finite &= finding.finite;
+            resolved &= finding.resolved;
         }
-        if !finite || singly.failure.is_some() {
-            return Err(self.error(singly.failure));
+        if !finite || !resolved || failure.is_some() {
+            self.find_error(inertia_rule, failure, finite)?;
         }
+        if let Some((base, _)) = &base {
+            self.set_base_momenta(base);
+        }
+        self.put_base();
         self.step += 1;
         self.control = control[1];
-        let time = self.time();
-        let free = self.rod.first_free_node();
-        for load in self.rod.loads.iter().filter(|load| load.node >= free) {
-            let wrench = load.wrench(time, &self.rotation(load.node));
-            let force = self.get(load.node, FORCE) + wrench.force;
-            let moment = self.get(load.node, MOMENT) + wrench.moment;
-            self.set(load.node, FORCE, &force);
-            self.set(load.node, MOMENT, &moment);
-        }
+        self.add_loads();
         Ok(())
     }
 
-    /// What went wrong, in the order in which the plain integrator looks: rotations of all nodes, then positions.
-    fn error(&self, failure: Option<(usize, Vector3<f64>)>) -> StepError {
+    /// Where a driven base will be at the end of the step.
+    fn aim_base(&mut self, base: &BaseState, turn: &Vector3<f64>) {
+        let Some(held) = &mut self.base else { return };
+        let q = quaternion(&base.rotation);
+        let rows = &mut held.rows;
+        let [w, x, y, z] = [0, 1, 2, 3].map(|i| rows[ROTATION + i]);
+        let same = q.w * w + q.i * x + q.j * y + q.k * z >= 0.0;
+        let q = if same { q } else { -q };
+        rows[POSITION..][..3].copy_from_slice(base.position.as_slice());
+        rows[ROTATION] = q.w;
+        rows[ROTATION + 1..][..3].copy_from_slice(q.imag().as_slice());
+        held.turn = cayley_quaternion(turn);
+    }
+
+    /// Those of its motion.
+    fn set_base_momenta(&mut self, base: &BaseState) {
+        let damping = 1.0 + self.half_damping();
+        let rotary = self.rod.base_rotary(&[base.position, self.position(1)]);
+        let p = base.velocity * (self.rod.nodes[0].mass / damping);
+        let pi = rotary.component_mul(&base.angular_velocity) / damping;
+        let Some(held) = &mut self.base else { return };
+        held.rows[LINEAR_MOMENTUM..][..3].copy_from_slice(p.as_slice());
+        held.rows[ANGULAR_MOMENTUM..][..3].copy_from_slice(pi.as_slice());
+    }
+
+    fn turn_base(&mut self) {
+        let Some(held) = &self.base else { return };
+        for (i, value) in held.turn.iter().enumerate() {
+            let at = self.slots.index(BASE, SPIN_ROWS, LAST_TURN + i);
+            self.spin[at] = *value;
+        }
+    }
+
+    fn put_base(&mut self) {
+        let Some(held) = &self.base else { return };
+        for (row, value) in held.rows.iter().enumerate() {
+            let at = self.slots.index(BASE, STATE_ROWS, row);
+            self.state[at] = *value;
+        }
+        if !self.spin.is_empty() {
+            self.turn_base();
+        }
+    }
+
+    fn add_loads(&mut self) {
+        let rod = self.rod;
+        let time = self.time();
+        let free = rod.first_free_node();
+        for load in rod.loads.iter().filter(|load| load.node >= free) {
+            let wrench = load.wrench(time, &self.rotation(load.node));
+            let place = self.slots.place(load.node);
+            self.add(place, FORCE, &wrench.force);
+            self.add(place, MOMENT, &wrench.moment);
+        }
+    }
+
+    /// What went wrong, in the order in which the plain integrator looks.
+    fn find_error(
+        &self,
+        inertia_rule: InertiaRule,
+        failure: Option<Failure>,
+        finite: bool,
+    ) -> Result<(), StepError> {
         let (step, time) = (self.step, self.time());
-        if let Some((node, g)) = failure {
-            let rotary = &self.rod.nodes[node].rotary;
-            return rotation_error(node, step, time, &g, self.time_step, rotary);
+        let turned = failure.map_or(Ok(()), |Failure { node, g, inertia }| {
+            Err(rotation_error(
+                node,
+                step,
+                time,
+                &g,
+                self.time_step,
+                &inertia,
+            ))
+        });
+        if inertia_rule != InertiaRule::End {
+            turned.clone()?;
         }
-        let lost = (0..self.rod.n_nodes())
-            .find(|&node| !self.position(node).iter().all(|c| c.is_finite()));
-        StepError::NotFinite {
-            node: lost.unwrap_or(self.rod.tip()),
-            step,
-            time,
-            quantity: "the position",
+        if !finite {
+            let lost = (0..self.rod.n_nodes())
+                .find(|&node| !self.position(node).iter().all(|c| c.is_finite()));
+            return Err(StepError::NotFinite {
+                node: lost.unwrap_or(self.rod.tip()),
+                step,
+                time,
+                quantity: "the position",
+            });
         }
+        if inertia_rule != InertiaRule::Constant {
+            for q in 0..self.rod.n_elements() {
+                let ends = [self.position(q), self.position(q + 1)];
+                check_dilatation(self.rod, q, &ends, step, self.time_step)?;
+            }
+        }
+        turned
     }
 }
 
-fn dispatch_sweep<R: Rule>(arch: Arch, sweep: Sweep<R, Standard, SingleTurns>) -> bool {
+fn dispatch_sweep<R: Rule, L: Law>(arch: Arch, sweep: Sweep<R, L, SingleTurns>) -> Finding {
     dispatch(arch, sweep)
 }
 
-fn node_constants(inertia: &NodeInertia, gravity: &Vector3<f64>, h: f64) -> [f64; NODE_ROWS] {
-    let j = &inertia.rotary;
-    let mut rows = [0.0; NODE_ROWS];
-    rows[MOBILITY] = h / inertia.mass;
-    for i in 0..3 {
-        rows[WEIGHT + i] = inertia.mass * gravity[i];
+impl Constants {
+    fn new(rod: &Rod, slots: Slots, time_step: f64) -> Self {
+        let standard = rod.model == RodModel::Standard;
+        let element_rows = if standard {
+            Standard::ROWS
+        } else {
+            Consistent::ROWS
+        };
+        let mut nodes = Kinds::default();
+        let mut elements = Kinds::default();
+        let mut kinds = Vec::with_capacity(slots.n_blocks);
+        for block in 0..slots.n_blocks {
+            let mut node_block = vec![0.0; NODE_ROWS * slots.n_lanes];
+            let mut element_block = vec![0.0; element_rows * slots.n_lanes];
+            for lane in 0..slots.n_lanes {
+                let node = slots.node(Place { block, lane });
+                let rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
+                    held_constants(standard)
+                } else {
+                    node_constants(rod, node, time_step)
+                };
+                for (row, value) in rows.iter().enumerate() {
+                    node_block[row * slots.n_lanes + lane] = *value;
+                }
+                if node >= rod.n_elements() {
+                    continue;
+                }
+                let rows = match rod.strain_rule {
+                    StrainRule::Helical => Helical::constants(rod, node, time_step),
+                    StrainRule::Trapezoidal => Trapezoidal::constants(rod, node, time_step),
+                };
+                for (row, value) in rows[..element_rows].iter().enumerate() {
+                    element_block[row * slots.n_lanes + lane] = *value;
+                }
+            }
+            kinds.push([nodes.of(node_block), elements.of(element_block)]);
+        }
+        Self {
+            nodes: nodes.into_buffer(),
+            elements: elements.into_buffer(),
+            kinds,
+        }
     }
-    rows[GYRATION] = h / j.x;
-    rows[GYRATION + 1] = h / j.z;
-    // Three different moments of inertia: an infinite level, so that the node is always turned singly.
-    rows[GYRATION + 2] = if j.x == j.y {
-        (j.z - j.x) / j.x
-    } else {
-        f64::INFINITY
-    };
-    rows[GYRATION + 3] = 4.0 * (j.z - j.x) / h;
+}
+
+/// Different blocks one after the other.
+#[derive(Default)]
+struct Kinds(Vec<Vec<f64>>);
+
+impl Kinds {
+    /// Index of a block, which is the last one where they are equal.
+    fn of(&mut self, block: Vec<f64>) -> usize {
+        if self.0.last() != Some(&block) {
+            self.0.push(block);
+        }
+        self.0.len() - 1
+    }
+
+    fn into_buffer(self) -> Buffer {
+        let numbers = self.0.concat();
+        let mut buffer = Buffer::zeros(numbers.len());
+        buffer.copy_from_slice(&numbers);
+        buffer
+    }
+}
+
+fn held_constants(standard: bool) -> [f64; NODE_ROWS] {
+    let mut rows = [0.0; NODE_ROWS];
+    if !standard {
+        rows[GYRATION..][..3].fill(HELD_INERTIA);
+    }
     rows
+}
+
+fn node_constants(rod: &Rod, node: usize, h: f64) -> [f64; NODE_ROWS] {
+    let NodeInertia { mass, rotary: j } = &rod.nodes[node];
+    let mut rows = [0.0; NODE_ROWS];
+    rows[MOBILITY] = h / mass;
+    for i in 0..3 {
+        rows[WEIGHT + i] = mass * rod.gravity[i];
+    }
+    // Three different moments of inertia: an infinite level, so that the node is always turned singly.
+    if rod.model == RodModel::Standard {
+        rows[GYRATION] = h / j.x;
+        rows[GYRATION + 1] = h / j.z;
+        rows[GYRATION + 2] = if j.x == j.y {
+            (j.z - j.x) / j.x
+        } else {
+            f64::INFINITY
+        };
+        rows[GYRATION + 3] = 4.0 * (j.z - j.x) / h;
+    } else {
+        rows[GYRATION..][..3].copy_from_slice(j.as_slice());
+        let left = (node > 0).then(|| rod.element_inertia[node - 1][1]);
+        let right = rod.element_inertia.get(node).map(|ends| ends[0]);
+        let mut shares = left.iter().chain(&right);
+        let axisymmetric = j.x == j.y && shares.all(|share| share.rotary.x == share.rotary.y);
+        rows[GYRATION + 3] = if axisymmetric { 0.0 } else { f64::INFINITY };
+    }
+    rows
+}
+
+/// Unit quaternion of `cay(f)`.
+fn cayley_quaternion(f: &Vector3<f64>) -> [f64; 4] {
+    let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
+    let v = f * (0.5 * w);
+    [w, v.x, v.y, v.z]
+}
+
+/// A node that cannot be turned, its angular momentum and inertia.
+#[derive(Clone, Copy, Debug)]
+struct Failure {
+    node: usize,
+    g: Vector3<f64>,
+    inertia: Vector3<f64>,
 }
 
 /// Turns nodes with [`solve_rotation`] and remembers the first that it cannot.
@@ -384,26 +689,31 @@ struct SingleTurns<'a> {
     rod: &'a Rod,
     slots: Slots,
     time_step: f64,
-    failure: Option<(usize, Vector3<f64>)>,
+    failure: Option<Failure>,
 }
 
 impl TurnSingly for SingleTurns<'_> {
-    fn turn(&mut self, block: usize, lane: usize, g: [f64; 3]) -> ([f64; 4], [f64; 3]) {
-        let node = self.slots.node(block, lane);
+    fn turn(
+        &mut self,
+        block: usize,
+        lane: usize,
+        g: [f64; 3],
+        inertia: Option<[f64; 3]>,
+    ) -> ([f64; 4], [f64; 3]) {
+        let node = self.slots.node(Place { block, lane });
         let g = Vector3::from(g);
         let still = ([1.0, 0.0, 0.0, 0.0], g.into());
         if node < self.rod.first_free_node() || node >= self.rod.n_nodes() {
             return still;
         }
-        let Some(f) = solve_rotation(&self.rod.nodes[node].rotary, &(g * self.time_step)) else {
-            if self.failure.is_none_or(|(first, _)| node < first) {
-                self.failure = Some((node, g));
+        let inertia = inertia.map_or(self.rod.nodes[node].rotary, Vector3::from);
+        let Some(f) = solve_rotation(&inertia, &(g * self.time_step)) else {
+            if self.failure.is_none_or(|first| node < first.node) {
+                self.failure = Some(Failure { node, g, inertia });
             }
             return still;
         };
-        let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
-        let v = f * (0.5 * w);
-        ([w, v.x, v.y, v.z], (cay(&f).transpose() * g).into())
+        (cayley_quaternion(&f), (cay(&f).transpose() * g).into())
     }
 }
 
@@ -416,10 +726,11 @@ mod tests {
     };
     use pulp::{Scalar, Scalar256b, Scalar512b};
 
-    fn rod(strain_rule: StrainRule, n_elements: usize, unequal: f64) -> Rod {
+    fn rod(strain_rule: StrainRule, model: RodModel, n_elements: usize, unequal: f64) -> Rod {
         let material = Material::isotropic(1e6, 0.5, 1000.0);
         let mut rod = Rod::new(&RodParameters {
             strain_rule,
+            model,
             rest_curvature: Vector3::new(0.3, -0.2, 0.5),
             gravity: Vector3::new(1.0, -3.0, 5.0),
             viscous_damping: 1.7,
@@ -459,14 +770,15 @@ mod tests {
         state
     }
 
-    fn run<R: Rule, S: Simd>(rod: &Rod, simd: S, spin: f64) -> Vec<u64> {
+    fn run<R: Rule, L: Law, S: Simd>(rod: &Rod, simd: S, spin: f64) -> Vec<u64> {
         let h = 0.003 * stable_step(rod);
+        let initial = initial(rod, h, spin);
         let mut integrator =
-            LaneIntegrator::with_lanes(Arch::Scalar, S::F64_LANES, rod, h, &initial(rod, h, spin));
+            LaneIntegrator::with_vectors(Arch::Scalar, S::F64_LANES, rod, h, &initial);
         let control = Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]);
         for _ in 0..3 {
             let result =
-                integrator.advance_with::<R>([control; 2], |_, sweep| sweep.with_simd(simd));
+                integrator.advance_with::<R, L>([control; 2], |_, sweep| sweep.with_simd(simd));
             result.unwrap();
         }
         bits(&integrator)
@@ -476,27 +788,30 @@ mod tests {
         let rows = (0..integrator.rod.n_nodes())
             .flat_map(|node| (0..STATE_ROWS).map(move |row| (node, row)));
         rows.map(|(node, row)| {
-            integrator.state[integrator.slots.index(node, STATE_ROWS, row)].to_bits()
+            integrator.state[integrator
+                .slots
+                .index(integrator.slots.place(node), STATE_ROWS, row)]
+            .to_bits()
         })
         .collect()
     }
 
-    fn assert_same_bits<R: Rule>(rule: StrainRule, unequal: f64) {
+    fn assert_same_bits<R: Rule, L: Law>(rule: StrainRule, model: RodModel, unequal: f64) {
         for n_elements in [1, 2, 7, 8, 9, 20] {
             for spin in [1e-3, 0.2, 0.7] {
-                let rod = rod(rule, n_elements, unequal);
-                let one = run::<R, _>(&rod, Scalar, spin);
-                assert_eq!(one, run::<R, _>(&rod, Scalar128b, spin));
-                assert_eq!(one, run::<R, _>(&rod, Scalar256b, spin));
-                assert_eq!(one, run::<R, _>(&rod, Scalar512b, spin));
+                let rod = rod(rule, model, n_elements, unequal);
+                let one = run::<R, L, _>(&rod, Scalar, spin);
+                assert_eq!(one, run::<R, L, _>(&rod, Scalar128b, spin));
+                assert_eq!(one, run::<R, L, _>(&rod, Scalar256b, spin));
+                assert_eq!(one, run::<R, L, _>(&rod, Scalar512b, spin));
                 #[cfg(target_arch = "x86_64")]
                 {
                     use pulp::x86::{V3, V4};
                     if let Some(simd) = V3::try_new() {
-                        assert_eq!(one, run::<R, _>(&rod, simd, spin));
+                        assert_eq!(one, run::<R, L, _>(&rod, simd, spin));
                     }
                     if let Some(simd) = V4::try_new() {
-                        assert_eq!(one, run::<R, _>(&rod, simd, spin));
+                        assert_eq!(one, run::<R, L, _>(&rod, simd, spin));
                     }
                 }
             }
@@ -507,8 +822,18 @@ mod tests {
     /// scalar solver, near and far logarithms side by side.
     #[test]
     fn every_vector_length_gives_the_same_bits() {
-        assert_same_bits::<Trapezoidal>(StrainRule::Trapezoidal, 1.0);
-        assert_same_bits::<Helical>(StrainRule::Helical, 1.0);
-        assert_same_bits::<Helical>(StrainRule::Helical, 1.3);
+        let [standard, dilatation, consistent] = [
+            RodModel::Standard,
+            RodModel::Dilatation,
+            RodModel::Consistent,
+        ];
+        let [trapezoidal, helical] = [StrainRule::Trapezoidal, StrainRule::Helical];
+        assert_same_bits::<Trapezoidal, Standard>(trapezoidal, standard, 1.0);
+        assert_same_bits::<Helical, Standard>(helical, standard, 1.0);
+        assert_same_bits::<Helical, Standard>(helical, standard, 1.3);
+        assert_same_bits::<Trapezoidal, Dilatation>(trapezoidal, dilatation, 1.0);
+        assert_same_bits::<Helical, Dilatation>(helical, dilatation, 1.3);
+        assert_same_bits::<Trapezoidal, Consistent>(trapezoidal, consistent, 1.3);
+        assert_same_bits::<Helical, Consistent>(helical, consistent, 1.0);
     }
 }

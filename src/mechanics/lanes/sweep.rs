@@ -1,6 +1,6 @@
-//! One step of all nodes and elements, in one pass over memory.
+//! One step of all nodes and elements.
 //!
-//! The nodes are dealt to the lanes in runs: of a rod of `B` blocks, lane `j` holds the nodes `j B` to `(j + 1) B - 1`,
+//! The nodes are dealt to the lanes in runs: of a rod of `B` blocks, run `j` holds the nodes `j B` to `(j + 1) B - 1`,
 //! and block `i` is the `i`-th of every run. The right neighbors of a block are then the next block in the same lanes,
 //! and what two blocks share stays in registers; only the last block finds its neighbors in the first one, a lane
 //! further. Slots beyond the tip hold nodes that cannot move, joined by elements without stiffness.
@@ -9,9 +9,9 @@ use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
-use super::element::{ELEMENT_ROWS, Law, Pose, Rule};
+use super::element::{Chord, Law, Pose, Rule};
 use super::turn::{Gyration, TURN_LIMIT, Turn};
-use super::vector::{Frame, Lanes, Quaternion, Vec3, row};
+use super::vector::{Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
 
 /// Rows of a block of nodes.
 pub const STATE_ROWS: usize = 19;
@@ -34,169 +34,425 @@ pub const NODE_ROWS: usize = 8;
 pub const MOBILITY: usize = 0;
 /// Mass times the acceleration of gravity.
 pub const WEIGHT: usize = 1;
-/// The four numbers of [`Gyration`], in their order.
+/// The four numbers of [`Gyration`], in their order; where the inertia follows the dilatation, the inertia at rest and
+/// the `unequal` of [`Gyration::of`].
 pub const GYRATION: usize = 4;
 
-/// Rows of the exchange with [`TurnSingly`]: the angular momentum before, and what [`Turn`] says.
-pub const EXCHANGE_ROWS: usize = 11;
+/// Rows of a block of nodes whose inertia follows the dilatation.
+pub const SPIN_ROWS: usize = 7;
+/// Principal moments of inertia.
+pub const ROTARY: usize = 0;
+/// Unit quaternion of the last rotation.
+pub const LAST_TURN: usize = 3;
+
+/// Rows of the exchange with [`TurnSingly`]: the angular momentum before, the inertia, and what [`Turn`] says.
+pub const EXCHANGE_ROWS: usize = 14;
 const MOMENTUM_BEFORE: usize = 0;
 const LEVEL: usize = 3;
 const TURN: usize = 4;
 const MOMENTUM_AFTER: usize = 8;
+const INERTIA: usize = 11;
 
 /// What the lanes leave to a solver that takes one node at a time.
 pub trait TurnSingly {
-    /// The unit quaternion of the rotation `F` and `Fᵀ g` of the node in a slot.
-    fn turn(&mut self, block: usize, lane: usize, g: [f64; 3]) -> ([f64; 4], [f64; 3]);
+    /// The unit quaternion of the rotation `F` and `Fᵀ g` of the node in a slot. The inertia is given where it follows the
+    /// dilatation.
+    fn turn(
+        &mut self,
+        block: usize,
+        lane: usize,
+        g: [f64; 3],
+        inertia: Option<[f64; 3]>,
+    ) -> ([f64; 4], [f64; 3]);
 }
 
-/// The task of one step; its output says whether all positions are finite.
+/// A part of a step. Where the kinetic energy pulls at the elements a step has several, and between them a driven base is
+/// moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// All of a step without kinetic reaction.
+    Whole,
+    /// Kicks and turns, with the inertia at hand.
+    Turn,
+    /// Kinetic reaction of these turns, then translation.
+    ReactAndTranslate,
+    /// Kick and translation.
+    Translate,
+    /// Inertia at the present positions, then kick and turns.
+    FollowAndTurn,
+    /// Forces.
+    Forces,
+    /// Kinetic reaction of the last turns, and forces.
+    ReactingForces,
+}
+
+/// The task of a step or a part of it.
 pub struct Sweep<'a, R, L, T> {
+    pub part: Part,
     pub state: &'a mut [f64],
     pub nodes: &'a [f64],
     pub elements: &'a [f64],
+    /// Which block of `nodes` and of `elements` holds the constants of a block.
+    pub kinds: &'a [[usize; 2]],
+    /// Empty where the inertia is constant.
+    pub spin: &'a mut [f64],
     pub exchange: &'a mut [f64],
     pub singly: &'a mut T,
-    /// `h/(1 + a)`
-    pub kick: f64,
-    /// `(1 - a)/(1 + a)`
-    pub decay: f64,
+    /// `h`
+    pub time_step: f64,
+    /// `a = c h/2` of the viscous damping
+    pub half_damping: f64,
     /// Whether to bring the quaternions back to unit length.
     pub normalize: bool,
     pub kind: PhantomData<(R, L)>,
 }
 
+/// What a part of a step found.
+#[derive(Clone, Copy, Debug)]
+pub struct Finding {
+    /// Whether all positions are finite.
+    pub finite: bool,
+    /// Whether the time step resolves the dilatation of all elements, with a margin of rounding.
+    pub resolved: bool,
+}
+
+/// Below one by more than the rounding of a quotient.
+const COMPRESSION_LIMIT: f64 = 1.0 - 1e-12;
+
 impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
-    type Output = bool;
+    type Output = Finding;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> bool {
-        let blocks = S::as_mut_simd_f64s(self.state).0;
-        let blocks = blocks.as_chunks_mut::<STATE_ROWS>().0;
-        let nodes = S::as_simd_f64s(self.nodes).0.as_chunks::<NODE_ROWS>().0;
-        let elements = S::as_simd_f64s(self.elements).0;
-        let elements = elements.as_chunks::<ELEMENT_ROWS>().0;
-        let mut drift = Drift {
+    fn with_simd<S: Simd>(self, simd: S) -> Finding {
+        let scale = 1.0 / (1.0 + self.half_damping);
+        let mut work = Work::<S, R, L, T> {
             simd,
+            blocks: blocks_mut::<S, STATE_ROWS>(self.state),
+            nodes: blocks::<S, NODE_ROWS>(self.nodes),
+            elements: rows::<S>(self.elements),
+            kinds: self.kinds,
+            spin: blocks_mut::<S, SPIN_ROWS>(self.spin),
             exchange: self.exchange,
             singly: self.singly,
-            kick: Lanes::splat(simd, self.kick),
-            decay: Lanes::splat(simd, self.decay),
+            time_step: self.time_step,
+            kick: Lanes::splat(simd, self.time_step * scale),
+            decay: Lanes::splat(simd, (1.0 - self.half_damping) * scale),
+            reaction: Lanes::splat(simd, 2.0 / self.time_step * scale),
             normalize: self.normalize,
             sum: Lanes::splat(simd, 0.0),
+            compression: Lanes::splat(simd, 0.0),
+            kind: PhantomData,
         };
-
-        // The nodes of a block drift well before the elements to their left need them, so that their long chains of
-        // dependent operations overlap with those of other blocks.
-        let last = blocks.len() - 1;
-        let first = drift.advance(&mut blocks[0], &nodes[0], 0);
-        let mut left = first;
-        let mut right = drift.advance_or(blocks, nodes, 1, &first);
-        let mut pull = Vec3::zero(simd);
-        let mut twist = Vec3::zero(simd);
-        for i in 0..=last {
-            let next = drift.advance_or(blocks, nodes, i + 2, &first);
-            let gradient = R::gradient::<S, L>(&elements[i], &left, &right);
-            let weight = Vec3::load(simd, &nodes[i], WEIGHT);
-            (weight + gradient.force - pull).store(&mut blocks[i], FORCE);
-            (-(twist + gradient.moment_a)).store(&mut blocks[i], MOMENT);
-            left = right;
-            right = next;
-            pull = gradient.force;
-            twist = gradient.moment_b;
+        if L::REACTS {
+            match self.part {
+                Part::Turn => work.turn_all(false),
+                Part::ReactAndTranslate => work.react_and_translate(),
+                Part::Translate => work.push_and_translate(),
+                Part::FollowAndTurn => work.turn_all(true),
+                Part::Whole | Part::Forces => work.forces::<false>(false),
+                Part::ReactingForces => work.forces::<false>(true),
+            }
+        } else {
+            work.forces::<true>(false);
         }
-        let force = Vec3::load(simd, &blocks[0], FORCE) - pull.previous_lane();
-        force.store(&mut blocks[0], FORCE);
-        let moment = Vec3::load(simd, &blocks[0], MOMENT) - twist.previous_lane();
-        moment.store(&mut blocks[0], MOMENT);
-        simd.reduce_sum_f64s(drift.sum.value).is_finite()
+        Finding {
+            finite: work.sum.has_finite_sum(),
+            resolved: work.compression.all_at_most(COMPRESSION_LIMIT),
+        }
     }
 }
 
-/// Kick and drift of the nodes.
-struct Drift<'a, S: Simd, T> {
+struct Work<'a, S: Simd, R, L, T> {
     simd: S,
+    blocks: &'a mut [[Row<S>; STATE_ROWS]],
+    nodes: &'a [[Row<S>; NODE_ROWS]],
+    elements: &'a [Row<S>],
+    kinds: &'a [[usize; 2]],
+    spin: &'a mut [[Row<S>; SPIN_ROWS]],
     exchange: &'a mut [f64],
     singly: &'a mut T,
+    time_step: f64,
+    /// `h/(1 + a)`
     kick: Lanes<S>,
+    /// `(1 - a)/(1 + a)`
     decay: Lanes<S>,
+    /// `2/(h (1 + a))`
+    reaction: Lanes<S>,
     normalize: bool,
     /// Of all positions: not finite as soon as one is not.
     sum: Lanes<S>,
+    /// Largest compression; see [`Chord::compression`].
+    compression: Lanes<S>,
+    kind: PhantomData<(R, L)>,
 }
 
-impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
-    /// The nodes of a block; beyond the last block those of the first, a lane further.
+impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
     #[inline(always)]
-    fn advance_or(
-        &mut self,
-        blocks: &mut [[S::f64s; STATE_ROWS]],
-        nodes: &[[S::f64s; NODE_ROWS]],
-        index: usize,
-        first: &Pose<S>,
-    ) -> Pose<S> {
-        match (blocks.get_mut(index), nodes.get(index)) {
-            (Some(block), Some(constants)) => self.advance(block, constants, index),
-            _ => first.next_lane(),
-        }
+    fn node(&self, index: usize) -> &'a [Row<S>; NODE_ROWS] {
+        &self.nodes[self.kinds[index][0]]
     }
 
     #[inline(always)]
-    fn advance(
-        &mut self,
-        block: &mut [S::f64s; STATE_ROWS],
-        constants: &[S::f64s; NODE_ROWS],
-        index: usize,
-    ) -> Pose<S> {
+    fn element(&self, index: usize) -> &'a [Row<S>] {
+        &self.elements[self.kinds[index][1] * L::ROWS..][..L::ROWS]
+    }
+
+    /// Elements, and what follows for the nodes at their ends; with `MOVE` the nodes make their kick and drift first, well
+    /// before the elements to their left need them, so that their long chains of dependent operations overlap with those
+    /// of other blocks.
+    #[inline(always)]
+    fn forces<const MOVE: bool>(&mut self, react: bool) {
         let simd = self.simd;
-        let p =
-            Vec3::load(simd, block, LINEAR_MOMENTUM) + Vec3::load(simd, block, FORCE) * self.kick;
-        let position = Vec3::load(simd, block, POSITION) + p * row(simd, constants, MOBILITY);
+        let n_blocks = self.blocks.len();
+        let zero = Vec3::zero(simd);
+        let mut left = Pose::of(zero, Quaternion { w: zero.x, v: zero });
+        let mut right = left;
+        let mut pull = zero;
+        let mut twist = zero;
+        let mut gain = zero;
+        let mut impulse = zero;
+        for ahead in 0..n_blocks + 2 {
+            let (position, rotation) = if ahead < n_blocks {
+                if MOVE {
+                    let p = self.push(ahead);
+                    (self.translate(ahead, p), self.turn(ahead))
+                } else {
+                    (self.position(ahead), self.rotation(ahead))
+                }
+            } else {
+                // Beyond the last block come the nodes of the first, a lane further.
+                (self.position(0).next_lane(), self.rotation(0).next_lane())
+            };
+            let next = Pose::of(position, rotation);
+            if ahead >= 2 {
+                let i = ahead - 2;
+                let constants = self.element(i);
+                let chord = Chord::between(left.position, right.position);
+                let gradient = R::gradient::<S, L>(constants, &left, &right, &chord);
+                let weight = Vec3::load(simd, self.node(i), WEIGHT);
+                let block = &mut self.blocks[i];
+                (weight + gradient.force - pull).store(block, FORCE);
+                (-(twist + gradient.moment_a)).store(block, MOMENT);
+                pull = gradient.force;
+                twist = gradient.moment_b;
+                if L::THINS {
+                    self.compression = self.compression.max(chord.compression(constants));
+                    if MOVE {
+                        let [a, b] = chord.inertia(constants);
+                        self.set_inertia(i, a, gain);
+                        gain = b;
+                        if i > 0 {
+                            self.arrive(i);
+                        }
+                    }
+                }
+                if L::REACTS && react {
+                    let turns = [self.last_turn(i), self.last_turn_or(i + 1)];
+                    let next = chord.kinetic_reaction(constants, turns) * self.reaction;
+                    self.add_impulse(i, -next);
+                    self.add_impulse(i, impulse);
+                    impulse = next;
+                }
+            }
+            left = right;
+            right = next;
+        }
+        let block = &mut self.blocks[0];
+        (Vec3::load(simd, block, FORCE) - pull.previous_lane()).store(block, FORCE);
+        (Vec3::load(simd, block, MOMENT) - twist.previous_lane()).store(block, MOMENT);
+        if L::THINS && MOVE {
+            let rotary = Vec3::load(simd, &self.spin[0], ROTARY) + gain.previous_lane();
+            rotary.store(&mut self.spin[0], ROTARY);
+            self.arrive(0);
+        }
+        if L::REACTS && react {
+            self.add_impulse(0, impulse.previous_lane());
+        }
+    }
+
+    /// Linear momentum after the kick.
+    #[inline(always)]
+    fn push(&self, index: usize) -> Vec3<S> {
+        let block = &self.blocks[index];
+        Vec3::load(self.simd, block, LINEAR_MOMENTUM)
+            + Vec3::load(self.simd, block, FORCE) * self.kick
+    }
+
+    #[inline(always)]
+    fn translate(&mut self, index: usize, p: Vec3<S>) -> Vec3<S> {
+        let mobility = row(self.simd, self.node(index), MOBILITY);
+        let block = &mut self.blocks[index];
+        let position = Vec3::load(self.simd, block, POSITION) + p * mobility;
         self.sum = self.sum + (position.x + position.y + position.z);
         position.store(block, POSITION);
         (p * self.decay).store(block, LINEAR_MOMENTUM);
+        position
+    }
 
+    /// Kick and rotation; the angular momentum after it where the inertia is constant during the step.
+    #[inline(always)]
+    fn turn(&mut self, index: usize) -> Quaternion<S> {
+        let simd = self.simd;
+        let constants = self.node(index);
+        let block = &self.blocks[index];
         let g =
             Vec3::load(simd, block, ANGULAR_MOMENTUM) + Vec3::load(simd, block, MOMENT) * self.kick;
-        let gyration = Gyration {
-            lateral: row(simd, constants, GYRATION),
-            axial: row(simd, constants, GYRATION + 1),
-            excess: row(simd, constants, GYRATION + 2),
-            precession: row(simd, constants, GYRATION + 3),
+        let mut before = Quaternion::load(simd, block, ROTATION);
+        let gyration = if L::THINS {
+            let rotary = Vec3::load(simd, &self.spin[index], ROTARY);
+            Gyration::of(rotary, row(simd, constants, GYRATION + 3), self.time_step)
+        } else {
+            Gyration {
+                lateral: row(simd, constants, GYRATION),
+                axial: row(simd, constants, GYRATION + 1),
+                excess: row(simd, constants, GYRATION + 2),
+                precession: row(simd, constants, GYRATION + 3),
+            }
         };
         let mut turn = gyration.turn(g);
         if !turn.level.all_at_most(TURN_LIMIT) {
             turn = self.turn_singly(g, &turn, index);
         }
-        let mut before = Quaternion::load(simd, block, ROTATION);
         if self.normalize {
             before = before.normalized_near_one();
         }
         let rotation = before.product(turn.rotation);
+        let block = &mut self.blocks[index];
         rotation.store(block, ROTATION);
-        (turn.momentum * self.decay).store(block, ANGULAR_MOMENTUM);
-        Pose {
-            position,
-            rotation,
-            frame: Frame::of(&rotation),
+        if L::THINS {
+            turn.rotation.store(&mut self.spin[index], LAST_TURN);
         }
+        if !L::THINS || L::REACTS {
+            (turn.momentum * self.decay).store(block, ANGULAR_MOMENTUM);
+        }
+        rotation
     }
 
     #[inline(always)]
     fn turn_singly(&mut self, g: Vec3<S>, turn: &Turn<S>, index: usize) -> Turn<S> {
-        let rows = S::as_mut_simd_f64s(self.exchange).0;
-        let (rows, _) = rows.as_chunks_mut::<EXCHANGE_ROWS>();
-        g.store(&mut rows[0], MOMENTUM_BEFORE);
-        rows[0][LEVEL] = turn.level.value;
-        turn.rotation.store(&mut rows[0], TURN);
-        turn.momentum.store(&mut rows[0], MOMENTUM_AFTER);
-        turn_lanes_singly(self.singly, self.exchange, S::F64_LANES, index);
-        let rows = S::as_simd_f64s(self.exchange).0;
-        let (rows, _) = rows.as_chunks::<EXCHANGE_ROWS>();
+        let exchange = &mut blocks_mut::<S, EXCHANGE_ROWS>(self.exchange)[0];
+        g.store(exchange, MOMENTUM_BEFORE);
+        exchange[LEVEL] = turn.level.value;
+        turn.rotation.store(exchange, TURN);
+        turn.momentum.store(exchange, MOMENTUM_AFTER);
+        if L::THINS {
+            Vec3::load(self.simd, &self.spin[index], ROTARY).store(exchange, INERTIA);
+        }
+        turn_lanes_singly(self.singly, self.exchange, index, L::THINS);
+        let exchange = &blocks::<S, EXCHANGE_ROWS>(self.exchange)[0];
         Turn {
-            rotation: Quaternion::load(self.simd, &rows[0], TURN),
-            momentum: Vec3::load(self.simd, &rows[0], MOMENTUM_AFTER),
+            rotation: Quaternion::load(self.simd, exchange, TURN),
+            momentum: Vec3::load(self.simd, exchange, MOMENTUM_AFTER),
             level: turn.level,
+        }
+    }
+
+    /// The inertia at rest and what it gains from the elements to the right and to the left.
+    #[inline(always)]
+    fn set_inertia(&mut self, index: usize, right: Vec3<S>, left: Vec3<S>) {
+        let rest = Vec3::load(self.simd, self.node(index), GYRATION);
+        (rest + right + left).store(&mut self.spin[index], ROTARY);
+    }
+
+    /// The angular momentum of the last rotation with the inertia at its end: `(2/h) (w J v - v × J v)` for its quaternion.
+    #[inline(always)]
+    fn arrive(&mut self, index: usize) {
+        let spin = &self.spin[index];
+        let Quaternion { w, v } = Quaternion::load(self.simd, spin, LAST_TURN);
+        let jv = Vec3::load(self.simd, spin, ROTARY).component_mul(v);
+        let momentum = (jv * w - v.cross(jv)) * (2.0 / self.time_step);
+        (momentum * self.decay).store(&mut self.blocks[index], ANGULAR_MOMENTUM);
+    }
+
+    #[inline(always)]
+    fn last_turn(&self, index: usize) -> Vec3<S> {
+        Vec3::load(self.simd, &self.spin[index], LAST_TURN + 1)
+    }
+
+    /// Beyond the last block the nodes of the first, a lane further.
+    #[inline(always)]
+    fn last_turn_or(&self, index: usize) -> Vec3<S> {
+        if index < self.spin.len() {
+            self.last_turn(index)
+        } else {
+            self.last_turn(0).next_lane()
+        }
+    }
+
+    #[inline(always)]
+    fn position(&self, index: usize) -> Vec3<S> {
+        Vec3::load(self.simd, &self.blocks[index], POSITION)
+    }
+
+    #[inline(always)]
+    fn rotation(&self, index: usize) -> Quaternion<S> {
+        Quaternion::load(self.simd, &self.blocks[index], ROTATION)
+    }
+
+    #[inline(always)]
+    fn add_impulse(&mut self, index: usize, impulse: Vec3<S>) {
+        let block = &mut self.blocks[index];
+        let p = Vec3::load(self.simd, block, LINEAR_MOMENTUM) + impulse;
+        p.store(block, LINEAR_MOMENTUM);
+    }
+
+    #[inline(always)]
+    fn push_and_translate(&mut self) {
+        for i in 0..self.blocks.len() {
+            let p = self.push(i);
+            self.translate(i, p);
+        }
+    }
+
+    /// The element to the left of the first block is the last one, a lane back: it comes first.
+    #[inline(always)]
+    fn react_and_translate(&mut self) {
+        let last = self.blocks.len() - 1;
+        let first = self.position(0).next_lane();
+        let wrapped = Chord::between(self.position(last), first);
+        let turns = [self.last_turn(last), self.last_turn(0).next_lane()];
+        let impulse = wrapped.kinetic_reaction(self.element(last), turns) * self.reaction;
+        let mut left = impulse.previous_lane();
+        for i in 0..=last {
+            let next = if i == last {
+                first
+            } else {
+                self.position(i + 1)
+            };
+            let chord = Chord::between(self.position(i), next);
+            let turns = [self.last_turn(i), self.last_turn_or(i + 1)];
+            let right = chord.kinetic_reaction(self.element(i), turns) * self.reaction;
+            self.add_impulse(i, left - right);
+            let p = Vec3::load(self.simd, &self.blocks[i], LINEAR_MOMENTUM);
+            self.translate(i, p);
+            left = right;
+        }
+    }
+
+    /// Turns all nodes; with `follow` their inertia is brought to the present positions before, else they are pushed.
+    #[inline(always)]
+    fn turn_all(&mut self, follow: bool) {
+        let last = self.blocks.len() - 1;
+        let first = self.position(0).next_lane();
+        let wrapped = Chord::between(self.position(last), first);
+        let mut left = wrapped.inertia(self.element(last))[1].previous_lane();
+        for i in 0..=last {
+            if follow {
+                let next = if i == last {
+                    first
+                } else {
+                    self.position(i + 1)
+                };
+                let chord = Chord::between(self.position(i), next);
+                let constants = self.element(i);
+                self.compression = self.compression.max(chord.compression(constants));
+                let [a, b] = chord.inertia(constants);
+                self.set_inertia(i, a, left);
+                left = b;
+            } else {
+                self.push(i).store(&mut self.blocks[i], LINEAR_MOMENTUM);
+            }
+            self.turn(i);
         }
     }
 }
@@ -207,15 +463,17 @@ impl<S: Simd, T: TurnSingly> Drift<'_, S, T> {
 fn turn_lanes_singly<T: TurnSingly>(
     singly: &mut T,
     exchange: &mut [f64],
-    n_lanes: usize,
     block: usize,
+    with_inertia: bool,
 ) {
+    let n_lanes = exchange.len() / EXCHANGE_ROWS;
     for lane in 0..n_lanes {
         if exchange[LEVEL * n_lanes + lane] <= TURN_LIMIT {
             continue;
         }
-        let g = [0, 1, 2].map(|i| exchange[(MOMENTUM_BEFORE + i) * n_lanes + lane]);
-        let (rotation, momentum) = singly.turn(block, lane, g);
+        let vector = |row: usize| [0, 1, 2].map(|i| exchange[(row + i) * n_lanes + lane]);
+        let inertia = with_inertia.then(|| vector(INERTIA));
+        let (rotation, momentum) = singly.turn(block, lane, vector(MOMENTUM_BEFORE), inertia);
         for (i, value) in rotation.into_iter().enumerate() {
             exchange[(TURN + i) * n_lanes + lane] = value;
         }

@@ -1,5 +1,7 @@
 //! Vectors and quaternions with one number per lane, as readable as scalars and as fast as intrinsics.
 //!
+//! The lanes are those of [`UNROLL`] vectors side by side: operations that do not wait for each other.
+//!
 //! No fused multiply-add and no sums over lanes: every lane does the same IEEE operations in the same order whatever
 //! the vector length, so all instruction sets give the same bits.
 
@@ -7,11 +9,35 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use pulp::Simd;
 
+/// Vectors side by side.
+pub const UNROLL: usize = 2;
+
+/// One number per lane, as it lies in memory.
+pub type Row<S> = [<S as Simd>::f64s; UNROLL];
+
+/// Blocks of `N` rows.
+#[inline(always)]
+pub fn blocks<S: Simd, const N: usize>(numbers: &[f64]) -> &[[Row<S>; N]] {
+    rows::<S>(numbers).as_chunks().0
+}
+
+/// Blocks of `N` rows.
+#[inline(always)]
+pub fn blocks_mut<S: Simd, const N: usize>(numbers: &mut [f64]) -> &mut [[Row<S>; N]] {
+    let vectors = S::as_mut_simd_f64s(numbers).0;
+    vectors.as_chunks_mut().0.as_chunks_mut().0
+}
+
+#[inline(always)]
+pub fn rows<S: Simd>(numbers: &[f64]) -> &[Row<S>] {
+    S::as_simd_f64s(numbers).0.as_chunks().0
+}
+
 /// One number per lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Lanes<S: Simd> {
     pub simd: S,
-    pub value: S::f64s,
+    pub value: Row<S>,
 }
 
 impl<S: Simd> Lanes<S> {
@@ -19,61 +45,86 @@ impl<S: Simd> Lanes<S> {
     pub fn splat(simd: S, value: f64) -> Self {
         Self {
             simd,
-            value: simd.splat_f64s(value),
+            value: [simd.splat_f64s(value); UNROLL],
         }
     }
 
     #[inline(always)]
-    pub fn sqrt(self) -> Self {
-        Self {
-            simd: self.simd,
-            value: self.simd.sqrt_f64s(self.value),
+    pub fn sqrt(mut self) -> Self {
+        for value in &mut self.value {
+            *value = self.simd.sqrt_f64s(*value);
         }
+        self
     }
 
     #[inline(always)]
-    pub fn abs(self) -> Self {
-        Self {
-            simd: self.simd,
-            value: self.simd.abs_f64s(self.value),
+    pub fn abs(mut self) -> Self {
+        for value in &mut self.value {
+            *value = self.simd.abs_f64s(*value);
         }
+        self
+    }
+
+    /// The larger of two numbers.
+    #[inline(always)]
+    pub fn max(mut self, other: Self) -> Self {
+        for i in 0..UNROLL {
+            self.value[i] = self.simd.max_f64s(self.value[i], other.value[i]);
+        }
+        self
     }
 
     /// Whether every lane is at most `limit`; false where one is NaN.
     #[inline(always)]
     pub fn all_at_most(self, limit: f64) -> bool {
         let simd = self.simd;
-        let holds = simd.less_than_or_equal_f64s(self.value, simd.splat_f64s(limit));
-        simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES
+        let limit = simd.splat_f64s(limit);
+        let mut all = true;
+        for value in self.value {
+            let holds = simd.less_than_or_equal_f64s(value, limit);
+            all &= simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES;
+        }
+        all
     }
 
     /// `below` in the lanes of `self < limit`, `otherwise` in the others.
     #[inline(always)]
-    pub fn select_below(self, limit: f64, below: Self, otherwise: Self) -> Self {
+    pub fn select_below(mut self, limit: f64, below: Self, otherwise: Self) -> Self {
         let simd = self.simd;
-        let mask = simd.less_than_f64s(self.value, simd.splat_f64s(limit));
-        Self {
-            simd,
-            value: simd.select_f64s(mask, below.value, otherwise.value),
+        let limit = simd.splat_f64s(limit);
+        for i in 0..UNROLL {
+            let mask = simd.less_than_f64s(self.value[i], limit);
+            self.value[i] = simd.select_f64s(mask, below.value[i], otherwise.value[i]);
         }
+        self
     }
 
-    /// Every lane from its right neighbor, the last from the first.
+    /// Every lane from its right neighbor, the last from the first: to the right of a lane is the same lane of the next
+    /// vector, of the last vector the next lane of the first.
     #[inline(always)]
-    pub fn next_lane(self) -> Self {
-        Self {
-            simd: self.simd,
-            value: self.simd.rotate_left_f64s(self.value, 1),
-        }
+    pub fn next_lane(mut self) -> Self {
+        self.value.rotate_left(1);
+        let last = &mut self.value[UNROLL - 1];
+        *last = self.simd.rotate_left_f64s(*last, 1);
+        self
     }
 
     /// Every lane from its left neighbor, the first from the last.
     #[inline(always)]
-    pub fn previous_lane(self) -> Self {
-        Self {
-            simd: self.simd,
-            value: self.simd.rotate_right_f64s(self.value, 1),
+    pub fn previous_lane(mut self) -> Self {
+        self.value.rotate_right(1);
+        self.value[0] = self.simd.rotate_right_f64s(self.value[0], 1);
+        self
+    }
+
+    /// Whether the sum of all lanes is a number.
+    #[inline(always)]
+    pub fn has_finite_sum(self) -> bool {
+        let mut sum = 0.0;
+        for value in self.value {
+            sum += self.simd.reduce_sum_f64s(value);
         }
+        sum.is_finite()
     }
 
     /// `Σ cᵢ selfⁱ` by Horner's rule.
@@ -95,11 +146,11 @@ macro_rules! lane_operator {
             type Output = Self;
 
             #[inline(always)]
-            fn $name(self, other: Self) -> Self {
-                Self {
-                    simd: self.simd,
-                    value: self.simd.$operation(self.value, other.value),
+            fn $name(mut self, other: Self) -> Self {
+                for i in 0..UNROLL {
+                    self.value[i] = self.simd.$operation(self.value[i], other.value[i]);
                 }
+                self
             }
         }
 
@@ -108,11 +159,7 @@ macro_rules! lane_operator {
 
             #[inline(always)]
             fn $name(self, other: f64) -> Self {
-                let other = self.simd.splat_f64s(other);
-                Self {
-                    simd: self.simd,
-                    value: self.simd.$operation(self.value, other),
-                }
+                $trait::$name(self, Lanes::splat(self.simd, other))
             }
         }
     };
@@ -127,11 +174,11 @@ impl<S: Simd> Neg for Lanes<S> {
     type Output = Self;
 
     #[inline(always)]
-    fn neg(self) -> Self {
-        Self {
-            simd: self.simd,
-            value: self.simd.neg_f64s(self.value),
+    fn neg(mut self) -> Self {
+        for value in &mut self.value {
+            *value = self.simd.neg_f64s(*value);
         }
+        self
     }
 }
 
@@ -156,7 +203,7 @@ impl<S: Simd> Vec3<S> {
 
     /// From three consecutive rows.
     #[inline(always)]
-    pub fn load<const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Self {
+    pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
             x: row(simd, rows, at),
             y: row(simd, rows, at + 1),
@@ -166,7 +213,7 @@ impl<S: Simd> Vec3<S> {
 
     /// To three consecutive rows.
     #[inline(always)]
-    pub fn store<const N: usize>(self, rows: &mut [S::f64s; N], at: usize) {
+    pub fn store(self, rows: &mut [Row<S>], at: usize) {
         rows[at] = self.x.value;
         rows[at + 1] = self.y.value;
         rows[at + 2] = self.z.value;
@@ -281,7 +328,7 @@ pub struct Quaternion<S: Simd> {
 impl<S: Simd> Quaternion<S> {
     /// From four consecutive rows `w, x, y, z`.
     #[inline(always)]
-    pub fn load<const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Self {
+    pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
             w: row(simd, rows, at),
             v: Vec3::load(simd, rows, at + 1),
@@ -290,7 +337,7 @@ impl<S: Simd> Quaternion<S> {
 
     /// To four consecutive rows `w, x, y, z`.
     #[inline(always)]
-    pub fn store<const N: usize>(self, rows: &mut [S::f64s; N], at: usize) {
+    pub fn store(self, rows: &mut [Row<S>], at: usize) {
         rows[at] = self.w.value;
         self.v.store(rows, at + 1);
     }
@@ -389,7 +436,7 @@ impl<S: Simd> Frame<S> {
 
 /// Row `at` of a block.
 #[inline(always)]
-pub fn row<S: Simd, const N: usize>(simd: S, rows: &[S::f64s; N], at: usize) -> Lanes<S> {
+pub fn row<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> Lanes<S> {
     Lanes {
         simd,
         value: rows[at],
