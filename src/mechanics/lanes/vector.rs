@@ -1,7 +1,5 @@
 //! Vectors and quaternions with one number per lane, as readable as scalars and as fast as intrinsics.
 //!
-//! The lanes are those of [`UNROLL`] vectors side by side: operations that do not wait for each other.
-//!
 //! No fused multiply-add and no sums over lanes: every lane does the same IEEE operations in the same order whatever
 //! the vector length, so all instruction sets give the same bits.
 
@@ -9,11 +7,13 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use pulp::Simd;
 
-/// Vectors side by side.
-pub const UNROLL: usize = 2;
-
 /// One number per lane, as it lies in memory.
-pub type Row<S> = [<S as Simd>::f64s; UNROLL];
+pub type Row<S> = <S as Simd>::f64s;
+
+#[inline(always)]
+pub fn rows<S: Simd>(numbers: &[f64]) -> &[Row<S>] {
+    S::as_simd_f64s(numbers).0
+}
 
 /// Blocks of `N` rows.
 #[inline(always)]
@@ -24,13 +24,7 @@ pub fn blocks<S: Simd, const N: usize>(numbers: &[f64]) -> &[[Row<S>; N]] {
 /// Blocks of `N` rows.
 #[inline(always)]
 pub fn blocks_mut<S: Simd, const N: usize>(numbers: &mut [f64]) -> &mut [[Row<S>; N]] {
-    let vectors = S::as_mut_simd_f64s(numbers).0;
-    vectors.as_chunks_mut().0.as_chunks_mut().0
-}
-
-#[inline(always)]
-pub fn rows<S: Simd>(numbers: &[f64]) -> &[Row<S>] {
-    S::as_simd_f64s(numbers).0.as_chunks().0
+    S::as_mut_simd_f64s(numbers).0.as_chunks_mut().0
 }
 
 /// One number per lane.
@@ -45,86 +39,76 @@ impl<S: Simd> Lanes<S> {
     pub fn splat(simd: S, value: f64) -> Self {
         Self {
             simd,
-            value: [simd.splat_f64s(value); UNROLL],
+            value: simd.splat_f64s(value),
         }
     }
 
     #[inline(always)]
-    pub fn sqrt(mut self) -> Self {
-        for value in &mut self.value {
-            *value = self.simd.sqrt_f64s(*value);
+    pub fn sqrt(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.sqrt_f64s(self.value),
         }
-        self
     }
 
     #[inline(always)]
-    pub fn abs(mut self) -> Self {
-        for value in &mut self.value {
-            *value = self.simd.abs_f64s(*value);
+    pub fn abs(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.abs_f64s(self.value),
         }
-        self
     }
 
     /// The larger of two numbers.
     #[inline(always)]
-    pub fn max(mut self, other: Self) -> Self {
-        for i in 0..UNROLL {
-            self.value[i] = self.simd.max_f64s(self.value[i], other.value[i]);
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.max_f64s(self.value, other.value),
         }
-        self
+    }
+
+    /// Whether the sum of all lanes is a number.
+    #[inline(always)]
+    pub fn has_finite_sum(self) -> bool {
+        self.simd.reduce_sum_f64s(self.value).is_finite()
     }
 
     /// Whether every lane is at most `limit`; false where one is NaN.
     #[inline(always)]
     pub fn all_at_most(self, limit: f64) -> bool {
         let simd = self.simd;
-        let limit = simd.splat_f64s(limit);
-        let mut all = true;
-        for value in self.value {
-            let holds = simd.less_than_or_equal_f64s(value, limit);
-            all &= simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES;
-        }
-        all
+        let holds = simd.less_than_or_equal_f64s(self.value, simd.splat_f64s(limit));
+        simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES
     }
 
     /// `below` in the lanes of `self < limit`, `otherwise` in the others.
     #[inline(always)]
-    pub fn select_below(mut self, limit: f64, below: Self, otherwise: Self) -> Self {
+    pub fn select_below(self, limit: f64, below: Self, otherwise: Self) -> Self {
         let simd = self.simd;
-        let limit = simd.splat_f64s(limit);
-        for i in 0..UNROLL {
-            let mask = simd.less_than_f64s(self.value[i], limit);
-            self.value[i] = simd.select_f64s(mask, below.value[i], otherwise.value[i]);
+        let mask = simd.less_than_f64s(self.value, simd.splat_f64s(limit));
+        Self {
+            simd,
+            value: simd.select_f64s(mask, below.value, otherwise.value),
         }
-        self
     }
 
-    /// Every lane from its right neighbor, the last from the first: to the right of a lane is the same lane of the next
-    /// vector, of the last vector the next lane of the first.
+    /// Every lane from its right neighbor, the last from the first.
     #[inline(always)]
-    pub fn next_lane(mut self) -> Self {
-        self.value.rotate_left(1);
-        let last = &mut self.value[UNROLL - 1];
-        *last = self.simd.rotate_left_f64s(*last, 1);
-        self
+    pub fn next_lane(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.rotate_left_f64s(self.value, 1),
+        }
     }
 
     /// Every lane from its left neighbor, the first from the last.
     #[inline(always)]
-    pub fn previous_lane(mut self) -> Self {
-        self.value.rotate_right(1);
-        self.value[0] = self.simd.rotate_right_f64s(self.value[0], 1);
-        self
-    }
-
-    /// Whether the sum of all lanes is a number.
-    #[inline(always)]
-    pub fn has_finite_sum(self) -> bool {
-        let mut sum = 0.0;
-        for value in self.value {
-            sum += self.simd.reduce_sum_f64s(value);
+    pub fn previous_lane(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.rotate_right_f64s(self.value, 1),
         }
-        sum.is_finite()
     }
 
     /// `Σ cᵢ selfⁱ` by Horner's rule.
@@ -146,11 +130,11 @@ macro_rules! lane_operator {
             type Output = Self;
 
             #[inline(always)]
-            fn $name(mut self, other: Self) -> Self {
-                for i in 0..UNROLL {
-                    self.value[i] = self.simd.$operation(self.value[i], other.value[i]);
+            fn $name(self, other: Self) -> Self {
+                Self {
+                    simd: self.simd,
+                    value: self.simd.$operation(self.value, other.value),
                 }
-                self
             }
         }
 
@@ -159,7 +143,11 @@ macro_rules! lane_operator {
 
             #[inline(always)]
             fn $name(self, other: f64) -> Self {
-                $trait::$name(self, Lanes::splat(self.simd, other))
+                let other = self.simd.splat_f64s(other);
+                Self {
+                    simd: self.simd,
+                    value: self.simd.$operation(self.value, other),
+                }
             }
         }
     };
@@ -174,11 +162,11 @@ impl<S: Simd> Neg for Lanes<S> {
     type Output = Self;
 
     #[inline(always)]
-    fn neg(mut self) -> Self {
-        for value in &mut self.value {
-            *value = self.simd.neg_f64s(*value);
+    fn neg(self) -> Self {
+        Self {
+            simd: self.simd,
+            value: self.simd.neg_f64s(self.value),
         }
-        self
     }
 }
 
