@@ -97,6 +97,9 @@ pub(super) fn run(
         summary.step_s,
         summary.wall_s
     ));
+    if let Some(warning) = stretch_warning(&summary.dilatation) {
+        console.warn(&warning);
+    }
     let tip = summary.tip.position_m;
     console.say(&format!(
         "tip at ({:.6}, {:.6}, {:.6}) m; energy {:.6e} J at the start, {:.6e} J at the end",
@@ -195,6 +198,21 @@ fn continued(
         ));
     }
     Ok(setup)
+}
+
+/// Elements that leave this range of dilatations are outside what any [model](crate::mechanics::RodModel) describes: a
+/// section of constant volume or size, and a linear material.
+const CREDIBLE_DILATATION: [f64; 2] = [0.5, 2.0];
+
+fn stretch_warning(dilatation: &Range) -> Option<String> {
+    let [least, largest] = CREDIBLE_DILATATION;
+    (dilatation.min < least || dilatation.max > largest).then(|| {
+        format!(
+            "elements went from {:.3e} to {:.3e} of their length; rod models hold within about 0.7 to 1.3, and the standard \
+             one lets an element turn inside out; soften the loads, or stiffen the rod",
+            dilatation.min, dilatation.max
+        )
+    })
 }
 
 /// How a run ended.

@@ -5,7 +5,7 @@
 //! solves the equilibrium itself. Loads whose work has no potential (body-fixed forces, spatial moments) enter the
 //! minimization at their current direction and Newton exactly.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 
 use argmin::core::{CostFunction, Error as ArgminError, Executor, Gradient, State as _};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
@@ -96,6 +96,8 @@ const TOLERANCE: f64 = 1e-9;
 const OUTER_LIMIT: usize = 200;
 const LBFGS_ITERATIONS: u64 = 30;
 const LBFGS_MEMORY: usize = 12;
+/// Energies that a stage may ask for; its line searches, usually of one to three, have no limit of their own.
+const EVALUATION_LIMIT: usize = 1000;
 /// Newton steps without a smaller residual before the minimization takes over. A full step that turns a node stretches
 /// its elements by the square of the turn, and the residual falls only with the next one; without a potential the
 /// minimization would have no answer.
@@ -119,7 +121,9 @@ pub fn static_equilibrium(
     let mut center = start.clone();
     let mut statics = Statics::new(rod, t, *spring);
     let mut residual = statics.residual(&center);
-    for _ in 0..OUTER_LIMIT {
+    let mut iterations = 0;
+    while iterations < OUTER_LIMIT {
+        iterations += 1;
         let size = statics.scaled(&residual);
         if size <= TOLERANCE {
             return Ok(center);
@@ -135,11 +139,15 @@ pub fn static_equilibrium(
                 return Ok(center);
             }
         }
-        center = statics.minimize(&center);
+        let lower = statics.minimize(&center);
+        if lower == center {
+            break;
+        }
+        center = lower;
         residual = statics.residual(&center);
     }
     Err(EquilibriumError::NotConverged {
-        iterations: OUTER_LIMIT,
+        iterations,
         residual: statics.scaled(&residual),
     })
 }
@@ -364,6 +372,7 @@ impl<'a> Statics<'a> {
             frozen,
             factor: &factor,
             forces: RefCell::new(NodalForces::zeros(self.rod.n_nodes())),
+            evaluations: Cell::new(0),
             t: self.t,
         };
         let n = 6 * k.diagonal.len();
@@ -428,6 +437,7 @@ struct PotentialEnergy<'a> {
     frozen: Vec<Wrench>,
     factor: &'a BlockCholesky,
     forces: RefCell<NodalForces>,
+    evaluations: Cell<usize>,
     t: f64,
 }
 
@@ -444,6 +454,10 @@ impl CostFunction for PotentialEnergy<'_> {
     type Output = f64;
 
     fn cost(&self, z: &Vec<f64>) -> Result<f64, ArgminError> {
+        self.evaluations.set(self.evaluations.get() + 1);
+        if self.evaluations.get() > EVALUATION_LIMIT {
+            return Err(ArgminError::msg("a line search without end"));
+        }
         let step = self.step(z);
         let at = moved(self.center, &step);
         let tip = self.rod.tip();

@@ -152,9 +152,10 @@ impl Rod {
         (0..2)
             .map(|end| {
                 let f = turns[end];
-                f.dot(&shares[end].rotary.component_mul(f)) / (1.0 + 0.25 * f.norm_squared())
+                let rate = f / h;
+                rate.dot(&shares[end].rotary.component_mul(&rate)) / (1.0 + 0.25 * f.norm_squared())
             })
             .sum::<f64>()
-            / (2.0 * h * h)
+            * 0.5
     }
 }

@@ -25,7 +25,7 @@ use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
 use super::load::Wrench;
 use super::rod::Rod;
-use super::rotation::{cay, cay_inverse, hat, log};
+use super::rotation::{cay, cay_inverse, hat, log, orthonormalized};
 
 /// How the elastic forces act within a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,7 +66,7 @@ impl TimeGrid {
         let multiple = multiple.max(1);
         // The last digit of a quotient that should be whole must not add a step.
         let groups = (end / longest_step / multiple as f64 * (1.0 - 1e-9)).ceil();
-        let n_steps = groups as usize * multiple;
+        let n_steps = (groups as usize).saturating_mul(multiple);
         Self {
             step: if n_steps == 0 {
                 longest_step
@@ -96,7 +96,7 @@ impl TimeGrid {
 pub enum StepError {
     /// The discrete rotation has no regular solution.
     #[error(
-        "node {node}, step {step} (t = {time} s): more than a quarter turn per step (h |moment| is {ratio:.3} of the least \
+        "node {node}, step {step} (t = {time} s): more than a quarter turn per step (h |moment| is {ratio:.3e} of the least \
          inertia, must stay below 1); shorten time.step_s, soften the load, or add elements"
     )]
     RotationTooLarge {
@@ -111,7 +111,7 @@ pub enum StepError {
     },
     /// The given motion of the base is too fast for the step.
     #[error(
-        "node 0, step {step} (t = {time} s): the base turns {angle:.3} rad in one step, must stay below a quarter turn; \
+        "node 0, step {step} (t = {time} s): the base turns {angle:.3e} rad in one step, must stay below a quarter turn; \
          shorten time.step_s or slow the base motion"
     )]
     BaseTurnTooLarge {
@@ -155,6 +155,24 @@ pub enum StepError {
         residual: f64,
         /// Newton iterations taken.
         iterations: usize,
+    },
+    /// The ends of an element are turned by nearly half a turn against each other, where the rotation vector of either
+    /// strain rule ends.
+    #[error(
+        "element {element}, step {step} (t = {time} s): its ends are turned by {angle:.3} rad against each other, and by up to \
+         {change:.3e} rad more in one step; strains end at half a turn; soften the load, add elements, or shorten time.step_s"
+    )]
+    ElementFolded {
+        /// Element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Relative rotation of its ends at the end of the step, rad.
+        angle: f64,
+        /// What the step changed of it, rad.
+        change: f64,
     },
     /// A force, moment or momentum is not a number any more.
     #[error(
@@ -248,6 +266,9 @@ fn solve_general(j: &Vector3<f64>, b: &Vector3<f64>) -> Option<Vector3<f64>> {
     }
     None
 }
+
+/// Steps between two returns of the rotations to the group: products of rotations leave it by rounding, 1e-16 or so each.
+const ORTHONORMALIZE_EVERY: usize = 64;
 
 /// Advances a rod in time.
 #[derive(Clone, Debug)]
@@ -385,8 +406,12 @@ impl<'a> Integrator<'a> {
         if inertia_rule == InertiaRule::End {
             self.add_kinetic_reaction(1.0);
         }
-        self.arrive(&control[1]);
-        Ok(())
+        if (self.step + 1).is_multiple_of(ORTHONORMALIZE_EVERY) {
+            for rotation in &mut self.state.configuration.rotations[first..] {
+                *rotation = orthonormalized(rotation);
+            }
+        }
+        self.arrive(&control[1])
     }
 
     /// The step of [`implicit`](super::implicit).
@@ -413,8 +438,7 @@ impl<'a> Integrator<'a> {
             *g = cay(&self.turns[node]).tr_mul(g) * (1.0 - a);
         }
         implicit.arrive(self.rod, 0.5 * h, &mut self.state);
-        self.arrive(&control[1]);
-        Ok(())
+        self.arrive(&control[1])
     }
 
     /// The first half of the kicks, with the forces at hand and the control just after the time node.
@@ -435,9 +459,10 @@ impl<'a> Integrator<'a> {
     }
 
     /// The second half, with the forces at the next time node and the control just before it.
-    fn arrive(&mut self, control: &Wrench) {
+    fn arrive(&mut self, control: &Wrench) -> Result<(), StepError> {
         let half_step = 0.5 * self.time_step;
         let tip = self.rod.tip();
+        self.check_folds()?;
         self.step += 1;
         let State {
             configuration,
@@ -450,12 +475,72 @@ impl<'a> Integrator<'a> {
             &configuration.rotations,
             self.step as f64 * self.time_step,
         );
+        // Not finite as soon as one momentum is not, and then looked into.
+        let mut probe = Vector3::zeros();
         for node in self.rod.first_free_node()..=tip {
             linear_momentum[node] += half_step * self.forces.forces[node];
             angular_momentum[node] += half_step * self.forces.moments[node];
+            probe += linear_momentum[node] + angular_momentum[node];
         }
         linear_momentum[tip] += half_step * control.force;
         angular_momentum[tip] += half_step * control.moment;
+        probe += linear_momentum[tip] + angular_momentum[tip];
+        if probe.sum().is_finite() {
+            Ok(())
+        } else {
+            self.check_momenta()
+        }
+    }
+
+    /// Every momentum is finite.
+    fn check_momenta(&self) -> Result<(), StepError> {
+        let State {
+            linear_momentum,
+            angular_momentum,
+            ..
+        } = &self.state;
+        let finite = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
+        for node in self.rod.first_free_node()..self.rod.n_nodes() {
+            if finite(&linear_momentum[node]) && finite(&angular_momentum[node]) {
+                continue;
+            }
+            return Err(StepError::NotFinite {
+                node,
+                step: self.step - 1,
+                time: (self.step - 1) as f64 * self.time_step,
+                quantity: "the momentum after the step",
+            });
+        }
+        Ok(())
+    }
+
+    /// No element has come to half a turn between its ends: the rotation of neither end may have carried the relative
+    /// one, `A`, across it unseen.
+    fn check_folds(&self) -> Result<(), StepError> {
+        let rotations = &self.state.configuration.rotations;
+        for q in 0..self.rod.n_elements() {
+            let (a, b) = (&self.turns[q], &self.turns[q + 1]);
+            // `1 + tr A = 4 cos²(θ/2) ≤ (π - θ)²`, and a node turns by less than `|f|`.
+            if 1.0 + rotations[q].dot(&rotations[q + 1])
+                > 2.0 * (a.norm_squared() + b.norm_squared())
+            {
+                continue;
+            }
+            let relative = rotations[q].tr_mul(&rotations[q + 1]);
+            let before = cay(a) * relative * cay(b).transpose();
+            let angle = log(&relative).norm();
+            let change = log(&before.tr_mul(&relative)).norm();
+            if !(angle + change < std::f64::consts::PI) {
+                return Err(StepError::ElementFolded {
+                    element: q,
+                    step: self.step,
+                    time: self.time(),
+                    angle,
+                    change,
+                });
+            }
+        }
+        Ok(())
     }
 
     /// Cayley vectors of the step from the angular momenta, with the inertia at hand.

@@ -287,6 +287,9 @@ pub struct RodError {
     pub expected: &'static str,
 }
 
+/// `|RᵀR - I|` of what is taken for a rotation.
+const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
+
 fn require(
     parameter: &'static str,
     value: f64,
@@ -309,9 +312,9 @@ impl Rod {
     ///
     /// # Errors
     /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
-    /// not exist or on a part that is none, a base motion that is not finite, a negative payload, half a turn or
-    /// more of rest curvature per element, or a model other than the standard one with internal damping or the implicit
-    /// scheme.
+    /// not exist or on a part that is none, a base rotation that is none, a base motion that is not finite, a negative
+    /// payload, half a turn or more of rest curvature per element, numbers whose products overflow or vanish, or a model
+    /// other than the standard one with internal damping or the implicit scheme.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
         let positive = |x: f64| x > 0.0;
@@ -352,6 +355,13 @@ impl Rod {
             require("base_position", p.base_position[i], |_| true, "finite")?;
             require("rest_curvature", p.rest_curvature[i], |_| true, "finite")?;
         }
+        let defect = (p.base_rotation.tr_mul(&p.base_rotation) - Matrix3::identity()).norm();
+        require(
+            "|RᵀR - I| of base_rotation",
+            defect,
+            |defect| defect < LARGEST_ROTATION_DEFECT,
+            "that of a rotation matrix, below 1e-9",
+        )?;
         for s in [0.0, 0.5, 1.0] {
             let section = p.section.at(s);
             require("section mass", section.mass, positive, "positive")?;
@@ -447,9 +457,50 @@ impl Rod {
             }
         }
         let scales = Scales::of(p.length, &elements, &nodes);
-        let rest_chords = (rest.positions.windows(2))
+        let rest_chords: Vec<f64> = (rest.positions.windows(2))
             .map(|ends| (ends[1] - ends[0]).norm())
             .collect();
+        let computable =
+            "positive and finite: the parameters are too far apart to be computed with";
+        for shares in element_inertia.iter().flatten() {
+            require("mass of a node", shares.mass, positive, computable)?;
+            require(
+                "inertia of a node",
+                shares.rotary.min(),
+                positive,
+                computable,
+            )?;
+            require(
+                "inertia of a node",
+                shares.rotary.max(),
+                positive,
+                computable,
+            )?;
+        }
+        for (element, &chord) in elements.iter().zip(&rest_chords) {
+            require("length of an element", chord, positive, computable)?;
+            let stiffness = element.linear_stiffness / element.length;
+            require(
+                "stiffness of an element",
+                stiffness.min(),
+                positive,
+                computable,
+            )?;
+            require(
+                "stiffness of an element",
+                stiffness.max(),
+                positive,
+                computable,
+            )?;
+        }
+        for scale in [scales.force, scales.moment, scales.time] {
+            require(
+                "scale EI/L², EI/L or L² sqrt(ρA/EI)",
+                scale,
+                positive,
+                computable,
+            )?;
+        }
         if let Some(payload) = &p.payload {
             nodes[k].mass += payload.mass;
             nodes[k].rotary += payload.rotary;

@@ -162,6 +162,13 @@ pub fn from_direction(direction: &Vector3<f64>, roll: f64) -> Matrix3<f64> {
     minimal * exp(&Vector3::new(0.0, 0.0, roll))
 }
 
+/// A matrix near a rotation, nearer to it: one step `R (3 I - RᵀR)/2` of Newton and Schulz, which squares `RᵀR - I`.
+#[must_use]
+pub fn orthonormalized(rotation: &Matrix3<f64>) -> Matrix3<f64> {
+    let excess = rotation.tr_mul(rotation) - Matrix3::identity();
+    rotation - 0.5 * rotation * excess
+}
+
 /// The coefficient `c(θ) = (1 - (θ/2) cot(θ/2)) / θ²` of the inverse tangent of the exponential, and its derivatives.
 #[derive(Clone, Copy, Debug)]
 pub struct InverseTangentCoefficients {

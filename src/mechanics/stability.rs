@@ -40,7 +40,12 @@ fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     let scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
         0.5 * (full[(i, j)] + full[(j, i)]) * inverse_root[i] * inverse_root[j]
     });
-    scaled.symmetric_eigenvalues().max()
+    // The eigenvalue iteration would overflow, or never end, on what is too large to be squared or is no number.
+    let largest = scaled.amax();
+    if !(largest > 0.0 && scaled.iter().all(|entry| entry.is_finite())) {
+        return f64::INFINITY;
+    }
+    largest * (scaled / largest).symmetric_eigenvalues().max()
 }
 
 /// The stiffness over `(x_a, η_a, x_b, η_b)` from the one over `(x_b - x_a, η_a, η_b)`.

@@ -1,6 +1,8 @@
 //! Rods and random states that several tests share.
 #![allow(dead_code)]
 
+pub mod extremes;
+
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
