@@ -17,6 +17,7 @@ pub mod cli;
 pub mod control;
 pub mod mechanics;
 pub mod output;
+pub mod paper;
 pub mod scene;
 pub mod sqp;
 pub mod verify;

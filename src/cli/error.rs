@@ -4,6 +4,7 @@ use super::exit;
 use crate::control::GuessError;
 use crate::mechanics::StepError;
 use crate::output::OutputError;
+use crate::paper::PaperError;
 use crate::scene::SceneError;
 use crate::verify::CheckError;
 
@@ -25,6 +26,9 @@ pub(super) enum CliError {
     /// The forward check broke down.
     #[error("error: the check could not be made: {0}")]
     Check(#[from] CheckError),
+    /// An experiment of the paper could not be run.
+    #[error("{0}")]
+    Paper(#[from] PaperError),
     /// A result directory that does not hold what a verb needs.
     #[error("error: {0}")]
     Directory(String),
@@ -33,8 +37,14 @@ pub(super) enum CliError {
 impl CliError {
     pub(super) fn exit_code(&self) -> u8 {
         match self {
-            Self::Scene(_) | Self::Output(_) | Self::Directory(_) => exit::USAGE,
-            Self::Step(_) | Self::Guess(_) | Self::Check(_) => exit::NUMERICAL,
+            Self::Scene(_)
+            | Self::Output(_)
+            | Self::Directory(_)
+            | Self::Paper(PaperError::Scene(_)) => exit::USAGE,
+            Self::Step(_)
+            | Self::Guess(_)
+            | Self::Check(_)
+            | Self::Paper(PaperError::Step { .. }) => exit::NUMERICAL,
         }
     }
 }

@@ -4,6 +4,7 @@ mod check;
 mod console;
 mod error;
 mod example;
+mod paper;
 mod report_pages;
 mod schema;
 mod simulate;
@@ -88,6 +89,8 @@ enum Command {
     },
     /// Print the JSON Schema of the scene file
     Schema,
+    /// Run the experiments of the paper's section 5 and set every printed number beside ours
+    Paper(paper::PaperArguments),
 }
 
 #[derive(Debug, Args)]
@@ -154,6 +157,7 @@ pub fn run() -> ExitCode {
         Command::Verify { directory } => verify::run(directory, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
         Command::Schema => schema::run(&console),
+        Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),
     };
     match outcome {
         Ok(code) => ExitCode::from(code),

@@ -1,7 +1,7 @@
 //! The scenes that come with the program.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 7] = [
+const SCENES: [(&str, &str); 11] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -21,6 +21,22 @@ const SCENES: [(&str, &str); 7] = [
         include_str!("../../examples/scenes/shaken-base.toml"),
     ),
     ("wire", include_str!("../../examples/scenes/wire.toml")),
+    (
+        "paper-flying-beam",
+        include_str!("../../examples/scenes/paper-flying-beam.toml"),
+    ),
+    (
+        "paper-stretching",
+        include_str!("../../examples/scenes/paper-stretching.toml"),
+    ),
+    (
+        "paper-bending-stretching",
+        include_str!("../../examples/scenes/paper-bending-stretching.toml"),
+    ),
+    (
+        "paper-convergence",
+        include_str!("../../examples/scenes/paper-convergence.toml"),
+    ),
 ];
 
 /// The names of the built-in scenes, the one to start with first.

@@ -1,0 +1,142 @@
+//! What the third experiment shows beside the printed numbers: locking, and the breakdown of the paper's model.
+
+use super::{PaperError, Study};
+use crate::mechanics::{Integrator, RodModel, StepError, Wrench};
+
+const SCENE: &str = "paper-bending-stretching";
+
+/// Where the tip of the third experiment's rod is.
+#[derive(Clone, Debug)]
+pub struct Tip {
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// `1 + GA l²/(4 EI)` under the trapezoidal rule, else 1: by how much bending is too stiff.
+    pub stiffening: f64,
+    /// Position of the tip, m.
+    pub position: [f64; 3],
+}
+
+/// The tip of the third experiment at `time` (s), standard model, for every strain rule and number of elements.
+///
+/// # Errors
+/// A scene or a step that is not possible.
+pub fn tip_at(
+    study: &Study,
+    time: f64,
+    grids: &[(&'static str, usize)],
+) -> Result<Vec<Tip>, PaperError> {
+    study
+        .map(grids, |&(strain, elements)| {
+            let simulation = study.simulation(
+                SCENE,
+                &[
+                    format!("rod.strain={strain}"),
+                    format!("rod.elements={elements}"),
+                    "rod.model=standard".into(),
+                    format!("time.end_s={time}"),
+                ],
+            )?;
+            let rod = &simulation.rod;
+            let mut integrator =
+                Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
+            for _ in 0..simulation.grid.n_steps {
+                advance(&mut integrator)?;
+            }
+            Ok(Tip {
+                strain,
+                elements,
+                stiffening: if strain == "trapezoidal" {
+                    1.0 + rod.locking_ratio()
+                } else {
+                    1.0
+                },
+                position: integrator.state().configuration.positions[rod.tip()].into(),
+            })
+        })
+        .into_iter()
+        .collect()
+}
+
+/// How the third experiment goes on a finer grid.
+#[derive(Clone, Debug)]
+pub struct BlowUp {
+    /// Model of the rod.
+    pub model: RodModel,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time step, s.
+    pub step: f64,
+    /// Greatest energy after the loads have ended, over that at their end.
+    pub growth: f64,
+    /// Where and why the run ended before its time.
+    pub failure: Option<StepError>,
+}
+
+impl BlowUp {
+    /// Time of the failure, s.
+    #[must_use]
+    pub fn time(&self) -> Option<f64> {
+        self.failure.as_ref().map(|error| match error {
+            StepError::RotationTooLarge { time, .. }
+            | StepError::BaseTurnTooLarge { time, .. }
+            | StepError::ElementCollapsed { time, .. }
+            | StepError::NotFinite { time, .. } => *time,
+        })
+    }
+}
+
+/// Steps between two looks at the energy.
+const GLANCE: usize = 20;
+
+/// The third experiment to its end, or to its breakdown, for every model, number of elements and time step (s).
+///
+/// # Errors
+/// A scene that is not possible; a breakdown is a result.
+pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<BlowUp>, PaperError> {
+    study
+        .map(runs, |&(model, elements, step)| {
+            let simulation = study.simulation(
+                SCENE,
+                &[
+                    format!("rod.model={}", model.name()),
+                    format!("rod.elements={elements}"),
+                    format!("time.step_s={step:e}"),
+                ],
+            )?;
+            let (rod, grid) = (&simulation.rod, simulation.grid);
+            let mut integrator = Integrator::new(rod, grid.step, simulation.initial.clone());
+            let unloaded = super::Experiment::BendingStretching.unloaded();
+            let mut energies = Vec::new();
+            let mut failure = None;
+            for k in 0..grid.n_steps {
+                if k % GLANCE == 0 && grid.time(k) >= unloaded {
+                    energies.push(crate::mechanics::Energy::of(rod, integrator.state()).total());
+                }
+                failure = integrator.advance([Wrench::default(); 2]).err();
+                if failure.is_some() {
+                    break;
+                }
+            }
+            Ok(BlowUp {
+                model,
+                elements,
+                step: grid.step,
+                growth: energies.iter().copied().fold(0.0, f64::max)
+                    / energies.first().copied().unwrap_or(f64::NAN),
+                failure,
+            })
+        })
+        .into_iter()
+        .collect()
+}
+
+fn advance(integrator: &mut Integrator) -> Result<(), PaperError> {
+    integrator
+        .advance([Wrench::default(); 2])
+        .map_err(|error| PaperError::Step {
+            scene: SCENE,
+            error,
+        })
+}
