@@ -87,7 +87,7 @@ pub(super) fn run(arguments: &PaperArguments, global: &Global, console: &Console
         page.convergence(&study)?;
     }
     if arguments.long {
-        page.long_runs(&long_runs(&study, &LONG_RUNS)?);
+        page.long_runs(&long_runs(&study, &LONG_RUNS));
     }
     let wall = started.elapsed().as_secs_f64();
 
@@ -464,23 +464,28 @@ impl Page {
         );
     }
 
-    fn long_runs(&mut self, runs: &[LongRun]) {
-        let rows: Vec<_> = runs
-            .iter()
-            .map(|run| {
-                vec![
-                    run.model.name().into(),
-                    format!("{:.0e}", run.step),
-                    format!("{:.0e}", run.steps as f64),
-                    format!("{:.6}", run.mean),
-                    format!("{:.2e}", run.ripple),
-                    format!(
-                        "{:+.1e} ± {:.0e}",
-                        run.trend * PERIOD,
-                        run.trend_error * PERIOD
-                    ),
-                    format!("{:.1e}", run.orthogonality),
-                ]
+    fn long_runs(&mut self, runs: &[Result<LongRun, PaperError>]) {
+        let rows: Vec<_> = (runs.iter().zip(LONG_RUNS))
+            .map(|(run, (model, step, _))| {
+                let mut row = vec![model.name().into(), format!("{step:.0e}")];
+                match run {
+                    Ok(run) => row.extend([
+                        format!("{:.0e}", run.steps as f64),
+                        format!("{:.6}", run.mean),
+                        format!("{:.2e}", run.ripple),
+                        format!(
+                            "{:+.1e} ± {:.0e}",
+                            run.trend * PERIOD,
+                            run.trend_error * PERIOD
+                        ),
+                        format!("{:.1e}", run.orthogonality),
+                    ]),
+                    Err(error) => {
+                        row.push(error.to_string());
+                        row.resize(7, String::new());
+                    }
+                }
+                row
             })
             .collect();
         self.table(
@@ -498,18 +503,23 @@ impl Page {
         );
         self.keep(
             "long_runs",
-            runs.iter()
-                .map(|run| {
-                    json!({
-                        "model": run.model.name(),
-                        "step_s": run.step,
+            (runs.iter().zip(LONG_RUNS))
+                .map(|(run, (model, step, _))| match run {
+                    Ok(run) => json!({
+                        "model": model.name(),
+                        "step_s": step,
                         "steps": run.steps,
                         "mean_energy_J": run.mean,
                         "ripple": run.ripple,
                         "trend_per_period": run.trend * PERIOD,
                         "trend_error_per_period": run.trend_error * PERIOD,
                         "orthogonality": run.orthogonality,
-                    })
+                    }),
+                    Err(error) => json!({
+                        "model": model.name(),
+                        "step_s": step,
+                        "failure": error.to_string(),
+                    }),
                 })
                 .collect(),
         );

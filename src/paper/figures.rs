@@ -264,7 +264,7 @@ fn remark(
     ours: &Comparison,
     body_moments: Option<&Comparison>,
 ) -> String {
-    use Experiment::{BendingStretching, FlyingBeam, Stretching};
+    use Experiment::{FlyingBeam, Stretching};
     let with_body_moments = |digits: usize| {
         body_moments.map_or(String::new(), |c| {
             format!("; with body moments {:.*}", digits, quantity.of(c))
@@ -304,17 +304,17 @@ fn remark(
             "(86) corrected; as printed {:.2}",
             ours.energy_error_as_printed
         ),
-        (BendingStretching, Quantity::DilatationMin) if !figure.reproduced() => {
-            let mut swapped: Vec<char> = figure.paper.chars().collect();
-            swapped.swap(3, 4);
-            if swapped.into_iter().collect::<String>() == figure.rounded() {
-                "two digits of the printed number are likely swapped".into()
-            } else {
-                String::new()
-            }
+        _ if !figure.reproduced() && exchanged(figure.paper, &figure.rounded()) => {
+            "two digits of the printed number are exchanged".into()
         }
         _ => String::new(),
     }
+}
+
+/// Whether one number becomes the other when two of its digits change places.
+fn exchanged(a: &str, b: &str) -> bool {
+    let differing: Vec<_> = a.bytes().zip(b.bytes()).filter(|(x, y)| x != y).collect();
+    a.len() == b.len() && matches!(differing[..], [(p, q), (r, s)] if (p, q) == (s, r))
 }
 
 const FLYING_BEAM_PEAK_FORCE: f64 = 20.0; // N, (91)

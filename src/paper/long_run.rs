@@ -91,19 +91,13 @@ impl LongRun {
 }
 
 /// [`LongRun::run`] for every model, time step (s) and number of steps.
-///
-/// # Errors
-/// A scene or a step that is not possible.
 pub fn long_runs(
     study: &Study,
     runs: &[(RodModel, f64, usize)],
-) -> Result<Vec<LongRun>, PaperError> {
-    study
-        .map(runs, |&(model, step, steps)| {
-            LongRun::run(study, model, step, steps)
-        })
-        .into_iter()
-        .collect()
+) -> Vec<Result<LongRun, PaperError>> {
+    study.map(runs, |&(model, step, steps)| {
+        LongRun::run(study, model, step, steps)
+    })
 }
 
 /// Slope of a straight line through equidistant values (distance 1), and its standard error.
