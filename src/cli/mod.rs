@@ -41,7 +41,8 @@ struct Cli {
 }
 
 const EXIT_CODES: &str = "Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
-4 locally infeasible · 5 numerical failure · 6 stopped by a deadline or Ctrl-C · 7 solved, but the check rejects it";
+4 locally infeasible · 5 numerical failure · 6 stopped by a deadline or Ctrl-C · 7 solved, but the check rejects it \
+(paper: a printed number is not reproduced)";
 
 /// Options of every verb.
 #[derive(Clone, Debug, Args)]

@@ -6,7 +6,7 @@
 use nalgebra::Matrix3;
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, RodModel, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{Integrator, RodModel, Trajectory, Wrench};
 
 const SCENE: &str = "paper-convergence";
 const SAMPLE_PERIOD: f64 = 1e-3;
@@ -130,10 +130,11 @@ fn sample(
         &[
             format!("rod.model={}", model.name()),
             format!("rod.elements={elements}"),
+            format!("time.step_s={step:e}"),
+            format!("time.end_s={end}"),
         ],
     )?;
-    // Not through the scene, which refuses grids whose every row would not fit in memory.
-    let (rod, grid) = (&simulation.rod, TimeGrid::covering(end, step, 1));
+    let (rod, grid) = (&simulation.rod, simulation.grid);
     let every = ((SAMPLE_PERIOD / grid.step).round() as usize).max(1);
     let mut integrator = Integrator::new(rod, grid.step, simulation.initial.clone());
     let mut samples = Trajectory::with_capacity(parts + 1, grid.n_steps / every + 1);
