@@ -6,7 +6,7 @@ mod common;
 
 use std::time::Instant;
 
-use common::{RULES, soft_arm};
+use common::{RULES, laws, soft_arm};
 use divan::counter::ItemsCount;
 use softarm::mechanics::curvature::Multipliers;
 use softarm::mechanics::linearization::{
@@ -15,7 +15,7 @@ use softarm::mechanics::linearization::{
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    Integrator, LaneIntegrator, Rod, State, StrainRule, TimeGrid, Trajectory, Wrench,
+    Integrator, LaneIntegrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 fn main() {
@@ -83,15 +83,19 @@ fn levels() -> Vec<(&'static str, pulp::Arch)> {
     levels
 }
 
-/// Nanoseconds per node-step of the forward simulation, median and minimum, for every length, rule and instruction set.
+/// Nanoseconds per node-step of the forward simulation, median and minimum, for every length, law and instruction set.
 fn forward_table() {
     println!("forward step, ns per node-step: median (minimum)");
-    for rule in RULES {
+    for (rule, model) in laws() {
         for n_elements in [10, 20, 40, 100, 400, 2000] {
-            let rod = Rod::new(&soft_arm(rule, n_elements)).expect("a valid rod");
+            let rod = Rod::new(&RodParameters {
+                model,
+                ..soft_arm(rule, n_elements)
+            })
+            .expect("a valid rod");
             let n_steps = 400_000 / rod.n_nodes();
             let scale = 1e9 / (n_steps * rod.n_nodes()) as f64;
-            let mut line = format!("{:12} K = {n_elements:4}", rule.name());
+            let mut line = format!("{:12} {:11} K = {n_elements:4}", rule.name(), model.name());
             for (name, arch) in levels() {
                 let times = sorted_times(15, || simulate_lanes(arch, &rod, n_steps));
                 line += &format!(
@@ -113,8 +117,8 @@ fn forward_table() {
 
 fn simulate_lanes(arch: pulp::Arch, rod: &Rod, n_steps: usize) {
     let initial = State::at_rest(rod.rest.clone());
-    let mut integrator =
-        LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial).expect("an explicit step");
+    let mut integrator = LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial)
+        .expect("a rod with explicit steps");
     let wrench = Wrench {
         force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
         ..Wrench::default()

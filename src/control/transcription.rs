@@ -16,7 +16,7 @@ use crate::mechanics::linearization::{
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
 use crate::mechanics::strain::log_second_derivative;
-use crate::mechanics::{Integrator, StepError, TimeGrid, Trajectory, TrajectoryTangent, Wrench};
+use crate::mechanics::{StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent, Wrench};
 use crate::sqp::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
@@ -431,11 +431,11 @@ pub fn simulate(
 ) -> Result<Trajectory, StepError> {
     let rod = &problem.rod;
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let mut integrator = Integrator::new(rod, grid.step, problem.initial.clone());
-    trajectory.push(&integrator.state().configuration);
+    let mut stepper = Stepper::new(rod, grid.step, problem.initial.clone());
+    stepper.record(&mut trajectory);
     for k in 0..grid.n_steps {
-        integrator.advance([control[k], control[k + 1]])?;
-        trajectory.push(&integrator.state().configuration);
+        stepper.advance([control[k], control[k + 1]])?;
+        stepper.record(&mut trajectory);
     }
     Ok(trajectory)
 }

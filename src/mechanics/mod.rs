@@ -20,6 +20,7 @@ pub mod rod;
 pub mod rotation;
 pub mod sensitivity;
 pub mod stability;
+pub mod stepper;
 pub mod strain;
 
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
@@ -36,4 +37,5 @@ pub use rod::{
     SectionProfile,
 };
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
+pub use stepper::Stepper;
 pub use strain::StrainRule;

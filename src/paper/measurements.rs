@@ -82,6 +82,7 @@ impl BlowUp {
             StepError::RotationTooLarge { time, .. }
             | StepError::BaseTurnTooLarge { time, .. }
             | StepError::ElementCollapsed { time, .. }
+            | StepError::ElementFolded { time, .. }
             | StepError::NotConverged { time, .. }
             | StepError::NotFinite { time, .. } => *time,
         })

@@ -139,8 +139,8 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain integrator
-    /// can do: implicit steps, or internal damping.
+    /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
+    /// integrator can do: implicit steps, or internal damping.
     #[must_use]
     pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, time_step, initial)
@@ -150,18 +150,18 @@ impl<'a> LaneIntegrator<'a> {
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         let n_lanes = dispatch(arch, CountLanes);
-        let explicit = IntervalWeights::of(rod, time_step).is_none();
-        explicit.then(|| Self::with_lanes(arch, n_lanes, rod, time_step, initial))
+        is_explicit(rod, time_step)
+            .then(|| Self::with_lanes(arch, n_lanes, rod, time_step, initial))
     }
 
     /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
-    /// there, to the bit. `None` as in [`Self::new`].
+    /// there, to the bit. `None` as for [`Self::new`].
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: &State, step: usize) -> Option<Self> {
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
-        let explicit = IntervalWeights::of(rod, time_step).is_none();
-        explicit.then(|| Self::empty(arch, n_lanes, rod, time_step).seated(state, step))
+        is_explicit(rod, time_step)
+            .then(|| Self::empty(arch, n_lanes, rod, time_step).seated(state, step))
     }
 
     fn with_lanes(
@@ -555,6 +555,10 @@ impl<'a> LaneIntegrator<'a> {
         }
         turned
     }
+}
+
+fn is_explicit(rod: &Rod, time_step: f64) -> bool {
+    IntervalWeights::of(rod, time_step).is_none()
 }
 
 fn dispatch_sweep<R: Rule, L: Law>(arch: Arch, sweep: Sweep<R, L, SingleTurns>) -> Finding {

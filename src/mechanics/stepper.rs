@@ -1,0 +1,108 @@
+//! The integrator that simulations use: in lanes where it can be, and the plain one for the rest.
+
+use super::configuration::{State, Trajectory};
+use super::integrator::{Integrator, StepError};
+use super::lanes::LaneIntegrator;
+use super::load::Wrench;
+use super::rod::Rod;
+
+/// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] for steps that are solved
+/// for. Both take the same steps, equal to rounding.
+#[derive(Clone, Debug)]
+pub struct Stepper<'a> {
+    engine: Engine<'a>,
+    /// Step at which the state was last taken over from a [`State`].
+    seated: usize,
+}
+
+#[derive(Clone, Debug)]
+enum Engine<'a> {
+    Lanes(Box<LaneIntegrator<'a>>),
+    Plain(Box<Integrator<'a>>),
+}
+
+impl<'a> Stepper<'a> {
+    /// Every so many steps the motion goes on from its own [`State`], whatever the integrator keeps besides: what
+    /// [resumes](Self::resume) at such a step is the same to the bit.
+    pub const SEAT: usize = 256;
+
+    /// Starts from a state at time 0; a driven base is put where its motion starts.
+    #[must_use]
+    pub fn new(rod: &'a Rod, time_step: f64, mut initial: State) -> Self {
+        if let Some(base) = rod.driven_base(0.0) {
+            rod.set_base(&base, &mut initial);
+        }
+        Self::resume(rod, time_step, initial, 0)
+    }
+
+    /// Goes on from the state after `step` steps of the same length; to the bit, if `step` is a multiple of [`Self::SEAT`].
+    #[must_use]
+    pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
+        let engine = match LaneIntegrator::resume(rod, time_step, &state, step) {
+            Some(lanes) => Engine::Lanes(Box::new(lanes)),
+            None => Engine::Plain(Box::new(Integrator::resume(rod, time_step, state, step))),
+        };
+        Self {
+            engine,
+            seated: step,
+        }
+    }
+
+    /// One step; see [`Integrator::advance`].
+    ///
+    /// # Errors
+    /// As [`Integrator::advance`].
+    pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+        let step = self.step();
+        match &mut self.engine {
+            Engine::Lanes(lanes) => {
+                if step.is_multiple_of(Self::SEAT) && step != self.seated {
+                    lanes.reseat();
+                    self.seated = step;
+                }
+                lanes.advance(control)
+            }
+            Engine::Plain(plain) => plain.advance(control),
+        }
+    }
+
+    /// State at the current time node, momenta included.
+    #[must_use]
+    pub fn state(&self) -> State {
+        match &self.engine {
+            Engine::Lanes(lanes) => lanes.state(),
+            Engine::Plain(plain) => plain.state().clone(),
+        }
+    }
+
+    /// Appends the present configuration.
+    pub fn record(&self, trajectory: &mut Trajectory) {
+        match &self.engine {
+            Engine::Lanes(lanes) => {
+                for node in 0..trajectory.n_nodes {
+                    trajectory.positions.push(lanes.position(node));
+                    trajectory.rotations.push(lanes.rotation(node));
+                }
+            }
+            Engine::Plain(plain) => trajectory.push(&plain.state().configuration),
+        }
+    }
+
+    /// Steps taken so far.
+    #[must_use]
+    pub fn step(&self) -> usize {
+        match &self.engine {
+            Engine::Lanes(lanes) => lanes.step(),
+            Engine::Plain(plain) => plain.step(),
+        }
+    }
+
+    /// Current time, s.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        match &self.engine {
+            Engine::Lanes(lanes) => lanes.time(),
+            Engine::Plain(plain) => plain.time(),
+        }
+    }
+}
