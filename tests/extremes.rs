@@ -343,7 +343,7 @@ fn resumed_runs_return_to_the_group_at_the_same_steps() {
 #[test]
 fn energy_is_objective() {
     for law in laws() {
-        for angle in [1e-9, 0.3, 1.7, 3.141, 6.0, 1e3] {
+        for angle in [1e-9, 0.3, 1.7, 3.1, 6.0, 1e3] {
             let error = objectivity_error(law, angle).abs();
             assert!(error < 1e-13, "{law:?} {angle}: {error:e}");
         }
