@@ -817,7 +817,7 @@ mod tests {
     /// Every vector length and instruction set gives the same bits: small and large turns, those the lanes leave to the
     /// scalar solver, near and far logarithms side by side.
     #[test]
-    fn every_n_lanesgth_gives_the_same_bits() {
+    fn every_vector_length_gives_the_same_bits() {
         let [standard, dilatation, consistent] = [
             RodModel::Standard,
             RodModel::Dilatation,
