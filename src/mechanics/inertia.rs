@@ -14,6 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::constitutive::RodModel;
 use super::rod::Rod;
+use super::rotation::hat;
 
 /// At which ends of an interval the inertia follows the dilatation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,11 +43,25 @@ impl InertiaRule {
     }
 }
 
+/// `(J f ± ½ f × J f)/(α h)`
+#[inline]
+fn momentum(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64, sign: f64) -> Vector3<f64> {
+    let jf = rotary.component_mul(f);
+    (jf + 0.5 * sign * f.cross(&jf)) / ((1.0 + 0.25 * f.norm_squared()) * h)
+}
+
+/// Derivative of [`momentum`] along `f`.
+fn momentum_slope(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64, sign: f64) -> Matrix3<f64> {
+    let alpha = 1.0 + 0.25 * f.norm_squared();
+    let j = Matrix3::from_diagonal(rotary);
+    (j + 0.5 * sign * (hat(f) * j - hat(&rotary.component_mul(f)))) / (alpha * h)
+        - momentum(rotary, f, h, sign) * f.transpose() * (0.5 / alpha)
+}
+
 /// `(J f + ½ f × J f)/(α h)`: angular momentum of a step in the frame before it.
 #[inline]
 pub(super) fn momentum_before(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Vector3<f64> {
-    let jf = rotary.component_mul(f);
-    (jf + 0.5 * f.cross(&jf)) / ((1.0 + 0.25 * f.norm_squared()) * h)
+    momentum(rotary, f, h, 1.0)
 }
 
 /// `∂(J f + ½ f × J f)/(α h)/∂f`
@@ -55,18 +70,13 @@ pub(super) fn momentum_before_slope(
     f: &Vector3<f64>,
     h: f64,
 ) -> Matrix3<f64> {
-    let hat = super::rotation::hat;
-    let alpha = 1.0 + 0.25 * f.norm_squared();
-    let j = Matrix3::from_diagonal(rotary);
-    (j + 0.5 * (hat(f) * j - hat(&rotary.component_mul(f)))) / (alpha * h)
-        - momentum_before(rotary, f, h) * f.transpose() * (0.5 / alpha)
+    momentum_slope(rotary, f, h, 1.0)
 }
 
 /// `(J f - ½ f × J f)/(α h)`: angular momentum of a step in the frame after it.
 #[inline]
 pub(super) fn momentum_after(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Vector3<f64> {
-    let jf = rotary.component_mul(f);
-    (jf - 0.5 * f.cross(&jf)) / ((1.0 + 0.25 * f.norm_squared()) * h)
+    momentum(rotary, f, h, -1.0)
 }
 
 /// `∂(J f - ½ f × J f)/(α h)/∂f`
@@ -75,11 +85,7 @@ pub(super) fn momentum_after_slope(
     f: &Vector3<f64>,
     h: f64,
 ) -> Matrix3<f64> {
-    let hat = super::rotation::hat;
-    let alpha = 1.0 + 0.25 * f.norm_squared();
-    let j = Matrix3::from_diagonal(rotary);
-    (j - 0.5 * (hat(f) * j - hat(&rotary.component_mul(f)))) / (alpha * h)
-        - momentum_after(rotary, f, h) * f.transpose() * (0.5 / alpha)
+    momentum_slope(rotary, f, h, -1.0)
 }
 
 impl Rod {
@@ -129,6 +135,26 @@ impl Rod {
         let element = &self.elements[q];
         let stiffness = element.linear_stiffness.z / element.length;
         0.5 * time_step * (stiffness * (1.0 / a.mass + 1.0 / b.mass)).sqrt()
+    }
+
+    /// Adds `factor` times the impulses of the kinetic reaction at `positions` to the momenta of the nodes that move;
+    /// `turn` gives the Cayley vector of a node's step.
+    pub(super) fn add_kinetic_reaction<'a>(
+        &self,
+        positions: &[Vector3<f64>],
+        turn: impl Fn(usize) -> &'a Vector3<f64>,
+        factor: f64,
+        h: f64,
+        p: &mut [Vector3<f64>],
+    ) {
+        for q in 0..self.n_elements() {
+            let dx = positions[q + 1] - positions[q];
+            let impulse = factor * self.kinetic_reaction(q, &dx, [turn(q), turn(q + 1)], h);
+            if q >= self.first_free_node() {
+                p[q] -= impulse;
+            }
+            p[q + 1] += impulse;
+        }
     }
 
     /// Impulse of the kinetic reaction on node `q + 1` (and its opposite on node `q`), kg m/s, for the Cayley vectors of

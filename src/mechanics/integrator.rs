@@ -596,17 +596,18 @@ impl<'a> Integrator<'a> {
 
     /// Adds `factor` times the impulses of the kinetic reaction at the present positions.
     fn add_kinetic_reaction(&mut self, factor: f64) {
-        let first = self.rod.first_free_node();
-        let positions = &self.state.configuration.positions;
-        for q in 0..self.rod.n_elements() {
-            let dx = positions[q + 1] - positions[q];
-            let turns = [&self.turns[q], &self.turns[q + 1]];
-            let impulse = factor * self.rod.kinetic_reaction(q, &dx, turns, self.time_step);
-            if q >= first {
-                self.state.linear_momentum[q] -= impulse;
-            }
-            self.state.linear_momentum[q + 1] += impulse;
-        }
+        let State {
+            configuration,
+            linear_momentum,
+            ..
+        } = &mut self.state;
+        self.rod.add_kinetic_reaction(
+            &configuration.positions,
+            |node| &self.turns[node],
+            factor,
+            self.time_step,
+            linear_momentum,
+        );
     }
 }
 

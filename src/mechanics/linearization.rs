@@ -128,11 +128,12 @@ impl Motion<'_> {
     /// Inertia of every node over the interval from `k` to `k + 1`: where it leaves, and where it arrives.
     pub(super) fn inertia(&self, trajectory: &Trajectory, k: usize) -> [Vec<Vector3<f64>>; 2] {
         let at = |k| self.rod.rotary_at(trajectory.positions_at(k));
-        match InertiaRule::of(self.rod.model, k) {
-            InertiaRule::Both => [at(k), at(k + 1)],
-            InertiaRule::End => [at(k + 1), at(k + 1)],
-            InertiaRule::Constant | InertiaRule::Start => [at(k), at(k)],
-        }
+        let one = match InertiaRule::of(self.rod.model, k) {
+            InertiaRule::Both => return [at(k), at(k + 1)],
+            InertiaRule::End => at(k + 1),
+            InertiaRule::Constant | InertiaRule::Start => at(k),
+        };
+        [one.clone(), one]
     }
 }
 
@@ -239,7 +240,7 @@ pub fn defects(
         let intervals = Interval::all(motion, trajectory, &leaving, k)?;
         let rule = InertiaRule::of(rod.model, k);
         if rule == InertiaRule::Start {
-            add_kinetic_reaction(motion, positions, &intervals, impulse, &mut p);
+            rod.add_kinetic_reaction(positions, |q| &intervals[q].f, impulse, h, &mut p);
         }
         let stresses = motion.interval_stresses(trajectory, k);
         if let Some(stresses) = &stresses {
@@ -270,7 +271,7 @@ pub fn defects(
         }
         if rule == InertiaRule::End {
             let arrival = motion.arriving_impulse();
-            add_kinetic_reaction(motion, next, &intervals, arrival, &mut p);
+            rod.add_kinetic_reaction(next, |q| &intervals[q].f, arrival, h, &mut p);
         }
         if let Some(stresses) = &stresses {
             let weight = 0.5 * h * motion.arriving_impulse();
@@ -283,25 +284,6 @@ pub fn defects(
         terminal_linear: p,
         terminal_angular: pi,
     })
-}
-
-/// Adds `factor` times the impulses of the kinetic reaction at `positions`.
-fn add_kinetic_reaction(
-    motion: &Motion,
-    positions: &[Vector3<f64>],
-    intervals: &[Interval],
-    factor: f64,
-    p: &mut [Vector3<f64>],
-) {
-    for q in 0..motion.rod.n_elements() {
-        let dx = positions[q + 1] - positions[q];
-        let turns = [&intervals[q].f, &intervals[q + 1].f];
-        let impulse = factor * (motion.rod).kinetic_reaction(q, &dx, turns, motion.grid.step);
-        if q >= motion.rod.first_free_node() {
-            p[q] -= impulse;
-        }
-        p[q + 1] += impulse;
-    }
 }
 
 fn interval_error(
