@@ -20,11 +20,19 @@ use softarm::mechanics::{
 
 fn main() {
     println!("SIMD level chosen at run time: {:?}", pulp::Arch::new());
+    for (name, arch) in levels() {
+        println!(
+            "{name:8} {:6.1} GFlop/s at most on one core, multiplying and adding apart",
+            peak(arch)
+        );
+    }
     forward_table();
     for rule in RULES {
         let rod = Rod::new(&soft_arm(rule, 20)).expect("a valid rod");
         let n_steps = 1000;
-        let ns = median(9, || simulate(&rod, n_steps)) * 1e9 / (n_steps * rod.n_nodes()) as f64;
+        let integrator = Integrator::new(&rod, 0.7 * stable_step(&rod), moving(&rod));
+        let seconds = median(9, || simulate(&integrator, n_steps));
+        let ns = seconds * 1e9 / (n_steps * rod.n_nodes()) as f64;
         println!(
             "{:12} forward      K = 20          {ns:8.1} ns per node-step",
             rule.name()
@@ -83,6 +91,50 @@ fn levels() -> Vec<(&'static str, pulp::Arch)> {
     levels
 }
 
+/// Vectors of numbers in flight, enough for the latency of two units.
+const IN_FLIGHT: usize = 12;
+
+/// `x ← x a + b` without fused operations, as the lanes do it, with nothing to wait for.
+struct MultiplyAdd {
+    n_rounds: usize,
+}
+
+impl pulp::WithSimd for MultiplyAdd {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> usize {
+        let (a, b) = (simd.splat_f64s(0.999), simd.splat_f64s(1e-3));
+        let mut x = [simd.splat_f64s(2.0); IN_FLIGHT];
+        for _ in 0..self.n_rounds {
+            for x in &mut x {
+                *x = simd.add_f64s(simd.mul_f64s(*x, a), b);
+            }
+        }
+        for x in x {
+            divan::black_box(simd.reduce_sum_f64s(x));
+        }
+        2 * IN_FLIGHT * S::F64_LANES * self.n_rounds
+    }
+}
+
+/// GFlop/s of [`MultiplyAdd`] on one core.
+fn peak(arch: pulp::Arch) -> f64 {
+    let run = || {
+        let work = MultiplyAdd {
+            n_rounds: 1_000_000,
+        };
+        match arch {
+            pulp::Arch::Scalar => pulp::WithSimd::with_simd(work, pulp::Scalar128b),
+            _ => arch.dispatch(work),
+        }
+    };
+    let seconds = median(9, || {
+        divan::black_box(run());
+    });
+    run() as f64 / seconds * 1e-9
+}
+
 /// Nanoseconds per node-step of the forward simulation, median and minimum, for every length, law and instruction set.
 fn forward_table() {
     println!("forward step, ns per node-step: median (minimum)");
@@ -93,18 +145,22 @@ fn forward_table() {
                 ..soft_arm(rule, n_elements)
             })
             .expect("a valid rod");
+            let (step, initial) = (0.7 * stable_step(&rod), moving(&rod));
             let n_steps = 400_000 / rod.n_nodes();
             let scale = 1e9 / (n_steps * rod.n_nodes()) as f64;
             let mut line = format!("{:12} {:11} K = {n_elements:4}", rule.name(), model.name());
             for (name, arch) in levels() {
-                let times = sorted_times(15, || simulate_lanes(arch, &rod, n_steps));
+                let integrator = LaneIntegrator::on(arch, &rod, step, &initial)
+                    .expect("a rod with explicit steps");
+                let times = sorted_times(15, || simulate_lanes(&integrator, n_steps));
                 line += &format!(
                     "   {name} {:6.1} ({:6.1})",
                     times[7] * scale,
                     times[0] * scale
                 );
             }
-            let times = sorted_times(3, || simulate(&rod, n_steps));
+            let integrator = Integrator::new(&rod, step, initial.clone());
+            let times = sorted_times(3, || simulate(&integrator, n_steps));
             line += &format!(
                 "   plain {:6.1} ({:6.1})",
                 times[1] * scale,
@@ -115,32 +171,37 @@ fn forward_table() {
     }
 }
 
-fn simulate_lanes(arch: pulp::Arch, rod: &Rod, n_steps: usize) {
-    let initial = State::at_rest(rod.rest.clone());
-    let mut integrator = LaneIntegrator::on(arch, rod, 0.7 * stable_step(rod), &initial)
-        .expect("a rod with explicit steps");
-    let wrench = Wrench {
-        force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
-        ..Wrench::default()
-    };
-    for _ in 0..n_steps {
-        integrator.advance([wrench; 2]).expect("a stable step");
+/// Every node moves and turns: where a wave has not arrived yet, numbers are subnormal, and slow.
+fn moving(rod: &Rod) -> State {
+    let mut state = State::at_rest(rod.rest.clone());
+    for (q, node) in rod.nodes.iter().enumerate() {
+        let x = q as f64;
+        let wave = nalgebra::Vector3::new((3.0 * x).sin(), (5.0 * x).cos(), (7.0 * x).sin());
+        state.linear_momentum[q] = wave * (0.01 * node.mass);
+        state.angular_momentum[q] = node.rotary.component_mul(&wave);
     }
-    divan::black_box(integrator.position(rod.tip()));
+    state
 }
 
-fn simulate(rod: &Rod, n_steps: usize) {
-    let mut integrator = Integrator::new(
-        rod,
-        0.7 * stable_step(rod),
-        State::at_rest(rod.rest.clone()),
-    );
-    let wrench = Wrench {
-        force: nalgebra::Vector3::new(2.0, 1.0, 0.0),
+fn push() -> [Wrench; 2] {
+    [Wrench {
+        force: nalgebra::Vector3::new(0.2, 0.1, 0.0),
         ..Wrench::default()
-    };
+    }; 2]
+}
+
+fn simulate_lanes(start: &LaneIntegrator, n_steps: usize) {
+    let mut integrator = start.clone();
     for _ in 0..n_steps {
-        integrator.advance([wrench; 2]).expect("a stable step");
+        integrator.advance(push()).expect("a stable step");
+    }
+    divan::black_box(integrator.position(0));
+}
+
+fn simulate(start: &Integrator, n_steps: usize) {
+    let mut integrator = start.clone();
+    for _ in 0..n_steps {
+        integrator.advance(push()).expect("a stable step");
     }
     divan::black_box(integrator.state());
 }
@@ -237,9 +298,10 @@ impl<'a> SensitivityCase<'a> {
 #[divan::bench(args = [10, 20, 40, 160])]
 fn forward_helical(bencher: divan::Bencher, n_elements: usize) {
     let rod = Rod::new(&soft_arm(StrainRule::Helical, n_elements)).expect("a valid rod");
+    let integrator = Integrator::new(&rod, 0.7 * stable_step(&rod), moving(&rod));
     bencher
         .counter(ItemsCount::new(1000 * (n_elements + 1)))
-        .bench(|| simulate(&rod, 1000));
+        .bench(|| simulate(&integrator, 1000));
 }
 
 /// All sensitivities of 20 blocks over 1000 steps, one thread; an item is a floating-point operation on the columns.

@@ -719,9 +719,9 @@ fn resumed_runs_are_the_same_to_the_bit() {
     );
 }
 
-/// A finished run goes on to a later end, with the bytes of one that was that long from the start; in a model whose odd and
-/// even steps differ, from an odd step. A changed scene, an
-/// end between two steps, an earlier end and a directory without a checkpoint are refused, and nothing is touched.
+/// A finished run goes on to a later end, with the bytes of one that was that long from the start, though its last checkpoint
+/// is some steps back. A changed scene, an end between two steps, an end before the checkpoint and a directory without one
+/// are refused, and nothing is touched.
 #[test]
 fn finished_runs_can_be_extended() {
     let desk = Desk::new();
@@ -753,8 +753,8 @@ fn finished_runs_can_be_extended() {
         .refused(&["time.end_s", "whole number"]);
     run("parts", &["--resume", "--set", "time.end_s=0.25"]).refused(&[
         "time.end_s",
-        "0.25",
-        "0.501",
+        "0.25 s",
+        "before the 0.256 s",
     ]);
     run("nowhere", &["--resume"]).refused(&["nowhere", "checkpoint", "without --resume"]);
     assert_eq!(

@@ -11,9 +11,7 @@ use super::error::CliError;
 use super::report_pages::simulation_page;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::rotation::quaternion;
-use crate::mechanics::{
-    Diagnostics, Energy, Integrator, PowerBalance, Rod, State, StepError, Wrench,
-};
+use crate::mechanics::{Diagnostics, Energy, PowerBalance, Rod, State, StepError, Stepper, Wrench};
 use crate::output::summary::{EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TipPose};
 use crate::output::{
     ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory, RowFiles,
@@ -21,8 +19,6 @@ use crate::output::{
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
 
-/// Steps between two looks at the clock and at Ctrl-C.
-const GLANCE: usize = 256;
 /// At most this much work is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
 /// Relative difference below which two step lengths are one: roundings of a quotient.
@@ -192,7 +188,7 @@ fn continued(
     setup.resolved.time.step_s = TimeStep::Seconds(step);
     if setup.grid.n_steps < checkpoint.step {
         return refuse(format!(
-            "time.end_s is {} s, before the {} s that the earlier run reached",
+            "time.end_s is {} s, before the {} s from where the earlier run can be continued",
             scene.time.end_s,
             setup.grid.time(checkpoint.step)
         ));
@@ -227,7 +223,9 @@ enum End {
 struct Run<'a> {
     setup: &'a Simulation,
     directory: &'a RunDirectory,
-    integrator: Integrator<'a>,
+    integrator: Stepper<'a>,
+    /// Step, and state after it, from which a later run can go on to the bit.
+    seat: (usize, State),
     trajectory: RowFiles,
     diagnostics: Option<RowFiles>,
     /// The last row.
@@ -243,7 +241,7 @@ impl<'a> Run<'a> {
         let files = |name: &str, layout: &[ArrayView]| {
             RowFiles::open(&directory.path().join(name), layout, 0)
         };
-        let integrator = Integrator::new(&setup.rod, setup.grid.step, setup.initial.clone());
+        let integrator = Stepper::new(&setup.rod, setup.grid.step, setup.initial.clone());
         let mut run = Self::of(setup, directory, integrator, files)?;
         run.observe(None)?;
         Ok(run)
@@ -269,7 +267,7 @@ impl<'a> Run<'a> {
                 RowFiles::unpack(&target.join(format!("{name}.npz")), &folder, layout, n_rows)
             }
         };
-        let integrator = Integrator::resume(
+        let integrator = Stepper::resume(
             &setup.rod,
             setup.grid.step,
             checkpoint.state(),
@@ -296,15 +294,17 @@ impl<'a> Run<'a> {
     fn of(
         setup: &'a Simulation,
         directory: &'a RunDirectory,
-        integrator: Integrator<'a>,
+        integrator: Stepper<'a>,
         files: impl Fn(&str, &[ArrayView]) -> Result<RowFiles, OutputError>,
     ) -> Result<Self, CliError> {
         let row = MotionRecord::empty(setup.rod.n_nodes());
+        let seat = (integrator.step(), integrator.state());
         let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
         Ok(Self {
             setup,
             directory,
             integrator,
+            seat,
             trajectory: files("trajectory", &row.arrays())?,
             diagnostics: if setup.diagnostics {
                 Some(files("diagnostics", &diagnostics.arrays())?)
@@ -330,7 +330,8 @@ impl<'a> Run<'a> {
             if k == n_steps {
                 break End::Completed;
             }
-            if k.is_multiple_of(GLANCE) {
+            if k.is_multiple_of(Stepper::SEAT) {
+                self.seat = (k, self.integrator.state());
                 bar.set_position(k as u64);
                 if interrupted() {
                     break End::Interrupted;
@@ -341,8 +342,7 @@ impl<'a> Run<'a> {
                 }
             }
             let leads_to_row = self.setup.n_rows(k + 1) > self.trajectory.n_rows();
-            let before =
-                (leads_to_row && self.setup.diagnostics).then(|| self.integrator.state().clone());
+            let before = (leads_to_row && self.setup.diagnostics).then(|| self.integrator.state());
             if let Err(error) = self.integrator.advance([Wrench::default(); 2]) {
                 break End::Failed(error);
             }
@@ -362,11 +362,8 @@ impl<'a> Run<'a> {
 
     /// Writes a row; `before` is the state one step ago.
     fn observe(&mut self, before: Option<&State>) -> Result<(), CliError> {
-        let (rod, state, t) = (
-            &self.setup.rod,
-            self.integrator.state(),
-            self.integrator.time(),
-        );
+        let (rod, t) = (&self.setup.rod, self.integrator.time());
+        let state = &self.integrator.state();
         let mut row = MotionRecord::empty(rod.n_nodes());
         push_row(
             &mut row,
@@ -410,12 +407,9 @@ impl<'a> Run<'a> {
     }
 
     fn checkpoint(&self) -> Checkpoint {
-        Checkpoint::new(
-            self.integrator.step(),
-            self.setup.grid.step,
-            self.integrator.state(),
-            &self.setup.resolved.to_toml(),
-        )
+        let (step, state) = &self.seat;
+        let scene = self.setup.resolved.to_toml();
+        Checkpoint::new(*step, self.setup.grid.step, state, &scene)
     }
 
     /// Makes sure that a run that dies from here on can be continued from here. Rows first: a checkpoint never promises
@@ -475,7 +469,7 @@ impl<'a> Run<'a> {
                 Matrix3::from_row_slice(&row.rotation[9 * tip..]),
             )
         } else {
-            let configuration = &self.integrator.state().configuration;
+            let configuration = self.integrator.state().configuration;
             (configuration.positions[tip], configuration.rotations[tip])
         };
         let q = quaternion(&rotation);

@@ -16,7 +16,7 @@
 //! does not shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial
 //! velocities and rest at the end are exact to second order.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Quaternion, Vector3};
 
 use super::base_motion::BaseState;
 use super::configuration::State;
@@ -25,7 +25,7 @@ use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
 use super::load::Wrench;
 use super::rod::Rod;
-use super::rotation::{cay, cay_inverse, hat, log, orthonormalized};
+use super::rotation::{cay, cay_inverse, cayley_quaternion, hat, log, orthonormalized, quaternion};
 
 /// How the elastic forces act within a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -156,11 +156,11 @@ pub enum StepError {
         /// Newton iterations taken.
         iterations: usize,
     },
-    /// The ends of an element are turned by nearly half a turn against each other, where the rotation vector of either
-    /// strain rule ends.
+    /// The ends of an element have come past half a turn against each other, where the rotation vector of either strain
+    /// rule ends.
     #[error(
-        "element {element}, step {step} (t = {time} s): its ends are turned by {angle:.3} rad against each other, and by up to \
-         {change:.3e} rad more in one step; strains end at half a turn; soften the load, add elements, or shorten time.step_s"
+        "element {element}, step {step} (t = {time} s): its ends have come past half a turn against each other, to {angle:.3} \
+         rad; strains end there; soften the load, add elements, or shorten time.step_s"
     )]
     ElementFolded {
         /// Element, between nodes `element` and `element + 1`.
@@ -169,10 +169,8 @@ pub enum StepError {
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// Relative rotation of its ends at the end of the step, rad.
+        /// Relative rotation of its ends at the end of the step, rad: above `π`.
         angle: f64,
-        /// What the step changed of it, rad.
-        change: f64,
     },
     /// A force, moment or momentum is not a number any more.
     #[error(
@@ -514,8 +512,8 @@ impl<'a> Integrator<'a> {
         Ok(())
     }
 
-    /// No element has come to half a turn between its ends: the rotation of neither end may have carried the relative
-    /// one, `A`, across it unseen.
+    /// No element has come past half a turn between its ends. Along a motion its relative quaternion `conj(q_a) q_b` is
+    /// continuous: it has then changed the sign of its scalar part.
     fn check_folds(&self) -> Result<(), StepError> {
         let rotations = &self.state.configuration.rotations;
         for q in 0..self.rod.n_elements() {
@@ -527,18 +525,10 @@ impl<'a> Integrator<'a> {
                 continue;
             }
             let relative = rotations[q].tr_mul(&rotations[q + 1]);
-            let before = cay(a) * relative * cay(b).transpose();
-            let angle = log(&relative).norm();
-            let change = log(&before.tr_mul(&relative)).norm();
-            if !(angle + change < std::f64::consts::PI) {
-                return Err(StepError::ElementFolded {
-                    element: q,
-                    step: self.step,
-                    time: self.time(),
-                    angle,
-                    change,
-                });
-            }
+            let before = quaternion(&(cay(a) * relative * cay(b).transpose()));
+            let after = cayley_quaternion(a).conjugate() * before * cayley_quaternion(b);
+            let after = if before.w < 0.0 { -after } else { after };
+            check_fold(&after, q, self.step, self.time())?;
         }
         Ok(())
     }
@@ -661,6 +651,24 @@ pub(super) fn check_dilatation(
         time: step as f64 * time_step,
         dilatation,
         least,
+    })
+}
+
+/// The relative quaternion of an element's ends, continuous along its motion, stays on this side of half a turn.
+pub(super) fn check_fold(
+    relative: &Quaternion<f64>,
+    element: usize,
+    step: usize,
+    time: f64,
+) -> Result<(), StepError> {
+    if relative.w >= 0.0 {
+        return Ok(());
+    }
+    Err(StepError::ElementFolded {
+        element,
+        step,
+        time,
+        angle: 2.0 * relative.imag().norm().atan2(relative.w),
     })
 }
 

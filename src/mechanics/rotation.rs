@@ -139,6 +139,12 @@ pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&r).into_inner()
 }
 
+/// Unit quaternion `(1, f/2)/sqrt(1 + |f|²/4)` of [`cay`]`(f)`.
+pub(crate) fn cayley_quaternion(f: &Vector3<f64>) -> Quaternion<f64> {
+    let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
+    Quaternion::from_parts(w, f * (0.5 * w))
+}
+
 /// Rotation matrix of a quaternion `[w, x, y, z]` of any non-zero length.
 #[must_use]
 pub fn from_quaternion(wxyz: [f64; 4]) -> Matrix3<f64> {

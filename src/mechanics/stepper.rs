@@ -13,6 +13,8 @@ pub struct Stepper<'a> {
     engine: Engine<'a>,
     /// Step at which the state was last taken over from a [`State`].
     seated: usize,
+    /// The state that this one began with, and its step: the lanes give it back rounded.
+    start: (usize, State),
 }
 
 #[derive(Clone, Debug)]
@@ -38,6 +40,7 @@ impl<'a> Stepper<'a> {
     /// Goes on from the state after `step` steps of the same length; to the bit, if `step` is a multiple of [`Self::SEAT`].
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
+        let start = (step, state.clone());
         let engine = match LaneIntegrator::resume(rod, time_step, &state, step) {
             Some(lanes) => Engine::Lanes(Box::new(lanes)),
             None => Engine::Plain(Box::new(Integrator::resume(rod, time_step, state, step))),
@@ -45,6 +48,7 @@ impl<'a> Stepper<'a> {
         Self {
             engine,
             seated: step,
+            start,
         }
     }
 
@@ -69,6 +73,9 @@ impl<'a> Stepper<'a> {
     /// State at the current time node, momenta included.
     #[must_use]
     pub fn state(&self) -> State {
+        if self.step() == self.start.0 {
+            return self.start.1.clone();
+        }
         match &self.engine {
             Engine::Lanes(lanes) => lanes.state(),
             Engine::Plain(plain) => plain.state().clone(),
@@ -77,6 +84,10 @@ impl<'a> Stepper<'a> {
 
     /// Appends the present configuration.
     pub fn record(&self, trajectory: &mut Trajectory) {
+        if self.step() == self.start.0 {
+            trajectory.push(&self.start.1.configuration);
+            return;
+        }
         match &self.engine {
             Engine::Lanes(lanes) => {
                 for node in 0..trajectory.n_nodes {

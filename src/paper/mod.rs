@@ -13,7 +13,7 @@ mod measurements;
 pub use comparison::{Comparison, DiscreteEnergy, Instant, section_area};
 pub use convergence::{ConvergencePoint, order};
 pub use figures::{Experiment, Figure, Reading, figures};
-pub use long_run::{LongRun, long_runs};
+pub use long_run::{LongRun, Trend, long_runs};
 pub use measurements::{BlowUp, Tip, blow_up, tip_at};
 
 use std::sync::Mutex;

@@ -11,7 +11,7 @@ mod vector;
 
 use std::marker::PhantomData;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Quaternion, Vector3};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::element::{Consistent, Dilatation, Helical, Law, Rule, Standard, Trapezoidal};
@@ -28,18 +28,19 @@ use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::InertiaRule;
 use super::integrator::{
-    StepError, approach_base, check_dilatation, rotation_error, solve_rotation,
+    StepError, approach_base, check_dilatation, check_fold, rotation_error, solve_rotation,
 };
 use super::load::Wrench;
 use super::rod::{BaseCondition, NodeInertia, Rod};
-use super::rotation::{cay, from_quaternion, quaternion};
+use super::rotation::{cay, cayley_quaternion, from_quaternion, quaternion};
 use super::strain::StrainRule;
 
 /// Steps between normalizations of the quaternions; each product changes their length by rounding only.
 const NORMALIZE_EVERY: usize = 16;
 
-/// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and its square is finite.
-const HELD_INERTIA: f64 = 1e150;
+/// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and the fourth power of its inverse is
+/// no subnormal number, with which processors are slow.
+const HELD_INERTIA: f64 = 1e50;
 
 /// Advances a rod in time, like [`Integrator`](super::integrator::Integrator).
 #[derive(Clone, Debug)]
@@ -140,7 +141,7 @@ impl WithSimd for CountLanes {
 
 impl<'a> LaneIntegrator<'a> {
     /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
-    /// integrator can do: implicit steps, or internal damping.
+    /// integrator can do: implicit steps, internal damping, or steps near the smallest numbers there are.
     #[must_use]
     pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, time_step, initial)
@@ -150,7 +151,7 @@ impl<'a> LaneIntegrator<'a> {
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
         let n_lanes = dispatch(arch, CountLanes);
-        is_explicit(rod, time_step)
+        is_possible(rod, time_step)
             .then(|| Self::with_lanes(arch, n_lanes, rod, time_step, initial))
     }
 
@@ -160,7 +161,7 @@ impl<'a> LaneIntegrator<'a> {
     pub fn resume(rod: &'a Rod, time_step: f64, state: &State, step: usize) -> Option<Self> {
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
-        is_explicit(rod, time_step)
+        is_possible(rod, time_step)
             .then(|| Self::empty(arch, n_lanes, rod, time_step).seated(state, step))
     }
 
@@ -334,10 +335,13 @@ impl<'a> LaneIntegrator<'a> {
     /// Rotation of a node, body to space.
     #[must_use]
     pub fn rotation(&self, node: usize) -> Matrix3<f64> {
+        from_quaternion(wxyz(&self.quaternion(node)))
+    }
+
+    fn quaternion(&self, node: usize) -> Quaternion<f64> {
         let place = self.slots.place(node);
         let w = self.state[self.slots.index(place, STATE_ROWS, ROTATION)];
-        let v = self.get(place, ROTATION + 1);
-        from_quaternion([w, v.x, v.y, v.z])
+        Quaternion::from_parts(w, self.get(place, ROTATION + 1))
     }
 
     /// State at the current time node, momenta included.
@@ -407,7 +411,8 @@ impl<'a> LaneIntegrator<'a> {
         }
 
         let mut failure = None;
-        let (mut finite, mut resolved) = (true, true);
+        let mut sound = true;
+        let mut finite = true;
         let inertia_rule = InertiaRule::of(self.rod.model, self.step);
         let parts: &[Part] = match inertia_rule {
             InertiaRule::Constant | InertiaRule::Both => &[Part::Whole],
@@ -445,9 +450,9 @@ impl<'a> LaneIntegrator<'a> {
             let finding = run(self.arch, sweep);
             failure = singly.failure;
             finite &= finding.finite;
-            resolved &= finding.resolved;
+            sound &= finding.resolved && finding.unfolded;
         }
-        if !finite || !resolved || failure.is_some() {
+        if !finite || !sound || failure.is_some() {
             self.find_error(inertia_rule, failure, finite)?;
         }
         if let Some((base, _)) = &base {
@@ -471,7 +476,7 @@ impl<'a> LaneIntegrator<'a> {
         rows[POSITION..][..3].copy_from_slice(base.position.as_slice());
         rows[ROTATION] = q.w;
         rows[ROTATION + 1..][..3].copy_from_slice(q.imag().as_slice());
-        held.turn = cayley_quaternion(turn);
+        held.turn = wxyz(&cayley_quaternion(turn));
     }
 
     /// Those of its motion.
@@ -537,15 +542,20 @@ impl<'a> LaneIntegrator<'a> {
         if inertia_rule != InertiaRule::End {
             turned.clone()?;
         }
+        let first_lost = |quantity, is_finite: &dyn Fn(usize) -> bool| {
+            let lost = (self.rod.first_free_node()..self.rod.n_nodes()).find(|&q| !is_finite(q));
+            lost.map_or(Ok(()), |node| {
+                Err(StepError::NotFinite {
+                    node,
+                    step,
+                    time,
+                    quantity,
+                })
+            })
+        };
+        let is_number = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
         if !finite {
-            let lost = (0..self.rod.n_nodes())
-                .find(|&node| !self.position(node).iter().all(|c| c.is_finite()));
-            return Err(StepError::NotFinite {
-                node: lost.unwrap_or(self.rod.tip()),
-                step,
-                time,
-                quantity: "the position",
-            });
+            first_lost("the position", &|q| is_number(&self.position(q)))?;
         }
         if inertia_rule != InertiaRule::Constant {
             for q in 0..self.rod.n_elements() {
@@ -553,12 +563,26 @@ impl<'a> LaneIntegrator<'a> {
                 check_dilatation(self.rod, q, &ends, step, self.time_step)?;
             }
         }
-        turned
+        turned?;
+        for q in 0..self.rod.n_elements() {
+            let relative = self.quaternion(q).conjugate() * self.quaternion(q + 1);
+            check_fold(&relative, q, step, time)?;
+        }
+        if !finite {
+            let state = self.state();
+            first_lost("the momentum after the step", &|q| {
+                is_number(&state.linear_momentum[q]) && is_number(&state.angular_momentum[q])
+            })?;
+        }
+        Ok(())
     }
 }
 
-fn is_explicit(rod: &Rod, time_step: f64) -> bool {
+/// Explicit steps, and numbers that do not overflow where the plain integrator's do not.
+fn is_possible(rod: &Rod, time_step: f64) -> bool {
+    let finite = |rotary: f64| (4.0 * rotary.max(1.0) / time_step).is_finite();
     IntervalWeights::of(rod, time_step).is_none()
+        && rod.nodes.iter().all(|node| finite(node.rotary.max()))
 }
 
 fn dispatch_sweep<R: Rule, L: Law>(arch: Arch, sweep: Sweep<R, L, SingleTurns>) -> Finding {
@@ -667,11 +691,8 @@ fn node_constants(rod: &Rod, node: usize, h: f64) -> [f64; NODE_ROWS] {
     rows
 }
 
-/// Unit quaternion of `cay(f)`.
-fn cayley_quaternion(f: &Vector3<f64>) -> [f64; 4] {
-    let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
-    let v = f * (0.5 * w);
-    [w, v.x, v.y, v.z]
+fn wxyz(q: &Quaternion<f64>) -> [f64; 4] {
+    [q.w, q.i, q.j, q.k]
 }
 
 /// A node that cannot be turned, its angular momentum and inertia.
@@ -711,7 +732,8 @@ impl TurnSingly for SingleTurns<'_> {
             }
             return still;
         };
-        (cayley_quaternion(&f), (cay(&f).transpose() * g).into())
+        let turn = wxyz(&cayley_quaternion(&f));
+        (turn, (cay(&f).transpose() * g).into())
     }
 }
 

@@ -110,10 +110,12 @@ pub struct Sweep<'a, R, L, T> {
 /// What a part of a step found.
 #[derive(Clone, Copy, Debug)]
 pub struct Finding {
-    /// Whether all positions are finite.
+    /// Whether all positions, forces and moments are finite.
     pub finite: bool,
     /// Whether the time step resolves the dilatation of all elements, with a margin of rounding.
     pub resolved: bool,
+    /// Whether the ends of all elements are within half a turn.
+    pub unfolded: bool,
 }
 
 /// Below one by more than the rounding of a quotient.
@@ -141,6 +143,7 @@ impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
             normalize: self.normalize,
             sum: Lanes::splat(simd, 0.0),
             compression: Lanes::splat(simd, 0.0),
+            fold: Lanes::splat(simd, 0.0),
             kind: PhantomData,
         };
         if L::REACTS {
@@ -158,6 +161,7 @@ impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
         Finding {
             finite: work.sum.has_finite_sum(),
             resolved: work.compression.all_at_most(COMPRESSION_LIMIT),
+            unfolded: work.fold.all_at_most(0.0),
         }
     }
 }
@@ -179,10 +183,12 @@ struct Work<'a, S: Simd, R, L, T> {
     /// `2/(h (1 + a))`
     reaction: Lanes<S>,
     normalize: bool,
-    /// Of all positions: not finite as soon as one is not.
+    /// Of all positions, forces and moments: not finite as soon as one is not.
     sum: Lanes<S>,
     /// Largest compression; see [`Chord::compression`].
     compression: Lanes<S>,
+    /// Largest fold; see [`Gradient`](super::element::Gradient).
+    fold: Lanes<S>,
     kind: PhantomData<(R, L)>,
 }
 
@@ -231,8 +237,12 @@ impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
                 let gradient = R::gradient::<S, L>(constants, &left, &right, &chord);
                 let weight = Vec3::load(simd, self.node(i), WEIGHT);
                 let block = &mut self.blocks[i];
-                (weight + gradient.force - pull).store(block, FORCE);
-                (-(twist + gradient.moment_a)).store(block, MOMENT);
+                let force = weight + gradient.force - pull;
+                let moment = -(twist + gradient.moment_a);
+                force.store(block, FORCE);
+                moment.store(block, MOMENT);
+                self.sum = self.sum + (force + moment).sum();
+                self.fold = self.fold.max(gradient.fold);
                 pull = gradient.force;
                 twist = gradient.moment_b;
                 if L::THINS {
@@ -283,7 +293,7 @@ impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
         let mobility = row(self.simd, self.node(index), MOBILITY);
         let block = &mut self.blocks[index];
         let position = Vec3::load(self.simd, block, POSITION) + p * mobility;
-        self.sum = self.sum + (position.x + position.y + position.z);
+        self.sum = self.sum + position.sum();
         position.store(block, POSITION);
         (p * self.decay).store(block, LINEAR_MOMENTUM);
         position

@@ -111,16 +111,30 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// `Σ cᵢ selfⁱ` by Horner's rule.
+    /// `Σ cᵢ selfⁱ` by Estrin's scheme: pairs, pairs of pairs, and so on, which do not wait for one another.
     #[inline(always)]
     pub fn polynomial<const N: usize>(self, coefficients: &[f64; N]) -> Self {
-        let mut sum = Self::splat(self.simd, coefficients[N - 1]);
-        let mut i = N - 1;
-        while i > 0 {
-            i -= 1;
-            sum = sum * self + coefficients[i];
+        let mut terms = [self; N];
+        let mut i = 0;
+        while i < N {
+            terms[i] = Self::splat(self.simd, coefficients[i]);
+            i += 1;
         }
-        sum
+        let mut power = self;
+        let mut n = N;
+        while n > 1 {
+            let mut i = 0;
+            while 2 * i + 1 < n {
+                terms[i] = terms[2 * i] + terms[2 * i + 1] * power;
+                i += 1;
+            }
+            if n % 2 == 1 {
+                terms[i] = terms[n - 1];
+            }
+            n = n.div_ceil(2);
+            power = power * power;
+        }
+        terms[0]
     }
 }
 
@@ -210,6 +224,12 @@ impl<S: Simd> Vec3<S> {
     #[inline(always)]
     pub fn dot(self, other: Self) -> Lanes<S> {
         self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    /// Of the three components.
+    #[inline(always)]
+    pub fn sum(self) -> Lanes<S> {
+        self.x + self.y + self.z
     }
 
     #[inline(always)]
