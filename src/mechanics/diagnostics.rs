@@ -1,28 +1,40 @@
 //! What a motion looks like from outside: momenta, strains, internal forces, the reaction at the base, and balances.
 //!
-//! Three balances hold over a step of length `h` from `k` to `k+1`, with the external wrench (gravity, loads and the
-//! reaction at a clamped base) at the time nodes and the damping wrench of the step, moments about the origin:
+//! [`Diagnostics`] are those of an instant: the forces of the rod in its configuration and with its velocities there, the
+//! reaction what they leave to the base. [`MomentumBalance`] and [`PowerBalance`] are those of a step of length `h` from `k`
+//! to `k+1`. With the external wrench (gravity, loads, reaction) and the damping wrench, moments about a fixed point:
 //!
 //! ```text
-//! P⁺ - P = h/2 (F + F⁺) + h F_damping       exactly: elastic forces come in pairs
-//! L⁺ - L = h/2 (M + M⁺) + h M_damping       exactly: the elastic energy does not feel a rigid rotation
-//! E⁺ - E = h (external - dissipated power)  to second order in h
+//! P⁺ - P = h (F̄ + F̄_damping)                exactly, over every step: `MomentumBalance`
+//! L⁺ - L = h (M̄ + M̄_damping)                likewise, but for the model `dilatation`
+//! P⁺ - P = h/2 (F + F⁺) + h F_damping       to second order in h: `Diagnostics` at both time nodes; L likewise
+//! E⁺ - E = h (external - dissipated power)  to second order in h: `PowerBalance`
 //! ```
 //!
-//! The first two are the sums of the steps of the [integrator](super::integrator) over the nodes: the half kicks act
-//! where the node is, and a drift keeps `x × p½` and `R g`. With a driven base they hold to second order in `h`. Where the inertia follows the dilatation, its kinetic reaction
-//! and its own time derivative are not part of the wrenches here, and the balances hold only as far as these are small.
+//! The first two are the sums of the steps of the [integrator](super::integrator) over the nodes: elastic and viscous
+//! stresses and the [kinetic reaction](super::inertia) come in pairs and do not feel a rigid rotation, every impulse acts
+//! where the node is, and a drift keeps `x × p½` and `R g`. The reaction there is the impulse of the constraint, which takes a
+//! driven base from its own momentum at `k` to the one at `k+1`. Under the model `dilatation` a drift changes `R g`, by inertia
+//! that changes without its momentum, and the angular balance misses just that.
+//!
+//! The third is exact too for a clamped or free rod with explicit steps, no internal damping, and the standard model (of the
+//! model `dilatation`, the linear part), where nothing but the forces of the time nodes acts. The kinetic reaction of the model
+//! `consistent` acts at even time nodes only, for two steps at once; there the second order is that of two steps from an even
+//! node on.
 
-use nalgebra::Vector3;
+use nalgebra::{SVector, Vector3};
 
 use super::base_motion::BaseState;
-use super::configuration::{Configuration, State};
+use super::configuration::State;
 use super::constitutive::RodModel;
 use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
+use super::implicit::IntervalWeights;
+use super::inertia::{InertiaRule, momentum_after, momentum_before};
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
-use super::strain::{Element, ElementPose, StrainRule};
+use super::rotation::cay_inverse;
+use super::strain::{Element, ElementPose, IntervalStress, StrainRule};
 
 /// Force and moment on the whole rod, both spatial, the moment about the origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,12 +46,20 @@ pub struct TotalWrench {
 }
 
 impl TotalWrench {
-    /// Adds the force `force` and the moment `moment` (body frame) of a node of the rod.
-    fn add(&mut self, state: &State, node: usize, force: &Vector3<f64>, moment: &Vector3<f64>) {
+    /// Adds `factor` times the force `force` and the moment `moment` (body frame) of a node of the rod.
+    fn add(
+        &mut self,
+        factor: f64,
+        state: &State,
+        node: usize,
+        force: &Vector3<f64>,
+        moment: &Vector3<f64>,
+    ) {
         let configuration = &state.configuration;
+        let (force, moment) = (factor * force, factor * moment);
         self.force += force;
         self.moment +=
-            configuration.positions[node].cross(force) + configuration.rotations[node] * moment;
+            configuration.positions[node].cross(&force) + configuration.rotations[node] * moment;
     }
 }
 
@@ -58,7 +78,7 @@ pub struct ElementStress {
 }
 
 impl ElementStress {
-    /// Of an element in the pose `pose`.
+    /// Of an element in the pose `pose`, its elastic stress.
     #[must_use]
     pub fn of(element: &Element, rule: StrainRule, pose: &ElementPose) -> Self {
         let strain = rule.strain(element.length, pose);
@@ -74,7 +94,8 @@ impl ElementStress {
     }
 }
 
-/// Power in and out over one step, W.
+/// Power in and out over one step, W. Under the model `consistent` its second order is that of the mean over two steps from an
+/// even time node on; the model `dilatation` has no energy to balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PowerBalance {
     /// Of the loads and of what drives the base, `Σ f·v + τ·ω`, the mean of both ends of the step. Gravity counts as energy.
@@ -114,8 +135,76 @@ impl PowerBalance {
     }
 }
 
+/// Velocity (spatial) and angular velocity (body frame) of every node.
+fn velocities(rod: &Rod, state: &State) -> [Vec<Vector3<f64>>; 2] {
+    let rotary = rod.rotary_at(&state.configuration.positions);
+    let linear = (state.linear_momentum.iter().zip(&rod.nodes)).map(|(p, node)| p / node.mass);
+    let angular = (state.angular_momentum.iter().zip(&rotary)).map(|(pi, j)| pi.component_div(j));
+    [linear.collect(), angular.collect()]
+}
+
+/// Kelvin-Voigt stress `τ C ṡ` of every element at the velocities of `state`.
+fn viscous_stresses(rod: &Rod, state: &State) -> Vec<IntervalStress> {
+    let [velocity, spin] = velocities(rod, state);
+    let (x, r) = (
+        &state.configuration.positions,
+        &state.configuration.rotations,
+    );
+    (rod.elements.iter().enumerate())
+        .map(|(q, element)| {
+            let pose = Rod::element_pose(q, x, r);
+            let (_, b) = (rod.strain_rule).strain_derivative(element.length, &pose);
+            let mut rate = SVector::<f64, 9>::zeros();
+            let motion = [velocity[q + 1] - velocity[q], spin[q], spin[q + 1]];
+            for (i, motion) in motion.iter().enumerate() {
+                rate.fixed_rows_mut::<3>(3 * i).copy_from(motion);
+            }
+            let rate = b * rate * rod.internal_damping;
+            let part = |i: usize| -> Vector3<f64> { rate.fixed_rows::<3>(3 * i).into() };
+            IntervalStress {
+                linear: [0, 1].map(|end| element.linear_stiffness.component_mul(&part(end))),
+                angular: element.angular_stiffness.component_mul(&part(2)),
+            }
+        })
+        .collect()
+}
+
+/// All forces of the rod on its nodes but viscous damping and the reaction, at the configuration and the velocities of
+/// `state`: elastic and viscous stress, gravity, loads, and the kinetic reaction.
+fn forces_of_motion(rod: &Rod, t: f64, state: &State) -> NodalForces {
+    let (x, r) = (
+        &state.configuration.positions,
+        &state.configuration.rotations,
+    );
+    let mut net = NodalForces::zeros(rod.n_nodes());
+    net.evaluate(rod, x, r, t);
+    if rod.internal_damping > 0.0 {
+        for (q, stress) in viscous_stresses(rod, state).iter().enumerate() {
+            let pose = Rod::element_pose(q, x, r);
+            let pull = rod.elements[q].gradient_under(rod.strain_rule, &pose, stress);
+            net.forces[q] += pull.force;
+            net.forces[q + 1] -= pull.force;
+            net.moments[q] -= pull.moment_a;
+            net.moments[q + 1] -= pull.moment_b;
+        }
+    }
+    if rod.model == RodModel::Consistent {
+        let [_, spin] = velocities(rod, state);
+        for (q, shares) in rod.element_inertia.iter().enumerate() {
+            let energy: f64 = (shares.iter().zip(&spin[q..]))
+                .map(|(share, spin)| 0.5 * spin.dot(&share.rotary.component_mul(spin)))
+                .sum();
+            let pull = rod.kinetic_pull(q, &(x[q + 1] - x[q]), energy);
+            net.forces[q] -= pull;
+            net.forces[q + 1] += pull;
+        }
+    }
+    net
+}
+
 /// The wrench that holds or drives node 0, on which `net` acts otherwise: `ṗ + c p - f`, and `Rᵀ d(R π)/dt + c π - τ`.
-/// The rates of a driven base are central differences over `2 h`, one-sided at the start.
+/// The rates of a driven base are central differences over `2 h`, one-sided at the start; its inertia changes with the
+/// dilatation where its momentum does, under the model `consistent`.
 fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces) -> Wrench {
     if rod.base == BaseCondition::Free {
         return Wrench::default();
@@ -126,13 +215,28 @@ fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces)
         moment: c * state.angular_momentum[0] - net.moments[0],
     };
     let (from, to) = ((t - time_step).max(0.0), t + time_step);
-    if let (Some(before), Some(after)) = (rod.driven_base(from), rod.driven_base(to)) {
-        let rotary = rod.rotary_at(&state.configuration.positions)[0];
+    let driven = (
+        rod.driven_base(from),
+        rod.driven_base(t),
+        rod.driven_base(to),
+    );
+    if let (Some(before), Some(now), Some(after)) = driven {
+        let x = &state.configuration.positions;
+        let rotary = rod.base_rotary(x);
         let spin = |base: &BaseState| base.rotation * rotary.component_mul(&base.angular_velocity);
         let acceleration = (after.velocity - before.velocity) / (to - from);
         wrench.force += rod.nodes[0].mass * acceleration;
         let rate = (spin(&after) - spin(&before)) / (to - from);
         wrench.moment += state.configuration.rotations[0].tr_mul(&rate);
+        if rod.model == RodModel::Consistent {
+            let [velocity, _] = velocities(rod, state);
+            let e = rod.chord_dilatation(0, x);
+            let dx = x[1] - x[0];
+            // ė/e
+            let rate = dx.dot(&(velocity[1] - velocity[0])) / dx.norm_squared();
+            let share = rod.element_inertia[0][0].rotary;
+            wrench.moment -= share.component_mul(&now.angular_velocity) * (rate / e);
+        }
     }
     wrench
 }
@@ -142,29 +246,163 @@ fn base_power(rod: &Rod, time_step: f64, t: f64, state: &State) -> f64 {
     let Some(base) = rod.driven_base(t) else {
         return 0.0;
     };
-    let Configuration {
-        positions,
-        rotations,
-    } = &state.configuration;
-    let mut net = NodalForces::zeros(rod.n_nodes());
-    net.evaluate(rod, positions, rotations, t);
+    let net = forces_of_motion(rod, t, state);
     let wrench = reaction(rod, time_step, t, state, &net);
     wrench.force.dot(&base.velocity) + wrench.moment.dot(&base.angular_velocity)
 }
 
 /// `Σ f·v + τ·ω` of the loads, W.
 fn load_power(rod: &Rod, t: f64, state: &State) -> f64 {
-    let rotary = rod.rotary_at(&state.configuration.positions);
-    rod.loads
-        .iter()
+    let [velocity, spin] = velocities(rod, state);
+    (rod.loads.iter())
         .map(|load| {
             let q = load.node;
             let wrench = load.wrench(t, &state.configuration.rotations[q]);
-            let velocity = state.linear_momentum[q] / rod.nodes[q].mass;
-            let spin = state.angular_momentum[q].component_div(&rotary[q]);
-            wrench.force.dot(&velocity) + wrench.moment.dot(&spin)
+            wrench.force.dot(&velocity[q]) + wrench.moment.dot(&spin[q])
         })
         .sum()
+}
+
+/// Mean wrenches over one step, and what they leave of the change of the momenta.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MomentumBalance {
+    /// Of what holds or drives the base: the impulse of the constraint on node 0, from its own rows of the step. Zero for a free
+    /// base.
+    pub reaction: TotalWrench,
+    /// Gravity and loads.
+    pub loads: TotalWrench,
+    /// Viscous damping, `-c Σ p½` and `-c Σ x × p½ + R g`.
+    pub damping: TotalWrench,
+    /// Change of the momenta over the step, divided by its length.
+    pub momentum_rate: TotalWrench,
+    /// `momentum_rate - reaction - loads - damping`: rounding, of the free nodes' rows, which the reaction does not see. Under
+    /// [`RodModel::Dilatation`] its moment is `Σ (R⁺π - R g)/h` of the nodes' drifts, which no wrench stands for.
+    pub residual: TotalWrench,
+}
+
+impl MomentumBalance {
+    /// Over the step of length `time_step` that ends at time `t`, a multiple of it, without a control wrench.
+    #[must_use]
+    pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
+        let h = time_step;
+        let ends = [(t - h, before), (t, after)];
+        let step = Step::between(rod, h, t, before, after);
+        let mut out = Self::default();
+        for (end, (t, state)) in ends.into_iter().enumerate() {
+            add_loads(&mut out.loads, 0.5, rod, t, state);
+            for q in 0..rod.n_nodes() {
+                let (p, pi) = (&step.linear[q], &step.angular[end][q]);
+                out.damping.add(-0.5 * rod.viscous_damping, state, q, p, pi);
+            }
+            if rod.base != BaseCondition::Free {
+                let impulse = step.base_impulse(rod, h, end, t, ends.map(|(_, state)| state));
+                out.reaction
+                    .add(1.0 / h, state, 0, &impulse.force, &impulse.moment);
+            }
+        }
+        let rate = |of: fn(&State) -> Vector3<f64>| (of(after) - of(before)) / h;
+        out.momentum_rate = TotalWrench {
+            force: rate(linear_momentum),
+            moment: rate(angular_momentum),
+        };
+        out.residual = out.momentum_rate;
+        for wrench in [out.reaction, out.loads, out.damping] {
+            out.residual.force -= wrench.force;
+            out.residual.moment -= wrench.moment;
+        }
+        out
+    }
+}
+
+/// A step as its two configurations tell it.
+struct Step {
+    inertia_rule: InertiaRule,
+    /// Cayley vectors of the nodes' rotations.
+    turns: Vec<Vector3<f64>>,
+    /// `p½` of every node.
+    linear: Vec<Vector3<f64>>,
+    /// Angular momenta of every node where the step leaves and where it arrives, in the body frames there.
+    angular: [Vec<Vector3<f64>>; 2],
+}
+
+impl Step {
+    fn between(rod: &Rod, h: f64, t: f64, before: &State, after: &State) -> Self {
+        let inertia_rule = InertiaRule::of(rod.model, (t / h - 1.0).round() as usize);
+        let [start, end] = [&before.configuration, &after.configuration];
+        let turns: Vec<_> = (start.rotations.iter().zip(&end.rotations))
+            .map(|(start, end)| cay_inverse(&start.tr_mul(end)))
+            .collect();
+        let rotary = [start, end].map(|at| rod.rotary_at(&at.positions));
+        let [leaving, arriving] = match inertia_rule {
+            InertiaRule::Both => [&rotary[0], &rotary[1]],
+            InertiaRule::Constant | InertiaRule::Start => [&rotary[0]; 2],
+            InertiaRule::End => [&rotary[1]; 2],
+        };
+        let moved = start.positions.iter().zip(&end.positions);
+        let linear = (moved.zip(&rod.nodes)).map(|((x, to), node)| (to - x) * (node.mass / h));
+        let angular = [
+            (leaving.iter().zip(&turns))
+                .map(|(rotary, f)| momentum_before(rotary, f, h))
+                .collect(),
+            (arriving.iter().zip(&turns))
+                .map(|(rotary, f)| momentum_after(rotary, f, h))
+                .collect(),
+        ];
+        Self {
+            inertia_rule,
+            linear: linear.collect(),
+            angular,
+            turns,
+        }
+    }
+
+    /// What the constraint on node 0 adds to its momenta where the step leaves (`end` 0) or arrives (1), at time `t`.
+    fn base_impulse(&self, rod: &Rod, h: f64, end: usize, t: f64, states: [&State; 2]) -> Wrench {
+        let poses = states.map(|state| {
+            let at = &state.configuration;
+            Rod::element_pose(0, &at.positions, &at.rotations)
+        });
+        let state = states[end];
+        let a = 0.5 * rod.viscous_damping * h;
+        let of_step = [self.linear[0], self.angular[end][0]];
+        let of_state = [state.linear_momentum[0], state.angular_momentum[0]];
+        let mut change = match end {
+            0 => [0, 1].map(|i| of_step[i] * (1.0 + a) - of_state[i]),
+            _ => [0, 1].map(|i| of_state[i] - of_step[i] * (1.0 - a)),
+        };
+
+        let mut forces = NodalForces::zeros(rod.n_nodes());
+        let at = &state.configuration;
+        forces.evaluate_at_node(rod, &at.positions, &at.rotations, t);
+        change[0] -= 0.5 * h * forces.forces[0];
+        change[1] -= 0.5 * h * forces.moments[0];
+        if let Some(weights) = IntervalWeights::of(rod, h) {
+            let element = &rod.elements[0];
+            let strain = poses.map(|pose| rod.strain_rule.strain(element.length, &pose));
+            let stress = weights.stress(rod, 0, &strain[0], &strain[1]);
+            let pull = element.gradient_under(rod.strain_rule, &poses[end], &stress);
+            change[0] -= 0.5 * h * pull.force;
+            change[1] += 0.5 * h * pull.moment_a;
+        }
+        if [InertiaRule::Start, InertiaRule::End][end] == self.inertia_rule {
+            let turns = [&self.turns[0], &self.turns[1]];
+            change[0] += rod.kinetic_reaction(0, &poses[end].dx, turns, h);
+        }
+        let [force, moment] = change;
+        Wrench { force, moment }
+    }
+}
+
+/// Adds `factor` times gravity and loads at time `t`.
+fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, t: f64, state: &State) {
+    for (q, node) in rod.nodes.iter().enumerate() {
+        let weight = rod.gravity * node.mass;
+        sum.add(factor, state, q, &weight, &Vector3::zeros());
+    }
+    for load in &rod.loads {
+        let wrench = load.wrench(t, &state.configuration.rotations[load.node]);
+        sum.add(factor, state, load.node, &wrench.force, &wrench.moment);
+    }
 }
 
 /// Everything that a state says about the motion at one time.
@@ -174,14 +412,17 @@ pub struct Diagnostics {
     pub linear_momentum: Vector3<f64>,
     /// `Σ x × p + R π`, about the origin, spatial, kg m²/s.
     pub angular_momentum: Vector3<f64>,
-    /// Strain and internal force and moment of every element.
+    /// Strain and internal force and moment of every element, with the Kelvin-Voigt stress `τ C ṡ` at the velocities of the
+    /// state.
     pub elements: Vec<ElementStress>,
     /// What holds or drives the base: the force (spatial) and the moment (body frame of the base) that, with all others
-    /// on node 0, give it its motion; zero for a free base.
+    /// on node 0 (those of the stress of the first element, of viscosity and of the kinetic reaction among them), give it its
+    /// motion; zero for a free base.
     pub reaction: Wrench,
     /// Gravity, loads and the reaction.
     pub external: TotalWrench,
-    /// Mean wrench of damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`.
+    /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta that
+    /// the forces at its start give it.
     pub damping: TotalWrench,
     /// Largest `|V/V₀ - 1|` of any element, as in the paper's equations (89) and (90): `|e - 1|` under the standard model,
     /// whose section keeps its size; 0 under the others, whose section thins by `e`.
@@ -195,29 +436,25 @@ impl Diagnostics {
     pub fn of(rod: &Rod, time_step: f64, t: f64, state: &State) -> Self {
         let configuration = &state.configuration;
         let (positions, rotations) = (&configuration.positions, &configuration.rotations);
-        let elements = rod
-            .elements
-            .iter()
-            .enumerate()
+        let mut elements: Vec<_> = (rod.elements.iter().enumerate())
             .map(|(q, element)| {
                 let pose = Rod::element_pose(q, positions, rotations);
                 ElementStress::of(element, rod.strain_rule, &pose)
             })
             .collect();
+        if rod.internal_damping > 0.0 {
+            for (element, viscous) in elements.iter_mut().zip(viscous_stresses(rod, state)) {
+                element.force += 0.5 * (viscous.linear[0] + viscous.linear[1]);
+                element.moment += viscous.angular;
+            }
+        }
 
-        let mut net = NodalForces::zeros(rod.n_nodes());
-        net.evaluate(rod, positions, rotations, t);
+        let net = forces_of_motion(rod, t, state);
         let reaction = reaction(rod, time_step, t, state, &net);
 
         let mut external = TotalWrench::default();
-        for (q, node) in rod.nodes.iter().enumerate() {
-            external.add(state, q, &(rod.gravity * node.mass), &Vector3::zeros());
-        }
-        for load in &rod.loads {
-            let wrench = load.wrench(t, &rotations[load.node]);
-            external.add(state, load.node, &wrench.force, &wrench.moment);
-        }
-        external.add(state, 0, &reaction.force, &reaction.moment);
+        add_loads(&mut external, 1.0, rod, t, state);
+        external.add(1.0, state, 0, &reaction.force, &reaction.moment);
 
         let c = rod.viscous_damping;
         let undamp = 1.0 / (1.0 + 0.5 * c * time_step);
@@ -231,7 +468,7 @@ impl Diagnostics {
         for q in rod.first_free_node()..rod.n_nodes() {
             let p = (state.linear_momentum[q] + 0.5 * time_step * net.forces[q]) * undamp;
             let g = (state.angular_momentum[q] + 0.5 * time_step * net.moments[q]) * undamp;
-            damping.add(state, q, &(-c * p), &(-c * g));
+            damping.add(-c, state, q, &p, &g);
         }
 
         Self {

@@ -167,9 +167,15 @@ impl Rod {
         turns: [&Vector3<f64>; 2],
         h: f64,
     ) -> Vector3<f64> {
+        self.kinetic_pull(q, dx, self.rotational_energy(q, turns, h)) * h
+    }
+
+    /// Force on node `q + 1` (and its opposite on node `q`), N, of an element whose ends rotate with the kinetic energy
+    /// `energy` at `e = 1`: `∂L/∂dx = -L₀ T dx/|dx|³`.
+    #[inline]
+    pub(super) fn kinetic_pull(&self, q: usize, dx: &Vector3<f64>, energy: f64) -> Vector3<f64> {
         let length = dx.norm();
-        dx * (-h * self.rest_chords[q] * self.rotational_energy(q, turns, h)
-            / (length * length * length))
+        dx * (-self.rest_chords[q] * energy / (length * length * length))
     }
 
     /// `Σ_ends f·J f/(2 h² α)` of element `q` at `e = 1`, J.

@@ -26,7 +26,7 @@ pub mod strain;
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use constitutive::RodModel;
-pub use diagnostics::{Diagnostics, PowerBalance};
+pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
 pub use integrator::{Integrator, StepError, TimeGrid, TimeScheme};

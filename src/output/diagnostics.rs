@@ -20,9 +20,9 @@ pub struct DiagnosticsRecord {
     pub linear_strain: Vec<f64>,
     /// `[n, K, 3]` curvatures and twist beyond the stress-free ones, body frame, 1/m.
     pub angular_strain: Vec<f64>,
-    /// `[n, K, 3]` internal force, body frame, N.
+    /// `[n, K, 3]` internal force, elastic and of internal damping, body frame, N.
     pub internal_force: Vec<f64>,
-    /// `[n, K, 3]` internal moment, body frame, N m.
+    /// `[n, K, 3]` internal moment, likewise, body frame, N m.
     pub internal_moment: Vec<f64>,
     /// `[n, 3]` reaction force at a clamped or driven base, spatial, N; zero for a free one.
     pub base_force: Vec<f64>,
@@ -32,7 +32,7 @@ pub struct DiagnosticsRecord {
     pub external_force: Vec<f64>,
     /// `[n, 3]` their moment about the origin, spatial, N m.
     pub external_moment: Vec<f64>,
-    /// `[n, 3]` mean damping force over the step that begins at the row, spatial, N.
+    /// `[n, 3]` mean force of viscous damping over the step that begins at the row, spatial, N.
     pub damping_force: Vec<f64>,
     /// `[n, 3]` its moment about the origin, spatial, N m.
     pub damping_moment: Vec<f64>,
