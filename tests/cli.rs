@@ -401,6 +401,62 @@ fn wrong_scenes_are_refused() {
     assert_eq!(names(desk.folder.path()), ["scene.toml", "wrong.toml"]);
 }
 
+/// Steps that a scene may have, but not without a word: implicit ones above the limit of a bent arm, and ones in which viscous
+/// damping takes more than the momentum there is. `check` and `simulate` name the key, the figures and a step that serves,
+/// the last number they say; with that step they are silent.
+#[test]
+fn doubtful_steps_are_warned_of() {
+    let desk = Desk::new();
+    let (scene, _) = SCENE.split_once("[task]").unwrap();
+    desk.write("swing.toml", &scene.replace("0.3", "0.04"));
+    let said = |settings: &[&str]| {
+        let settings = settings.iter().flat_map(|setting| ["--set", setting]);
+        let [check, simulate] = ["check", "simulate"].map(|verb| {
+            let arguments: Vec<_> = [verb, "swing.toml"]
+                .into_iter()
+                .chain(settings.clone())
+                .collect();
+            let stderr = desk.run(&arguments).exits(DONE).stderr;
+            let warnings = stderr.lines().filter(|line| line.starts_with("warning"));
+            warnings.map(String::from).collect::<Vec<_>>()
+        });
+        assert_eq!(check, simulate);
+        check.join("\n")
+    };
+    let implicit = "time.integrator=\"implicit\"";
+    let heavy = "damping.viscous_1_s=1e4";
+    for (setting, step, words) in [
+        (
+            implicit,
+            "2e-2",
+            ["time.step_s: 2.000e-2 s", "implicit", "bent", "auto"],
+        ),
+        (
+            heavy,
+            "5e-4",
+            [
+                "damping.viscous_1_s: 1.000e4 1/s",
+                "5.000e-4 s",
+                "5.000;",
+                "sign",
+            ],
+        ),
+    ] {
+        let warning = said(&[setting, &format!("time.step_s={step}")]);
+        for word in words {
+            assert!(warning.contains(word), "no `{word}` in: {warning}");
+        }
+        let mut words = warning.rsplit([' ', ',']);
+        let limit = words.find_map(|word| word.parse::<f64>().ok()).unwrap();
+        assert!(limit < step.parse().unwrap(), "{warning}");
+        assert_eq!(
+            said(&[setting, &format!("time.step_s={}", 0.99 * limit)]),
+            ""
+        );
+    }
+    assert_eq!(said(&[implicit]), "");
+}
+
 /// Things that are not scenes at all.
 #[test]
 fn non_scenes_are_refused() {

@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::{Global, Outcome, exit, scene_name};
 use crate::control::{Enforcement, OptimalControlProblem};
-use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::output::summary::{
     CheckSummary, CostEstimate, OutputSize, ProblemSize, SCHEMA_VERSION, ScalesSummary,
@@ -34,7 +34,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         concerns.extend(size_warning(&output));
         (setup.rod, setup.grid, None, Some(output))
     };
-    concerns.splice(0..0, warnings(&scene, &rod));
+    concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let summary = CheckSummary {
         schema_version: SCHEMA_VERSION,
         command: "check",
@@ -150,7 +150,7 @@ pub(super) fn size_warning(output: &OutputSize) -> Option<String> {
 const DENSE_MATRICES: u64 = 12;
 
 /// What a user should know before a run.
-pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
+pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     let mut out = Vec::new();
     if rod.strain_rule == crate::mechanics::StrainRule::Trapezoidal
         && rod.locking_ratio() > LOCKING_LIMIT
@@ -168,6 +168,25 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod) -> Vec<String> {
              long or violent motions; \"consistent\" keeps both"
                 .into(),
         );
+    }
+    // Below the stable step there are no waves that a step does not resolve.
+    let bent = bent_step(rod).max(stable_step(rod));
+    if rod.scheme == TimeScheme::Implicit && step > bent {
+        out.push(format!(
+            "time.step_s: {step:.3e} s is longer than {bent:.3e} s, up to which implicit steps are stable in this arm bent into a \
+             circle (2 sqrt(J/m)); where it is bent or loaded as strongly, waves that a step does not resolve will grow; give a \
+             step_s of at most {bent:.3e} s, or \"auto\""
+        ));
+    }
+    let damping = rod.viscous_damping * step;
+    if damping >= 2.0 {
+        out.push(format!(
+            "damping.viscous_1_s: {:.3e} 1/s times the step of {step:.3e} s is {damping:.3}; from 2 on a step takes more than the \
+             momentum there is, and velocities change their sign every step instead of dying away; give a time.step_s below \
+             {:.3e} s",
+            rod.viscous_damping,
+            2.0 / rod.viscous_damping
+        ));
     }
     let profiles = (scene.load.iter().map(|load| &load.profile))
         .chain(scene.distributed_load.iter().map(|load| &load.profile));

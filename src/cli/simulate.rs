@@ -41,7 +41,7 @@ pub(super) fn run(
         Some(found) => continued(&scene, &source, &found.checkpoint)?,
         None => scene.simulation(&source)?,
     };
-    let mut concerns = warnings(&scene, &setup.rod);
+    let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
     concerns.extend(size_warning(&output_size(&setup)));
     for warning in concerns {
         console.warn(&warning);

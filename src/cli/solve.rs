@@ -35,7 +35,7 @@ pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -
     let started = Instant::now();
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
     let setup = scene.optimal_control(&source)?;
-    for warning in warnings(&scene, &setup.problem.rod) {
+    for warning in warnings(&scene, &setup.problem.rod, setup.problem.grid.step) {
         console.warn(&warning);
     }
     let target = arguments.directory("solve");
