@@ -98,18 +98,36 @@ fn energy_is_bounded_and_second_order() {
     }
 }
 
+/// Viscous damping `c h` of a step: ordinary, about 2, where it takes all of the momentum, and far beyond.
+const DAMPING: [f64; 5] = [2e-3, 1.9, 2.0, 2.1, 100.0];
+
+/// A rod of these parameters, by this method, with a step about `fraction` of the stable one and the viscous damping `c h`
+/// of such a step: both without rounding, so that `c h = 2` is 2.
+fn damped_rod(method: &Method, p: RodParameters, fraction: f64, damping: f64) -> (Rod, f64) {
+    let p = method.of(p);
+    let step = (fraction * stable_step(&Rod::new(&p).unwrap()))
+        .log2()
+        .floor()
+        .exp2();
+    let viscous_damping = damping / step;
+    (
+        Rod::new(&RodParameters {
+            viscous_damping,
+            ..p
+        })
+        .unwrap(),
+        step,
+    )
+}
+
 /// The integrator's own trajectory has no defects, and its last momenta are the terminal ones.
 #[test]
 fn integrated_trajectory_has_no_defects() {
-    for method in methods() {
-        let Method { rule, .. } = method;
-        let rod = method.rod(busy_arm(rule, 5));
+    for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
+        let (rod, step) = damped_rod(&method, busy_arm(method.rule, 5), 0.5, damping);
         let mut dice = Dice(3);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
-        let grid = TimeGrid {
-            step: 0.5 * stable_step(&rod),
-            n_steps: 40,
-        };
+        let grid = TimeGrid { step, n_steps: 40 };
         let control: Vec<Wrench> = (0..=grid.n_steps)
             .map(|_| Wrench {
                 force: dice.vector(1.0),
@@ -127,7 +145,7 @@ fn integrated_trajectory_has_no_defects() {
         for (l, a) in d.linear.iter().zip(&d.angular) {
             assert!(
                 l.norm() < 1e-11 * impulse && a.norm() < 1e-13 * impulse,
-                "{l} {a}"
+                "{method:?} {damping} {l} {a}"
             );
         }
         for q in 1..rod.n_nodes() {
@@ -295,18 +313,56 @@ fn symplectic_residual_sees_a_missing_block() {
     assert!(residual > 1e4 * right);
 }
 
+/// However strong viscous damping is, what flies freely comes to rest and never speeds up, and a constant force ends in the
+/// velocity `f/(m c)`: the positions of two steps, whose momenta differ in sign where `c h > 2`.
+#[test]
+fn heavy_damping_has_the_right_sign() {
+    for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
+        let gravity = Vector3::new(0.0, 3.0, -9.0);
+        let parameters = |gravity| RodParameters {
+            base: BaseCondition::Free,
+            gravity,
+            ..soft_arm(method.rule, 3)
+        };
+        let velocity = Vector3::new(0.3, -0.2, 0.5);
+        for gravity in [Vector3::zeros(), gravity] {
+            let (rod, h) = damped_rod(&method, parameters(gravity), 0.5, damping);
+            let rest = rod.rest.clone();
+            let initial = rod.rigid_motion(rest, &Vector3::zeros(), &velocity, &Vector3::zeros());
+            let mut integrator = Integrator::new(&rod, h, initial);
+            let decay = ((1.0 - 0.5 * damping) / (1.0 + 0.5 * damping)).abs();
+            let terminal = gravity * (h / damping);
+            let mut apart = (velocity - terminal).norm();
+            for step in 0..200 {
+                let before = rod.center_of_mass(&integrator.state().configuration.positions);
+                integrator.advance([Wrench::default(); 2]).unwrap();
+                let after = rod.center_of_mass(&integrator.state().configuration.positions);
+                let now = ((after - before) / h - terminal).norm();
+                // A position of 1 m rounds by 1e-16.
+                let rounding = 1e-15 / h;
+                let factor = if step == 0 {
+                    1.0 / (1.0 + 0.5 * damping)
+                } else {
+                    decay
+                };
+                assert!(
+                    (now - factor * apart).abs() < 4.0 * rounding,
+                    "{method:?} {damping} {gravity} {step}: {now} {apart}"
+                );
+                apart = now;
+            }
+        }
+    }
+}
+
 /// Along a random lifted trajectory with loads, damping, gravity and taper: the forward sweep solves the linearized
 /// rows, so the defects after a step of size α along it fall to the second order: halving α quarters what remains.
 #[test]
 fn linearization_passes_the_taylor_test() {
-    for method in methods() {
-        let Method { rule, .. } = method;
-        let rod = method.rod(busy_arm(rule, 5));
+    for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
+        let (rod, step) = damped_rod(&method, busy_arm(method.rule, 5), 0.4, damping);
         let mut dice = Dice(7);
-        let grid = TimeGrid {
-            step: 0.4 * stable_step(&rod),
-            n_steps: 12,
-        };
+        let grid = TimeGrid { step, n_steps: 12 };
         let initial = State::at_rest(rod.rest.clone());
         let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
         let motion = Motion {
@@ -380,7 +436,7 @@ fn linearization_passes_the_taylor_test() {
             let ratio = c / f;
             assert!(
                 (3.6..4.4).contains(&ratio),
-                "{method:?} {part}: ratio {ratio}, remainders {c} {f}"
+                "{method:?} {damping} {part}: ratio {ratio}, remainders {c} {f}"
             );
         }
     }
@@ -389,18 +445,16 @@ fn linearization_passes_the_taylor_test() {
 /// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the two sweeps written separately, loads, damping and defects included.
 #[test]
 fn adjoint_is_the_transpose() {
-    for method in methods() {
+    for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
         let Method { rule, .. } = method;
         for base in bases() {
-            let rod = method.rod(RodParameters {
+            let parameters = RodParameters {
                 base: base.clone(),
                 ..busy_arm(rule, 6)
-            });
-            let mut dice = Dice(9);
-            let grid = TimeGrid {
-                step: 0.5 * stable_step(&rod),
-                n_steps: 30,
             };
+            let (rod, step) = damped_rod(&method, parameters, 0.5, damping);
+            let mut dice = Dice(9);
+            let grid = TimeGrid { step, n_steps: 30 };
             let initial = State::at_rest(rod.rest.clone());
             let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
             let motion = Motion {
@@ -444,7 +498,7 @@ fn adjoint_is_the_transpose() {
             let size = forward.abs() + by_control.abs() + by_defects.abs();
             assert!(
                 (forward - (by_control - by_defects)).abs() < 1e-12 * size,
-                "{method:?} {base:?}"
+                "{method:?} {damping} {base:?}"
             );
         }
     }

@@ -62,6 +62,7 @@ impl Motion<'_> {
     pub fn kick(&self, k: usize) -> Kick {
         let h = self.grid.step;
         let a = 0.5 * self.rod.viscous_damping * h;
+        let left = self.undamped();
         if k == 0 {
             Kick {
                 decay: 1.0 / (1.0 + a),
@@ -70,13 +71,13 @@ impl Motion<'_> {
             }
         } else if k == self.grid.n_steps {
             Kick {
-                decay: 1.0 - a,
+                decay: left,
                 weight: 0.5 * h,
                 impulse: 1.0,
             }
         } else {
             Kick {
-                decay: (1.0 - a) / (1.0 + a),
+                decay: left / (1.0 + a),
                 weight: h / (1.0 + a),
                 impulse: 1.0 / (1.0 + a),
             }
@@ -86,7 +87,14 @@ impl Motion<'_> {
     /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that
     /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
     fn arriving_impulse(&self) -> f64 {
-        1.0 / (1.0 - 0.5 * self.rod.viscous_damping * self.grid.step)
+        1.0 / self.undamped()
+    }
+
+    /// `1 - c h/2`: what damping leaves of the momentum of an interval where it ends. Where that is nothing, a rounding of
+    /// it stays, lest the impulses that [arrive](Self::arriving_impulse) with it are lost as well.
+    fn undamped(&self) -> f64 {
+        let left = 1.0 - 0.5 * self.rod.viscous_damping * self.grid.step;
+        if left == 0.0 { f64::EPSILON } else { left }
     }
 
     /// `σ` of every element over the interval from `k` to `k + 1`; `None` where stresses are those of the time nodes.
