@@ -141,14 +141,15 @@ impl RowFiles {
         Ok(())
     }
 
+    /// One reader an array, of everything pushed so far.
+    fn readers(&mut self) -> Result<Vec<BufReader<File>>, OutputError> {
+        self.flush()?;
+        self.arrays.iter().map(RowFile::reader).collect()
+    }
+
     /// Reads the rows again, from the first one on: the values of every array, in the order of the layout.
     pub fn replay(&mut self, mut visit: impl FnMut(&[Vec<f64>])) -> Result<(), OutputError> {
-        self.flush()?;
-        let mut readers = self
-            .arrays
-            .iter()
-            .map(RowFile::reader)
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut readers = self.readers()?;
         let mut row: Vec<Vec<f64>> = self
             .arrays
             .iter()
@@ -167,12 +168,7 @@ impl RowFiles {
 
     /// Writes the rows as a numpy archive: byte for byte what it would be had they all been in memory.
     pub fn write_npz(&mut self, path: &Path) -> Result<(), OutputError> {
-        self.flush()?;
-        let mut readers = self
-            .arrays
-            .iter()
-            .map(RowFile::reader)
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut readers = self.readers()?;
         npz::write(path, |archive| {
             for (array, reader) in self.arrays.iter().zip(&mut readers) {
                 let mut shape = vec![self.n_rows];
