@@ -21,7 +21,7 @@ pub struct LongRun {
     pub ripple: f64,
     /// Of the energy.
     pub trend: Trend,
-    /// Of the energy with its [correction](step_correction), which the steps keep to the fourth order.
+    /// Of the energy with its correction for the step, which the steps keep to the fourth order.
     pub corrected: Trend,
     /// Greatest entry of `RᵀR - I` at the end.
     pub orthogonality: f64,
