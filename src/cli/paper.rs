@@ -23,7 +23,7 @@ pub(super) struct PaperArguments {
     /// Also the convergence study of section 5.4: about a minute
     #[arg(long)]
     convergence: bool,
-    /// Also the energy of the three models over ten million steps: about two minutes
+    /// Also the energy of the three models over ten million steps and more: some minutes
     #[arg(long)]
     long: bool,
     /// Print the tables on stdout
