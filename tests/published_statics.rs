@@ -8,251 +8,78 @@ mod common;
 use std::cell::RefCell;
 use std::f64::consts::{FRAC_PI_4, PI};
 
+use common::published::statics::{
+    Benchmark, Elastica, Helix, bent_across, bent_along, buckled, dilatation_tables, elastica,
+    follower_error, forty_five_degree_bend, line_load, loads, paper_rod_table, post_buckling,
+    roll_up_error, soft_arm_table, uniform, unit_rod,
+};
+use common::published::{MakeRod, Triple, largest};
 use common::{
     Dice, RULES, assert_second_order, cowper_arm, equilibrium, paper_rod, soft_arm, tip_load,
 };
-use nalgebra::{DMatrix, Matrix3, Vector3};
-use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use nalgebra::{DMatrix, Vector3};
+use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::forces::NodalForces;
-use softarm::mechanics::rotation::{exp, hat};
+use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Configuration, LoadFrame, Rod, RodParameters, Section, SectionProfile, StrainRule,
+    Configuration, LoadFrame, Rod, RodModel, RodParameters, Section, StrainRule,
 };
 
-type Triple = [f64; 3];
-
-/// A rod under its loads, and the tip that it is known to have.
-struct Benchmark<'a> {
-    name: &'a str,
-    rod: &'a dyn Fn(StrainRule, usize) -> RodParameters,
-    tip: Vector3<f64>,
-    /// Equal parts in which the load is applied.
-    parts: usize,
-    /// Largest error allowed with the helical rule, relative to the rod's length.
-    tolerance: f64,
-    /// Elements at which that holds; the order is measured from here to twice as many.
-    helical: usize,
-    /// The same for the order of the trapezoidal rule, if it is to be measured: elements well shorter than
-    /// 2 sqrt(EI/GA).
-    trapezoidal: Option<usize>,
-    /// Bending, not a strong tension, decides the shape: a tenth of the elements must do.
-    bends: bool,
-}
-
-impl Benchmark<'_> {
-    fn error(&self, rule: StrainRule, n: usize) -> f64 {
-        let parameters = (self.rod)(rule, n);
-        let (_, shape) = equilibrium(&parameters, self.parts);
-        (shape.positions[n] - self.tip).norm() / parameters.length
-    }
-
-    /// Tolerance, second order of both rules, and the tenth of the elements.
-    fn check(&self) {
-        let n = self.helical;
-        let helical = self.error(StrainRule::Helical, n);
-        let ten_times = self.error(StrainRule::Trapezoidal, 10 * n);
-        assert!(
-            helical < self.tolerance,
-            "{}: K = {n}, error {helical:e}",
-            self.name
+/// Tolerance, second order of both rules, and the tenth of the elements.
+fn check(benchmark: &Benchmark) {
+    let (name, n) = (&benchmark.name, benchmark.helical);
+    let helical = benchmark.error(StrainRule::Helical, n);
+    let ten_times = benchmark.error(StrainRule::Trapezoidal, 10 * n);
+    assert!(
+        helical < benchmark.tolerance,
+        "{name}: K = {n}, error {helical:e}"
+    );
+    assert_second_order(name, helical, benchmark.error(StrainRule::Helical, 2 * n));
+    assert!(
+        !benchmark.bends || helical <= ten_times,
+        "{name}: helical {helical:e} at {n}, trapezoidal {ten_times:e} at ten times as many"
+    );
+    if let Some(m) = benchmark.trapezoidal {
+        assert_second_order(
+            name,
+            benchmark.error(StrainRule::Trapezoidal, m),
+            benchmark.error(StrainRule::Trapezoidal, 2 * m),
         );
-        assert_second_order(self.name, helical, self.error(StrainRule::Helical, 2 * n));
+    }
+}
+
+#[test]
+fn paper_rod_under_tip_loads() {
+    paper_rod_table().iter().for_each(check);
+}
+
+#[test]
+fn soft_arm_under_tip_loads_and_gravity() {
+    soft_arm_table().iter().for_each(check);
+}
+
+/// Sections of constant volume: the same claims about the tolerance and the order of the helical rule, and the tips differ from
+/// those of the standard model by more than the error of the finer rod.
+#[test]
+fn rods_of_constant_volume() {
+    for benchmark in dilatation_tables() {
+        let n = benchmark.helical;
+        let coarse = benchmark.error(StrainRule::Helical, n);
+        let fine = benchmark.error(StrainRule::Helical, 2 * n);
         assert!(
-            !self.bends || helical <= ten_times,
-            "{}: helical {helical:e} at {n}, trapezoidal {ten_times:e} at ten times as many",
-            self.name
+            coarse < benchmark.tolerance,
+            "{}: {coarse:e}",
+            benchmark.name
         );
-        if let Some(m) = self.trapezoidal {
-            assert_second_order(
-                self.name,
-                self.error(StrainRule::Trapezoidal, m),
-                self.error(StrainRule::Trapezoidal, 2 * m),
-            );
-        }
+        assert_second_order(&benchmark.name, coarse, fine);
     }
 }
 
-/// EI = GJ = 1, L = 1, GA = EA = `stiffness`.
-fn unit_rod(rule: StrainRule, n: usize, stiffness: f64) -> RodParameters {
-    RodParameters {
-        section: SectionProfile::Uniform(Section {
-            linear_stiffness: Vector3::repeat(stiffness),
-            angular_stiffness: Vector3::repeat(1.0),
-            mass: 1.0,
-            rotary: Vector3::repeat(1e-3),
-        }),
-        ..soft_arm(rule, n)
-    }
-}
-
-/// The paper's rod under dead tip forces and moments: converged solutions of the standard Cosserat rod (shooting,
-/// residual below 1e-14; notes/benchmarks section 6).
+/// On a fine mesh the tip of the 45-degree bend is right to a millimeter in 78 m.
 #[test]
-fn paper_rod_table() {
-    let rows: [(Triple, Triple, Triple); 3] = [
-        (
-            [10.0, 0.0, 0.0],
-            [0.0; 3],
-            [4.944_574_804_0, 0.0, 8.393_582_791_7],
-        ),
-        (
-            [50.0, 0.0, 0.0],
-            [0.0; 3],
-            [8.156_090_248_8, 0.0, 4.450_044_022_5],
-        ),
-        (
-            [10.0, 5.0, 100.0],
-            [20.0, -30.0, 40.0],
-            [0.483_884_567_0, 0.214_225_833_1, 10.081_215_106_7],
-        ),
-    ];
-    for (force, moment, tip) in rows {
-        Benchmark {
-            name: &format!("paper's rod, force {force:?}, moment {moment:?}"),
-            rod: &|rule, n| RodParameters {
-                loads: tip_load(n, force, moment, LoadFrame::Spatial),
-                ..paper_rod(rule, n)
-            },
-            tip: Vector3::from(tip),
-            parts: 4,
-            tolerance: 2e-3,
-            helical: 20,
-            trapezoidal: Some(100),
-            bends: true,
-        }
-        .check();
-    }
-}
-
-/// The soft arm with shear factor 27/28 under dead loads and under gravity: converged standard rod (notes/benchmarks
-/// section 5; the planar rows agree with Exudyn).
-#[test]
-fn soft_arm_table() {
-    let rows: [(Triple, Triple, f64, Triple); 7] = [
-        (
-            [1.0, 0.0, 0.0],
-            [0.0; 3],
-            0.0,
-            [0.067_980_043_8, 0.0, 0.997_236_922_5],
-        ),
-        (
-            [0.1, 0.0, 0.0],
-            [0.0; 3],
-            0.0,
-            [0.006_829_897_8, 0.0, 0.999_972_152_2],
-        ),
-        (
-            [10.0, 0.0, 0.0],
-            [0.0; 3],
-            0.0,
-            [0.501_448_349_0, 0.0, 0.834_803_775_7],
-        ),
-        (
-            [5.0, 0.0, -5.0],
-            [0.0; 3],
-            0.0,
-            [0.439_539_813_2, 0.0, 0.873_545_093_4],
-        ),
-        (
-            [5.0, 3.0, 100.0],
-            [0.0; 3],
-            0.0,
-            [0.039_659_602_7, 0.023_795_761_6, 1.011_596_640_1],
-        ),
-        (
-            [2.0, 3.0, 1.0],
-            [0.5, 1.0, 1.0],
-            0.0,
-            [0.197_685_306_2, 0.148_061_860_5, 0.962_255_972_7],
-        ),
-        (
-            [0.0; 3],
-            [0.0; 3],
-            -9.81,
-            [-0.801_981_032, 0.0, 0.514_571_326],
-        ),
-    ];
-    for (force, moment, gravity, tip) in rows {
-        Benchmark {
-            name: &format!("soft arm, force {force:?}, moment {moment:?}, gravity {gravity}"),
-            rod: &|rule, n| RodParameters {
-                loads: tip_load(n, force, moment, LoadFrame::Spatial),
-                gravity: Vector3::new(gravity, 0.0, 0.0),
-                ..cowper_arm(rule, n)
-            },
-            tip: Vector3::from(tip),
-            parts: 4,
-            tolerance: 1e-3,
-            helical: 20,
-            trapezoidal: (force[0] == 2.0 || gravity != 0.0).then_some(100),
-            bends: force[2] < 50.0,
-        }
-        .check();
-    }
-}
-
-/// The 45-degree bend: an arc of radius 100 in the plane, clamped at the origin with tangent +y, curving to +x, dead
-/// load along +z; E = 1e7, G = 5e6, unit square section. Bathe and Bolourchi (1979); converged tips of a standard rod for
-/// GJ = EI (Simo and Vu-Quoc 1986 use it) and for the torsion constant 0.1406 of a square (notes/benchmarks section 7).
-#[test]
-fn forty_five_degree_bend() {
-    let (e, g) = (1e7, 5e6);
-    let rows = [
-        (
-            e / 12.0,
-            300.0,
-            [22.244_780_945_4, 58.779_122_489_7, 40.191_891_670_2],
-        ),
-        (
-            e / 12.0,
-            450.0,
-            [18.508_178_925_4, 52.238_558_011_2, 48.502_927_344_1],
-        ),
-        (
-            e / 12.0,
-            600.0,
-            [15.684_800_534_0, 47.150_438_573_6, 53.474_858_791_8],
-        ),
-        (
-            0.1406 * g,
-            300.0,
-            [22.112_614_520_5, 58.535_932_620_8, 40.480_261_580_4],
-        ),
-        (
-            0.1406 * g,
-            450.0,
-            [18.369_275_642_9, 51.969_717_355_2, 48.704_788_627_7],
-        ),
-        (
-            0.1406 * g,
-            600.0,
-            [15.557_785_824_0, 46.891_924_781_4, 53.607_369_265_7],
-        ),
-    ];
-    for (torsion, load, tip) in rows {
-        let bend = Benchmark {
-            name: &format!("45-degree bend, GJ = {torsion}, P = {load}"),
-            rod: &|rule, n| RodParameters {
-                length: 100.0 * FRAC_PI_4,
-                section: SectionProfile::Uniform(Section {
-                    linear_stiffness: Vector3::new(g, g, e),
-                    angular_stiffness: Vector3::new(e / 12.0, e / 12.0, torsion),
-                    mass: 1.0,
-                    rotary: Vector3::repeat(1.0 / 12.0),
-                }),
-                rest_curvature: Vector3::new(0.0, 0.01, 0.0),
-                base_rotation: Matrix3::from_columns(&[Vector3::x(), -Vector3::z(), Vector3::y()]),
-                loads: tip_load(n, [0.0, 0.0, load], [0.0; 3], LoadFrame::Spatial),
-                ..soft_arm(rule, n)
-            },
-            tip: Vector3::from(tip),
-            parts: 3,
-            tolerance: 1e-3,
-            helical: 16,
-            trapezoidal: (load == 300.0).then_some(300),
-            bends: true,
-        };
-        bend.check();
+fn forty_five_degree_bends() {
+    for bend in forty_five_degree_bend() {
+        check(&bend);
         let fine = bend.error(StrainRule::Helical, 128) * 100.0 * FRAC_PI_4;
         assert!(fine < 1e-3, "{}: {fine} m off at K = 128", bend.name);
     }
@@ -264,7 +91,6 @@ fn forty_five_degree_bend() {
 /// element is the weight below its middle.
 #[test]
 fn constant_strain_is_exact() {
-    type MakeRod = fn(StrainRule, usize) -> RodParameters;
     let rows: [(MakeRod, Triple, Triple, f64, Triple); 6] = [
         (
             paper_rod,
@@ -315,105 +141,49 @@ fn constant_strain_is_exact() {
     }
 }
 
-/// Dead end moment `2π EI/L` and twice that: the rod rolls up to one and to two circles (Simo and Vu-Quoc 1986, closed
-/// form). Five helical elements, up to 144 degrees each, are exact; the trapezoidal rule converges.
+/// The same under sections of constant volume, whose pure stretch is `e = 1/(1 - F/EA)`: no force below EA is too large,
+/// and none beyond EA has an equilibrium.
 #[test]
-fn end_moment_rolls_up_to_two_circles() {
-    for turns in [0.125, 0.5, 1.0, 1.5, 2.0] {
-        let angle = 2.0 * PI * turns;
-        let exact = Vector3::new((1.0 - angle.cos()) / angle, 0.0, angle.sin() / angle);
-        let error = |rule, n: usize| {
-            let p = RodParameters {
-                loads: tip_load(n, [0.0; 3], [0.0, angle, 0.0], LoadFrame::Spatial),
-                ..unit_rod(rule, n, 100.0)
-            };
-            let (_, shape) = equilibrium(&p, 24);
-            (shape.positions[n] - exact).norm()
+fn constant_volume_stretches_up_to_its_barrier() {
+    let stretched = |rule, share: f64| {
+        let p = RodParameters {
+            model: RodModel::Dilatation,
+            loads: tip_load(2, [0.0, 0.0, 1e4 * share], [0.0; 3], LoadFrame::Spatial),
+            ..paper_rod(rule, 2)
         };
-        let helical = error(StrainRule::Helical, 5);
-        assert!(helical < 1e-8, "{turns} circles: {helical:e}");
-        if turns == 2.0 {
-            assert_second_order(
-                "two circles",
-                error(StrainRule::Trapezoidal, 200),
-                error(StrainRule::Trapezoidal, 400),
+        let rod = Rod::new(&p).unwrap();
+        static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default())
+    };
+    for rule in RULES {
+        for share in [-0.5, 0.05, 0.1, 0.12, 0.5] {
+            let tip = stretched(rule, share).unwrap().positions[2];
+            let error = (tip - Vector3::new(0.0, 0.0, 10.0 / (1.0 - share))).norm() / 10.0;
+            // The solver's 1e-9 of EI/L² over the stiffness that is left, EA (1 - F/EA)².
+            assert!(error < 1e-9, "{rule:?}, {share} EA: {error:e}");
+        }
+        for share in [1.001, 1.2] {
+            let outcome = stretched(rule, share);
+            assert!(
+                matches!(outcome, Err(EquilibriumError::NotConverged { .. })),
+                "{rule:?}, {share} EA: {outcome:?}"
             );
         }
     }
 }
 
-/// A rod whose tip wrench makes it an exact helix of constant strain.
-///
-/// With `κ = (0, a, t)` in the body frame, balance of forces asks for `n = λ κ`, balance of moments
-/// `κ × C₂κ + v × n = 0`, `v = e3 + C₁⁻¹ n`, for `λ = t (GJ - EI) + λ² t (1/GA - 1/EA)`.
-struct Helix {
-    curvature: Vector3<f64>,
-    force: Vector3<f64>,
-    moment: Vector3<f64>,
-    stretch: Vector3<f64>,
-}
-
-/// EI = 1, L = 1.
-const HELIX_SECTION: Section = Section {
-    linear_stiffness: Vector3::new(250.0, 250.0, 750.0),
-    angular_stiffness: Vector3::new(1.0, 1.0, 2.0 / 3.0),
-    mass: 1.0,
-    rotary: Vector3::new(1e-3, 1e-3, 2e-3),
-};
-
-impl Helix {
-    /// `angle` in all over a length of 1, torsion over curvature `slope`.
-    fn new(angle: f64, slope: f64) -> Self {
-        let curvature = Vector3::new(0.0, 1.0, slope) * (angle / 1f64.hypot(slope));
-        let Section {
-            linear_stiffness: c1,
-            angular_stiffness: c2,
-            ..
-        } = HELIX_SECTION;
-        let t = curvature.z;
-        let mut ratio = t * (c2.z - c2.y);
-        for _ in 0..100 {
-            ratio = t * (c2.z - c2.y) + ratio * ratio * t * (1.0 / c1.y - 1.0 / c1.z);
-        }
-        let force = curvature * ratio;
-        let stretch = Vector3::z() + force.component_div(&c1);
-        let moment = c2.component_mul(&curvature);
-        assert!((curvature.cross(&moment) + stretch.cross(&force)).norm() < 1e-12 * moment.norm());
-        Self {
-            curvature,
-            force,
-            moment,
-            stretch,
-        }
+/// Dead end moment `2π EI/L` and twice that: the rod rolls up to one and to two circles (Simo and Vu-Quoc 1986, closed
+/// form). Five helical elements, up to 144 degrees each, are exact; the trapezoidal rule converges.
+#[test]
+fn end_moment_rolls_up_to_two_circles() {
+    for turns in [0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0, 1.5, 2.0] {
+        let helical = roll_up_error(StrainRule::Helical, 5, turns);
+        assert!(helical < 1e-8, "{turns} circles: {helical:e}");
     }
-
-    fn rod(&self, rule: StrainRule, n: usize) -> Rod {
-        Rod::new(&RodParameters {
-            loads: tip_load(n, self.force.into(), self.moment.into(), LoadFrame::Body),
-            section: SectionProfile::Uniform(HELIX_SECTION),
-            ..soft_arm(rule, n)
-        })
-        .unwrap()
-    }
-
-    /// The helix from the origin, along e3 there, at the fraction `s` of the rod.
-    fn position(&self, s: f64) -> Vector3<f64> {
-        let angle = self.curvature.norm();
-        let axis = self.curvature / angle;
-        let along = axis * axis.dot(&self.stretch);
-        let across = self.stretch - along;
-        along * s
-            + across * ((s * angle).sin() / angle)
-            + axis.cross(&across) * ((1.0 - (s * angle).cos()) / angle)
-    }
-
-    fn shape(&self, n: usize) -> Configuration {
-        let at = |q: usize| q as f64 / n as f64;
-        Configuration {
-            positions: (0..=n).map(|q| self.position(at(q))).collect(),
-            rotations: (0..=n).map(|q| exp(&(self.curvature * at(q)))).collect(),
-        }
-    }
+    assert_second_order(
+        "two circles",
+        roll_up_error(StrainRule::Trapezoidal, 200, 2.0),
+        roll_up_error(StrainRule::Trapezoidal, 400, 2.0),
+    );
 }
 
 /// Two turns of a helix with torsion 0.1 to 0.5 of its curvature, held by the wrench derived at [`Helix`]: six helical
@@ -443,67 +213,6 @@ fn end_wrench_makes_a_helix() {
             );
         }
     }
-}
-
-/// The nodes of a straight rod under a wrench that turns with the tip. Seen from the tip the force is constant and
-/// nothing is unknown: `n' = 0`, `m' = -x' × n`, `x' = R (e3 + C₁⁻¹Rᵀn)`, `R' = R (C₂⁻¹Rᵀm)^`, integrated from tip to
-/// base by the classical Runge-Kutta method in about 4000 steps (error far below 1e-10).
-fn follower_shape(
-    section: &Section,
-    length: f64,
-    force: [f64; 3],
-    moment: [f64; 3],
-    n_elements: usize,
-) -> Configuration {
-    let (n, tip_moment) = (Vector3::from(force), Vector3::from(moment));
-    let slope = |x: &Vector3<f64>, r: &Matrix3<f64>| {
-        let m = tip_moment - x.cross(&n);
-        let v = Vector3::z() + (r.transpose() * n).component_div(&section.linear_stiffness);
-        let kappa = (r.transpose() * m).component_div(&section.angular_stiffness);
-        (r * v, r * hat(&kappa))
-    };
-    let substeps = 4000usize.div_ceil(n_elements);
-    let h = -length / (substeps * n_elements) as f64;
-    let (mut x, mut r) = (Vector3::zeros(), Matrix3::identity());
-    let mut from_tip = vec![(x, r)];
-    for _ in 0..n_elements {
-        for _ in 0..substeps {
-            let (x1, r1) = slope(&x, &r);
-            let (x2, r2) = slope(&(x + x1 * (0.5 * h)), &(r + r1 * (0.5 * h)));
-            let (x3, r3) = slope(&(x + x2 * (0.5 * h)), &(r + r2 * (0.5 * h)));
-            let (x4, r4) = slope(&(x + x3 * h), &(r + r3 * h));
-            x += (x1 + x2 * 2.0 + x3 * 2.0 + x4) * (h / 6.0);
-            r += (r1 + r2 * 2.0 + r3 * 2.0 + r4) * (h / 6.0);
-        }
-        from_tip.push((x, r));
-    }
-    // Moved so that the base is at the origin, unturned.
-    let back = r.transpose();
-    Configuration {
-        positions: from_tip.iter().rev().map(|(y, _)| back * (y - x)).collect(),
-        rotations: from_tip.iter().rev().map(|(_, t)| back * t).collect(),
-    }
-}
-
-fn uniform(profile: &SectionProfile) -> Section {
-    profile.at(0.0)
-}
-
-/// Error of the tip under a follower wrench. The one equilibrium that exists is near the continuous one, where the
-/// solver starts.
-fn follower_error(parameters: &RodParameters) -> f64 {
-    let n = parameters.n_elements;
-    let load = &parameters.loads[0];
-    let exact = follower_shape(
-        &uniform(&parameters.section),
-        parameters.length,
-        load.force.into(),
-        load.moment.into(),
-        n,
-    );
-    let rod = Rod::new(parameters).unwrap();
-    let shape = static_equilibrium(&rod, &exact, 0.0, &TipSpring::default()).unwrap();
-    (shape.positions[n] - exact.positions[n]).norm() / parameters.length
 }
 
 /// Follower force and moment at the tip, in the plane (at 20 N the tip turns beyond a right angle) and in space;
@@ -557,58 +266,127 @@ fn stiff_shear_does_not_lock_helical_elements() {
     );
 }
 
-/// Euler's cantilever beyond buckling, `(PL²/EI, u/L, w/L)`: elliptic integrals (notes/benchmarks section 2). The
-/// bent branch is reached by turning a transverse load into the axial one.
-///
+/// Every row of the elastica: at K = 20 an error of 0.5 % of the deflection, in proportion to the load where it crowds the
+/// curvature `sqrt(2 α)` against the clamp; second order in l, position and angle.
+#[test]
+fn elastica_table() {
+    let rows = elastica();
+    let [coarse, fine] = [20, 40].map(|n| bent_across(StrainRule::Helical, n, 1e8, &loads(&rows)));
+    for ((row, coarse), fine) in rows.iter().zip(&coarse).zip(&fine) {
+        let errors = |shape| [row.position_error(shape), row.angle_error(shape)];
+        let (coarse, fine) = (errors(coarse), errors(fine));
+        let allowed = 5e-3 * row.shortening.hypot(row.deflection) * f64::max(1.0, row.load / 20.0);
+        assert!(coarse[0] < allowed, "{row:?}: {coarse:?}");
+        if row.load <= 20.0 {
+            for (coarse, fine) in coarse.iter().zip(fine) {
+                assert_second_order(&format!("{row:?}"), *coarse, fine);
+            }
+        }
+    }
+}
+
+/// A dead load along the rod, no error beyond 0.2 l² (position and angle together, K = 10), second order.
+#[test]
+fn uniform_line_load_converges() {
+    for row in line_load() {
+        let [coarse, fine] = [10, 20].map(|n| {
+            let shape = bent_along(StrainRule::Helical, n, 1e8, row.load);
+            row.position_error(&shape).hypot(row.angle_error(&shape))
+        });
+        assert_second_order(&format!("{row:?}"), coarse, fine);
+        assert!(coarse < 0.01, "{row:?}: {coarse:e}");
+    }
+}
+
+/// Small tip load: the deflection of every node against Timoshenko's `F s/(kGA) + F L s²/(2EI) - F s³/(6EI)` (an example of
+/// PyElastica), both rules at second order in l; the parts of `(F s/L)²` that are not linear are 1e-9 of it.
+#[test]
+fn timoshenko_deflection_curve() {
+    for (rule, n) in RULES.into_iter().zip([10, 100]) {
+        let error = |n: usize| {
+            let force = 1e-4;
+            let p = RodParameters {
+                loads: tip_load(n, [force, 0.0, 0.0], [0.0; 3], LoadFrame::Spatial),
+                ..cowper_arm(rule, n)
+            };
+            let section = uniform(&p.section);
+            let (ga, ei) = (section.linear_stiffness.x, section.angular_stiffness.y);
+            let curve = |s: f64| force * (s / ga + s * s / (2.0 * ei) - s.powi(3) / (6.0 * ei));
+            let (_, shape) = equilibrium(&p, 1);
+            let errors: Vec<f64> = (0..=n)
+                .map(|q| (shape.positions[q].x - curve(q as f64 / n as f64)).abs() / curve(1.0))
+                .collect();
+            largest(&errors)
+        };
+        let (coarse, fine) = (error(n), error(2 * n));
+        assert_second_order(&format!("{rule:?}"), coarse, fine);
+        // Shear below two thousandths of the deflection, locking GA l²/(4 EI).
+        assert!(coarse < 0.015, "{rule:?}: {coarse:e}");
+    }
+}
+
 /// Near the critical load `π²/4` the deflection goes with the root of the distance to it, so an error `c l²` of the
 /// discrete critical load weighs `P/(P - π²/4)` times as much.
+fn buckling_sensitivity(row: &Elastica) -> f64 {
+    row.load / (row.load - 0.25 * PI * PI)
+}
+
+/// Helical, every row: an error that the sensitivity explains, second order in l.
 #[test]
 fn axial_post_buckling() {
-    let rows = [
-        (2.5, 0.026_036_473_230_8, 0.203_769_200_566),
-        (2.75, 0.202_816_869_332, 0.535_835_243_625),
-        (3.0, 0.346_821_942_601, 0.663_629_349_449),
-        (4.0, 0.725_819_813_102, 0.802_406_517_389),
-        (5.0, 0.940_215_520_954, 0.795_217_245_871),
-        (6.0, 1.077_601_048_93, 0.760_856_750_661),
-        (10.0, 1.342_550_354_52, 0.623_022_177_880),
-        (22.493_367_058_4, 1.577_211_109_39, 0.421_442_296_101),
-    ];
-    for (load, u, w) in rows {
-        let error = |rule, n: usize| {
-            let mut shape: Option<Configuration> = None;
-            let turns = 12usize;
-            let raises = 8usize;
-            for part in 1..=raises + turns {
-                let size = load * (part as f64 / raises as f64).min(1.0);
-                let turn = part.saturating_sub(raises) as f64 / turns as f64 * 0.5 * PI;
-                // The last load is exactly axial.
-                let across = if part == raises + turns {
-                    0.0
-                } else {
-                    turn.cos()
-                };
-                let rod = Rod::new(&RodParameters {
-                    loads: tip_load(
-                        n,
-                        [size * across, 0.0, -size * turn.sin()],
-                        [0.0; 3],
-                        LoadFrame::Spatial,
-                    ),
-                    ..unit_rod(rule, n, 1e8)
-                })
-                .unwrap();
-                let start = shape.take().unwrap_or_else(|| rod.rest.clone());
-                shape = Some(static_equilibrium(&rod, &start, 0.0, &TipSpring::default()).unwrap());
-            }
-            (shape.unwrap().positions[n] - Vector3::new(w, 0.0, 1.0 - u)).norm()
-        };
-        let (coarse, fine) = (
-            error(StrainRule::Helical, 20),
-            error(StrainRule::Helical, 40),
+    let rows = post_buckling();
+    let [coarse, fine] = [20, 40].map(|n| buckled(StrainRule::Helical, n, 1e7, &loads(&rows)));
+    for ((row, coarse), fine) in rows.iter().zip(&coarse).zip(&fine) {
+        let (coarse, fine) = (row.position_error(coarse), row.position_error(fine));
+        assert!(
+            coarse < 2e-3 * buckling_sensitivity(row),
+            "{row:?}: {coarse:e}"
         );
-        let sensitivity = load / (load - 0.25 * PI * PI);
-        assert!(coarse < 2e-3 * sensitivity, "{load}: {coarse:e}");
+        assert_second_order(&format!("{row:?}"), coarse, fine);
+    }
+}
+
+/// Trapezoidal rods bend with `EI (1 + λ)`, `λ = GA l²/(4 EI)`: under `1 + λ` times the load they take the shapes of both
+/// tables, here with λ = 1/4. What is left is the rod's own stretch and shear, of order `P/EA` (with GA = EA they leave the
+/// critical load alone), and the angle between neighbors, as under the helical rule.
+#[test]
+fn trapezoidal_elastica_is_that_of_the_locked_stiffness() {
+    let (n, stiffness, locked) = (100, 1e4, 1.25);
+    let rod = Rod::new(&unit_rod(StrainRule::Trapezoidal, n, stiffness)).unwrap();
+    assert!((rod.locking_ratio() - (locked - 1.0)).abs() < 1e-12);
+    let tables = [
+        (elastica(), bent_across as Shapes),
+        (post_buckling(), buckled),
+    ];
+    for (rows, shapes) in tables {
+        let loads: Vec<f64> = rows.iter().map(|row| locked * row.load).collect();
+        let shapes = shapes(StrainRule::Trapezoidal, n, stiffness, &loads);
+        for ((row, load), shape) in rows.iter().zip(loads).zip(&shapes) {
+            let error = row.position_error(shape);
+            let allowed = load / stiffness + row.load / (n * n) as f64;
+            assert!(error < allowed, "{row:?}: {error:e} of {allowed:e}");
+        }
+    }
+}
+
+type Shapes = fn(StrainRule, usize, f64, &[f64]) -> Vec<Configuration>;
+
+/// Trapezoidal rods beyond buckling, elements shorter than 2 sqrt(EI/GA): second order in l towards the helical rule's
+/// extrapolated shape of the same rod.
+#[test]
+fn trapezoidal_post_buckling_converges() {
+    let loads = [3.0, 5.0, 10.0];
+    let tips = |rule, n: usize| {
+        buckled(rule, n, 1e3, &loads)
+            .iter()
+            .map(|shape| shape.positions[n])
+            .collect::<Vec<_>>()
+    };
+    let helical = [80, 160].map(|n| tips(StrainRule::Helical, n));
+    let trapezoidal = [100, 200].map(|n| tips(StrainRule::Trapezoidal, n));
+    for (i, load) in loads.iter().enumerate() {
+        let exact = helical[1][i] + (helical[1][i] - helical[0][i]) / 3.0;
+        let [coarse, fine] = [0, 1].map(|grid| (trapezoidal[grid][i] - exact).norm());
         assert_second_order(&format!("load {load}"), coarse, fine);
     }
 }
@@ -657,7 +435,6 @@ fn euler_buckling_load() {
             ((1.0 + 4.0 * a * euler).sqrt() - 1.0) / (2.0 * a)
         }
     };
-    type MakeRod = fn(StrainRule, usize) -> RodParameters;
     let rods: [(MakeRod, [usize; 2]); 2] = [(cowper_arm, [10, 60]), (paper_rod, [10, 60])];
     for (rod, grids) in rods {
         let error = |rule, n| {

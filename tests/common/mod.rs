@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 
 pub mod extremes;
+pub mod published;
 
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::rotation::exp;
