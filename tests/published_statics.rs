@@ -9,21 +9,19 @@ use std::cell::RefCell;
 use std::f64::consts::{FRAC_PI_4, PI};
 
 use common::published::statics::{
-    Benchmark, Elastica, Helix, bent_across, bent_along, buckled, dilatation_tables, elastica,
-    follower_error, forty_five_degree_bend, line_load, loads, paper_rod_table, post_buckling,
-    roll_up_error, soft_arm_table, uniform, unit_rod,
+    Benchmark, Elastica, Helix, bent_across, bent_along, buckled, critical_load_error,
+    dilatation_tables, elastica, follower_error, forty_five_degree_bend, line_load, loads,
+    paper_rod_table, post_buckling, roll_up_error, soft_arm_table, uniform, unit_rod,
 };
 use common::published::{MakeRod, Triple, largest};
 use common::{
     Dice, RULES, assert_second_order, cowper_arm, equilibrium, paper_rod, soft_arm, tip_load,
 };
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::exp;
-use softarm::mechanics::{
-    Configuration, LoadFrame, Rod, RodModel, RodParameters, Section, StrainRule,
-};
+use softarm::mechanics::{Configuration, LoadFrame, Rod, RodModel, RodParameters, StrainRule};
 
 /// Tolerance, second order of both rules, and the tenth of the elements.
 fn check(benchmark: &Benchmark) {
@@ -391,56 +389,12 @@ fn trapezoidal_post_buckling_converges() {
     }
 }
 
-/// Smallest axial load at which the straight state loses stability: where the tangent stiffness stops being positive
-/// definite. A rod that shears and shortens buckles at `P (1 + P/GA - P/EA) = π² EI/(4 L²)`: with the straight state's
-/// `v₃ = 1 - P/EA`, `x₁' = (v₃ + P/GA) θ` and `EI θ'' + P x₁' = 0`.
+/// [`critical_load_error`], both rules.
 #[test]
 fn euler_buckling_load() {
-    let critical = |parameters: &RodParameters| {
-        let rod = Rod::new(parameters).unwrap();
-        let section = uniform(&parameters.section);
-        let stable = |load: f64| {
-            let mut shape = rod.rest.clone();
-            for x in &mut shape.positions {
-                *x *= 1.0 - load / section.linear_stiffness.z;
-            }
-            let mut forces = NodalForces::zeros(rod.n_nodes());
-            forces.evaluate(&rod, &shape.positions, &shape.rotations, 0.0);
-            let tip = forces.forces[rod.tip()];
-            assert!((tip - Vector3::new(0.0, 0.0, load)).norm() < 1e-6 * load);
-            let k = common::stiffness(&rod, &shape);
-            let free = 6 * rod.first_free_node();
-            let k: DMatrix<f64> = k.view_range(free.., free..).into();
-            ((&k + k.transpose()) * 0.5).cholesky().is_some()
-        };
-        let scale = section.angular_stiffness.x / (parameters.length * parameters.length);
-        let (mut low, mut high) = (0.1 * scale, 20.0 * scale);
-        assert!(stable(low) && !stable(high));
-        for _ in 0..40 {
-            let middle = 0.5 * (low + high);
-            if stable(middle) {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        low
-    };
-    let exact = |s: &Section, length: f64| {
-        let euler = 0.25 * PI * PI * s.angular_stiffness.x / (length * length);
-        let a = 1.0 / s.linear_stiffness.x - 1.0 / s.linear_stiffness.z;
-        if a == 0.0 {
-            euler
-        } else {
-            ((1.0 + 4.0 * a * euler).sqrt() - 1.0) / (2.0 * a)
-        }
-    };
     let rods: [(MakeRod, [usize; 2]); 2] = [(cowper_arm, [10, 60]), (paper_rod, [10, 60])];
     for (rod, grids) in rods {
-        let error = |rule, n| {
-            let p = rod(rule, n);
-            (critical(&p) / exact(&uniform(&p.section), p.length) - 1.0).abs()
-        };
+        let error = |rule, n| critical_load_error(&rod(rule, n));
         for (rule, n) in RULES.into_iter().zip(grids) {
             assert_second_order("critical load", error(rule, n), error(rule, 2 * n));
         }

@@ -2,8 +2,9 @@
 
 use std::f64::consts::{FRAC_PI_4, PI};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{exp, hat};
 use softarm::mechanics::{
     Configuration, DistributedLoad, LoadFrame, Rod, RodModel, RodParameters, Section,
@@ -11,7 +12,7 @@ use softarm::mechanics::{
 };
 
 use super::{MakeRod, Triple, table};
-use crate::common::{cowper_arm, equilibrium, paper_rod, soft_arm, tip_load};
+use crate::common::{cowper_arm, equilibrium, paper_rod, soft_arm, stiffness, tip_load};
 
 /// A rod under its loads, and the tip that it is known to have.
 pub struct Benchmark {
@@ -573,4 +574,52 @@ pub fn follower_error(parameters: &RodParameters) -> f64 {
     let rod = Rod::new(parameters).unwrap();
     let shape = static_equilibrium(&rod, &exact, 0.0, &TipSpring::default()).unwrap();
     (shape.positions[n] - exact.positions[n]).norm() / parameters.length
+}
+
+/// Smallest axial load at which the straight state loses stability: where the tangent stiffness stops being positive
+/// definite.
+fn critical_load(parameters: &RodParameters) -> f64 {
+    let rod = Rod::new(parameters).unwrap();
+    let section = uniform(&parameters.section);
+    let stable = |load: f64| {
+        let mut shape = rod.rest.clone();
+        for x in &mut shape.positions {
+            *x *= 1.0 - load / section.linear_stiffness.z;
+        }
+        let mut forces = NodalForces::zeros(rod.n_nodes());
+        forces.evaluate(&rod, &shape.positions, &shape.rotations, 0.0);
+        let tip = forces.forces[rod.tip()];
+        assert!((tip - Vector3::new(0.0, 0.0, load)).norm() < 1e-6 * load);
+        let k = stiffness(&rod, &shape);
+        let free = 6 * rod.first_free_node();
+        let k: DMatrix<f64> = k.view_range(free.., free..).into();
+        ((&k + k.transpose()) * 0.5).cholesky().is_some()
+    };
+    let scale = section.angular_stiffness.x / (parameters.length * parameters.length);
+    let (mut low, mut high) = (0.1 * scale, 20.0 * scale);
+    assert!(stable(low) && !stable(high));
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if stable(middle) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+/// Relative error of the buckling load. A rod that shears and shortens buckles at `P (1 + P/GA - P/EA) = π² EI/(4 L²)`: with the straight state's
+/// `v₃ = 1 - P/EA`, `x₁' = (v₃ + P/GA) θ` and `EI θ'' + P x₁' = 0`.
+pub fn critical_load_error(parameters: &RodParameters) -> f64 {
+    let s = uniform(&parameters.section);
+    let length = parameters.length;
+    let euler = 0.25 * PI * PI * s.angular_stiffness.x / (length * length);
+    let a = 1.0 / s.linear_stiffness.x - 1.0 / s.linear_stiffness.z;
+    let exact = if a == 0.0 {
+        euler
+    } else {
+        ((1.0 + 4.0 * a * euler).sqrt() - 1.0) / (2.0 * a)
+    };
+    (critical_load(parameters) / exact - 1.0).abs()
 }
