@@ -126,6 +126,26 @@ fn springs_hold_the_tip() {
     }
 }
 
+/// Rods from soft to practically inextensible, EA = GA = 1e4 to 1e9 EI/L² (slenderness to 16 000), under a load that bends them by half their
+/// length: rounding of their stretch, which no iteration can lower, is no failure, and the shape is that of the elastica but
+/// for its strain, `P/EA`.
+#[test]
+fn rounding_of_stretch_is_no_failure() {
+    let tip = |stiffness: f64| {
+        let p = RodParameters {
+            loads: tip_load(100, [3.0, 0.0, 0.0], [0.0; 3], LoadFrame::Spatial),
+            ..unit_rod(StrainRule::Helical, 100, stiffness)
+        };
+        equilibrium(&p, 4).1.positions[100]
+    };
+    let reference = tip(1e7);
+    for exponent in 4..=9 {
+        let stiffness = 10f64.powi(exponent);
+        let off = (tip(stiffness) - reference).norm();
+        assert!(off < 3.0 / stiffness + 1e-6, "{stiffness:e}: {off:e}");
+    }
+}
+
 /// The rest shape of a curved rod is an equilibrium under both rules, with no force anywhere.
 #[test]
 fn rest_shape_is_free_of_stress() {

@@ -89,10 +89,23 @@ pub enum EquilibriumError {
         /// Scaled residual that remained.
         residual: f64,
     },
+    /// An element is stretched beyond all measure: the load is more than its model bears.
+    #[error(
+        "element {element} would be stretched to {dilatation:.1e} of its length: its model bears no such load; reduce it, or \
+         stiffen the rod"
+    )]
+    Overstretched {
+        /// Element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Length over the length at rest.
+        dilatation: f64,
+    },
 }
 
-/// Scaled residual at which Newton's method is done; rounding of the stiffest element is near 1e-13 of EA.
+/// Scaled residual at which Newton's method is done, where [rounding](Statics::rounding) allows it.
 const TOLERANCE: f64 = 1e-9;
+/// Beyond this no length means anything.
+const LARGEST_DILATATION: f64 = 1e6;
 const OUTER_LIMIT: usize = 200;
 const LBFGS_ITERATIONS: u64 = 30;
 const LBFGS_MEMORY: usize = 12;
@@ -108,7 +121,7 @@ const LARGEST_NEWTON_TURN: f64 = 0.5;
 /// Finds an equilibrium from `start` whose base stays where it is in `start`, with loads at their value at time `t`.
 ///
 /// # Errors
-/// [`EquilibriumError`] for a free base or when the iterations run out.
+/// [`EquilibriumError`] for a free base, when the iterations run out, or for a load that no shape bears.
 pub fn static_equilibrium(
     rod: &Rod,
     start: &Configuration,
@@ -125,8 +138,9 @@ pub fn static_equilibrium(
     while iterations < OUTER_LIMIT {
         iterations += 1;
         let size = statics.scaled(&residual);
-        if size <= TOLERANCE {
-            return Ok(center);
+        let tolerance = TOLERANCE.max(statics.rounding(&center));
+        if size <= tolerance {
+            return checked(rod, center);
         }
         if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
             if statics.scaled(&trial_residual) < 0.5 * size {
@@ -136,7 +150,7 @@ pub fn static_equilibrium(
             }
             // At rounding already: nothing more can be gained.
             if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
-                return Ok(center);
+                return checked(rod, center);
             }
         }
         let lower = statics.minimize(&center);
@@ -150,6 +164,17 @@ pub fn static_equilibrium(
         iterations,
         residual: statics.scaled(&residual),
     })
+}
+
+fn checked(rod: &Rod, shape: Configuration) -> Result<Configuration, EquilibriumError> {
+    let dilatation = rod.dilatation(&shape.positions);
+    match dilatation.iter().position(|e| !(*e < LARGEST_DILATATION)) {
+        None => Ok(shape),
+        Some(element) => Err(EquilibriumError::Overstretched {
+            element,
+            dilatation: dilatation[element],
+        }),
+    }
 }
 
 struct Statics<'a> {
@@ -206,6 +231,15 @@ impl<'a> Statics<'a> {
             largest = largest.max(size);
         }
         largest
+    }
+
+    /// What rounding of the positions leaves of the scaled residual: `2 |x| ε C₁/l` from either side of a node.
+    fn rounding(&self, at: &Configuration) -> f64 {
+        let farthest = at.positions.iter().map(|x| x.norm()).fold(0.0, f64::max);
+        let stiffest = (self.rod.elements.iter())
+            .map(|element| element.linear_stiffness.max() / element.length)
+            .fold(0.0, f64::max);
+        4.0 * f64::EPSILON * farthest * stiffest / self.rod.scales.force
     }
 
     fn stiffness(&self, at: &Configuration) -> TangentStiffness {
