@@ -329,7 +329,15 @@ impl<'a> LaneIntegrator<'a> {
     /// Position of a node, spatial, m.
     #[must_use]
     pub fn position(&self, node: usize) -> Vector3<f64> {
-        self.get(self.slots.place(node), POSITION)
+        self.of_node(node, POSITION)
+    }
+
+    /// Three rows of a node; of a base that is held, those it is set to.
+    fn of_node(&self, node: usize, row: usize) -> Vector3<f64> {
+        match &self.base {
+            Some(held) if node == 0 => Vector3::from_column_slice(&held.rows[row..row + 3]),
+            _ => self.get(self.slots.place(node), row),
+        }
     }
 
     /// Rotation of a node, body to space.
@@ -339,9 +347,14 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     fn quaternion(&self, node: usize) -> Quaternion<f64> {
-        let place = self.slots.place(node);
-        let w = self.state[self.slots.index(place, STATE_ROWS, ROTATION)];
-        Quaternion::from_parts(w, self.get(place, ROTATION + 1))
+        let w = match &self.base {
+            Some(held) if node == 0 => held.rows[ROTATION],
+            _ => {
+                let place = self.slots.place(node);
+                self.state[self.slots.index(place, STATE_ROWS, ROTATION)]
+            }
+        };
+        Quaternion::from_parts(w, self.of_node(node, ROTATION + 1))
     }
 
     /// State at the current time node, momenta included.
@@ -351,9 +364,9 @@ impl<'a> LaneIntegrator<'a> {
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.time_step;
         let momentum = |row: usize, force_row: usize, control: Vector3<f64>| {
-            let places = nodes.clone().map(|q| self.slots.place(q));
-            let mut momentum: Vec<_> = places
-                .map(|at| self.get(at, row) * damping + self.get(at, force_row) * before)
+            let mut momentum: Vec<_> = nodes
+                .clone()
+                .map(|q| self.of_node(q, row) * damping + self.of_node(q, force_row) * before)
                 .collect();
             momentum[self.rod.tip()] += control * before;
             momentum
@@ -404,8 +417,13 @@ impl<'a> LaneIntegrator<'a> {
         let kick = |before: Vector3<f64>, after: Vector3<f64>| (before + after) * 0.5;
         let force = kick(self.control.force, control[0].force);
         let moment = kick(self.control.moment, control[0].moment);
-        self.add(self.tip, FORCE, &force);
-        self.add(self.tip, MOMENT, &moment);
+        // Single numbers written where a vector is read next hold it up.
+        if force != Vector3::zeros() {
+            self.add(self.tip, FORCE, &force);
+        }
+        if moment != Vector3::zeros() {
+            self.add(self.tip, MOMENT, &moment);
+        }
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -458,7 +476,10 @@ impl<'a> LaneIntegrator<'a> {
         if let Some((base, _)) = &base {
             self.set_base_momenta(base);
         }
-        self.put_base();
+        // A clamped base without spin does not move anyway; its momenta are not looked at.
+        if base.is_some() || !self.spin.is_empty() {
+            self.put_base();
+        }
         self.step += 1;
         self.control = control[1];
         self.add_loads();
