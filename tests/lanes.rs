@@ -238,6 +238,40 @@ fn a_collapsed_element_is_named() {
     }
 }
 
+/// An element whose ends are thrown past half a turn against each other, wherever it is: the error of the plain integrator,
+/// its angle to rounding, amplified by some steps of violent motion. (Under `consistent` the spin tears at the nodes first.)
+#[test]
+fn a_folded_element_is_named() {
+    for (rule, model) in laws().filter(|law| law.1 != RodModel::Consistent) {
+        for element in [1, 4, 7] {
+            let rod = Rod::new(&RodParameters {
+                model,
+                base: BaseCondition::Free,
+                ..paper_rod(rule, 9)
+            })
+            .unwrap();
+            let h = 0.2 * stable_step(&rod);
+            let mut state = State::at_rest(rod.rest.clone());
+            for (node, turn) in [(element, -0.8), (element + 1, 0.8)] {
+                state.angular_momentum[node].x = turn * rod.nodes[node].rotary.x / h;
+            }
+            let [plain, lanes] =
+                errors(&rod, h, &state, Wrench::default()).map(|error| match error {
+                    StepError::ElementFolded {
+                        element,
+                        step,
+                        angle,
+                        ..
+                    } => (element, step, angle),
+                    other => panic!("{rule:?} {model:?} {element}: {other}"),
+                });
+            assert_eq!((plain.0, plain.1), (element, lanes.1), "{rule:?} {model:?}");
+            assert_eq!(lanes.0, element);
+            assert!(plain.2 > std::f64::consts::PI && (plain.2 - lanes.2).abs() < 1e-10);
+        }
+    }
+}
+
 /// A base that is driven too fast, or nowhere, is refused as by the plain integrator.
 #[test]
 fn motions_of_the_base_are_checked() {
