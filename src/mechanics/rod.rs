@@ -576,6 +576,13 @@ impl Rod {
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
     }
 
+    /// Puts a driven base where its motion starts, and leaves any other.
+    pub fn start_base(&self, state: &mut State) {
+        if let Some(base) = self.driven_base(0.0) {
+            self.set_base(&base, state);
+        }
+    }
+
     /// Mean power that Kelvin-Voigt damping takes over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
     #[must_use]
     pub fn internal_dissipation(

@@ -31,9 +31,7 @@ impl<'a> Stepper<'a> {
     /// Starts from a state at time 0; a driven base is put where its motion starts.
     #[must_use]
     pub fn new(rod: &'a Rod, time_step: f64, mut initial: State) -> Self {
-        if let Some(base) = rod.driven_base(0.0) {
-            rod.set_base(&base, &mut initial);
-        }
+        rod.start_base(&mut initial);
         Self::resume(rod, time_step, initial, 0)
     }
 

@@ -172,15 +172,9 @@ impl<'a> LaneIntegrator<'a> {
         time_step: f64,
         initial: &State,
     ) -> Self {
-        let integrator = Self::empty(arch, n_lanes, rod, time_step);
-        match rod.driven_base(0.0) {
-            None => integrator.seated(initial, 0),
-            Some(base) => {
-                let mut initial = initial.clone();
-                rod.set_base(&base, &mut initial);
-                integrator.seated(&initial, 0)
-            }
-        }
+        let mut initial = initial.clone();
+        rod.start_base(&mut initial);
+        Self::empty(arch, n_lanes, rod, time_step).seated(&initial, 0)
     }
 
     fn empty(arch: Arch, n_lanes: usize, rod: &'a Rod, time_step: f64) -> Self {
