@@ -31,6 +31,7 @@ pub(super) fn simulation_page(
             ok: summary.status == "completed",
         },
         facts: vec![
+            fact("model", summary.model),
             fact("strain rule", summary.strain),
             fact("elements", summary.elements),
             fact(
