@@ -3,12 +3,16 @@
 
 mod common;
 
-use common::{Dice, RULES, bases, busy_arm, laws, random_state, random_trajectory};
+use common::{
+    Dice, Method, RULES, bases, busy_arm, exact_methods, laws, random_state, random_trajectory,
+};
 use faer::Mat;
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use softarm::mechanics::curvature::{
     Multipliers, element_curvature, inertia_curvature, lagrangian_curvature, load_curvature,
+    stress_curvature,
 };
+use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{
     Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
@@ -17,7 +21,8 @@ use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
+    BaseCondition, Integrator, Rod, RodModel, RodParameters, State, StrainRule, TimeGrid,
+    Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -82,6 +87,96 @@ fn element_curvature_is_the_second_derivative() {
             assert_eq!(q, q.transpose());
             let size = direction.abs().dot(&(q.abs() * direction.abs()));
             let error = direction.dot(&(q * direction)) - second_difference(1e-3, w);
+            worst = worst.max(error.abs() / size);
+        }
+    }
+    assert!(worst < 1e-8, "{worst:e}");
+}
+
+/// Random poses at both ends of an interval, random covectors and directions, weights of implicit steps and of damping, both
+/// rules: the forms of the interval are the second difference of `w_start·B_startᵀσ + w_end·B_endᵀσ` along the charts.
+#[test]
+fn stress_curvature_is_the_second_derivative() {
+    let mut dice = Dice(14);
+    let mut worst: f64 = 0.0;
+    let l = 0.13;
+    for trial in 0..200 {
+        for rule in RULES {
+            let element = Element {
+                model: RodModel::Standard,
+                length: l,
+                linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
+                angular_stiffness: Vector3::new(0.03, 0.02, 0.05),
+                rest: ElementStrain {
+                    linear: [Vector3::new(0.1, -0.05, 1.1); 2],
+                    curvature: Vector3::new(0.4, -0.2, 0.6),
+                },
+            };
+            let weights = [
+                IntervalWeights {
+                    start: 0.5,
+                    end: 0.5,
+                },
+                IntervalWeights {
+                    start: -1.3,
+                    end: 2.3,
+                },
+            ][trial % 2];
+            let bend = [1.2, 1e-4, 0.0][trial % 3];
+            let poses: [_; 2] = std::array::from_fn(|_| {
+                let a = exp(&dice.vector(1.5));
+                let b = a * exp(&dice.vector(bend));
+                (a * (Vector3::z() + dice.vector(0.4)) * l, a, b)
+            });
+            let mut nine = || {
+                let (a, b, c) = (dice.vector(l), dice.vector(1.0), dice.vector(1.0));
+                SVector::<f64, 9>::from_iterator(a.iter().chain(&b).chain(&c).copied())
+            };
+            let covectors = [nine(), nine()];
+            let directions = [nine(), nine()];
+            let part =
+                |v: &SVector<f64, 9>, i: usize| -> Vector3<f64> { v.fixed_rows::<3>(3 * i).into() };
+            let w = |s: f64| {
+                let moved: [_; 2] = std::array::from_fn(|end| {
+                    let ((dx, a, b), d) = (&poses[end], &directions[end]);
+                    let turn = |r: &Matrix3<f64>, i: usize| r * exp(&(s * part(d, i)));
+                    (dx + s * part(d, 0), turn(a, 1), turn(b, 2))
+                });
+                let poses = (moved.each_ref()).map(|(dx, a, b)| ElementPose {
+                    dx: *dx,
+                    rotation_a: a,
+                    rotation_b: b,
+                });
+                let [start, end] = (poses.each_ref()).map(|pose| rule.strain(l, pose));
+                let stress = element.interval_stress([&start, &end], [weights.start, weights.end]);
+                (poses.iter().zip(&covectors))
+                    .map(|(pose, covector)| {
+                        let pull = element.gradient_under(rule, pose, &stress);
+                        pull.force.dot(&part(covector, 0))
+                            + pull.moment_a.dot(&part(covector, 1))
+                            + pull.moment_b.dot(&part(covector, 2))
+                    })
+                    .sum::<f64>()
+            };
+            let ends: [_; 2] = std::array::from_fn(|end| {
+                let (dx, a, b) = &poses[end];
+                let pose = ElementPose {
+                    dx: *dx,
+                    rotation_a: a,
+                    rotation_b: b,
+                };
+                (pose, covectors[end])
+            });
+            let q = stress_curvature(&element, rule, weights, &ends);
+            assert_eq!(q.start, q.start.transpose());
+            assert_eq!(q.end, q.end.transpose());
+            let [a, b] = directions;
+            let form = |q: [SMatrix<f64, 9, 9>; 3], a: &SVector<f64, 9>, b: &SVector<f64, 9>| {
+                a.dot(&(q[0] * a)) + 2.0 * a.dot(&(q[1] * b)) + b.dot(&(q[2] * b))
+            };
+            let blocks = [q.start, q.cross, q.end];
+            let size = form(blocks.map(|q| q.abs()), &a.abs(), &b.abs());
+            let error = form(blocks, &a, &b) - second_difference(1e-3, w);
             worst = worst.max(error.abs() / size);
         }
     }
@@ -212,12 +307,11 @@ struct Case {
 impl Case {
     /// Loads, damping, taper, gravity, an initial motion, a random control, and the outcome
     /// `a·x_tip + b·p_tip + c·π_tip`, which has no curvature of its own.
-    fn new(rule: StrainRule, base: BaseCondition, n_steps: usize, n_blocks: usize) -> Self {
-        let rod = Rod::new(&RodParameters {
+    fn new(method: Method, base: BaseCondition, n_steps: usize, n_blocks: usize) -> Self {
+        let rod = method.rod(RodParameters {
             base,
-            ..busy_arm(rule, 4)
-        })
-        .unwrap();
+            ..busy_arm(method.rule, 4)
+        });
         let mut dice = Dice(21);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
         let mut terminal = StateTangent::zeros(rod.n_nodes());
@@ -342,9 +436,9 @@ fn distance(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 /// difference, extrapolated once, of the adjoint gradient of a linear outcome of the end, and it is symmetric.
 #[test]
 fn reduced_curvature_is_the_hessian_of_the_outcome() {
-    for rule in RULES {
+    for method in exact_methods() {
         for base in bases() {
-            let case = Case::new(rule, base.clone(), 70, 4);
+            let case = Case::new(method, base.clone(), 70, 4);
             let curvature = case.sweep_curvature(&case.roll_out(&case.control), 1);
             let n = case.blocks.n_columns();
             let mut differences = Mat::zeros(n, n);
@@ -364,7 +458,7 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
                 }
             }
             let error = distance(&curvature, &differences);
-            assert!(error < 1e-7, "{rule:?} {base:?}: {error:e}");
+            assert!(error < 1e-7, "{method:?} {base:?}: {error:e}");
         }
     }
 }
@@ -373,9 +467,9 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
 /// the columns of the forward sweep to rounding, and the number of threads changes no bit.
 #[test]
 fn fast_reduction_equals_the_clear_one() {
-    for rule in RULES {
+    for method in exact_methods() {
         for base in bases() {
-            let case = Case::new(rule, base.clone(), 70, 6);
+            let case = Case::new(method, base.clone(), 70, 6);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(5));
             let fast = case.sweep_curvature(&trajectory, 1);
             for n_threads in [2, 3, 50] {
@@ -398,7 +492,7 @@ fn fast_reduction_equals_the_clear_one() {
             };
             let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns).unwrap();
             let error = distance(&fast, &clear);
-            assert!(error < 1e-11, "{rule:?} {base:?}: {error:e}");
+            assert!(error < 1e-11, "{method:?} {base:?}: {error:e}");
         }
     }
 }
@@ -409,9 +503,9 @@ fn fast_reduction_equals_the_clear_one() {
 /// of the largest rotation.
 #[test]
 fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
-    for rule in RULES {
+    for method in exact_methods() {
         for base in bases() {
-            let case = Case::new(rule, base.clone(), 40, 2);
+            let case = Case::new(method, base.clone(), 40, 2);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(6));
             let motion = case.motion();
             let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();
@@ -440,7 +534,7 @@ fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
                 let bend = second_difference(3e-3, value) / (unit * unit);
                 let error = (bend - curvature[(j, j)]).abs() / largest[j % 6 / 3];
                 assert!((slope - gradient[j]).abs() < 1e-6 * slope_size);
-                assert!(error < 1e-6, "{rule:?} {base:?} {j}: {error:e}");
+                assert!(error < 1e-6, "{method:?} {base:?} {j}: {error:e}");
             }
         }
     }

@@ -11,7 +11,7 @@ use clarabel::solver::{
     DefaultSettingsBuilder, DefaultSolver, IPSolver as _, NonnegativeConeT, SecondOrderConeT,
     SolverStatus, SupportedConeT, ZeroConeT,
 };
-use common::{Dice, RULES, busy_arm, random_state, random_trajectory};
+use common::{Dice, Method, busy_arm, exact_methods, random_state, random_trajectory};
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use nalgebra::Vector3;
@@ -22,7 +22,7 @@ use softarm::control::{
 use softarm::mechanics::linearization::Defects;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{Rod, StrainRule, TimeGrid, TrajectoryTangent};
+use softarm::mechanics::{TimeGrid, TimeScheme, TrajectoryTangent};
 use softarm::sqp::hessian::ModelHessian;
 use softarm::sqp::quadratic_program::{QpSolution, QuadraticProgram};
 use softarm::sqp::{ConvexSet, Evaluation, HessianKind, LiftedProgram as _, Linearization};
@@ -35,7 +35,7 @@ const INTERIOR: f64 = 1e-5;
 /// What a case looks like.
 #[derive(Clone, Copy, Debug)]
 struct Look {
-    rule: StrainRule,
+    method: Method,
     hold: Hold,
     elements: usize,
     steps: usize,
@@ -46,7 +46,7 @@ struct Look {
 
 /// Taper, rest curvature, gravity, damping, a payload, dead, follower and line loads, an initial motion.
 fn problem(look: Look) -> OptimalControlProblem {
-    let rod = Rod::new(&busy_arm(look.rule, look.elements)).unwrap();
+    let rod = look.method.rod(busy_arm(look.method.rule, look.elements));
     let mut dice = Dice(31);
     let initial = random_state(&rod, 0.05, 0.5, &mut dice);
     let step = 0.5 * stable_step(&rod);
@@ -387,17 +387,17 @@ fn factor_condensed(linearization: &Linearization) -> (Vec<f64>, Vec<f64>) {
     )
 }
 
-/// The looks of the equality-constrained cases: both rules, both holds, two sizes, all rows of a target.
+/// The looks of the equality-constrained cases: every method, both holds, two sizes, all rows of a target.
 fn looks(enforcement: Enforcement) -> Vec<Look> {
     let mut looks = Vec::new();
-    for rule in RULES {
+    for method in exact_methods() {
         for (hold, elements, steps, at_rest, rotation) in [
             (Hold::Constant, 3, 20, true, false),
             (Hold::Linear, 2, 17, true, false),
             (Hold::Constant, 2, 12, false, true),
         ] {
             looks.push(Look {
-                rule,
+                method,
                 hold,
                 elements,
                 steps,
@@ -744,7 +744,10 @@ enum Confinement {
 /// is flat along some directions, and the step off by up to three times as much.
 #[test]
 fn confined_step_equals_the_full_one() {
-    for rule in RULES {
+    // How time is stepped makes no difference to what confines a step of the solver.
+    let explicit =
+        |method: &Method| method.scheme == TimeScheme::Explicit && method.internal_damping == 0.0;
+    for method in exact_methods().filter(explicit) {
         for confinement in [
             Confinement::Norms,
             Confinement::PerAxis,
@@ -752,7 +755,7 @@ fn confined_step_equals_the_full_one() {
             Confinement::OutOfReach,
         ] {
             let look = Look {
-                rule,
+                method,
                 hold: Hold::Constant,
                 elements: 2,
                 steps: 14,
@@ -839,15 +842,15 @@ fn confined_step_equals_the_full_one() {
             let best = qp.value(&step);
             let excess = (qp.value(&own) - best) / best.abs();
             println!(
-                "{rule:?} {confinement:?}: {errors:?}, excess {excess:.1e}, slack {:.1e}, moved by {confined:.1e}",
+                "{method:?} {confinement:?}: {errors:?}, excess {excess:.1e}, slack {:.1e}, moved by {confined:.1e}",
                 solution.slack
             );
             assert!(confined > 1e-2, "nothing was active");
-            assert!(excess < 1e-9, "{rule:?} {confinement:?}: {excess:e}");
+            assert!(excess < 1e-9, "{method:?} {confinement:?}: {excess:e}");
             let flat = if solution.slack > 1e-9 { 3.0 } else { 1.0 };
             assert!(
                 errors.iter().all(|e| *e < flat * INTERIOR),
-                "{rule:?} {confinement:?}: {errors:?}"
+                "{method:?} {confinement:?}: {errors:?}"
             );
         }
     }
@@ -858,14 +861,14 @@ fn confined_step_equals_the_full_one() {
 /// of the states to the controls and to their defects. Differences: `s⁴` of the terms, 1e-9.
 #[test]
 fn curvature_equals_the_dense_one() {
-    for rule in RULES {
+    for method in exact_methods() {
         for (at_rest, enforcement) in [
             (false, Enforcement::Hard),
             (true, Enforcement::Hard),
             (false, Enforcement::Soft { weight: 0.01 }),
         ] {
             let problem = problem(Look {
-                rule,
+                method,
                 hold: Hold::Constant,
                 elements: 2,
                 steps: if at_rest { 16 } else { 12 },
@@ -938,10 +941,10 @@ fn curvature_equals_the_dense_one() {
                 difference(&linearization.model_gradient, &pulled),
             ];
             println!(
-                "{rule:?} {enforcement:?}: {errors:?}, curvature {share:.1e}, cross term {defect_share:.1e}"
+                "{method:?} {enforcement:?}: {errors:?}, curvature {share:.1e}, cross term {defect_share:.1e}"
             );
             assert!(share > 1e-3 && defect_share > 1e-4, "the terms must count");
-            assert!(errors.iter().all(|e| *e < 1e-7), "{rule:?}: {errors:?}");
+            assert!(errors.iter().all(|e| *e < 1e-7), "{method:?}: {errors:?}");
 
             // And the step: full space by one factorization, condensed by the solver's model.
             let c: Vec<f64> = here.rows.iter().chain(&here.target).copied().collect();
@@ -950,7 +953,7 @@ fn curvature_equals_the_dense_one() {
             let found = &found[n_states..];
             let model = ModelHessian::exact(&linearization, &[]);
             if enforcement == Enforcement::Hard {
-                assert_eq!(model.kind, HessianKind::Exact, "{rule:?}");
+                assert_eq!(model.kind, HessianKind::Exact, "{method:?}");
             }
             let solution = solve_condensed(
                 &program,
@@ -973,13 +976,13 @@ fn curvature_equals_the_dense_one() {
                 difference(&solution.change, change),
                 difference(&solution.multipliers.constraints, found),
             ];
-            println!("{rule:?} {enforcement:?}: step {errors:?}, Clarabel {interior:?}");
-            // The differences' 1e-9 times the condition of the reduced Hessian.
-            assert!(errors.iter().all(|e| *e < 1e-6), "{rule:?}: {errors:?}");
+            println!("{method:?} {enforcement:?}: step {errors:?}, Clarabel {interior:?}");
+            // The differences' 1e-9 times the condition of the reduced Hessian, up to 5e3.
+            assert!(errors.iter().all(|e| *e < 5e-6), "{method:?}: {errors:?}");
             // A convexified model has another step.
             assert!(
                 model.kind != HessianKind::Exact || interior.iter().all(|e| *e < INTERIOR),
-                "{rule:?}: {interior:?}"
+                "{method:?}: {interior:?}"
             );
         }
     }

@@ -9,7 +9,6 @@ use nalgebra::Vector3;
 
 use super::problem::{Bound, Enforcement, OptimalControlProblem, TargetPart, TargetRow};
 use crate::mechanics::curvature::Multipliers;
-use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::linearization::{
     Defects, Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
@@ -40,8 +39,7 @@ pub struct LiftedDirection {
     pub trajectory: TrajectoryTangent,
 }
 
-/// An optimal-control problem, transcribed. Its exact Hessian is available for explicit steps without internal damping; otherwise
-/// there is the Gauss-Newton one only.
+/// An optimal-control problem, transcribed.
 pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<usize>,
@@ -290,9 +288,6 @@ impl LiftedProgram for Transcription<'_> {
         multipliers: Option<&[f64]>,
     ) -> Result<Linearization, Failure> {
         let motion = self.motion();
-        // The exact Hessian does not know stresses of intervals; Gauss-Newton does without.
-        let weights = IntervalWeights::of(motion.rod, motion.grid.step);
-        let multipliers = multipliers.filter(|_| weights.is_none());
         let residuals = self.target_residuals(&point.trajectory, &evaluation.defects);
         let covectors: Vec<[f64; 12]> = self
             .rows

@@ -110,6 +110,11 @@ pub struct BlockLu {
 }
 
 impl BlockLu {
+    /// See the field.
+    pub(super) fn factors(&self) -> &BlockTridiagonal {
+        &self.factors
+    }
+
     /// `A⁻¹ b`, in place.
     pub fn solve(&self, b: &mut [Vector6<f64>]) {
         let BlockTridiagonal {

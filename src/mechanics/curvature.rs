@@ -9,6 +9,9 @@
 //! Σ_{k=0..N} weight_k Σ_q [λx_kq·δ²f_q + λr_kq·δ²τ_q] + Σ_{k<N} Σ_q [decay_{k+1} λr_{k+1,q}·δ²π_q(F_k) - λr_kq·δ²g_q(F_k)]
 //! ```
 //!
+//! A stress of the [interval](super::implicit) adds `Σ_{k<N} δ²(w_k·B_kᵀσ + w_{k+1}·B_{k+1}ᵀσ)` with `w_k = -(h/2) impulse_k λ_k`,
+//! which couples whole elements at both ends of the interval ([`StressCurvature`]).
+//!
 //! All second derivatives are those in the chart `x + δx`, `R exp(ζ̂)`, hence symmetric. They are not those of
 //! another chart, nor the derivative of the left-trivialized derivative; their sum over all rows is the same in each,
 //! because `L` is stationary.
@@ -20,12 +23,16 @@ use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::configuration::{Trajectory, TrajectoryTangent};
+use super::implicit::IntervalWeights;
 use super::integrator::StepError;
 use super::linearization::{AdjointSweep, Motion, StateTangent, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
 use super::rotation::{exp, hat};
-use super::strain::{Element, ElementPose, ElementStiffness, StrainRule};
+use super::strain::{
+    Element, ElementPose, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative,
+    StrainRule,
+};
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
 pub type ElementCurvature = SMatrix<f64, 9, 9>;
@@ -69,12 +76,34 @@ pub struct NodeCurvature {
 /// The terms of the second derivative that belong to time node `k` and to the interval that follows it.
 #[derive(Clone, Debug)]
 pub struct StepCurvature {
-    /// `weight λ·δ²` of the elastic forces at `k`, element by element.
+    /// `weight λ·δ²` of the elastic forces at `k`, element by element; none under
+    /// [`TimeScheme::Implicit`](super::TimeScheme::Implicit).
     pub elements: Vec<ElementCurvature>,
     /// The same of the loads.
     pub loads: Vec<NodeCurvature>,
-    /// `decay_{k+1} λr_{k+1}·δ²π - λr_k·δ²g` of every node; absent at the last time node.
+    /// The interval that follows.
+    pub interval: IntervalCurvature,
+}
+
+/// The terms that belong to the interval from one time node to the next; empty after the last.
+#[derive(Clone, Debug, Default)]
+pub struct IntervalCurvature {
+    /// `decay_{k+1} λr_{k+1}·δ²π - λr_k·δ²g` of every node.
     pub inertia: Vec<InertiaCurvature>,
+    /// Those of the stress, element by element; empty where none depends on both ends.
+    pub stress: Vec<StressCurvature>,
+}
+
+/// Second derivative of `w_start·B_startᵀσ + w_end·B_endᵀσ` along `(δx_b - δx_a, ζ_a, ζ_b)` of an element at both ends of an
+/// interval, for constant components `w` and the stress `σ` that the strains at both ends make.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StressCurvature {
+    /// Both directions where the interval starts; symmetric.
+    pub start: ElementCurvature,
+    /// Rows where it starts, columns where it ends.
+    pub cross: ElementStiffness,
+    /// Both where it ends; symmetric.
+    pub end: ElementCurvature,
 }
 
 impl StepCurvature {
@@ -129,11 +158,11 @@ impl StepCurvature {
         Self {
             elements,
             loads,
-            inertia: interval_curvature(motion, trajectory, multipliers, k),
+            interval: IntervalCurvature::at(motion, trajectory, multipliers, k),
         }
     }
 
-    /// The bilinear form on two directions, each given by its part at `k` and its rotations at `k + 1`.
+    /// The bilinear form on two directions, each given by its parts at `k` and at `k + 1`.
     fn form(&self, a: &Slice, b: &Slice) -> f64 {
         let mut sum = 0.0;
         for (q, element) in self.elements.iter().enumerate() {
@@ -142,24 +171,72 @@ impl StepCurvature {
         for load in &self.loads {
             sum += a.rotations[load.node].dot(&(load.rotation * b.rotations[load.node]));
         }
-        for (q, inertia) in self.inertia.iter().enumerate() {
+        for (q, inertia) in self.interval.inertia.iter().enumerate() {
             sum += a.interval(q).dot(&(inertia * b.interval(q)));
+        }
+        for (q, stress) in self.interval.stress.iter().enumerate() {
+            let ([here, there], [other, beyond]) = (a.both(q), b.both(q));
+            sum += here.dot(&(stress.start * other + stress.cross * beyond))
+                + there.dot(&(stress.cross.tr_mul(&other) + stress.end * beyond));
         }
         sum
     }
 }
 
-/// The inertia terms of every node over the interval from `k` to `k + 1`; empty for `k = N`.
-#[must_use]
-pub fn interval_curvature(
+impl IntervalCurvature {
+    /// The interval from `k` to `k + 1`.
+    #[must_use]
+    pub fn at(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        multipliers: &Multipliers,
+        k: usize,
+    ) -> Self {
+        if k >= motion.grid.n_steps {
+            return Self::default();
+        }
+        let stress = IntervalWeights::of(motion.rod, motion.grid.step)
+            .map_or_else(Vec::new, |weights| {
+                stress_curvatures(motion, trajectory, multipliers, weights, k)
+            });
+        Self {
+            inertia: inertia_curvatures(motion, trajectory, multipliers, k),
+            stress,
+        }
+    }
+}
+
+fn stress_curvatures(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: &Multipliers,
+    weights: IntervalWeights,
+    k: usize,
+) -> Vec<StressCurvature> {
+    let rod = motion.rod;
+    (rod.elements.iter().enumerate())
+        .map(|(q, element)| {
+            let ends = [k, k + 1].map(|k| {
+                let weight = 0.5 * motion.grid.step * motion.kick(k).impulse;
+                let (linear_a, angular_a) = multipliers.at(motion, k, q);
+                let (linear_b, angular_b) = multipliers.at(motion, k, q + 1);
+                let covector = stack(&(linear_a - linear_b), &-angular_a, &-angular_b) * weight;
+                let pose =
+                    Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k));
+                (pose, covector)
+            });
+            stress_curvature(element, rod.strain_rule, weights, &ends)
+        })
+        .collect()
+}
+
+/// The inertia terms of every node over the interval from `k` to `k + 1`.
+fn inertia_curvatures(
     motion: &Motion,
     trajectory: &Trajectory,
     multipliers: &Multipliers,
     k: usize,
 ) -> Vec<InertiaCurvature> {
-    if k >= motion.grid.n_steps {
-        return Vec::new();
-    }
     let decay = motion.kick(k + 1).decay;
     let [leaving, arriving] = motion.inertia(trajectory, k);
     let ends = trajectory
@@ -195,15 +272,10 @@ pub fn element_curvature(
     stiffness: &ElementStiffness,
     covector: &SVector<f64, 9>,
 ) -> ElementCurvature {
-    let part = |i: usize| -> Vector3<f64> { covector.fixed_rows::<3>(3 * i).into() };
-    let (along_dx, along_a, along_b) = (part(0), part(1), part(2));
-    let size = (along_dx.norm() / element.length).max(along_a.norm().max(along_b.norm()));
-    if size == 0.0 {
-        return ElementCurvature::zeros();
+    if element.model.has_potential() {
+        let along = |pose: &ElementPose| element.stiffness(rule, pose).1;
+        return third_derivative(element.length, pose, covector, stiffness, along);
     }
-    let step = DIFFERENCE_STEP / size;
-    let shift = step * along_dx;
-    let (turn_a, turn_b) = (exp(&(step * along_a)), exp(&(step * along_b)));
     let stiffness_at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
         let pose = ElementPose {
             dx,
@@ -212,29 +284,36 @@ pub fn element_curvature(
         };
         element.stiffness(rule, &pose).1
     };
-    if !element.model.has_potential() {
-        let (still, identity) = (pose.dx, Matrix3::identity());
-        let columns: [SVector<f64, 9>; 9] = std::array::from_fn(|j| {
-            let (part, axis) = (j / 3, j % 3);
-            let size = DIFFERENCE_STEP * if part == 0 { element.length } else { 1.0 };
-            let moved = |size: f64| {
-                let unit = Vector3::ith(axis, size);
-                match part {
-                    0 => stiffness_at(still + unit, &identity, &identity),
-                    1 => stiffness_at(still, &exp(&unit), &identity),
-                    _ => stiffness_at(still, &identity, &exp(&unit)),
-                }
-            };
-            (moved(size) - moved(-size)).tr_mul(covector) * (0.5 / size)
-        });
-        let curvature = ElementCurvature::from_columns(&columns);
-        return 0.5 * (curvature + curvature.transpose());
-    }
-    let ahead = stiffness_at(pose.dx + shift, &turn_a, &turn_b);
-    let behind = stiffness_at(pose.dx - shift, &turn_a.transpose(), &turn_b.transpose());
-    let mut curvature = (ahead - behind) * (0.5 / step);
+    let (still, identity) = (pose.dx, Matrix3::identity());
+    let columns: [SVector<f64, 9>; 9] = std::array::from_fn(|j| {
+        let (part, axis) = (j / 3, j % 3);
+        let size = DIFFERENCE_STEP * if part == 0 { element.length } else { 1.0 };
+        let moved = |size: f64| {
+            let unit = Vector3::ith(axis, size);
+            match part {
+                0 => stiffness_at(still + unit, &identity, &identity),
+                1 => stiffness_at(still, &exp(&unit), &identity),
+                _ => stiffness_at(still, &identity, &exp(&unit)),
+            }
+        };
+        (moved(size) - moved(-size)).tr_mul(covector) * (0.5 / size)
+    });
+    let curvature = ElementCurvature::from_columns(&columns);
+    0.5 * (curvature + curvature.transpose())
+}
+
+/// The symmetric `E_aE_bE_λU` of [`element_curvature`], from `E_aE_bU` here (`stiffness`) and anywhere (`stiffness_at`).
+fn third_derivative(
+    length: f64,
+    pose: &ElementPose,
+    covector: &SVector<f64, 9>,
+    stiffness: &ElementStiffness,
+    stiffness_at: impl Fn(&ElementPose) -> ElementStiffness,
+) -> ElementCurvature {
+    let mut curvature = derivative_along(length, pose, covector, stiffness_at);
     // [a, λ] = -λ̂ a: adds KA + AᵀK with A = -diag(0, λ̂_a, λ̂_b); λ̂ᵀ = -λ̂.
-    for (at, turn) in [(3, hat(&along_a)), (6, hat(&along_b))] {
+    for at in [3, 6] {
+        let turn = hat(&covector.fixed_rows::<3>(at).into());
         let columns = stiffness.fixed_columns::<3>(at) * turn;
         let mut target = curvature.fixed_columns_mut::<3>(at);
         target -= columns;
@@ -243,6 +322,90 @@ pub fn element_curvature(
         target += rows;
     }
     0.5 * (curvature + curvature.transpose())
+}
+
+/// Central difference of a matrix that depends on the pose, along `(δx_b - δx_a, η_a, η_b) = along`.
+fn derivative_along(
+    length: f64,
+    pose: &ElementPose,
+    along: &SVector<f64, 9>,
+    matrix_at: impl Fn(&ElementPose) -> SMatrix<f64, 9, 9>,
+) -> SMatrix<f64, 9, 9> {
+    let part = |i: usize| -> Vector3<f64> { along.fixed_rows::<3>(3 * i).into() };
+    let size = (part(0).norm() / length).max(part(1).norm().max(part(2).norm()));
+    if size == 0.0 {
+        return SMatrix::zeros();
+    }
+    let step = DIFFERENCE_STEP / size;
+    let (turn_a, turn_b) = (exp(&(step * part(1))), exp(&(step * part(2))));
+    let at = |shift: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
+        matrix_at(&ElementPose {
+            dx: pose.dx + shift,
+            rotation_a: &(pose.rotation_a * turn_a),
+            rotation_b: &(pose.rotation_b * turn_b),
+        })
+    };
+    let shift = step * part(0);
+    let ahead = at(shift, &turn_a, &turn_b);
+    let behind = at(-shift, &turn_a.transpose(), &turn_b.transpose());
+    (ahead - behind) * (0.5 / step)
+}
+
+/// The [`StressCurvature`] of an element, from its pose and the components `w` at both ends of the interval.
+///
+/// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends: what is
+/// bent are the strains themselves, at a given stress ([`Element::stiffness_under`]) and at the stress that the strains `d`
+/// would make, and `d`, whose derivatives along `w` are central differences as in [`element_curvature`].
+#[must_use]
+pub fn stress_curvature(
+    element: &Element,
+    rule: StrainRule,
+    weights: IntervalWeights,
+    ends: &[(ElementPose, SVector<f64, 9>); 2],
+) -> StressCurvature {
+    let length = element.length;
+    let strains = (ends.each_ref()).map(|(pose, _)| rule.strain_derivative(length, pose));
+    let stress = weights.stress(element, &strains[0].0, &strains[1].0);
+    // E_a(E_w s) = E_w(E_a s) + E_[a,w] s
+    let bends: [StrainDerivative; 2] = std::array::from_fn(|end| {
+        let ((pose, covector), (_, b)) = (&ends[end], &strains[end]);
+        let mut bend = derivative_along(length, pose, covector, |pose| {
+            rule.strain_derivative(length, pose).1
+        });
+        for at in [3, 6] {
+            let turn = hat(&covector.fixed_rows::<3>(at).into());
+            let mut columns = bend.fixed_columns_mut::<3>(at);
+            columns -= b.fixed_columns::<3>(at) * turn;
+        }
+        bend
+    });
+    let along: SVector<f64, 9> = (ends.iter().zip(&strains))
+        .map(|((_, covector), (_, b))| b * covector)
+        .sum();
+    let vector = |at: usize| -> Vector3<f64> { along.fixed_rows::<3>(at).into() };
+    let strain = ElementStrain {
+        linear: [vector(0), vector(3)],
+        curvature: vector(6),
+    };
+    let own = |end: usize, weight: f64| {
+        let (pose, covector) = &ends[end];
+        let under = |stress: &IntervalStress, pose: &ElementPose| {
+            element.stiffness_under(rule, pose, stress, 0.0)
+        };
+        let mixed = element.coupling(&bends[end], &strains[end].1) * weight;
+        let bent = under(&element.stress_of_strain(&strain, weight), pose);
+        let third = third_derivative(length, pose, covector, &under(&stress, pose), |pose| {
+            under(&stress, pose)
+        });
+        let sum = third + 2.0 * mixed + bent;
+        0.5 * (sum + sum.transpose())
+    };
+    StressCurvature {
+        start: own(0, weights.start),
+        cross: element.coupling(&bends[0], &strains[1].1) * weights.end
+            + element.coupling(&strains[0].1, &bends[1]) * weights.start,
+        end: own(1, weights.end),
+    }
 }
 
 /// Step of the central difference in strain and in radians: the cube root of the rounding unit, where truncation
@@ -318,6 +481,7 @@ pub fn lagrangian_curvature(
             .map(|direction| Slice {
                 positions: &direction.positions[k * n..][..n],
                 rotations: &direction.rotations[k * n..][..n],
+                next_positions: direction.positions.get((k + 1) * n..).unwrap_or_default(),
                 next: direction.rotations.get((k + 1) * n..).unwrap_or_default(),
             })
             .collect();
@@ -335,10 +499,11 @@ pub fn lagrangian_curvature(
     Ok(curvature)
 }
 
-/// One time node of a direction, with its rotations at the next.
+/// One time node of a direction, and the next.
 struct Slice<'a> {
     positions: &'a [Vector3<f64>],
     rotations: &'a [Vector3<f64>],
+    next_positions: &'a [Vector3<f64>],
     next: &'a [Vector3<f64>],
 }
 
@@ -349,6 +514,16 @@ impl Slice<'_> {
             &self.rotations[q],
             &self.rotations[q + 1],
         )
+    }
+
+    /// Element `q` at both time nodes.
+    fn both(&self, q: usize) -> [SVector<f64, 9>; 2] {
+        let there = stack(
+            &(self.next_positions[q + 1] - self.next_positions[q]),
+            &self.next[q],
+            &self.next[q + 1],
+        );
+        [self.element(q), there]
     }
 
     fn interval(&self, q: usize) -> SVector<f64, 6> {

@@ -379,7 +379,7 @@ impl Step {
         if let Some(weights) = IntervalWeights::of(rod, h) {
             let element = &rod.elements[0];
             let strain = poses.map(|pose| rod.strain_rule.strain(element.length, &pose));
-            let stress = weights.stress(rod, 0, &strain[0], &strain[1]);
+            let stress = weights.stress(&rod.elements[0], &strain[0], &strain[1]);
             let pull = element.gradient_under(rod.strain_rule, &poses[end], &stress);
             change[0] -= 0.5 * h * pull.force;
             change[1] += 0.5 * h * pull.moment_a;

@@ -42,7 +42,7 @@ use super::inertia::{momentum_before, momentum_before_slope};
 use super::integrator::{StepError, TimeScheme};
 use super::rod::Rod;
 use super::rotation::{cay, cay_inverse_tangent};
-use super::strain::{ElementStiffness, ElementStrain, IntervalStress, StrainDerivative};
+use super::strain::{Element, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative};
 
 /// How the strains at both ends of an interval make its stress.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,15 +69,14 @@ impl IntervalWeights {
         })
     }
 
-    /// `σ` of every element between two configurations.
+    /// `σ` of an element between two strains.
     pub(super) fn stress(
         self,
-        rod: &Rod,
-        q: usize,
+        element: &Element,
         start: &ElementStrain,
         end: &ElementStrain,
     ) -> IntervalStress {
-        rod.elements[q].interval_stress([start, end], [self.start, self.end])
+        element.interval_stress([start, end], [self.start, self.end])
     }
 }
 
@@ -265,7 +264,7 @@ impl ImplicitStep {
         for q in 0..rod.n_elements() {
             self.end[q] = strained(rod, q, &self.configuration);
             let (start, end) = (&self.start[q], &self.end[q]);
-            let stress = self.weights.stress(rod, q, &start.strain, &end.strain);
+            let stress = (self.weights).stress(&rod.elements[q], &start.strain, &end.strain);
             let stress = weighted(&stress, rod.elements[q].length);
             self.reaction[q] = end.derivative.tr_mul(&stress);
             scatter(

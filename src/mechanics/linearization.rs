@@ -106,7 +106,7 @@ impl Motion<'_> {
             let pose = Rod::element_pose(q, positions, rotations);
             rod.strain_rule.strain(rod.elements[q].length, &pose)
         };
-        let stress = |q| weights.stress(rod, q, &strain(k, q), &strain(k + 1, q));
+        let stress = |q| weights.stress(&rod.elements[q], &strain(k, q), &strain(k + 1, q));
         Some((0..rod.n_elements()).map(stress).collect())
     }
 
@@ -767,7 +767,7 @@ pub struct StressDrift {
     /// `Θ⁻¹` of every node: angular momentum per rotation.
     pub spin_inertia: Vec<Matrix3<f64>>,
     /// Momentum per motion at `k + 1`, nodes and `start_end` together.
-    step: BlockLu,
+    pub(super) step: BlockLu,
 }
 
 impl StressDrift {
@@ -790,7 +790,7 @@ impl StressDrift {
             });
             let [(strain, start), (strain_end, end)] = (poses.each_ref())
                 .map(|pose| rod.strain_rule.strain_derivative(element.length, pose));
-            let stress = weights.stress(rod, q, &strain, &strain_end);
+            let stress = weights.stress(element, &strain, &strain_end);
             let coupling = element.coupling(&start, &end);
             let stiffness = |at: usize, factor| {
                 element.stiffness_under(rod.strain_rule, &poses[at], &stress, factor)

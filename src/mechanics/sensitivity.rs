@@ -3,23 +3,28 @@
 //! All columns share the linearization of every step, so it is computed once and applied to tiles of [`TILE`] columns
 //! that lie next to each other in memory (column index fastest). The kernel is written once over
 //! [`pulp`]'s vectors and dispatched at run time; [`forward_sweep`](super::linearization::forward_sweep) is its clear
-//! counterpart and test oracle. A column whose control has not begun to act is zero and is skipped. Steps whose stress depends
-//! on both ends of the interval have no kernel of their own: their columns go through [`StepLinearization`] one by one.
+//! counterpart and test oracle. A column whose control has not begun to act is zero and is skipped. Where the stress of a step
+//! depends on both of its ends, the step's block-tridiagonal matrix is factored once and solved for all columns.
 //!
 //! On request the same sweep reduces the second derivative of the Lagrangian to the columns, `H = Σ_k Z_kᵀ Q_k Z`:
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
 use faer::Mat;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::buffer::Buffer;
 use super::configuration::Trajectory;
 use super::constitutive::RodModel;
-use super::curvature::{Multipliers, StepCurvature, interval_curvature};
+use super::curvature::{IntervalCurvature, Multipliers, StepCurvature};
+use super::implicit::IntervalWeights;
 use super::integrator::StepError;
-use super::linearization::{Defects, ElementDrift, Motion, StateTangent, StepLinearization};
+use super::linearization::{
+    Defects, ElementDrift, Motion, StateTangent, StepLinearization, StressDrift,
+};
+use super::rod::Rod;
+use super::strain::ElementStiffness;
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.
 pub const TILE: usize = 16;
@@ -62,8 +67,7 @@ pub struct Sensitivities {
 }
 
 /// Propagates all control columns, and one for the defects, along a trajectory; with `multipliers`, also reduces the
-/// second derivative of the Lagrangian to the control columns. Multipliers must not be given where a stress depends on both ends of
-/// an [interval](super::implicit): its second derivative is not available.
+/// second derivative of the Lagrangian to the control columns.
 ///
 /// `n_threads` changes the time only: every number is computed by the same operations in the same order.
 ///
@@ -84,14 +88,16 @@ pub fn sensitivities(
     let n_threads = n_threads.clamp(1, n_tiles);
     // One thread alternates between tiles and blocks while the rows are in its cache; several meet once a chunk.
     let round = if n_threads == 1 { BATCH } else { CHUNK };
+    let coupled = motion.rod.model != RodModel::Standard
+        || IntervalWeights::of(motion.rod, motion.grid.step).is_some();
     let mut tiles: Vec<Tile> = (0..n_tiles)
         .map(|index| Tile {
             first_column: index * TILE,
             data: Buffer::zeros(n_nodes * NODE_ROWS * TILE),
-            increments: Buffer::zeros(if motion.rod.model == RodModel::Standard {
-                0
-            } else {
+            increments: Buffer::zeros(if coupled {
                 n_nodes * INCREMENT_ROWS * TILE
+            } else {
+                0
             }),
             record: multipliers.map(|_| Record::new(n_nodes, round)),
             flops: 0,
@@ -189,15 +195,26 @@ fn linearize_chunk(
     range: std::ops::Range<usize>,
     n_threads: usize,
 ) -> Result<Vec<PackedStep>, StepError> {
-    let pack = |k| {
-        StepLinearization::at(motion, trajectory, k).map(|step| {
-            let curvature = multipliers
-                .map(|multipliers| PackedCurvature::at(motion, trajectory, &step, multipliers, k));
-            PackedStep::new(step, curvature)
-        })
+    let pack = |range: std::ops::Range<usize>| {
+        // The interval before a time node is that after the one before.
+        let mut before = (range.start.checked_sub(1).zip(multipliers))
+            .map(|(k, multipliers)| IntervalCurvature::at(motion, trajectory, multipliers, k))
+            .unwrap_or_default();
+        range
+            .map(|k| {
+                let step = StepLinearization::at(motion, trajectory, k)?;
+                let curvature = multipliers.map(|multipliers| {
+                    let here = StepCurvature::at(motion, trajectory, &step, multipliers, k);
+                    let packed = PackedCurvature::new(motion.rod, &before, &here);
+                    before = here.interval;
+                    packed
+                });
+                Ok(PackedStep::new(&step, curvature))
+            })
+            .collect()
     };
     if n_threads == 1 {
-        return range.map(pack).collect();
+        return pack(range);
     }
     let share = range.len().div_ceil(n_threads);
     let parts: Vec<Result<Vec<PackedStep>, StepError>> = std::thread::scope(|scope| {
@@ -205,7 +222,7 @@ fn linearize_chunk(
             .map(|thread| {
                 let from = (range.start + thread * share).min(range.end);
                 let to = (from + share).min(range.end);
-                scope.spawn(move || (from..to).map(pack).collect())
+                scope.spawn(move || pack(from..to))
             })
             .collect();
         handles
@@ -235,9 +252,8 @@ struct PackedStep {
     drifts: Vec<PackedDrift>,
     element_drifts: Vec<PackedElementDrift>,
     first_free_node: usize,
+    stress_drift: Option<PackedStressDrift>,
     curvature: Option<PackedCurvature>,
-    /// The step itself, where the kernel does not know it.
-    plain: Option<StepLinearization>,
 }
 
 struct PackedDrift {
@@ -279,12 +295,63 @@ impl PackedElementDrift {
     }
 }
 
+/// A [`StressDrift`], laid out for the kernel. With `z` the configuration at the start and `u` what the step adds to what it
+/// carries to the end, the stress takes `start z` from the momenta that the step is solved for, and `carried z + added u`
+/// from those that arrive.
+struct PackedStressDrift {
+    start: Vec<[[f64; 9]; 9]>,
+    carried: Vec<[[f64; 9]; 9]>,
+    added: Vec<[[f64; 9]; 9]>,
+    /// Momenta that arrive per `u`: `m/h`, and `M Θ⁻¹`.
+    momenta: Vec<(f64, [[f64; 3]; 3])>,
+    /// Inverses of the pivots, the blocks of `L` below them, and those of `U` above its unit diagonal.
+    pivots: Vec<[[f64; 6]; 6]>,
+    below: Vec<[[f64; 6]; 6]>,
+    above: Vec<[[f64; 6]; 6]>,
+}
+
+impl PackedStressDrift {
+    fn new(step: &StepLinearization, stress: &StressDrift) -> Self {
+        // A matrix over the configuration that is carried to the end, over the one at the start.
+        let carry = |matrix: &ElementStiffness, q: usize| {
+            let mut out = *matrix;
+            for (end, at) in [(0, 3), (1, 6)] {
+                let turned = matrix.fixed_columns::<3>(at) * step.drifts[q + end].turn_transposed;
+                out.fixed_columns_mut::<3>(at).copy_from(&turned);
+            }
+            out
+        };
+        let both = |here: &[ElementStiffness], there: &[ElementStiffness]| {
+            (here.iter().zip(there).enumerate())
+                .map(|(q, (here, there))| square(&(here + carry(there, q))))
+                .collect()
+        };
+        let factors = stress.step.factors();
+        Self {
+            start: both(&stress.start_start, &stress.start_end),
+            carried: both(&stress.end_start, &stress.end_end),
+            added: stress.end_end.iter().map(square).collect(),
+            momenta: (step.drifts.iter().zip(&stress.spin_inertia))
+                .map(|(drift, spin)| (1.0 / drift.mobility, square(&(drift.momentum * spin))))
+                .collect(),
+            pivots: factors.diagonal.iter().map(square).collect(),
+            below: factors.below.iter().map(square).collect(),
+            above: factors.above.iter().map(square).collect(),
+        }
+    }
+}
+
+/// Row by row.
+fn square<const N: usize>(m: &SMatrix<f64, N, N>) -> [[f64; N]; N] {
+    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+}
+
 fn rows(m: &Matrix3<f64>, factor: f64) -> [[f64; 3]; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| factor * m[(i, j)]))
+    square(&(m * factor))
 }
 
 impl PackedStep {
-    fn new(step: StepLinearization, curvature: Option<PackedCurvature>) -> Self {
+    fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
         let weight = step.kick.weight;
         Self {
             decay: step.kick.decay,
@@ -292,7 +359,7 @@ impl PackedStep {
             elements: step
                 .elements
                 .iter()
-                .map(|k| std::array::from_fn(|i| std::array::from_fn(|j| weight * k[(i, j)])))
+                .map(|k| square(&(k * weight)))
                 .collect(),
             loads: step
                 .loads
@@ -321,42 +388,51 @@ impl PackedStep {
                 .map(PackedElementDrift::new)
                 .collect(),
             first_free_node: step.first_free_node,
+            stress_drift: (step.stress_drift.as_ref())
+                .map(|stress| PackedStressDrift::new(step, stress)),
             curvature,
-            plain: (step.stress_drift.is_some() || step.elements.is_empty()).then_some(step),
         }
     }
 }
 
 /// The second derivative `Q` at one time node, laid out for the kernel: `(Q z)_k = elements z_k + next ζ_{k+1} + last
-/// ζ_{k-1}`. The parts of loads and inertia at `k` itself are added to those of an element.
+/// ζ_{k-1}`, and where a stress depends on both ends of an interval, the same with whole elements. The parts of loads and
+/// inertia at `k` itself are added to those of an element.
 struct PackedCurvature {
     /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
     elements: Vec<[[f64; 9]; 9]>,
     /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
     couplings: Vec<[[[f64; 3]; 3]; 2]>,
+    /// Couplings of an element with itself at `k - 1` and `k + 1`, in the order of `elements`; zero likewise, or absent.
+    stresses: Vec<[[[f64; 9]; 9]; 2]>,
+}
+
+/// A matrix over `(dx, ζ_a, ζ_b)` added to one in the order `ζ_a, dx, ζ_b`.
+fn add_reordered(target: &mut [[f64; 9]; 9], matrix: &SMatrix<f64, 9, 9>) {
+    const ORDER: [usize; 9] = [3, 4, 5, 0, 1, 2, 6, 7, 8];
+    for (row, i) in target.iter_mut().zip(ORDER) {
+        for (entry, j) in row.iter_mut().zip(ORDER) {
+            *entry += matrix[(i, j)];
+        }
+    }
 }
 
 impl PackedCurvature {
-    fn at(
-        motion: &Motion,
-        trajectory: &Trajectory,
-        linearization: &StepLinearization,
-        multipliers: &Multipliers,
-        k: usize,
-    ) -> Self {
-        let step = StepCurvature::at(motion, trajectory, linearization, multipliers, k);
-        let last = match k.checked_sub(1) {
-            Some(before) => interval_curvature(motion, trajectory, multipliers, before),
-            None => Vec::new(),
-        };
-        const ORDER: [usize; 9] = [3, 4, 5, 0, 1, 2, 6, 7, 8];
-        let mut elements = vec![[[0.0; 9]; 9]; step.elements.len()];
+    /// From the interval before a time node, and the terms of the time node.
+    fn new(rod: &Rod, last: &IntervalCurvature, step: &StepCurvature) -> Self {
+        let mut elements = vec![[[0.0; 9]; 9]; rod.n_elements()];
         for (packed, element) in elements.iter_mut().zip(&step.elements) {
-            for (row, i) in packed.iter_mut().zip(ORDER) {
-                for (entry, j) in row.iter_mut().zip(ORDER) {
-                    *entry = element[(i, j)];
-                }
-            }
+            add_reordered(packed, element);
+        }
+        let stressed = !(last.stress.is_empty() && step.interval.stress.is_empty());
+        let mut stresses = vec![[[[0.0; 9]; 9]; 2]; if stressed { rod.n_elements() } else { 0 }];
+        for (q, stress) in last.stress.iter().enumerate() {
+            add_reordered(&mut elements[q], &stress.end);
+            add_reordered(&mut stresses[q][0], &stress.cross.transpose());
+        }
+        for (q, stress) in step.interval.stress.iter().enumerate() {
+            add_reordered(&mut elements[q], &stress.start);
+            add_reordered(&mut stresses[q][1], &stress.cross);
         }
         let mut add = |node: usize, own: &Matrix3<f64>| {
             // Node q is the far end of element q - 1; the base is the near end of the first.
@@ -370,18 +446,19 @@ impl PackedCurvature {
         for load in &step.loads {
             add(load.node, &load.rotation);
         }
-        let mut couplings = vec![[[[0.0; 3]; 3]; 2]; motion.rod.n_nodes()];
-        for (node, inertia) in step.inertia.iter().enumerate() {
+        let mut couplings = vec![[[[0.0; 3]; 3]; 2]; rod.n_nodes()];
+        for (node, inertia) in step.interval.inertia.iter().enumerate() {
             add(node, &inertia.fixed_view::<3, 3>(0, 0).into());
             couplings[node][1] = rows(&inertia.fixed_view::<3, 3>(0, 3).into(), 1.0);
         }
-        for (node, inertia) in last.iter().enumerate() {
+        for (node, inertia) in last.inertia.iter().enumerate() {
             add(node, &inertia.fixed_view::<3, 3>(3, 3).into());
             couplings[node][0] = rows(&inertia.fixed_view::<3, 3>(3, 0).into(), 1.0);
         }
         Self {
             elements,
             couplings,
+            stresses,
         }
     }
 }
@@ -444,14 +521,10 @@ impl Tile {
         defects: &Defects,
         columns: &dyn ControlColumns,
     ) {
-        if let Some(plain) = &step.plain {
-            self.for_each_column(|column| plain.kick_unforced(column));
-        } else {
-            arch.dispatch(Kick {
-                step,
-                data: &mut self.data,
-            });
-        }
+        arch.dispatch(Kick {
+            step,
+            data: &mut self.data,
+        });
         let n_nodes = self.data.len() / (NODE_ROWS * TILE);
         if self.first_column == 0 && !step.drifts.is_empty() {
             for node in step.first_free_node..n_nodes {
@@ -470,11 +543,7 @@ impl Tile {
                     step.weight * weight;
             }
         });
-        if let Some(plain) = &step.plain {
-            if !step.drifts.is_empty() {
-                self.for_each_column(|column| plain.drift(column));
-            }
-        } else if !step.element_drifts.is_empty() {
+        if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
             arch.dispatch(CoupledDrift {
                 step,
                 data: &mut self.data,
@@ -486,42 +555,13 @@ impl Tile {
                 data: &mut self.data,
             });
         }
-        // 9×9 per element (multiply and add) with its scatter, four 3×3 products and the translation per node.
-        self.flops += (TILE * (step.elements.len() * (162 + 15) + n_nodes * (72 + 12))) as u64;
-    }
-}
-
-impl Tile {
-    /// Takes the columns out one by one and puts them back.
-    fn for_each_column(&mut self, mut change: impl FnMut(&mut StateTangent)) {
-        let n_nodes = self.data.len() / (NODE_ROWS * TILE);
-        let mut tangent = StateTangent::zeros(n_nodes);
-        for column in 0..TILE {
-            let mut swap = |tangent: &mut StateTangent, store: bool| {
-                for node in 0..n_nodes {
-                    let parts = [
-                        &mut tangent.positions[node],
-                        &mut tangent.rotations[node],
-                        &mut tangent.linear[node],
-                        &mut tangent.angular[node],
-                    ];
-                    for (part, vector) in parts.into_iter().enumerate() {
-                        for axis in 0..3 {
-                            let row = node * NODE_ROWS + 3 * part + axis;
-                            let entry = &mut self.data[row * TILE + column];
-                            if store {
-                                *entry = vector[axis];
-                            } else {
-                                vector[axis] = *entry;
-                            }
-                        }
-                    }
-                }
-            };
-            swap(&mut tangent, false);
-            change(&mut tangent);
-            swap(&mut tangent, true);
+        // 9×9 per element (multiply and add) with its scatter, four 3×3 products and the translation per node; three times the
+        // former and three 6×6 products per node where a step is solved for.
+        let mut flops = step.elements.len() * (162 + 15) + n_nodes * (72 + 12);
+        if let Some(stress) = &step.stress_drift {
+            flops += stress.start.len() * 3 * (162 + 15) + n_nodes * 3 * 72;
         }
+        self.flops += (TILE * flops) as u64;
     }
 }
 
@@ -538,7 +578,7 @@ impl WithSimd for Kick<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
-        let n_nodes = self.step.elements.len() + 1;
+        let n_nodes = data.len() / (NODE_ROWS * width);
         let decay = simd.splat_f64s(self.step.decay);
         for node in 0..n_nodes {
             let momenta = &mut data[(node * NODE_ROWS + 6) * width..(node + 1) * NODE_ROWS * width];
@@ -691,7 +731,8 @@ impl WithSimd for Drift<'_> {
     }
 }
 
-/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, for all columns of a tile.
+/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, or under the stress of the interval, for
+/// all columns of a tile.
 struct CoupledDrift<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
@@ -707,15 +748,18 @@ impl WithSimd for CoupledDrift<'_> {
         let (increments, _) = S::as_mut_simd_f64s(self.increments);
         let width = TILE / S::F64_LANES;
         for at in 0..width {
-            Columns {
+            let mut columns = Columns {
                 simd,
                 step: self.step,
                 data: &mut *data,
                 increments: &mut *increments,
                 width,
                 at,
+            };
+            match &self.step.stress_drift {
+                None => columns.drift(),
+                Some(stress) => columns.drift_under(stress),
             }
-            .drift();
         }
     }
 }
@@ -800,6 +844,123 @@ impl<S: Simd> Columns<'_, S> {
     }
 
     #[inline(always)]
+    fn drift_under(&mut self, stress: &PackedStressDrift) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        let zero = self.simd.splat_f64s(0.0);
+        for node in 0..first {
+            for row in 0..NODE_ROWS {
+                self.data[(node * NODE_ROWS + row) * self.width + self.at] = zero;
+            }
+        }
+        for node in 0..n {
+            self.set_increment(node, 0, [zero; 3]);
+            self.set_increment(node, 3, [zero; 3]);
+        }
+        for (q, (start, carried)) in stress.start.iter().zip(&stress.carried).enumerate() {
+            let here = self.element(q, 0);
+            let pull = self.product(start, here);
+            if q >= first {
+                self.add(q, 6, 1.0, [pull[0], pull[1], pull[2]]);
+                self.add(q, 9, -1.0, [pull[3], pull[4], pull[5]]);
+            }
+            self.add(q + 1, 6, -1.0, [pull[0], pull[1], pull[2]]);
+            self.add(q + 1, 9, -1.0, [pull[6], pull[7], pull[8]]);
+            let pull = self.product(carried, here);
+            self.add_pull(q, pull);
+        }
+        // The momenta become what the step adds to the configuration.
+        for (i, pivot) in stress.pivots.iter().enumerate() {
+            let mut right = self.momenta(first + i);
+            if i > 0 {
+                let before = self.product(&stress.below[i - 1], self.momenta(first + i - 1));
+                for (right, before) in right.iter_mut().zip(before) {
+                    *right = self.simd.sub_f64s(*right, before);
+                }
+            }
+            self.set_momenta(first + i, self.product(pivot, right));
+        }
+        for (i, above) in stress.above.iter().enumerate().rev() {
+            let after = self.product(above, self.momenta(first + i + 1));
+            let mut u = self.momenta(first + i);
+            for (u, after) in u.iter_mut().zip(after) {
+                *u = self.simd.sub_f64s(*u, after);
+            }
+            self.set_momenta(first + i, u);
+        }
+        for (q, added) in stress.added.iter().enumerate() {
+            let pull = self.product(added, self.element(q, 6));
+            self.add_pull(q, pull);
+        }
+        for node in first..n {
+            let (mass_rate, spin) = &stress.momenta[node];
+            let (moved, turned) = (self.rows(node, 6), self.rows(node, 9));
+            let carried = self.product(&step.drifts[node].turn_transposed, self.rows(node, 3));
+            let linear = self.increment(node, 0);
+            let angular = self.increment(node, 3);
+            let spin = self.product(spin, turned);
+            let mass_rate = self.simd.splat_f64s(*mass_rate);
+            self.add(node, 0, 1.0, moved);
+            for i in 0..3 {
+                let row = (node * NODE_ROWS + 3 + i) * self.width + self.at;
+                self.data[row] = self.simd.add_f64s(carried[i], turned[i]);
+                self.data[row + 3 * self.width] =
+                    self.simd.mul_add_e_f64s(mass_rate, moved[i], linear[i]);
+                self.data[row + 6 * self.width] = self.simd.add_f64s(spin[i], angular[i]);
+            }
+        }
+    }
+
+    /// `(δx_b - δx_a, ζ_a, ζ_b)` of element `q`, or the same of the rows from `part` on.
+    #[inline(always)]
+    fn element(&self, q: usize, part: usize) -> [S::f64s; 9] {
+        let (a, b) = (self.rows(q, part), self.rows(q + 1, part));
+        let (turn_a, turn_b) = (self.rows(q, part + 3), self.rows(q + 1, part + 3));
+        let mut out = [self.simd.splat_f64s(0.0); 9];
+        for i in 0..3 {
+            out[i] = self.simd.sub_f64s(b[i], a[i]);
+            out[3 + i] = turn_a[i];
+            out[6 + i] = turn_b[i];
+        }
+        out
+    }
+
+    /// Takes the pull `(F, M_a, M_b)` of element `q` from the increments of its ends.
+    #[inline(always)]
+    fn add_pull(&mut self, q: usize, pull: [S::f64s; 9]) {
+        let signs = [
+            (q, 0, 1.0, 0),
+            (q, 3, -1.0, 3),
+            (q + 1, 0, -1.0, 0),
+            (q + 1, 3, -1.0, 6),
+        ];
+        for (node, part, sign, from) in signs {
+            let change = [pull[from], pull[from + 1], pull[from + 2]];
+            for (axis, change) in change.into_iter().enumerate() {
+                let row = (node * INCREMENT_ROWS + part + axis) * self.width + self.at;
+                let sign = self.simd.splat_f64s(sign);
+                self.increments[row] = self.simd.mul_add_e_f64s(sign, change, self.increments[row]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn momenta(&self, node: usize) -> [S::f64s; 6] {
+        let mut out = [self.simd.splat_f64s(0.0); 6];
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = self.data[(node * NODE_ROWS + 6 + i) * self.width + self.at];
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn set_momenta(&mut self, node: usize, value: [S::f64s; 6]) {
+        for (i, value) in value.into_iter().enumerate() {
+            self.data[(node * NODE_ROWS + 6 + i) * self.width + self.at] = value;
+        }
+    }
+
+    #[inline(always)]
     fn rows(&self, node: usize, part: usize) -> [S::f64s; 3] {
         std::array::from_fn(|i| self.data[(node * NODE_ROWS + part + i) * self.width + self.at])
     }
@@ -845,7 +1006,7 @@ impl<S: Simd> Columns<'_, S> {
     }
 
     #[inline(always)]
-    fn dot(&self, a: &[f64; 3], b: [S::f64s; 3], start: S::f64s) -> S::f64s {
+    fn dot<const N: usize>(&self, a: &[f64; N], b: [S::f64s; N], start: S::f64s) -> S::f64s {
         let mut sum = start;
         for (a, b) in a.iter().zip(b) {
             sum = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*a), b, sum);
@@ -854,8 +1015,14 @@ impl<S: Simd> Columns<'_, S> {
     }
 
     #[inline(always)]
-    fn product(&self, m: &[[f64; 3]; 3], v: [S::f64s; 3]) -> [S::f64s; 3] {
-        m.map(|row| self.dot(&row, v, self.simd.splat_f64s(0.0)))
+    fn product<const N: usize>(&self, m: &[[f64; N]; N], v: [S::f64s; N]) -> [S::f64s; N] {
+        let zero = self.simd.splat_f64s(0.0);
+        // Closures over this many are not inlined, and the vector instructions with them.
+        let mut out = [zero; N];
+        for (out, row) in out.iter_mut().zip(m) {
+            *out = self.dot(row, v, zero);
+        }
+        out
     }
 }
 
@@ -900,7 +1067,8 @@ impl Record {
             rows: &self.rows[slot * size..][..3 * size],
             product: &mut self.product[slot * size..][..size],
         });
-        (TILE * (curvature.elements.len() * 162 + curvature.couplings.len() * 36)) as u64
+        let products = curvature.elements.len() + 2 * curvature.stresses.len();
+        (TILE * (products * 162 + curvature.couplings.len() * 36)) as u64
     }
 
     /// Makes the last of `n_steps` slots the one before the next round.
@@ -978,24 +1146,49 @@ impl WithSimd for Multiply<'_> {
                 }
             }
         }
+        // The rows of ζ hold the couplings and the element before; those of dx belong to this element alone.
         for (q, element) in self.curvature.elements.iter().enumerate() {
             let range = 6 * q * width..(6 * q + 9) * width;
-            let here = &here[range.clone()];
-            let product = &mut product[range];
-            let mut at = 0;
-            while at + 2 <= width {
-                multiply_element::<S, 2>(simd, element, here, product, at, width);
-                at += 2;
-            }
-            if at < width {
-                multiply_element::<S, 1>(simd, element, here, product, at, width);
+            product[range.start + 3 * width..range.start + 6 * width].fill(simd.splat_f64s(0.0));
+            multiply_element(
+                simd,
+                element,
+                &here[range.clone()],
+                &mut product[range],
+                width,
+            );
+        }
+        for (q, stresses) in self.curvature.stresses.iter().enumerate() {
+            let range = 6 * q * width..(6 * q + 9) * width;
+            for (stress, rows) in stresses.iter().zip([last, next]) {
+                let (rows, product) = (&rows[range.clone()], &mut product[range.clone()]);
+                multiply_element(simd, stress, rows, product, width);
             }
         }
     }
 }
 
+/// Adds a 9×9 matrix times nine rows to `product`.
 #[inline(always)]
-fn multiply_element<S: Simd, const V: usize>(
+fn multiply_element<S: Simd>(
+    simd: S,
+    element: &[[f64; 9]; 9],
+    here: &[S::f64s],
+    product: &mut [S::f64s],
+    width: usize,
+) {
+    let mut at = 0;
+    while at + 2 <= width {
+        multiply_vectors::<S, 2>(simd, element, here, product, at, width);
+        at += 2;
+    }
+    if at < width {
+        multiply_vectors::<S, 1>(simd, element, here, product, at, width);
+    }
+}
+
+#[inline(always)]
+fn multiply_vectors<S: Simd, const V: usize>(
     simd: S,
     element: &[[f64; 9]; 9],
     here: &[S::f64s],
@@ -1010,11 +1203,8 @@ fn multiply_element<S: Simd, const V: usize>(
     }
     for (i, row) in element.iter().enumerate() {
         let target = &mut product[i * width + at..][..V];
-        // The rows of ζ hold the couplings and the element before; those of dx belong to this element alone.
         let mut sum = [zero; V];
-        if !(3..6).contains(&i) {
-            sum.copy_from_slice(target);
-        }
+        sum.copy_from_slice(target);
         for (coefficient, input) in row.iter().zip(&input) {
             let coefficient = simd.splat_f64s(*coefficient);
             for v in 0..V {
@@ -1158,7 +1348,7 @@ mod tests {
             rows: &mut kept,
         }
         .with_simd(simd);
-        let coefficients = numbers(2 * 81 + 3 * 18, 2);
+        let coefficients = numbers(6 * 81 + 3 * 18, 2);
         let mut next = coefficients.into_iter().cycle();
         let mut take = || next.next().unwrap_or_default();
         let curvature = PackedCurvature {
@@ -1166,6 +1356,13 @@ mod tests {
                 .map(|_| std::array::from_fn(|_| std::array::from_fn(|_| take())))
                 .collect(),
             couplings: (0..n_nodes)
+                .map(|_| {
+                    std::array::from_fn(|_| {
+                        std::array::from_fn(|_| std::array::from_fn(|_| take()))
+                    })
+                })
+                .collect(),
+            stresses: (0..n_nodes - 1)
                 .map(|_| {
                     std::array::from_fn(|_| {
                         std::array::from_fn(|_| std::array::from_fn(|_| take()))

@@ -276,15 +276,23 @@ impl Element {
         let rest = self.rest.linear;
         let [start, end] = strains;
         let mean = |start: Vector3<f64>, end: Vector3<f64>| start * weights[0] + end * weights[1];
-        IntervalStress {
-            linear: [0, 1].map(|i| {
-                self.linear_stiffness
-                    .component_mul(&mean(start.linear[i] - rest[i], end.linear[i] - rest[i]))
-            }),
-            angular: self.angular_stiffness.component_mul(&mean(
+        let strain = ElementStrain {
+            linear: [0, 1].map(|i| mean(start.linear[i] - rest[i], end.linear[i] - rest[i])),
+            curvature: mean(
                 start.curvature - self.rest.curvature,
                 end.curvature - self.rest.curvature,
-            )),
+            ),
+        };
+        self.stress_of_strain(&strain, 1.0)
+    }
+
+    /// `factor C` times a strain, the standard model's law about the stress-free shape.
+    #[must_use]
+    pub fn stress_of_strain(&self, strain: &ElementStrain, factor: f64) -> IntervalStress {
+        let linear = self.linear_stiffness * factor;
+        IntervalStress {
+            linear: strain.linear.map(|v| linear.component_mul(&v)),
+            angular: (self.angular_stiffness * factor).component_mul(&strain.curvature),
         }
     }
 
@@ -337,7 +345,8 @@ impl Element {
                 row *= stiffness;
             }
         }
-        start.tr_mul(&stressed)
+        // Faster than `tr_mul`, which takes dot products.
+        start.transpose() * stressed
     }
 
     #[inline]

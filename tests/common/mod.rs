@@ -84,6 +84,11 @@ pub fn methods() -> impl Iterator<Item = Method> {
     explicit.chain(others)
 }
 
+/// The methods whose second derivatives are exact: the standard model, explicit, implicit, and with Kelvin-Voigt damping.
+pub fn exact_methods() -> impl Iterator<Item = Method> {
+    methods().filter(|method| method.model == RodModel::Standard)
+}
+
 /// L = 1 m, r = 0.05 m, E = 1 MPa, G = E/3, density 1000, the silicone-like arm of the notes and scenes.
 pub const SILICONE: Material = Material {
     youngs_modulus: 1e6,
