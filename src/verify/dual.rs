@@ -1,9 +1,9 @@
-//! Forward-mode differentiation of an element's energy: a second route to the forces, which shares nothing with the
-//! analytic gradients that the integrator and the solver use.
+//! Forward-mode differentiation of an element's strain and energy: a second route to the forces, which shares nothing with the
+//! analytic derivatives that the integrator and the solver use.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::mechanics::strain::{Element, ElementPose};
 use crate::mechanics::{RodModel, StrainRule};
@@ -176,61 +176,89 @@ pub(super) fn gradient(
     [0, 3, 6].map(|at| Vector3::new(energy[at], energy[at + 1], energy[at + 2]))
 }
 
-fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
-    let l = element.length;
-    let relative = pose.rotation_a.transpose() * pose.rotation_b;
-    // A(η) = (I - η̂_a) A (I + η̂_b) to first order.
-    let mut a = [[Dual::constant(0.0); 3]; 3];
-    let generators = [Vector3::x(), Vector3::y(), Vector3::z()]
-        .map(|e: Vector3<f64>| -> Matrix3<f64> { e.cross_matrix() });
-    for (i, row) in a.iter_mut().enumerate() {
-        for (j, entry) in row.iter_mut().enumerate() {
-            entry.value = relative[(i, j)];
-            for (axis, generator) in generators.iter().enumerate() {
-                entry.slope[3 + axis] = -(generator * relative)[(i, j)];
-                entry.slope[6 + axis] = (relative * generator)[(i, j)];
+/// Strain `(v_a, v_b, κ)` of an element and its derivative along `(δx_b - δx_a, η_a, η_b)`.
+pub(super) fn strain(
+    length: f64,
+    rule: StrainRule,
+    pose: &ElementPose,
+) -> (
+    SVector<f64, DIRECTIONS>,
+    SMatrix<f64, DIRECTIONS, DIRECTIONS>,
+) {
+    let Strain { linear, curvature } = Strain::of(length, rule, pose);
+    let all = [linear[0], linear[1], curvature];
+    let entry = |i: usize| all[i / 3][i % 3];
+    (
+        SVector::from_fn(|i, _| entry(i).value),
+        SMatrix::from_fn(|i, j| entry(i).slope[j]),
+    )
+}
+
+/// The measures of an [`ElementStrain`](crate::mechanics::strain::ElementStrain).
+struct Strain {
+    linear: [Vector; 2],
+    curvature: Vector,
+}
+
+impl Strain {
+    fn of(length: f64, rule: StrainRule, pose: &ElementPose) -> Self {
+        let relative = pose.rotation_a.transpose() * pose.rotation_b;
+        // A(η) = (I - η̂_a) A (I + η̂_b) to first order.
+        let mut a = [[Dual::constant(0.0); 3]; 3];
+        let generators = [Vector3::x(), Vector3::y(), Vector3::z()]
+            .map(|e: Vector3<f64>| -> Matrix3<f64> { e.cross_matrix() });
+        for (i, row) in a.iter_mut().enumerate() {
+            for (j, entry) in row.iter_mut().enumerate() {
+                entry.value = relative[(i, j)];
+                for (axis, generator) in generators.iter().enumerate() {
+                    entry.slope[3 + axis] = -(generator * relative)[(i, j)];
+                    entry.slope[6 + axis] = (relative * generator)[(i, j)];
+                }
+            }
+        }
+        let (w, v) = quaternion(&a);
+        let near = body_difference(pose, pose.rotation_a, 3);
+        let inverse_length = 1.0 / length;
+        match rule {
+            StrainRule::Helical => {
+                let s = dot(&v, &v);
+                let (factor, slope) = rotation_factor(s.value);
+                let psi = times(&v, s.chain(factor, slope));
+                let t = dot(&psi, &psi);
+                let (c, c_slope) = bending_factor(t.value);
+                let turned = cross(&psi, &near);
+                let twice = cross(&psi, &turned);
+                let c = t.chain(c, c_slope);
+                let strain: Vector = [0, 1, 2]
+                    .map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
+                Self {
+                    linear: [strain; 2],
+                    curvature: psi.map(|p| p.scale(inverse_length)),
+                }
+            }
+            StrainRule::Trapezoidal => {
+                let far = body_difference(pose, pose.rotation_b, 6);
+                Self {
+                    linear: [near, far].map(|d| d.map(|x| x.scale(inverse_length))),
+                    curvature: v.map(|x| (x / w).scale(2.0 * inverse_length)),
+                }
             }
         }
     }
-    let (w, v) = quaternion(&a);
-    let near = body_difference(pose, pose.rotation_a, 3);
-    let inverse_length = 1.0 / l;
-    match rule {
-        StrainRule::Helical => {
-            let s = dot(&v, &v);
-            let (factor, slope) = rotation_factor(s.value);
-            let psi = times(&v, s.chain(factor, slope));
-            let t = dot(&psi, &psi);
-            let (c, c_slope) = bending_factor(t.value);
-            let turned = cross(&psi, &near);
-            let twice = cross(&psi, &turned);
-            let c = t.chain(c, c_slope);
-            let strain: Vector = [0, 1, 2]
-                .map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
-            let curvature = psi.map(|p| p.scale(inverse_length));
-            let linear = quadratic(&strain, &element.rest.linear[0], &element.linear_stiffness);
-            let angular = quadratic(
-                &curvature,
-                &element.rest.curvature,
-                &element.angular_stiffness,
-            );
-            density(element, &strain, linear, angular).scale(l)
-        }
-        StrainRule::Trapezoidal => {
-            let far = body_difference(pose, pose.rotation_b, 6);
-            let ends = [near, far].map(|d| d.map(|x| x.scale(inverse_length)));
-            let cayley = v.map(|x| (x / w).scale(2.0 * inverse_length));
-            let [near, far] = [0, 1].map(|end| {
-                quadratic(
-                    &ends[end],
-                    &element.rest.linear[end],
-                    &element.linear_stiffness,
-                )
-            });
-            let angular = quadratic(&cayley, &element.rest.curvature, &element.angular_stiffness);
-            density(element, &ends[0], (near + far).scale(0.5), angular).scale(l)
-        }
-    }
+}
+
+fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
+    let Strain { linear, curvature } = Strain::of(element.length, rule, pose);
+    let [near, far] = [0, 1].map(|end| {
+        let rest = &element.rest.linear[end];
+        quadratic(&linear[end], rest, &element.linear_stiffness)
+    });
+    let angular = quadratic(
+        &curvature,
+        &element.rest.curvature,
+        &element.angular_stiffness,
+    );
+    density(element, &linear[0], (near + far).scale(0.5), angular).scale(element.length)
 }
 
 /// Energy per rest length with the dilatation `|v|/|v_rest|` of the model; under the paper's, it is a constant.
@@ -325,6 +353,13 @@ mod tests {
                 assert!(
                     (energy(&element, rule, &pose).value - plain).abs() < 1e-13 * (1.0 + plain)
                 );
+                let (analytic, derivative) = rule.strain_derivative(element.length, &pose);
+                let (found, slope) = strain(element.length, rule, &pose);
+                let parts = [analytic.linear[0], analytic.linear[1], analytic.curvature];
+                for (i, part) in parts.iter().enumerate() {
+                    assert!((found.fixed_rows::<3>(3 * i) - part).norm() < 1e-12);
+                }
+                assert!((slope - derivative).norm() < 1e-12 * derivative.norm());
             }
         }
     }

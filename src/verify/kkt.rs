@@ -2,14 +2,17 @@
 //!
 //! Nothing here is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
 //! form (81) with `J_d`, and the adjoint equations are those of the two-level form, with second derivatives of the
-//! energy by central differences along the adjoint itself.
+//! energy by central differences along the adjoint itself. Stresses of [implicit steps and Kelvin-Voigt
+//! damping](crate::mechanics::implicit) come from differentiated strains.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use super::banded::Banded;
 use super::dual;
+use super::interval::{self, Nine, Strained, nine};
 use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{BaseCondition, Rod, RodModel, Trajectory, Wrench};
+use crate::mechanics::{BaseCondition, Rod, RodModel, TimeScheme, Trajectory, Wrench};
 use crate::sqp::KktResidual;
 
 /// The recomputed conditions.
@@ -21,7 +24,7 @@ pub struct RecomputedKkt {
     pub bound_violation: f64,
 }
 
-/// `∂U/∂x` and `∂U/∂η` of all nodes.
+/// `∂U/∂x` and `∂U/∂η` of all nodes; under [`TimeScheme::Implicit`], elastic energy is that of the intervals and not in `U`.
 #[derive(Clone)]
 struct Gradient {
     x: Vec<Vector3<f64>>,
@@ -33,7 +36,8 @@ fn energy_gradient(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Gradien
         x: vec![Vector3::zeros(); x.len()],
         eta: vec![Vector3::zeros(); x.len()],
     };
-    for (q, element) in rod.elements.iter().enumerate() {
+    let explicit = (rod.elements.iter().enumerate()).filter(|_| rod.scheme == TimeScheme::Explicit);
+    for (q, element) in explicit {
         let [force, moment_a, moment_b] =
             dual::gradient(element, rod.strain_rule, &Rod::element_pose(q, x, r));
         out.x[q] -= force;
@@ -185,6 +189,22 @@ impl Conditions<'_> {
         sum
     }
 
+    /// Strains of all elements at time node `k`.
+    fn strains(&self, k: usize) -> Vec<Strained> {
+        interval::strains(
+            self.rod(),
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        )
+    }
+
+    /// Stresses of all elements between two time nodes.
+    fn stresses(&self, weights: [f64; 2], start: &[Strained], end: &[Strained]) -> Vec<Nine> {
+        (self.rod().elements.iter().zip(start.iter().zip(end)))
+            .map(|(element, (start, end))| interval::stress(element, weights, &start.0, &end.0))
+            .collect()
+    }
+
     fn velocity_momentum(&self, k: usize, q: usize) -> Vector3<f64> {
         let change = self.trajectory.positions_at(k + 1)[q] - self.trajectory.positions_at(k)[q];
         change * (self.rod().nodes[q].mass / self.problem.grid.step)
@@ -235,6 +255,9 @@ impl Conditions<'_> {
         let scales = &rod.scales;
         let mut sum = 0.0;
         let mut tip_momenta = (Vector3::zeros(), Vector3::zeros());
+        let weights = interval::weights(rod, h);
+        let mut strains = weights.map(|_| self.strains(0));
+        let mut stresses = vec![Nine::zeros(); rod.n_elements()];
         for k in 0..=n {
             let gradient = energy_gradient(
                 rod,
@@ -244,6 +267,21 @@ impl Conditions<'_> {
             let (decay, weight, impulse) = kick(rod, h, k, n);
             let leaving = (k < n).then(|| self.interval_inertia(k));
             let arriving = (k > 0).then(|| self.interval_inertia(k - 1));
+            // What the stresses of the intervals on both sides do here.
+            let mut pulls = vec![Vector3::zeros(); rod.n_nodes()];
+            let mut twists = pulls.clone();
+            if let Some((weights, here)) = weights.zip(strains.take()) {
+                let next = (k < n).then(|| self.strains(k + 1));
+                let after = next.as_ref().map_or_else(
+                    || vec![Nine::zeros(); rod.n_elements()],
+                    |next| self.stresses(weights, &here, next),
+                );
+                for (q, (_, b)) in here.iter().enumerate() {
+                    let pull = b.tr_mul(&(stresses[q] + after[q]));
+                    interval::add_to_nodes(q, -0.5 * h, &pull, &mut pulls, &mut twists);
+                }
+                (strains, stresses) = (next, after);
+            }
             for q in rod.first_free_node()..rod.n_nodes() {
                 let (before, before_angular) = match &arriving {
                     None => (
@@ -256,8 +294,9 @@ impl Conditions<'_> {
                     ),
                 };
                 let (force, moment) = self.applied(k, q, &gradient);
-                let after = decay * before + weight * force + impulse * self.reaction(k, q);
-                let after_angular = decay * before_angular + weight * moment;
+                let after =
+                    decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
+                let after_angular = decay * before_angular + weight * moment + impulse * twists[q];
                 let Some([j_d, _]) = &leaving else {
                     if q == rod.tip() {
                         tip_momenta = (after, after_angular);
@@ -353,6 +392,13 @@ impl Conditions<'_> {
                 let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
                 self.add_reaction_covectors(k - 1, k, &pull, &mut cx, etas);
             }
+            let stressed = interval::weights(rod, h).map(|weights| {
+                let link = StressLink::new(self, weights, k);
+                let own = -0.5 * h * impulse;
+                link.add_end(own, &lx, &lr, [&mut cx, &mut ceta]);
+                link.add_start_of_end(own, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
+                (link, -0.5 * h * kick(rod, h, k - 1, n).2)
+            });
             let solve_x = |cx: &[Vector3<f64>], lx: &mut [Vector3<f64>]| {
                 for q in first..count {
                     // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
@@ -361,7 +407,7 @@ impl Conditions<'_> {
             };
             // The multipliers of the rotational rows enter those of x where the inertia follows the end of the interval.
             let x_first = !(thinned && left == k);
-            if x_first {
+            if x_first && stressed.is_none() {
                 solve_x(&cx, &mut lx);
             }
             if reaction == Some(k - 1) {
@@ -370,21 +416,28 @@ impl Conditions<'_> {
                 let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
                 self.add_reaction_covectors(k - 1, k - 1, &pull, &mut earlier_x, etas);
             }
+            let spins: Vec<_> = (0..count)
+                .map(|q| Spin::new(&self.turn(k - 1, q), &leaving[q], &arriving[q], h))
+                .collect();
+            let rhs: Vec<_> = (0..count)
+                .map(|q| ceta[q] + spins[q].end_arriving.tr_mul(&next_r[q]))
+                .collect();
+            if let Some((link, factor)) = &stressed {
+                let rhs_x: Vec<_> = (0..count)
+                    .map(|q| cx[q] + next_x[q] * (rod.nodes[q].mass / h))
+                    .collect();
+                link.solve(h, *factor, &spins, [&rhs_x, &rhs], [&mut lx, &mut lr]);
+                link.add_start(*factor, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
+            } else {
+                for q in first..count {
+                    lr[q] = (spins[q].end_leaving.transpose().lu())
+                        .solve(&rhs[q])
+                        .unwrap_or_else(|| Vector3::repeat(f64::NAN));
+                }
+            }
             for q in first..count {
-                let f = self.turn(k - 1, q);
-                // η_k moves F by F η̂, η_{k-1} by -η̂ F.
-                let end = |axis: Vector3<f64>| f * axis.cross_matrix();
-                let start = |axis: Vector3<f64>| -axis.cross_matrix() * f;
-                let before = |change: Matrix3<f64>| momentum_before(&change, &arriving[q], h);
-                let after = |change: Matrix3<f64>| momentum_after(&change, &leaving[q], h);
-                let rhs = ceta[q] + columns(|axis| before(end(axis))).tr_mul(&next_r[q]);
-                lr[q] = columns(|axis| after(end(axis)))
-                    .transpose()
-                    .lu()
-                    .solve(&rhs)
-                    .unwrap_or_else(|| Vector3::repeat(f64::NAN));
-                earlier_eta[q] += columns(|axis| before(start(axis))).tr_mul(&next_r[q])
-                    - columns(|axis| after(start(axis))).tr_mul(&lr[q]);
+                earlier_eta[q] += spins[q].start_arriving.tr_mul(&next_r[q])
+                    - spins[q].start_leaving.tr_mul(&lr[q]);
             }
             if thinned {
                 let target = if left == k { &mut cx } else { &mut earlier_x };
@@ -578,6 +631,179 @@ impl Conditions<'_> {
             }
         }
     }
+}
+
+/// Derivatives of a node's momenta over one interval along its rotations where the interval starts and ends.
+struct Spin {
+    start_leaving: Matrix3<f64>,
+    start_arriving: Matrix3<f64>,
+    end_leaving: Matrix3<f64>,
+    end_arriving: Matrix3<f64>,
+}
+
+impl Spin {
+    fn new(f: &Matrix3<f64>, leaving: &Matrix3<f64>, arriving: &Matrix3<f64>, h: f64) -> Self {
+        // η_k moves F by F η̂, η_{k-1} by -η̂ F.
+        let end = |axis: Vector3<f64>| f * axis.cross_matrix();
+        let start = |axis: Vector3<f64>| -axis.cross_matrix() * f;
+        let before = |change: Matrix3<f64>| momentum_before(&change, arriving, h);
+        let after = |change: Matrix3<f64>| momentum_after(&change, leaving, h);
+        Self {
+            start_leaving: columns(|axis| after(start(axis))),
+            start_arriving: columns(|axis| before(start(axis))),
+            end_leaving: columns(|axis| after(end(axis))),
+            end_arriving: columns(|axis| before(end(axis))),
+        }
+    }
+}
+
+/// The stresses of the interval that ends at time node `k`, for the adjoint: of the functions `λ_{k-1}·B_{k-1}ᵀσ` and
+/// `λ_k·B_kᵀσ`, the covectors of the configurations at both ends.
+struct StressLink<'a> {
+    conditions: &'a Conditions<'a>,
+    weights: [f64; 2],
+    k: usize,
+    start: Vec<Strained>,
+    end: Vec<Strained>,
+    stresses: Vec<Nine>,
+}
+
+impl<'a> StressLink<'a> {
+    fn new(conditions: &'a Conditions<'a>, weights: [f64; 2], k: usize) -> Self {
+        let (start, end) = (conditions.strains(k - 1), conditions.strains(k));
+        Self {
+            conditions,
+            weights,
+            k,
+            stresses: conditions.stresses(weights, &start, &end),
+            start,
+            end,
+        }
+    }
+
+    /// Of `λ·Bᵀσ`, along the configuration at the time node `at` that `B` belongs to; `weight` is that of its strain in `σ`.
+    fn add_own(
+        &self,
+        at: usize,
+        strained: &[Strained],
+        weight: f64,
+        [lx, lr]: [&[Vector3<f64>]; 2],
+        factor: f64,
+        [x, eta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        let (rod, trajectory) = (self.conditions.rod(), self.conditions.trajectory);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let w = element_part(lx, lr, q);
+            let pose = interval::pose(trajectory.positions_at(at), trajectory.rotations_at(at), q);
+            let (_, b) = &strained[q];
+            let rule = rod.strain_rule;
+            let bent = interval::bent(element.length, rule, &pose, b, &self.stresses[q], &w);
+            let stiffness = interval::stiffness(element);
+            let stretched = b.tr_mul(&stiffness.component_mul(&(b * w))) * weight;
+            interval::add_to_nodes(q, factor, &(bent + stretched), x, eta);
+        }
+    }
+
+    /// Of `λ_k·B_kᵀσ`, along the configuration at `k`.
+    fn add_end(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        to: [&mut [Vector3<f64>]; 2],
+    ) {
+        self.add_own(self.k, &self.end, self.weights[1], [lx, lr], factor, to);
+    }
+
+    /// Of `λ_k·B_kᵀσ`, along the configuration at `k - 1`.
+    fn add_start_of_end(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        [x, eta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        for (q, element) in self.conditions.rod().elements.iter().enumerate() {
+            let work = self.end[q].1 * element_part(lx, lr, q) * self.weights[0];
+            let stress = interval::stiffness(element).component_mul(&work);
+            interval::add_to_nodes(q, factor, &self.start[q].1.tr_mul(&stress), x, eta);
+        }
+    }
+
+    /// Of `λ_{k-1}·B_{k-1}ᵀσ`, along the configuration at `k - 1`.
+    fn add_start(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        to: [&mut [Vector3<f64>]; 2],
+    ) {
+        self.add_own(
+            self.k - 1,
+            &self.start,
+            self.weights[0],
+            [lx, lr],
+            factor,
+            to,
+        );
+    }
+
+    /// The multipliers at `k - 1`, from the equations along the configuration at `k` of all free nodes together: the momenta
+    /// that leave `k - 1`, and `λ_{k-1}·B_{k-1}ᵀσ`.
+    fn solve(
+        &self,
+        h: f64,
+        factor: f64,
+        spins: &[Spin],
+        [rhs_x, rhs_eta]: [&[Vector3<f64>]; 2],
+        [lx, lr]: [&mut [Vector3<f64>]; 2],
+    ) {
+        let rod = self.conditions.rod();
+        let (first, count) = (rod.first_free_node(), rod.n_nodes());
+        let mut matrix = Banded::zeros(6 * (count - first), 11);
+        for q in first..count {
+            let at = 6 * (q - first);
+            for i in 0..3 {
+                matrix.add(at + i, at + i, rod.nodes[q].mass / h);
+                for j in 0..3 {
+                    matrix.add(at + 3 + i, at + 3 + j, spins[q].end_leaving[(j, i)]);
+                }
+            }
+        }
+        for (q, element) in rod.elements.iter().enumerate() {
+            let stressed = SMatrix::from_diagonal(&interval::stiffness(element)) * self.start[q].1;
+            let link = self.end[q].1.tr_mul(&stressed) * (-factor * self.weights[1]);
+            // Row or column of the whole, of the element, and sign: an element knows x_b - x_a, η_a, η_b.
+            let parts = [
+                (6 * q, 0, -1.0),
+                (6 * q + 6, 0, 1.0),
+                (6 * q + 3, 3, 1.0),
+                (6 * q + 9, 6, 1.0),
+            ];
+            let free = || parts.iter().filter(|(at, ..)| *at >= 6 * first);
+            for &(row, i, sign) in free() {
+                for &(column, j, other) in free() {
+                    for (a, b) in (0..9).map(|entry| (entry / 3, entry % 3)) {
+                        let value = sign * other * link[(i + a, j + b)];
+                        matrix.add(row + a - 6 * first, column + b - 6 * first, value);
+                    }
+                }
+            }
+        }
+        let mut solution: Vec<f64> = (first..count)
+            .flat_map(|q| rhs_x[q].iter().chain(&rhs_eta[q]).copied())
+            .collect();
+        matrix.solve(&mut solution);
+        for (six, q) in solution.chunks(6).zip(first..) {
+            lx[q] = Vector3::from_column_slice(&six[..3]);
+            lr[q] = Vector3::from_column_slice(&six[3..]);
+        }
+    }
+}
+
+/// `(λx_b - λx_a, λr_a, λr_b)` of element `q`.
+fn element_part(lx: &[Vector3<f64>], lr: &[Vector3<f64>], q: usize) -> Nine {
+    nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1])
 }
 
 fn columns(column: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Matrix3<f64> {
