@@ -74,6 +74,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     refused_in_a_row: usize,
     filter_resets: usize,
     merit_steps: usize,
+    /// Defects of the last states that were computed from their variables.
+    rounding: f64,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
@@ -126,6 +128,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     refused_in_a_row: 0,
                     filter_resets: 0,
                     merit_steps: 0,
+                    rounding: 0.0,
                     history: Vec::new(),
                     phases: PhaseTimes::default(),
                 })
@@ -213,6 +216,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 infeasibility,
             };
         }
+    }
+
+    /// Defects that rounding leaves; 0 as long as no states have been computed.
+    pub(super) fn rounding(&self) -> f64 {
+        self.rounding
     }
 
     pub(super) fn out_of_time(&self) -> Option<Stop> {
@@ -339,6 +347,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.trust_radius *= GROW;
         } else if !(ratio > POOR_RATIO) && accepted.restored {
             self.trust_radius = self.trust_radius.min(length * POOR_SHRINK);
+        }
+        if accepted.restored {
+            self.rounding = accepted.evaluation.defect;
         }
         self.point = accepted.point;
         self.evaluation = accepted.evaluation;

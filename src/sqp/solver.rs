@@ -33,10 +33,11 @@ impl Default for SqpSettings {
 }
 
 impl SqpSettings {
-    /// Feasibility that a converged point must have.
-    fn feasibility_tolerance(&self) -> f64 {
+    /// Feasibility that a converged point must have, where states that were computed leave defects of the size `rounding`.
+    fn feasibility_tolerance(&self, rounding: f64) -> f64 {
         (FEASIBILITY_PART * self.tolerance)
             .max(FEASIBILITY_FLOOR)
+            .max(ROUNDING_MARGIN * rounding)
             .min(STOP_PART * self.tolerance)
     }
 }
@@ -137,6 +138,8 @@ const STOP_PART: f64 = 0.5;
 const FEASIBILITY_PART: f64 = 1e-3;
 /// The sum of the defects of a long motion cannot be brought much below this: rounding.
 const FEASIBILITY_FLOOR: f64 = 5e-10;
+/// Nor below what it is for computed states, give or take; stiff equations leave more.
+const ROUNDING_MARGIN: f64 = 3.0;
 
 /// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
 pub fn solve<P: LiftedProgram>(
@@ -157,7 +160,7 @@ pub fn solve<P: LiftedProgram>(
         let residual = run.residual(&linearization);
         run.record(iteration, residual);
         if residual.max() <= STOP_PART * settings.tolerance
-            && residual.feasibility <= settings.feasibility_tolerance()
+            && residual.feasibility <= settings.feasibility_tolerance(run.rounding())
         {
             return run.finish(SqpStatus::Converged, observer);
         }
