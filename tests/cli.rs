@@ -294,6 +294,52 @@ fn solve_and_verify() {
         .refused(&["controls.csv", "1 rows", "5"]);
 }
 
+/// A nitinol wire by implicit steps of 900 times the explicit limit, and a soft arm with internal damping: solved, certified, and
+/// verified from the files to the same conditions; a damping that was changed by 1 % afterwards is found.
+#[test]
+fn stiff_and_damped_arms_are_certified() {
+    let desk = Desk::new();
+    for (scene, settings, damping) in [
+        (
+            "wire-reach",
+            ["rod.elements=6", "time.step_s=2.5e-4"],
+            "0.0002",
+        ),
+        (
+            "scene.toml",
+            ["damping.internal_s=0.01", "task.at_rest=true"],
+            "0.01",
+        ),
+    ] {
+        let out = scene.split('.').next().unwrap();
+        let mut arguments = vec!["solve", scene, "--out", out, "--json"];
+        arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
+        let summary = desk.run(&arguments).exits(DONE).summary();
+        assert_eq!(summary["status"], "converged");
+        assert_eq!(summary["check"]["verdict"], "certified");
+        let verified = desk.run(&["verify", out, "--json"]).exits(DONE).summary();
+        assert_eq!(verified["check"]["kkt"], summary["check"]["kkt"]);
+
+        let file = format!("{out}/scene.toml");
+        let text = std::fs::read_to_string(desk.path(&file)).unwrap();
+        let changed: f64 = 1.01 * damping.parse::<f64>().unwrap();
+        let given = format!("internal_s = {damping}");
+        assert_eq!(text.matches(&given).count(), 1, "{text}");
+        desk.write(
+            &file,
+            &text.replace(&given, &format!("internal_s = {changed}")),
+        );
+        let rejected = desk
+            .run(&["verify", out, "--json"])
+            .exits(REJECTED)
+            .summary();
+        let failed = rejected["check"]["failed"].as_array().unwrap();
+        for name in ["kkt.feasibility", "same_grid_m"] {
+            assert!(failed.contains(&name.into()), "{failed:?}");
+        }
+    }
+}
+
 /// A directory that no solve wrote cannot be verified, and says so.
 #[test]
 fn foreign_directories_are_not_verified() {

@@ -1,7 +1,7 @@
 //! The scenes that come with the program.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 11] = [
+const SCENES: [(&str, &str); 12] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -21,6 +21,10 @@ const SCENES: [(&str, &str); 11] = [
         include_str!("../../examples/scenes/shaken-base.toml"),
     ),
     ("wire", include_str!("../../examples/scenes/wire.toml")),
+    (
+        "wire-reach",
+        include_str!("../../examples/scenes/wire-reach.toml"),
+    ),
     (
         "paper-flying-beam",
         include_str!("../../examples/scenes/paper-flying-beam.toml"),

@@ -110,7 +110,6 @@ impl Scene {
         let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
         let objective = self.objective.clone().unwrap_or_default();
         let solver = self.solver.clone().unwrap_or_default();
-        self.check_can_be_controlled(source)?;
         let (parameters, rod) = self.rod_of(source)?;
         let horizon = task.instant(self.time.end_s);
         let grid = self.grid(source, &rod, horizon, control.blocks)?;
@@ -213,24 +212,6 @@ impl Scene {
             },
             resolved,
         })
-    }
-
-    /// The check of a solution, and the exact Hessian, know explicit elastic forces only.
-    fn check_can_be_controlled(&self, source: &SceneSource) -> Result<(), SceneError> {
-        let refuse = |key: &str, what: &str, instead: &str| {
-            let message = format!("optimal control with {what} is not available in this version");
-            Err(source.error_at(key, message, Some(instead.into())))
-        };
-        if self.time.integrator == model::TimeScheme::Implicit {
-            let instead = "use \"explicit\", or leave [task] and [control] out and simulate";
-            return refuse("time.integrator", "the implicit integrator", instead);
-        }
-        if self.damping.as_ref().is_some_and(|d| d.internal_s > 0.0) {
-            let instead =
-                "use 0 and damping.viscous_1_s, or leave [task] and [control] out and simulate";
-            return refuse("damping.internal_s", "internal damping", instead);
-        }
-        Ok(())
     }
 
     /// Radius of every node for pictures, m; empty when the scene does not say.
