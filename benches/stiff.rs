@@ -6,7 +6,8 @@ use std::time::Instant;
 use nalgebra::Vector3;
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, stable_step};
 use softarm::mechanics::{
-    Integrator, Material, Rod, RodParameters, Section, SectionProfile, State, TimeScheme, Wrench,
+    Integrator, Material, Rod, RodParameters, Section, SectionProfile, State, Stepper, TimeScheme,
+    Wrench,
 };
 
 /// Duration, s: two periods of the third mode.
@@ -76,14 +77,23 @@ fn swing(rod: &Rod, n_steps: usize) -> (Vector3<f64>, usize) {
         *p = Vector3::new(3.0 * s.powi(2), 2.0 * s.powi(3) * (1.0 - 2.0 * s), 0.0)
             * rod.nodes[q].mass;
     }
-    let mut integrator = Integrator::new(rod, END / n_steps as f64, initial);
-    for _ in 0..n_steps {
-        integrator
-            .advance([Wrench::default(); 2])
-            .expect("a stable step");
+    let step = END / n_steps as f64;
+    let none = [Wrench::default(); 2];
+    match rod.scheme {
+        TimeScheme::Explicit => {
+            let mut stepper = Stepper::new(rod, step, initial);
+            for _ in 0..n_steps {
+                stepper.advance(none).expect("a stable step");
+            }
+            (stepper.state().configuration.positions[rod.tip()], 0)
+        }
+        TimeScheme::Implicit => {
+            let mut integrator = Integrator::new(rod, step, initial);
+            for _ in 0..n_steps {
+                integrator.advance(none).expect("a stable step");
+            }
+            let tip = integrator.state().configuration.positions[rod.tip()];
+            (tip, integrator.newton_iterations())
+        }
     }
-    (
-        integrator.state().configuration.positions[rod.tip()],
-        integrator.newton_iterations(),
-    )
 }

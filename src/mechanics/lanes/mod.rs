@@ -16,9 +16,8 @@ use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::element::{Consistent, Dilatation, Helical, Law, Rule, Standard, Trapezoidal};
 use self::sweep::{
-    ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, Finding, GYRATION, LAST_TURN, LINEAR_MOMENTUM,
-    MOBILITY, MOMENT, NODE_ROWS, POSITION, Part, ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
-    TurnSingly, WEIGHT,
+    ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, GYRATION, LAST_TURN, LINEAR_MOMENTUM, MOBILITY, MOMENT,
+    NODE_ROWS, POSITION, Part, ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep, TurnSingly, WEIGHT,
 };
 use super::base_motion::BaseState;
 use super::buffer::Buffer;
@@ -150,34 +149,21 @@ impl<'a> LaneIntegrator<'a> {
     /// The same on a given instruction set; the result does not depend on it.
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
-        let n_lanes = dispatch(arch, CountLanes);
-        is_possible(rod, time_step)
-            .then(|| Self::with_lanes(arch, n_lanes, rod, time_step, initial))
+        let mut initial = initial.clone();
+        rod.start_base(&mut initial);
+        is_possible(rod, time_step).then(|| Self::empty(arch, rod, time_step).seated(&initial, 0))
     }
 
     /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
     /// there, to the bit. `None` as for [`Self::new`].
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: &State, step: usize) -> Option<Self> {
-        let arch = Arch::new();
-        let n_lanes = dispatch(arch, CountLanes);
         is_possible(rod, time_step)
-            .then(|| Self::empty(arch, n_lanes, rod, time_step).seated(state, step))
+            .then(|| Self::empty(Arch::new(), rod, time_step).seated(state, step))
     }
 
-    fn with_lanes(
-        arch: Arch,
-        n_lanes: usize,
-        rod: &'a Rod,
-        time_step: f64,
-        initial: &State,
-    ) -> Self {
-        let mut initial = initial.clone();
-        rod.start_base(&mut initial);
-        Self::empty(arch, n_lanes, rod, time_step).seated(&initial, 0)
-    }
-
-    fn empty(arch: Arch, n_lanes: usize, rod: &'a Rod, time_step: f64) -> Self {
+    fn empty(arch: Arch, rod: &'a Rod, time_step: f64) -> Self {
+        let n_lanes = dispatch(arch, CountLanes);
         let slots = Slots {
             n_blocks: rod.n_nodes().div_ceil(n_lanes),
             n_lanes,
@@ -390,17 +376,13 @@ impl<'a> LaneIntegrator<'a> {
 
     fn advance_by<R: Rule>(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
         match self.rod.model {
-            RodModel::Standard => self.advance_with::<R, Standard>(control, dispatch_sweep),
-            RodModel::Dilatation => self.advance_with::<R, Dilatation>(control, dispatch_sweep),
-            RodModel::Consistent => self.advance_with::<R, Consistent>(control, dispatch_sweep),
+            RodModel::Standard => self.advance_with::<R, Standard>(control),
+            RodModel::Dilatation => self.advance_with::<R, Dilatation>(control),
+            RodModel::Consistent => self.advance_with::<R, Consistent>(control),
         }
     }
 
-    fn advance_with<R: Rule, L: Law>(
-        &mut self,
-        control: [Wrench; 2],
-        run: impl Fn(Arch, Sweep<R, L, SingleTurns>) -> Finding,
-    ) -> Result<(), StepError> {
+    fn advance_with<R: Rule, L: Law>(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
         let base = match &self.rod.base {
             BaseCondition::Driven(_) => {
                 approach_base(self.rod, &self.rotation(0), self.step, self.time_step)?
@@ -445,7 +427,7 @@ impl<'a> LaneIntegrator<'a> {
                 time_step: self.time_step,
                 failure,
             };
-            let sweep = Sweep {
+            let sweep: Sweep<R, L, _> = Sweep {
                 part,
                 state: &mut self.state,
                 nodes: &self.constants.nodes,
@@ -459,7 +441,7 @@ impl<'a> LaneIntegrator<'a> {
                 normalize: self.step.is_multiple_of(NORMALIZE_EVERY),
                 kind: PhantomData,
             };
-            let finding = run(self.arch, sweep);
+            let finding = dispatch(self.arch, sweep);
             failure = singly.failure;
             finite &= finding.finite;
             sound &= finding.resolved && finding.unfolded;
@@ -598,10 +580,6 @@ fn is_possible(rod: &Rod, time_step: f64) -> bool {
     let finite = |rotary: f64| (4.0 * rotary.max(1.0) / time_step).is_finite();
     IntervalWeights::of(rod, time_step).is_none()
         && rod.nodes.iter().all(|node| finite(node.rotary.max()))
-}
-
-fn dispatch_sweep<R: Rule, L: Law>(arch: Arch, sweep: Sweep<R, L, SingleTurns>) -> Finding {
-    dispatch(arch, sweep)
 }
 
 impl Constants {
@@ -759,7 +737,6 @@ mod tests {
         Load, LoadFrame, Material, RodParameters, Section, SectionProfile, rotation::exp,
         stable_step,
     };
-    use pulp::Scalar512b;
 
     fn rod(strain_rule: StrainRule, model: RodModel, n_elements: usize, unequal: f64) -> Rod {
         let material = Material::isotropic(1e6, 0.5, 1000.0);
@@ -805,16 +782,13 @@ mod tests {
         state
     }
 
-    fn run<R: Rule, L: Law, S: Simd>(rod: &Rod, simd: S, spin: f64) -> Vec<u64> {
+    fn run(rod: &Rod, arch: Arch, spin: f64) -> Vec<u64> {
         let h = 0.003 * stable_step(rod);
         let initial = initial(rod, h, spin);
-        let mut integrator =
-            LaneIntegrator::with_lanes(Arch::Scalar, S::F64_LANES, rod, h, &initial);
+        let mut integrator = LaneIntegrator::on(arch, rod, h, &initial).unwrap();
         let control = Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]);
         for _ in 0..3 {
-            let result =
-                integrator.advance_with::<R, L>([control; 2], |_, sweep| sweep.with_simd(simd));
-            result.unwrap();
+            integrator.advance([control; 2]).unwrap();
         }
         bits(&integrator)
     }
@@ -831,42 +805,39 @@ mod tests {
         .collect()
     }
 
-    fn assert_same_bits<R: Rule, L: Law>(rule: StrainRule, model: RodModel, unequal: f64) {
-        for n_elements in [1, 2, 7, 8, 9, 20] {
-            for spin in [1e-3, 0.2, 0.7] {
-                let rod = rod(rule, model, n_elements, unequal);
-                let one = run::<R, L, _>(&rod, Scalar128b, spin);
-                assert_eq!(one, run::<R, L, _>(&rod, Scalar512b, spin));
-                #[cfg(target_arch = "x86_64")]
-                {
-                    use pulp::x86::{V3, V4};
-                    if let Some(simd) = V3::try_new() {
-                        assert_eq!(one, run::<R, L, _>(&rod, simd, spin));
-                    }
-                    if let Some(simd) = V4::try_new() {
-                        assert_eq!(one, run::<R, L, _>(&rod, simd, spin));
-                    }
-                }
-            }
+    /// What this machine has beyond the baseline.
+    fn wider() -> Vec<Arch> {
+        let mut wider = Vec::new();
+        #[cfg(target_arch = "x86_64")]
+        {
+            use pulp::x86::{V3, V4};
+            wider.extend(V3::try_new().map(Arch::V3));
+            wider.extend(V4::try_new().map(Arch::V4));
         }
+        wider
     }
 
     /// Every vector length and instruction set gives the same bits: small and large turns, those the lanes leave to the
     /// scalar solver, near and far logarithms side by side.
     #[test]
     fn every_vector_length_gives_the_same_bits() {
-        let [standard, dilatation, consistent] = [
+        let models = [
             RodModel::Standard,
             RodModel::Dilatation,
             RodModel::Consistent,
         ];
-        let [trapezoidal, helical] = [StrainRule::Trapezoidal, StrainRule::Helical];
-        assert_same_bits::<Trapezoidal, Standard>(trapezoidal, standard, 1.0);
-        assert_same_bits::<Helical, Standard>(helical, standard, 1.0);
-        assert_same_bits::<Helical, Standard>(helical, standard, 1.3);
-        assert_same_bits::<Trapezoidal, Dilatation>(trapezoidal, dilatation, 1.0);
-        assert_same_bits::<Helical, Dilatation>(helical, dilatation, 1.3);
-        assert_same_bits::<Trapezoidal, Consistent>(trapezoidal, consistent, 1.3);
-        assert_same_bits::<Helical, Consistent>(helical, consistent, 1.0);
+        for rule in [StrainRule::Trapezoidal, StrainRule::Helical] {
+            for (model, unequal) in models.into_iter().flat_map(|m| [(m, 1.0), (m, 1.3)]) {
+                for n_elements in [1, 2, 7, 8, 9, 20] {
+                    for spin in [1e-3, 0.2, 0.7] {
+                        let rod = rod(rule, model, n_elements, unequal);
+                        let one = run(&rod, Arch::Scalar, spin);
+                        for arch in wider() {
+                            assert_eq!(one, run(&rod, arch, spin), "{rule:?} {model:?} {arch:?}");
+                        }
+                    }
+                }
+            }
+        }
     }
 }
