@@ -13,11 +13,11 @@ use crate::scene::{Scene, Simulation};
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
-/// Seconds of one explicit step of a node, helical: ARCHITECTURE.md.
-const EXPLICIT_NODE_STEP_S: f64 = 1.7e-7;
-/// Seconds of one implicit step of a node, 14 (two Newton iterations) to 21 times (three) the explicit one: `cargo bench --bench
-/// stiff`.
-const IMPLICIT_NODE_STEP_S: f64 = 3.0e-6;
+/// Seconds of one explicit step of a node with AVX2, and without [internal damping](Rod::internal_damping): `cargo bench --bench
+/// kernels`.
+const EXPLICIT_NODE_STEP_S: f64 = 6e-8;
+/// Seconds of one implicit step of a node with two Newton iterations: `cargo bench --bench stiff`.
+const IMPLICIT_NODE_STEP_S: f64 = 3.3e-6;
 /// Bytes of a node's position and rotation.
 const NODE_BYTES: usize = 12 * 8;
 
