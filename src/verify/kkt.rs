@@ -5,9 +5,11 @@
 //! energy by central differences along the adjoint itself. Stresses of [implicit steps and Kelvin-Voigt
 //! damping](crate::mechanics::implicit) come from differentiated strains.
 
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+use faer::sparse::{SparseColMat, Triplet};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-use super::banded::Banded;
 use super::dual;
 use super::interval::{self, Nine, Strained, nine};
 use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
@@ -760,13 +762,14 @@ impl<'a> StressLink<'a> {
     ) {
         let rod = self.conditions.rod();
         let (first, count) = (rod.first_free_node(), rod.n_nodes());
-        let mut matrix = Banded::zeros(6 * (count - first), 11);
+        let mut entries = Vec::with_capacity(108 * (count - first));
+        let mut add = |row, column, value| entries.push(Triplet::new(row, column, value));
         for q in first..count {
             let at = 6 * (q - first);
             for i in 0..3 {
-                matrix.add(at + i, at + i, rod.nodes[q].mass / h);
+                add(at + i, at + i, rod.nodes[q].mass / h);
                 for j in 0..3 {
-                    matrix.add(at + 3 + i, at + 3 + j, spins[q].end_leaving[(j, i)]);
+                    add(at + 3 + i, at + 3 + j, spins[q].end_leaving[(j, i)]);
                 }
             }
         }
@@ -785,18 +788,30 @@ impl<'a> StressLink<'a> {
                 for &(column, j, other) in free() {
                     for (a, b) in (0..9).map(|entry| (entry / 3, entry % 3)) {
                         let value = sign * other * link[(i + a, j + b)];
-                        matrix.add(row + a - 6 * first, column + b - 6 * first, value);
+                        add(row + a - 6 * first, column + b - 6 * first, value);
                     }
                 }
             }
         }
-        let mut solution: Vec<f64> = (first..count)
-            .flat_map(|q| rhs_x[q].iter().chain(&rhs_eta[q]).copied())
-            .collect();
-        matrix.solve(&mut solution);
-        for (six, q) in solution.chunks(6).zip(first..) {
-            lx[q] = Vector3::from_column_slice(&six[..3]);
-            lr[q] = Vector3::from_column_slice(&six[3..]);
+        let n = 6 * (count - first);
+        let right = Mat::from_fn(n, 1, |row, _| {
+            let (q, i) = (first + row / 6, row % 6);
+            if i < 3 {
+                rhs_x[q][i]
+            } else {
+                rhs_eta[q][i - 3]
+            }
+        });
+        let solution = (SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &entries).ok())
+            .and_then(|matrix| matrix.sp_lu().ok())
+            .map_or_else(
+                || Mat::full(n, 1, f64::NAN),
+                |factors| factors.solve(&right),
+            );
+        for q in first..count {
+            let part =
+                |from: usize| Vector3::from_fn(|i, _| solution[(6 * (q - first) + from + i, 0)]);
+            (lx[q], lr[q]) = (part(0), part(3));
         }
     }
 }

@@ -3,7 +3,6 @@
 //! The optimality conditions are recomputed ([`kkt`]), the controls are replayed by the forward simulation on the same
 //! grid, with the step halved, and with the elements doubled, and the energy is balanced.
 
-mod banded;
 mod dual;
 mod interval;
 pub mod kkt;
