@@ -17,7 +17,7 @@ const LOCKING_LIMIT: f64 = 0.05;
 /// kernels`.
 const EXPLICIT_NODE_STEP_S: f64 = 6e-8;
 /// Seconds of one implicit step of a node with two Newton iterations: `cargo bench --bench stiff`.
-const IMPLICIT_NODE_STEP_S: f64 = 3.3e-6;
+const IMPLICIT_NODE_STEP_S: f64 = 2.7e-6;
 /// Bytes of a node's position and rotation.
 const NODE_BYTES: usize = 12 * 8;
 

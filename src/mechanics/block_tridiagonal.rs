@@ -83,8 +83,8 @@ impl BlockTridiagonal {
         }
     }
 
-    /// `A = L U` with `U` of unit diagonal blocks; pivoting stays within the blocks, which is stable where the diagonal
-    /// blocks dominate, as those of an inertia plus a stiffness do. `None` when a pivot block is singular.
+    /// `A = L U` with `U` of unit diagonal blocks; the pivots are the diagonal blocks and their quarters, which is stable where
+    /// these dominate, as those of an inertia plus a stiffness do. `None` when a pivot block is singular.
     #[must_use]
     pub fn factor(mut self) -> Option<BlockLu> {
         for i in 0..self.diagonal.len() {
@@ -92,13 +92,33 @@ impl BlockTridiagonal {
                 let fill = self.below[previous] * self.above[previous];
                 self.diagonal[i] -= fill;
             }
-            self.diagonal[i] = self.diagonal[i].lu().try_inverse()?;
+            self.diagonal[i] = inverse(&self.diagonal[i])?;
             if let Some(above) = self.above.get_mut(i) {
                 *above = self.diagonal[i] * *above;
             }
         }
         Some(BlockLu { factors: self })
     }
+}
+
+/// Of a matrix whose upper left quarter is regular as well, by the quarters; `None` where one of the two pivots is singular.
+fn inverse(matrix: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+    let quarter = |row, column| matrix.fixed_view::<3, 3>(row, column).into_owned();
+    let (right, below) = (quarter(0, 3), quarter(3, 0));
+    let first = quarter(0, 0).try_inverse()?;
+    let (first_right, below_first) = (first * right, below * first);
+    let second = (quarter(3, 3) - below * first_right).try_inverse()?;
+    let corner = -first_right * second;
+    let mut out = Matrix6::zeros();
+    for (row, column, block) in [
+        (0, 0, first - corner * below_first),
+        (0, 3, corner),
+        (3, 0, -second * below_first),
+        (3, 3, second),
+    ] {
+        out.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+    }
+    Some(out)
 }
 
 /// Factors of a [`BlockTridiagonal`]. Solves with the matrix and with its transpose use the same numbers, so that each is the

@@ -103,8 +103,8 @@ pub(super) struct ImplicitStep {
     weights: IntervalWeights,
     start: Vec<Strained>,
     end: Vec<Strained>,
-    /// `B_endᵀ σ` of every element.
-    reaction: Vec<SVector<f64, 9>>,
+    /// `σ` of every element, [weighted].
+    stress: Vec<SVector<f64, 9>>,
     /// The end of the step under way.
     configuration: Configuration,
     iterations: usize,
@@ -125,7 +125,7 @@ impl ImplicitStep {
         Self {
             weights,
             end: start.clone(),
-            reaction: vec![SVector::zeros(); start.len()],
+            stress: vec![SVector::zeros(); start.len()],
             start,
             configuration: configuration.clone(),
             iterations: 0,
@@ -249,8 +249,10 @@ impl ImplicitStep {
     /// Adds what the stress of the solved interval does where it ends, `-weight B_{k+1}ᵀ σ`, to the momenta there.
     pub fn arrive(&self, rod: &Rod, weight: f64, state: &mut State) {
         let first = rod.first_free_node();
-        for (q, pull) in self.reaction.iter().enumerate() {
-            scatter(first, q, pull, |node, linear, angular| {
+        // Where the interval ended, the next one starts.
+        for (q, (start, stress)) in self.start.iter().zip(&self.stress).enumerate() {
+            let pull = start.derivative.tr_mul(stress);
+            scatter(first, q, &pull, |node, linear, angular| {
                 state.linear_momentum[node] -= linear * weight;
                 state.angular_momentum[node] -= angular * weight;
             });
@@ -266,7 +268,7 @@ impl ImplicitStep {
             let (start, end) = (&self.start[q], &self.end[q]);
             let stress = (self.weights).stress(&rod.elements[q], &start.strain, &end.strain);
             let stress = weighted(&stress, rod.elements[q].length);
-            self.reaction[q] = end.derivative.tr_mul(&stress);
+            self.stress[q] = stress;
             scatter(
                 first,
                 q,
