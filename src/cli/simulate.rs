@@ -224,8 +224,6 @@ struct Run<'a> {
     setup: &'a Simulation,
     directory: &'a RunDirectory,
     integrator: Stepper<'a>,
-    /// Step, and state after it, from which a later run can go on to the bit.
-    seat: (usize, State),
     trajectory: RowFiles,
     diagnostics: Option<RowFiles>,
     /// The last row.
@@ -298,13 +296,11 @@ impl<'a> Run<'a> {
         files: impl Fn(&str, &[ArrayView]) -> Result<RowFiles, OutputError>,
     ) -> Result<Self, CliError> {
         let row = MotionRecord::empty(setup.rod.n_nodes());
-        let seat = (integrator.step(), integrator.state());
         let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
         Ok(Self {
             setup,
             directory,
             integrator,
-            seat,
             trajectory: files("trajectory", &row.arrays())?,
             diagnostics: if setup.diagnostics {
                 Some(files("diagnostics", &diagnostics.arrays())?)
@@ -331,7 +327,6 @@ impl<'a> Run<'a> {
                 break End::Completed;
             }
             if k.is_multiple_of(Stepper::SEAT) {
-                self.seat = (k, self.integrator.state());
                 bar.set_position(k as u64);
                 if interrupted() {
                     break End::Interrupted;
@@ -407,7 +402,7 @@ impl<'a> Run<'a> {
     }
 
     fn checkpoint(&self) -> Checkpoint {
-        let (step, state) = &self.seat;
+        let (step, state) = self.integrator.seat();
         let scene = self.setup.resolved.to_toml();
         Checkpoint::new(*step, self.setup.grid.step, state, &scene)
     }

@@ -46,11 +46,13 @@ impl NodalForces {
         rotations: &[Matrix3<f64>],
         t: f64,
     ) {
-        self.start_with_gravity(rod);
-        if rod.scheme == TimeScheme::Explicit {
-            self.add_elastic(rod, positions, rotations);
+        match rod.scheme {
+            TimeScheme::Explicit => self.evaluate(rod, positions, rotations, t),
+            TimeScheme::Implicit => {
+                self.start_with_gravity(rod);
+                self.add_loads(rod, rotations, t);
+            }
         }
-        self.add_loads(rod, rotations, t);
     }
 
     fn start_with_gravity(&mut self, rod: &Rod) {

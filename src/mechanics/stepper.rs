@@ -11,10 +11,8 @@ use super::rod::Rod;
 #[derive(Clone, Debug)]
 pub struct Stepper<'a> {
     engine: Engine<'a>,
-    /// Step at which the state was last taken over from a [`State`].
-    seated: usize,
-    /// The state that this one began with, and its step: the lanes give it back rounded.
-    start: (usize, State),
+    /// Step, and state after it, from which this one last went on; the lanes give it back rounded.
+    seat: (usize, State),
 }
 
 #[derive(Clone, Debug)]
@@ -38,16 +36,12 @@ impl<'a> Stepper<'a> {
     /// Goes on from the state after `step` steps of the same length; to the bit, if `step` is a multiple of [`Self::SEAT`].
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
-        let start = (step, state.clone());
+        let seat = (step, state.clone());
         let engine = match LaneIntegrator::resume(rod, time_step, &state, step) {
             Some(lanes) => Engine::Lanes(Box::new(lanes)),
             None => Engine::Plain(Box::new(Integrator::resume(rod, time_step, state, step))),
         };
-        Self {
-            engine,
-            seated: step,
-            start,
-        }
+        Self { engine, seat }
     }
 
     /// One step; see [`Integrator::advance`].
@@ -55,24 +49,32 @@ impl<'a> Stepper<'a> {
     /// # Errors
     /// As [`Integrator::advance`].
     pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
-        let step = self.step();
         match &mut self.engine {
-            Engine::Lanes(lanes) => {
-                if step.is_multiple_of(Self::SEAT) && step != self.seated {
-                    lanes.reseat();
-                    self.seated = step;
-                }
-                lanes.advance(control)
-            }
-            Engine::Plain(plain) => plain.advance(control),
+            Engine::Lanes(lanes) => lanes.advance(control)?,
+            Engine::Plain(plain) => plain.advance(control)?,
         }
+        let step = self.step();
+        if step.is_multiple_of(Self::SEAT) {
+            let state = match &mut self.engine {
+                Engine::Lanes(lanes) => lanes.reseat(),
+                Engine::Plain(plain) => plain.state().clone(),
+            };
+            self.seat = (step, state);
+        }
+        Ok(())
+    }
+
+    /// The last step, and the state after it, from which a [resumed](Self::resume) motion is the same to the bit.
+    #[must_use]
+    pub fn seat(&self) -> &(usize, State) {
+        &self.seat
     }
 
     /// State at the current time node, momenta included.
     #[must_use]
     pub fn state(&self) -> State {
-        if self.step() == self.start.0 {
-            return self.start.1.clone();
+        if self.step() == self.seat.0 {
+            return self.seat.1.clone();
         }
         match &self.engine {
             Engine::Lanes(lanes) => lanes.state(),
@@ -82,8 +84,8 @@ impl<'a> Stepper<'a> {
 
     /// Appends the present configuration.
     pub fn record(&self, trajectory: &mut Trajectory) {
-        if self.step() == self.start.0 {
-            trajectory.push(&self.start.1.configuration);
+        if self.step() == self.seat.0 {
+            trajectory.push(&self.seat.1.configuration);
             return;
         }
         match &self.engine {

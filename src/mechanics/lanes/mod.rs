@@ -195,10 +195,11 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     /// Forgets all but [`Self::state`], whose rotation matrices and momenta are rounded: what follows is the same to the
-    /// bit as after [`Self::resume`] from that state.
-    pub fn reseat(&mut self) {
+    /// bit as after [`Self::resume`] from that state, which is given back.
+    pub fn reseat(&mut self) -> State {
         let state = self.state();
         self.seat(&state, self.step);
+        state
     }
 
     fn seat(&mut self, state: &State, step: usize) {
