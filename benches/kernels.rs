@@ -9,13 +9,12 @@ use std::time::Instant;
 use common::{RULES, laws, soft_arm};
 use divan::counter::ItemsCount;
 use softarm::mechanics::curvature::Multipliers;
-use softarm::mechanics::linearization::{
-    AdjointSweep, Motion, StateTangent, adjoint_sweep, defects,
-};
+use softarm::mechanics::linearization::{AdjointSweep, Motion, Sources, adjoint_sweep, defects};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    Integrator, LaneIntegrator, Rod, RodParameters, State, StrainRule, TimeGrid, Trajectory, Wrench,
+    ControlSignal, FormTerm, Integrator, LaneIntegrator, Rod, RodParameters, State, StateForm,
+    StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 fn main() {
@@ -31,27 +30,26 @@ fn main() {
         let rod = Rod::new(&soft_arm(rule, 20)).expect("a valid rod");
         let n_steps = 1000;
         let integrator = Integrator::new(&rod, 0.7 * stable_step(&rod), moving(&rod));
-        let seconds = median(9, || simulate(&integrator, n_steps));
+        let seconds = median(9, || simulate(&integrator, &push(&rod), n_steps));
         let ns = seconds * 1e9 / (n_steps * rod.n_nodes()) as f64;
         println!(
             "{:12} forward      K = 20          {ns:8.1} ns per node-step",
             rule.name()
         );
-        for n_threads in [1, 2] {
-            let case = SensitivityCase::new(&rod, n_steps, 20);
-            for curved in [false, true] {
+        let case = SensitivityCase::new(&rod, n_steps, 20);
+        for (what, question) in [
+            ("12 forms of the end", Question::End),
+            ("6 forms at 100 time nodes", Question::OnTheWay),
+            ("12 forms, curvature", Question::Curvature),
+        ] {
+            for n_threads in [1, 2] {
                 let seconds = median(9, || {
-                    case.run(curved, n_threads);
+                    case.run(question, n_threads);
                 });
-                let flops = case.run(curved, n_threads) as f64;
+                let flops = case.run(question, n_threads) as f64;
                 println!(
-                    "{:12} sensitivity  K = 20, N = 1000, 120 columns, {n_threads} thread(s) {} {:8.2} ms  {:6.1} GFlop/s on the columns",
+                    "{:12} sensitivity  K = 20, N = 1000, 120 columns, {n_threads} thread(s), {what:26} {:8.2} ms  {:6.1} GFlop/s",
                     rule.name(),
-                    if curved {
-                        "with curvature"
-                    } else {
-                        "              "
-                    },
                     seconds * 1e3,
                     flops / seconds * 1e-9
                 );
@@ -160,7 +158,7 @@ fn forward_table() {
             for (name, arch) in levels() {
                 let integrator = LaneIntegrator::on(arch, &rod, step, &initial)
                     .expect("a rod with explicit steps");
-                let times = sorted_times(15, || simulate_lanes(&integrator, n_steps));
+                let times = sorted_times(15, || simulate_lanes(&integrator, &push(&rod), n_steps));
                 line += &format!(
                     "   {name} {:6.1} ({:6.1})",
                     times[7] * scale,
@@ -168,7 +166,7 @@ fn forward_table() {
                 );
             }
             let integrator = Integrator::new(&rod, step, initial.clone());
-            let times = sorted_times(3, || simulate(&integrator, n_steps));
+            let times = sorted_times(3, || simulate(&integrator, &push(&rod), n_steps));
             line += &format!(
                 "   plain {:6.1} ({:6.1})",
                 times[1] * scale,
@@ -191,25 +189,30 @@ fn moving(rod: &Rod) -> State {
     state
 }
 
-fn push() -> [Wrench; 2] {
-    [Wrench {
+fn push(rod: &Rod) -> ControlSignal {
+    let push = Wrench {
         force: nalgebra::Vector3::new(0.2, 0.1, 0.0),
         ..Wrench::default()
-    }; 2]
+    };
+    ControlSignal::tip(rod, vec![push])
 }
 
-fn simulate_lanes(start: &LaneIntegrator, n_steps: usize) {
+fn simulate_lanes(start: &LaneIntegrator, control: &ControlSignal, n_steps: usize) {
     let mut integrator = start.clone();
     for _ in 0..n_steps {
-        integrator.advance(push()).expect("a stable step");
+        integrator
+            .advance([control.at(0); 2])
+            .expect("a stable step");
     }
     divan::black_box(integrator.position(0));
 }
 
-fn simulate(start: &Integrator, n_steps: usize) {
+fn simulate(start: &Integrator, control: &ControlSignal, n_steps: usize) {
     let mut integrator = start.clone();
     for _ in 0..n_steps {
-        integrator.advance(push()).expect("a stable step");
+        integrator
+            .advance([control.at(0); 2])
+            .expect("a stable step");
     }
     divan::black_box(integrator.state());
 }
@@ -220,13 +223,25 @@ struct SensitivityCase<'a> {
     initial: State,
     trajectory: Trajectory,
     blocks: Blocks,
-    terminal: StateTangent,
+    end: Vec<StateForm>,
+    on_the_way: Vec<StateForm>,
     adjoint: AdjointSweep,
+}
+
+/// What is asked of the columns.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Question {
+    /// Few forms: they go backward.
+    End,
+    /// Many: the columns go forward.
+    OnTheWay,
+    Curvature,
 }
 
 struct Blocks {
     n_blocks: usize,
     n_steps: usize,
+    node: usize,
 }
 
 impl ControlColumns for Blocks {
@@ -234,10 +249,10 @@ impl ControlColumns for Blocks {
         6 * self.n_blocks
     }
 
-    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, f64)) {
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
         let block = (k * self.n_blocks / self.n_steps).min(self.n_blocks - 1);
         for component in 0..6 {
-            visit(6 * block + component, component, 1.0);
+            visit(6 * block + component, self.node, component, 1.0);
         }
     }
 
@@ -257,43 +272,61 @@ impl<'a> SensitivityCase<'a> {
             step: 0.7 * stable_step(rod),
             n_steps,
         };
-        let mut terminal = StateTangent::zeros(rod.n_nodes());
-        terminal.positions[rod.tip()] = nalgebra::Vector3::new(1.0, 2.0, -1.0);
-        terminal.angular[rod.tip()] = nalgebra::Vector3::new(-3.0, 1.0, 2.0);
+        let form = |time_node: usize, component: usize| StateForm {
+            time_node,
+            terms: vec![FormTerm {
+                node: rod.tip(),
+                component,
+                coefficient: 1.0,
+            }],
+        };
         let motion = Motion {
             rod,
             grid,
             initial: &initial,
         };
-        let adjoint = adjoint_sweep(&motion, &trajectory, &terminal).expect("a rod at rest");
+        let end: Vec<_> = (0..12).map(|component| form(n_steps, component)).collect();
+        let adjoint = adjoint_sweep(&motion, &trajectory, &end).expect("a rod at rest");
         Self {
             rod,
             grid,
-            initial,
             trajectory,
-            blocks: Blocks { n_blocks, n_steps },
-            terminal,
+            blocks: Blocks {
+                n_blocks,
+                n_steps,
+                node: rod.tip(),
+            },
+            on_the_way: (1..=100)
+                .flat_map(|i| (0..6).map(move |component| (i, component)))
+                .map(|(i, component)| form(i * n_steps / 100, component))
+                .collect(),
+            end,
             adjoint,
+            initial,
         }
     }
 
-    fn run(&self, curved: bool, n_threads: usize) -> u64 {
+    fn run(&self, question: Question, n_threads: usize) -> u64 {
         let motion = Motion {
             rod: self.rod,
             grid: self.grid,
             initial: &self.initial,
         };
-        let control = vec![Wrench::default(); self.grid.n_steps + 1];
-        let d = defects(&motion, &self.trajectory, &control).expect("a rod at rest");
-        let multipliers = curved.then_some(Multipliers {
+        let d = defects(&motion, &self.trajectory, &ControlSignal::default());
+        let sources = Sources::against(&d.expect("a rod at rest"));
+        let multipliers = (question == Question::Curvature).then_some(Multipliers {
             adjoint: &self.adjoint,
-            terminal: &self.terminal,
+            own: &[],
         });
         sensitivities(
             &motion,
             &self.trajectory,
-            &d,
+            &[&sources],
             &self.blocks,
+            match question {
+                Question::OnTheWay => &self.on_the_way,
+                Question::End | Question::Curvature => &self.end,
+            },
             multipliers.as_ref(),
             n_threads,
         )
@@ -309,7 +342,7 @@ fn forward_helical(bencher: divan::Bencher, n_elements: usize) {
     let integrator = Integrator::new(&rod, 0.7 * stable_step(&rod), moving(&rod));
     bencher
         .counter(ItemsCount::new(1000 * (n_elements + 1)))
-        .bench(|| simulate(&integrator, 1000));
+        .bench(|| simulate(&integrator, &push(&rod), 1000));
 }
 
 /// All sensitivities of 20 blocks over 1000 steps, one thread; an item is a floating-point operation on the columns.
@@ -317,8 +350,8 @@ fn forward_helical(bencher: divan::Bencher, n_elements: usize) {
 fn sensitivity_helical(bencher: divan::Bencher, n_elements: usize) {
     let rod = Rod::new(&soft_arm(StrainRule::Helical, n_elements)).expect("a valid rod");
     let case = SensitivityCase::new(&rod, 1000, 20);
-    let flops = case.run(false, 1);
+    let flops = case.run(Question::OnTheWay, 1);
     bencher
         .counter(ItemsCount::new(flops))
-        .bench(|| case.run(false, 1));
+        .bench(|| case.run(Question::OnTheWay, 1));
 }

@@ -6,8 +6,8 @@ use std::time::Instant;
 use nalgebra::Vector3;
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, stable_step};
 use softarm::mechanics::{
-    Integrator, Material, Rod, RodParameters, Section, SectionProfile, State, Stepper, TimeScheme,
-    Wrench,
+    Integrator, Material, NodeWrenches, Rod, RodParameters, Section, SectionProfile, State,
+    Stepper, TimeScheme,
 };
 
 /// Duration, s: two periods of the third mode.
@@ -78,7 +78,7 @@ fn swing(rod: &Rod, n_steps: usize) -> (Vector3<f64>, usize) {
             * rod.nodes[q].mass;
     }
     let step = END / n_steps as f64;
-    let none = [Wrench::default(); 2];
+    let none = [NodeWrenches::NONE; 2];
     match rod.scheme {
         TimeScheme::Explicit => {
             let mut stepper = Stepper::new(rod, step, initial);

@@ -19,13 +19,14 @@ use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 use softarm::control::{
-    Bound, Channel, ControlGrid, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem,
-    TipTarget, Transcription, first_point,
+    Bound, Channel, ControlGrid, Goal, Guess, Hold, LiftedPoint, OptimalControlProblem,
+    Transcription, first_point,
 };
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
 use softarm::sqp::{
-    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, SqpSettings, SqpStatus, solve,
+    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
+    SqpSettings, SqpStatus, solve,
 };
 
 /// Component 0 of the wrench: the force along x.
@@ -43,13 +44,14 @@ struct Penalized<'a> {
 impl<'a> Penalized<'a> {
     /// Adds `weight/2 ∫ (u_component / scale)² dt` for a control that is held constant over its blocks.
     fn new(problem: &'a OptimalControlProblem, component: usize, weight: f64) -> Self {
-        let (durations, _) = problem.control.effort_matrix();
+        let effort = problem.control.effort_matrix();
+        let durations: Vec<f64> = (0..effort.nrows()).map(|i| effort[(i, i)]).collect();
         // The variables go block by block, and within a block through the actuated components.
         let diagonal = durations
             .iter()
             .flat_map(|duration| {
                 problem.actuated_components().into_iter().map(move |c| {
-                    if c == component {
+                    if c.axis == component {
                         weight * duration
                     } else {
                         0.0
@@ -84,9 +86,9 @@ impl<'a> LiftedProgram for Penalized<'a> {
         &self,
         point: &LiftedPoint,
         evaluation: &Evaluation<Self::Defects>,
-        multipliers: Option<&[f64]>,
+        request: &LinearizationRequest,
     ) -> Result<Linearization, Failure> {
-        let mut model = self.inner.linearize(point, evaluation, multipliers)?;
+        let mut model = self.inner.linearize(point, evaluation, request)?;
         for (i, (d, v)) in self.diagonal.iter().zip(&point.variables).enumerate() {
             model.gradient[i] += d * v;
             model.model_gradient[i] += d * v;
@@ -98,6 +100,24 @@ impl<'a> LiftedProgram for Penalized<'a> {
 
     fn sets(&self) -> &[ConvexSet] {
         self.inner.sets()
+    }
+
+    fn softness(&self, row: usize) -> Softness {
+        self.inner.softness(row)
+    }
+
+    fn screening_margin(&self) -> f64 {
+        self.inner.screening_margin()
+    }
+
+    fn predict_inequalities(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Self::Defects>,
+        direction: &Self::Direction,
+    ) -> Result<Vec<f64>, Failure> {
+        self.inner
+            .predict_inequalities(point, evaluation, direction)
     }
 
     fn variables<'b>(&self, point: &'b LiftedPoint) -> &'b [f64] {
@@ -143,7 +163,7 @@ struct Optimum {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let problem = reach_problem()?;
-    let (start, _) = first_point(&problem, Guess::StaticPath)?;
+    let (start, _) = first_point(&problem, Guess::StaticPath, None)?;
 
     let free = optimum(&problem, 0.0, start)?;
     let penalized = optimum(&problem, WEIGHT, free.point.clone())?;
@@ -208,27 +228,15 @@ fn reach_problem() -> Result<OptimalControlProblem, Box<dyn Error>> {
     })?;
     let n_blocks = 10;
     let grid = TimeGrid::covering(1.0, AUTO_STEP_FRACTION * stable_step(&rod), n_blocks);
-    Ok(OptimalControlProblem {
-        grid,
-        initial: State::at_rest(rod.rest.clone()),
-        control: ControlGrid::new(Hold::Constant, n_blocks, grid.n_steps, grid.step)
-            .ok_or("fewer steps than blocks")?,
-        force: Channel {
-            scale: rod.scales.force,
-            bound: Some(Bound::Norm(20.0)),
-        },
-        moment: Channel {
-            scale: rod.scales.moment,
-            bound: Some(Bound::Norm(5.0)),
-        },
-        target: TipTarget {
-            position: Some(Vector3::new(0.5, 0.0, 0.8)),
-            rotation: None,
-            at_rest: true,
-            enforcement: Enforcement::Hard,
-        },
-        effort: 1.0,
-        rate: 0.0,
-        rod,
-    })
+    let control = ControlGrid::new(Hold::Constant, n_blocks, grid.n_steps, grid.step)
+        .ok_or("fewer steps than blocks")?;
+    let bounds = [
+        Channel::new(rod.scales.force, Some(Bound::Norm(20.0))),
+        Channel::new(rod.scales.moment, Some(Bound::Norm(5.0))),
+    ];
+    let goal = Goal::reach(&rod, grid, Vector3::new(0.5, 0.0, 0.8));
+    let initial = State::at_rest(rod.rest.clone());
+    Ok(OptimalControlProblem::least_effort(
+        rod, grid, initial, control, bounds, goal,
+    ))
 }

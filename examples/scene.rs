@@ -12,7 +12,7 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use softarm::control::{Transcription, first_point, simulate};
+use softarm::control::{Guess, Transcription, first_point};
 use softarm::mechanics::{Trajectory, Wrench};
 use softarm::scene::Scene;
 use softarm::sqp::{self, SqpStatus};
@@ -101,10 +101,9 @@ fn compute(name: &str, text: &str, overrides: &[String]) -> Result<Computed, Box
     let setup = scene.optimal_control(&source)?;
     let problem = &setup.problem;
 
-    let nothing = vec![Wrench::default(); problem.grid.n_steps + 1];
-    let uncontrolled = simulate(problem, problem.grid, &nothing)?;
+    let (uncontrolled, _) = first_point(problem, Guess::Rest, None)?;
 
-    let (start, _) = first_point(problem, setup.guess)?;
+    let (start, _) = first_point(problem, setup.search.guess, None)?;
     let program = Transcription::new(problem, 2);
     let outcome = sqp::solve(&program, start, &setup.settings, &mut |_| {
         ControlFlow::Continue(())
@@ -115,13 +114,13 @@ fn compute(name: &str, text: &str, overrides: &[String]) -> Result<Computed, Box
 
     let optimal = outcome.point.trajectory;
     let reached = optimal.positions_at(problem.grid.n_steps)[problem.rod.tip()];
-    let target = problem.target.position.unwrap_or(reached);
+    let target = problem.goals[0].position.unwrap_or(reached);
     Ok(Computed {
         resolved: setup.resolved.to_toml(),
         objective: outcome.objective,
         coefficients: problem.wrenches(&outcome.point.variables),
         optimal,
-        uncontrolled,
+        uncontrolled: uncontrolled.trajectory,
         tip_error: (reached - target).norm(),
     })
 }

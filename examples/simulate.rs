@@ -20,8 +20,8 @@ use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{
-    Energy, Integrator, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
-    State, Wrench,
+    Energy, Integrator, Load, LoadFrame, Material, NodeWrenches, Rod, RodParameters, Section,
+    SectionProfile, State,
 };
 
 /// Share of the first mode in the static tip deflection, `12/β₁⁴`.
@@ -69,7 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut most_work: f64 = 0.0;
     for _ in 0..n_steps {
         // The tip load belongs to the rod; no control acts besides.
-        integrator.advance([Wrench::default(); 2])?;
+        integrator.advance([NodeWrenches::NONE; 2])?;
         let state = integrator.state();
         let deflection = state.configuration.positions[tip].x;
         if deflection > peak.1 {

@@ -17,13 +17,13 @@ use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 use softarm::control::{
-    Bound, Channel, ControlGrid, Enforcement, Guess, Hold, OptimalControlProblem, TipTarget,
-    Transcription, first_point,
+    Bound, Channel, ControlGrid, Goal, Guess, Hold, OptimalControlProblem, Transcription,
+    first_point,
 };
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
 use softarm::sqp::{self, SqpSettings, SqpStatus};
-use softarm::verify::{CheckLimits, ForwardCheck, Solution, forward_check};
+use softarm::verify::{CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check};
 
 const TARGET: [f64; 3] = [0.5, 0.0, 0.8];
 const BLOCKS_PER_SECOND: usize = 10;
@@ -80,32 +80,18 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
     // Every block has the same whole number of steps.
     let longest_step = AUTO_STEP_FRACTION * stable_step(&rod);
     let grid = TimeGrid::covering(seconds as f64, longest_step, n_blocks);
-    let problem = OptimalControlProblem {
-        grid,
-        initial: State::at_rest(rod.rest.clone()),
-        control: ControlGrid::new(Hold::Constant, n_blocks, grid.n_steps, grid.step)
-            .ok_or("fewer steps than blocks")?,
-        force: Channel {
-            scale: rod.scales.force,
-            bound: Some(Bound::Norm(20.0)),
-        },
-        moment: Channel {
-            scale: rod.scales.moment,
-            bound: Some(Bound::Norm(5.0)),
-        },
-        target: TipTarget {
-            position: Some(Vector3::from(TARGET)),
-            rotation: None,
-            at_rest: true,
-            enforcement: Enforcement::Hard,
-        },
-        effort: 1.0,
-        rate: 0.0,
-        rod,
-    };
+    let control = ControlGrid::new(Hold::Constant, n_blocks, grid.n_steps, grid.step)
+        .ok_or("fewer steps than blocks")?;
+    let bounds = [
+        Channel::new(rod.scales.force, Some(Bound::Norm(20.0))),
+        Channel::new(rod.scales.moment, Some(Bound::Norm(5.0))),
+    ];
+    let goal = Goal::reach(&rod, grid, Vector3::from(TARGET));
+    let initial = State::at_rest(rod.rest.clone());
+    let problem = OptimalControlProblem::least_effort(rod, grid, initial, control, bounds, goal);
 
     let program = Transcription::new(&problem, 2);
-    let (start, _) = first_point(&problem, Guess::StaticPath)?;
+    let (start, _) = first_point(&problem, Guess::StaticPath, None)?;
     let outcome = sqp::solve(&program, start, &SqpSettings::default(), &mut |_| {
         ControlFlow::Continue(())
     });
@@ -121,7 +107,7 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
         &Solution {
             trajectory: &outcome.point.trajectory,
             coefficients: &wrenches,
-            multipliers: &outcome.multipliers.constraints,
+            multipliers: SolutionMultipliers::of_goals(&outcome.multipliers.constraints),
         },
         &CheckLimits::default(),
     )?;

@@ -11,16 +11,13 @@ use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::rotation::{exp, from_direction, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, DistributedLoad, Integrator, LoadFrame, Material, MotionCurve,
-    NodeInertia, Oscillation, Rod, RodParameters, Section, SectionProfile, State, StepError,
-    StrainRule, TimeGrid, Wrench,
+    BaseCondition, BaseMotion, ControlSignal, DistributedLoad, Integrator, LoadFrame, Material,
+    MotionCurve, NodeInertia, NodeWrenches, Oscillation, Rod, RodParameters, Section,
+    SectionProfile, State, StepError, StrainRule, TimeGrid,
 };
 use softarm::verify::replay;
 
-const NOTHING: [Wrench; 2] = [Wrench {
-    force: Vector3::new(0.0, 0.0, 0.0),
-    moment: Vector3::new(0.0, 0.0, 0.0),
-}; 2];
+const NOTHING: [NodeWrenches; 2] = [NodeWrenches::NONE; 2];
 
 /// `sqrt(E/ρ)` of [`common::SILICONE`], m/s.
 const WAVE_SPEED: f64 = 31.622_776_601_683_793;
@@ -195,8 +192,8 @@ fn energy_is_accounted_for() {
                     step: 0.2 * stable_step(&rod) / refinement as f64,
                     n_steps: 200 * refinement,
                 };
-                let control = vec![Wrench::default(); grid.n_steps + 1];
-                replay(&rod, grid, &start, &control).unwrap().balance
+                let none = ControlSignal::default();
+                replay(&rod, grid, &start, &none).unwrap().balance
             };
             let (coarse, fine) = (residual(1), residual(2));
             let ratio = coarse.residual() / fine.residual();

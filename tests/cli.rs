@@ -138,9 +138,10 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-const SOLVE_FILES: [&str; 6] = [
+const SOLVE_FILES: [&str; 7] = [
     "controls.csv",
     "iterations.csv",
+    "multipliers.json",
     "report.html",
     "scene.toml",
     "summary.json",
@@ -273,7 +274,7 @@ fn solve_and_verify() {
     let path = desk.path("run/controls.csv");
     let controls = std::fs::read_to_string(&path).unwrap();
     let mut lines: Vec<String> = controls.lines().map(String::from).collect();
-    assert_eq!(lines[0], "t_start,t_end,fx,fy,fz,mx,my,mz");
+    assert_eq!(lines[0], "t_start,t_end,fx,fy,fz,mx,my,mz,node");
     let mut cells: Vec<String> = lines[2].split(',').map(String::from).collect();
     let fx: f64 = cells[2].parse().unwrap();
     cells[2] = (1.01 * fx).to_string();

@@ -4,25 +4,26 @@
 mod common;
 
 use common::{
-    Dice, Method, RULES, bases, busy_arm, exact_methods, laws, random_state, random_trajectory,
+    Dice, Method, RULES, bases, busy_arm, exact_methods, laws, random_sources, random_state,
+    random_trajectory,
 };
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use softarm::mechanics::curvature::{
-    Multipliers, element_curvature, inertia_curvature, lagrangian_curvature, load_curvature,
-    stress_curvature,
+    Multipliers, OwnCurvature, element_curvature, inertia_curvature, lagrangian_curvature,
+    load_curvature, stress_curvature,
 };
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{
-    Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
+    AdjointSweep, Motion, Sources, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
-use softarm::mechanics::rotation::{exp, vee};
-use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
+use softarm::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent, vee};
+use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Integrator, Rod, RodModel, RodParameters, State, StrainRule, TimeGrid,
-    Trajectory, Wrench,
+    BaseCondition, ControlSignal, FormTerm, Integrator, Rod, RodModel, RodParameters, State,
+    StateForm, StrainRule, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -239,10 +240,11 @@ fn load_curvature_is_the_second_derivative() {
     }
 }
 
-/// Blocks of constant control, six components each.
+/// Blocks of constant control, six components each, on one node.
 struct Blocks {
     n_blocks: usize,
     n_steps: usize,
+    node: usize,
 }
 
 impl ControlColumns for Blocks {
@@ -250,10 +252,10 @@ impl ControlColumns for Blocks {
         6 * self.n_blocks
     }
 
-    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, f64)) {
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
         let block = (k * self.n_blocks / self.n_steps).min(self.n_blocks - 1);
         for component in 0..6 {
-            visit(6 * block + component, component, 1.0);
+            visit(6 * block + component, self.node, component, 1.0);
         }
     }
 
@@ -263,11 +265,11 @@ impl ControlColumns for Blocks {
 }
 
 impl Blocks {
-    /// The tip wrenches of one column, times `size`, added to `base`.
-    fn added(&self, base: &[Wrench], column: usize, size: f64) -> Vec<Wrench> {
-        let mut control = base.to_vec();
-        for (k, wrench) in control.iter_mut().enumerate() {
-            self.visit(k, &mut |c, component, weight| {
+    /// The wrenches of one column, times `size`, added to `base`.
+    fn added(&self, base: &ControlSignal, column: usize, size: f64) -> ControlSignal {
+        let mut control = base.clone();
+        for (k, wrench) in control.wrenches.iter_mut().enumerate() {
+            self.visit(k, &mut |c, _, component, weight| {
                 if c == column && component < 3 {
                     wrench.force[component] += size * weight;
                 } else if c == column {
@@ -278,11 +280,20 @@ impl Blocks {
         control
     }
 
-    /// What the columns see of a covector on all tip wrenches.
-    fn gradient(&self, covector: &[Wrench]) -> Vec<f64> {
+    /// No wrench at all.
+    fn nothing(&self) -> ControlSignal {
+        ControlSignal {
+            nodes: vec![self.node],
+            wrenches: vec![Wrench::default(); self.n_steps + 1],
+        }
+    }
+
+    /// What the columns see of an adjoint.
+    fn gradient(&self, motion: &Motion, adjoint: &AdjointSweep) -> Vec<f64> {
         let mut gradient = vec![0.0; self.n_columns()];
-        for (k, wrench) in covector.iter().enumerate() {
-            self.visit(k, &mut |c, component, weight| {
+        for k in 0..=self.n_steps {
+            let wrench = adjoint.wrench(motion, k, self.node);
+            self.visit(k, &mut |c, _, component, weight| {
                 gradient[c] += weight
                     * if component < 3 {
                         wrench.force[component]
@@ -299,14 +310,17 @@ struct Case {
     rod: Rod,
     grid: TimeGrid,
     initial: State,
-    control: Vec<Wrench>,
-    terminal: StateTangent,
+    control: ControlSignal,
+    /// Ascending in time.
+    forms: Vec<StateForm>,
+    own: Vec<OwnCurvature>,
     blocks: Blocks,
 }
 
 impl Case {
-    /// Loads, damping, taper, gravity, an initial motion, a random control, and the outcome
-    /// `a·x_tip + b·p_tip + c·π_tip`, which has no curvature of its own.
+    /// Loads, damping, taper, gravity, an initial motion, a random control, and as outcome the sum of `forms`, of components of
+    /// the tip at the end and of another node on the way, and of quadratic forms in `x - x₀` and `log(R₀ᵀR)` at both; `x₀` and
+    /// `R₀` are those of the trajectory at which it is asked for.
     fn new(method: Method, base: BaseCondition, n_steps: usize, n_blocks: usize) -> Self {
         let rod = method.rod(RodParameters {
             base,
@@ -314,25 +328,54 @@ impl Case {
         });
         let mut dice = Dice(21);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
-        let mut terminal = StateTangent::zeros(rod.n_nodes());
         let tip = rod.tip();
-        terminal.positions[tip] = dice.vector(1.0);
-        terminal.linear[tip] = dice.vector(0.1 / rod.nodes[tip].mass);
-        terminal.angular[tip] = dice.vector(0.01 / rod.nodes[tip].rotary.x);
+        let on_the_way = 3 * n_steps / 4;
+        let mut form = |time_node: usize, node: usize| {
+            let mut covector = StateTangent::zeros(rod.n_nodes());
+            covector.positions[node] = dice.vector(1.0);
+            covector.rotations[node] = dice.vector(0.1);
+            covector.linear[node] = dice.vector(0.1 / rod.nodes[node].mass);
+            covector.angular[node] = dice.vector(0.01 / rod.nodes[node].rotary.x);
+            StateForm::of_covector(time_node, &covector)
+        };
+        let forms = vec![form(on_the_way, 2), form(n_steps, tip)];
+        let mut own = |time_node: usize, rows: Vec<(usize, usize)>| {
+            let half = Mat::from_fn(rows.len(), rows.len(), |_, _| dice.vector(1.0).x);
+            OwnCurvature {
+                time_node,
+                rows,
+                matrix: &half + half.transpose(),
+            }
+        };
+        let own = vec![
+            own(on_the_way, vec![(2, 0), (tip, 4), (2, 5), (tip, 1)]),
+            own(on_the_way, vec![(1, 2)]),
+            own(n_steps, vec![(tip, 3), (tip, 4), (tip, 5)]),
+        ];
+        let node = tip - 1;
+        let wrenches = (0..=n_steps)
+            .map(|_| Wrench {
+                force: dice.vector(1.0),
+                moment: dice.vector(0.1),
+            })
+            .collect();
         Self {
             grid: TimeGrid {
                 step: 0.5 * stable_step(&rod),
                 n_steps,
             },
             initial,
-            control: (0..=n_steps)
-                .map(|_| Wrench {
-                    force: dice.vector(1.0),
-                    moment: dice.vector(0.1),
-                })
-                .collect(),
-            terminal,
-            blocks: Blocks { n_blocks, n_steps },
+            control: ControlSignal {
+                nodes: vec![node],
+                wrenches,
+            },
+            forms,
+            own,
+            blocks: Blocks {
+                n_blocks,
+                n_steps,
+                node,
+            },
             rod,
         }
     }
@@ -345,66 +388,154 @@ impl Case {
         }
     }
 
-    fn roll_out(&self, control: &[Wrench]) -> Trajectory {
+    fn roll_out(&self, control: &ControlSignal) -> Trajectory {
         let mut trajectory = Trajectory::with_capacity(self.rod.n_nodes(), self.grid.n_steps + 1);
         trajectory.push(&self.initial.configuration);
         let mut integrator = Integrator::new(&self.rod, self.grid.step, self.initial.clone());
         for k in 0..self.grid.n_steps {
-            integrator.advance([control[k], control[k + 1]]).unwrap();
+            integrator
+                .advance([control.at(k), control.at(k + 1)])
+                .unwrap();
             trajectory.push(&integrator.state().configuration);
         }
         trajectory
     }
 
-    fn sweep_curvature(&self, trajectory: &Trajectory, n_threads: usize) -> Mat<f64> {
+    fn sources(&self, trajectory: &Trajectory) -> [Sources; 2] {
+        let d = defects(&self.motion(), trajectory, &self.control).unwrap();
+        let dice = &mut Dice(31);
+        let other = random_sources(&self.rod, self.grid.n_steps, 1e-3, dice);
+        [Sources::against(&d), other]
+    }
+
+    fn sweep(&self, trajectory: &Trajectory, n_threads: usize) -> Sensitivities {
         let motion = self.motion();
-        let adjoint = adjoint_sweep(&motion, trajectory, &self.terminal).unwrap();
+        let adjoint = adjoint_sweep(&motion, trajectory, &self.forms).unwrap();
         let multipliers = Multipliers {
             adjoint: &adjoint,
-            terminal: &self.terminal,
+            own: &self.own,
         };
-        let d = defects(&motion, trajectory, &self.control).unwrap();
-        let with = sensitivities(
+        let sources = self.sources(trajectory);
+        sensitivities(
             &motion,
             trajectory,
-            &d,
+            &sources.each_ref(),
             &self.blocks,
+            &self.forms,
             Some(&multipliers),
             n_threads,
         )
-        .unwrap();
-        let without =
-            sensitivities(&motion, trajectory, &d, &self.blocks, None, n_threads).unwrap();
-        assert_eq!(with.tip, without.tip);
-        assert_eq!(with.defect_tip, without.defect_tip);
-        assert!(without.curvature.is_none());
-        with.curvature.unwrap()
+        .unwrap()
+    }
+
+    fn sweep_curvature(&self, trajectory: &Trajectory, n_threads: usize) -> Mat<f64> {
+        self.sweep(trajectory, n_threads).curvature.unwrap()
+    }
+
+    /// `x - x₀` or a component of `log(R₀ᵀR)`.
+    fn coordinate(
+        trajectory: &Trajectory,
+        start: &Trajectory,
+        k: usize,
+        (node, component): (usize, usize),
+    ) -> f64 {
+        if component < 3 {
+            (trajectory.positions_at(k)[node] - start.positions_at(k)[node])[component]
+        } else {
+            let r = start.rotations_at(k)[node].tr_mul(&trajectory.rotations_at(k)[node]);
+            log(&r)[component - 3]
+        }
+    }
+
+    /// Derivative of the outcome, all of it, at another trajectory than the one where it starts.
+    fn forms_at(&self, trajectory: &Trajectory, start: &Trajectory) -> Vec<StateForm> {
+        // ∂/∂ζ of log(R₀ᵀR)·y is S y.
+        let pulled = |k: usize, node: usize, y: Vector3<f64>| {
+            let psi = log(&start.rotations_at(k)[node].tr_mul(&trajectory.rotations_at(k)[node]));
+            log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared())) * y
+        };
+        let mut forms = self.forms.clone();
+        for own in &self.own {
+            let z: Vec<f64> = (own.rows.iter())
+                .map(|row| Self::coordinate(trajectory, start, own.time_node, *row))
+                .collect();
+            let terms = (own.rows.iter().enumerate()).map(|(i, &(node, component))| FormTerm {
+                node,
+                component,
+                coefficient: (0..z.len()).map(|j| own.matrix[(i, j)] * z[j]).sum(),
+            });
+            forms.push(StateForm {
+                time_node: own.time_node,
+                terms: terms.collect(),
+            });
+        }
+        for form in &mut forms {
+            let k = form.time_node;
+            form.terms = (form.terms.iter())
+                .flat_map(|term| {
+                    if !(3..6).contains(&term.component) {
+                        return vec![*term];
+                    }
+                    let y = Vector3::ith(term.component - 3, term.coefficient);
+                    let covector = pulled(k, term.node, y);
+                    (0..3)
+                        .map(|axis| FormTerm {
+                            component: 3 + axis,
+                            coefficient: covector[axis],
+                            ..*term
+                        })
+                        .collect()
+                })
+                .collect();
+        }
+        forms.sort_by_key(|form| form.time_node);
+        forms
     }
 
     /// `dφ/du` of the rolled-out motion.
-    fn gradient(&self, control: &[Wrench]) -> Vec<f64> {
+    fn gradient(&self, control: &ControlSignal, start: &Trajectory) -> Vec<f64> {
         let trajectory = self.roll_out(control);
-        let adjoint = adjoint_sweep(&self.motion(), &trajectory, &self.terminal).unwrap();
-        self.blocks.gradient(&adjoint.control)
+        let forms = self.forms_at(&trajectory, start);
+        let adjoint = adjoint_sweep(&self.motion(), &trajectory, &forms).unwrap();
+        self.blocks.gradient(&self.motion(), &adjoint)
     }
 
-    /// `L(u, q)`, the multipliers held.
+    /// `L(u, q)`, the multipliers held; without the momenta on the way, which the defects do not tell.
     fn lagrangian(
         &self,
         trajectory: &Trajectory,
-        control: &[Wrench],
+        start: &Trajectory,
+        control: &ControlSignal,
         multipliers: &Multipliers,
     ) -> f64 {
         let d = defects(&self.motion(), trajectory, control).unwrap();
-        let tip = self.rod.tip();
         let rows: f64 = (d.linear.iter().zip(&multipliers.adjoint.linear))
             .chain(d.angular.iter().zip(&multipliers.adjoint.angular))
             .map(|(r, lambda)| r.dot(lambda))
             .sum();
-        self.terminal.positions[tip].dot(&trajectory.positions_at(self.grid.n_steps)[tip])
-            + self.terminal.linear[tip].dot(&d.terminal_linear[tip])
-            + self.terminal.angular[tip].dot(&d.terminal_angular[tip])
-            - rows
+        let linear: f64 = (self.forms.iter())
+            .flat_map(|form| form.terms.iter().map(|term| (form.time_node, term)))
+            .map(|(k, term)| {
+                let axis = term.component % 3;
+                let value = match term.component / 3 {
+                    0 => trajectory.positions_at(k)[term.node][axis],
+                    1 => Self::coordinate(trajectory, start, k, (term.node, term.component)),
+                    2 => d.terminal_linear[term.node][axis],
+                    _ => d.terminal_angular[term.node][axis],
+                };
+                term.coefficient * value
+            })
+            .sum();
+        let mut quadratic = 0.0;
+        for own in &self.own {
+            let z = |i: usize| Self::coordinate(trajectory, start, own.time_node, own.rows[i]);
+            for i in 0..own.rows.len() {
+                for j in 0..own.rows.len() {
+                    quadratic += 0.5 * own.matrix[(i, j)] * z(i) * z(j);
+                }
+            }
+        }
+        linear + quadratic - rows
     }
 }
 
@@ -433,20 +564,21 @@ fn distance(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 }
 
 /// Integrated motions with loads, damping and taper, clamped, free and driven: the reduced second derivative is the central
-/// difference, extrapolated once, of the adjoint gradient of a linear outcome of the end, and it is symmetric.
+/// difference, extrapolated once, of the adjoint gradient of an outcome of the end and of the way, and it is symmetric.
 #[test]
 fn reduced_curvature_is_the_hessian_of_the_outcome() {
     for method in exact_methods() {
         for base in bases() {
             let case = Case::new(method, base.clone(), 70, 4);
-            let curvature = case.sweep_curvature(&case.roll_out(&case.control), 1);
+            let start = case.roll_out(&case.control);
+            let curvature = case.sweep_curvature(&start, 1);
             let n = case.blocks.n_columns();
             let mut differences = Mat::zeros(n, n);
             for j in 0..n {
                 let step = if j % 6 < 3 { 1e-2 } else { 1e-3 };
                 let at = |step: f64| -> Vec<f64> {
-                    let plus = case.gradient(&case.blocks.added(&case.control, j, step));
-                    let minus = case.gradient(&case.blocks.added(&case.control, j, -step));
+                    let plus = case.gradient(&case.blocks.added(&case.control, j, step), &start);
+                    let minus = case.gradient(&case.blocks.added(&case.control, j, -step), &start);
                     (plus.iter().zip(&minus))
                         .map(|(p, m)| (p - m) / (2.0 * step))
                         .collect()
@@ -464,35 +596,62 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
 }
 
 /// More than one tile, several rounds and chunks, on a lifted trajectory: the sweep equals the clear reduction of
-/// the columns of the forward sweep to rounding, and the number of threads changes no bit.
+/// the columns of the forward sweep to rounding, and the number of threads changes no bit. Where the elements' curvature is found
+/// in lanes, both take differences of the stiffness by themselves, each good to about 1e-10.
 #[test]
 fn fast_reduction_equals_the_clear_one() {
     for method in exact_methods() {
         for base in bases() {
             let case = Case::new(method, base.clone(), 70, 6);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(5));
-            let fast = case.sweep_curvature(&trajectory, 1);
+            let found = case.sweep(&trajectory, 1);
+            let [fast, mixed, between] = [
+                found.curvature,
+                found.curvature_sources,
+                found.source_curvature,
+            ]
+            .map(Option::unwrap);
             for n_threads in [2, 3, 50] {
-                assert_eq!(fast, case.sweep_curvature(&trajectory, n_threads));
+                let again = case.sweep(&trajectory, n_threads);
+                let same = found.forms == again.forms
+                    && Some(&fast) == again.curvature.as_ref()
+                    && Some(&mixed) == again.curvature_sources.as_ref()
+                    && Some(&between) == again.source_curvature.as_ref();
+                assert!(same, "{method:?} {base:?} {n_threads}");
             }
             let motion = case.motion();
-            let zero = vec![Wrench::default(); case.grid.n_steps + 1];
-            let columns: Vec<_> = (0..case.blocks.n_columns())
-                .map(|j| {
-                    let change = case.blocks.added(&zero, j, 1.0);
-                    forward_sweep(&motion, &trajectory, None, &change)
-                        .unwrap()
-                        .0
-                })
+            let nothing = case.blocks.nothing();
+            let sweep = |sources: Option<&Sources>, change: &ControlSignal| {
+                forward_sweep(&motion, &trajectory, sources, change)
+                    .unwrap()
+                    .0
+            };
+            let mut columns: Vec<_> = (0..case.blocks.n_columns())
+                .map(|j| sweep(None, &case.blocks.added(&nothing, j, 1.0)))
                 .collect();
-            let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();
+            let sources = case.sources(&trajectory);
+            columns.extend(sources.each_ref().map(|s| sweep(Some(s), &nothing)));
+            let adjoint = adjoint_sweep(&motion, &trajectory, &case.forms).unwrap();
             let multipliers = Multipliers {
                 adjoint: &adjoint,
-                terminal: &case.terminal,
+                own: &case.own,
             };
             let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns).unwrap();
-            let error = distance(&fast, &clear);
-            assert!(error < 1e-11, "{method:?} {base:?}: {error:e}");
+            let n = case.blocks.n_columns();
+            let in_lanes = method.scheme == TimeScheme::Explicit && method.internal_damping == 0.0;
+            let tolerance = if in_lanes { 2e-9 } else { 1e-11 };
+            let error = distance(&fast, &clear.submatrix(0, 0, n, n).to_owned());
+            assert!(error < tolerance, "{method:?} {base:?}: {error:e}");
+            for j in 0..2 {
+                for i in 0..n {
+                    let size = (0..n).fold(0.0f64, |m, i| m.max(clear[(i, n + j)].abs()));
+                    assert!((mixed[(i, j)] - clear[(i, n + j)]).abs() < tolerance * size);
+                }
+                for i in 0..2 {
+                    let size = clear[(n, n)].abs().max(clear[(n + 1, n + 1)].abs());
+                    assert!((between[(i, j)] - clear[(n + i, n + j)]).abs() < tolerance * size);
+                }
+            }
         }
     }
 }
@@ -505,18 +664,20 @@ fn fast_reduction_equals_the_clear_one() {
 fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
     for method in exact_methods() {
         for base in bases() {
-            let case = Case::new(method, base.clone(), 40, 2);
+            let mut case = Case::new(method, base.clone(), 40, 2);
+            let forms = &mut case.forms;
+            (forms[0].terms).retain(|term| term.component < 6);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(6));
             let motion = case.motion();
-            let adjoint = adjoint_sweep(&motion, &trajectory, &case.terminal).unwrap();
+            let adjoint = adjoint_sweep(&motion, &trajectory, &case.forms).unwrap();
             let multipliers = Multipliers {
                 adjoint: &adjoint,
-                terminal: &case.terminal,
+                own: &case.own,
             };
             let curvature = case.sweep_curvature(&trajectory, 1);
-            let gradient = case.blocks.gradient(&adjoint.control);
+            let gradient = case.blocks.gradient(&motion, &adjoint);
             let largest: Vec<f64> = (0..2).map(|i| sizes(&curvature)[i][i]).collect();
-            let zero = vec![Wrench::default(); case.grid.n_steps + 1];
+            let zero = case.blocks.nothing();
             for j in 0..case.blocks.n_columns() {
                 let change = case.blocks.added(&zero, j, 1.0);
                 let (direction, _) = forward_sweep(&motion, &trajectory, None, &change).unwrap();
@@ -525,6 +686,7 @@ fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
                 let value = |s: f64| {
                     case.lagrangian(
                         &trajectory.retract(&direction, s * unit),
+                        &trajectory,
                         &case.blocks.added(&case.control, j, s * unit),
                         &multipliers,
                     )

@@ -8,14 +8,11 @@ use softarm::mechanics::diagnostics::TotalWrench;
 use softarm::mechanics::rotation::cay_inverse;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Diagnostics, Integrator, Load, LoadFrame, MomentumBalance,
-    MotionCurve, Oscillation, PowerBalance, Rod, RodModel, RodParameters, State, StrainRule,
-    TimeScheme, Wrench, stable_step,
+    MotionCurve, NodeWrenches, Oscillation, PowerBalance, Rod, RodModel, RodParameters, State,
+    StrainRule, TimeScheme, stable_step,
 };
 
-const NO_CONTROL: [Wrench; 2] = [Wrench {
-    force: Vector3::new(0.0, 0.0, 0.0),
-    moment: Vector3::new(0.0, 0.0, 0.0),
-}; 2];
+const NO_CONTROL: [NodeWrenches; 2] = [NodeWrenches::NONE; 2];
 
 /// What passed through, and the largest momentum and impulse on the way: the scale of rounding.
 struct Impulses {

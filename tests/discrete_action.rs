@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Configuration, Integrator, Load, LoadFrame, Rod, RodParameters, StrainRule,
-    Wrench, stable_step,
+    BaseCondition, Configuration, Integrator, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
+    StrainRule, stable_step,
 };
 
 fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
@@ -105,7 +105,7 @@ fn trajectory_is_stationary() {
         let mut integrator = Integrator::new(&rod, h, initial.clone());
         let mut path = vec![initial.configuration];
         for _ in 0..n_steps {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             path.push(integrator.state().configuration.clone());
         }
         for _ in 0..20 {
@@ -196,7 +196,7 @@ fn impulses_balance() {
             let decay = (1.0 - a) / (1.0 + a);
             linear = (linear + f) * decay;
             angular = (angular + m) * decay;
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             let (f, m) = impulse(&integrator.state().configuration, integrator.time());
             linear += f;
             angular += m;

@@ -2,17 +2,20 @@
 
 mod common;
 
-use common::{Dice, Method, bases, busy_arm, methods, random_state, random_trajectory, soft_arm};
+use common::{
+    Dice, Method, bases, busy_arm, methods, random_signal, random_sources, random_state,
+    random_tangent, random_trajectory, soft_arm,
+};
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
-    Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
+    Motion, Sources, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
 };
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Rod, RodParameters, State, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, TrajectoryTangent, Wrench,
+    BaseCondition, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodParameters, State,
+    StateForm, StrainRule, TimeGrid, TimeScheme, Trajectory, TrajectoryTangent, Wrench,
 };
 
 fn free_rod(method: &Method, n_elements: usize) -> Rod {
@@ -39,7 +42,7 @@ fn momentum_is_conserved() {
         let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
         let mut farthest: f64 = 0.0;
         for _ in 0..n_steps {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             farthest = farthest.max(integrator.state().configuration.positions[0].norm());
         }
         let state = integrator.state();
@@ -73,7 +76,7 @@ fn energy_ripple(method: &Method, fraction: f64, time: f64) -> (f64, f64) {
     let mut ripple: f64 = 0.0;
     let n = (time / h).round() as usize;
     for _ in 0..n {
-        integrator.advance([Wrench::default(); 2]).unwrap();
+        integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         ripple = ripple.max((Energy::of(&rod, integrator.state()).total() - e0).abs());
     }
     (ripple / e0, e0)
@@ -128,12 +131,7 @@ fn integrated_trajectory_has_no_defects() {
         let mut dice = Dice(3);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
         let grid = TimeGrid { step, n_steps: 40 };
-        let control: Vec<Wrench> = (0..=grid.n_steps)
-            .map(|_| Wrench {
-                force: dice.vector(1.0),
-                moment: dice.vector(0.1),
-            })
-            .collect();
+        let control = random_signal(&rod, grid.n_steps, [1.0, 0.1], &mut dice);
         let trajectory = integrate(&rod, &initial, grid, &control);
         let motion = Motion {
             rod: &rod,
@@ -163,13 +161,15 @@ fn integrate(
     rod: &Rod,
     initial: &State,
     grid: TimeGrid,
-    control: &[Wrench],
+    control: &ControlSignal,
 ) -> (Trajectory, State) {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     trajectory.push(&initial.configuration);
     let mut integrator = Integrator::new(rod, grid.step, initial.clone());
     for k in 0..grid.n_steps {
-        integrator.advance([control[k], control[k + 1]]).unwrap();
+        integrator
+            .advance([control.at(k), control.at(k + 1)])
+            .unwrap();
         trajectory.push(&integrator.state().configuration);
     }
     (trajectory, integrator.state().clone())
@@ -184,8 +184,7 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
         step: h,
         n_steps: 2,
     };
-    let zero = vec![Wrench::default(); 3];
-    let (trajectory, after) = integrate(rod, state, grid, &zero);
+    let (trajectory, after) = integrate(rod, state, grid, &ControlSignal::default());
     let motion = Motion {
         rod,
         grid,
@@ -335,7 +334,7 @@ fn heavy_damping_has_the_right_sign() {
             let mut apart = (velocity - terminal).norm();
             for step in 0..200 {
                 let before = rod.center_of_mass(&integrator.state().configuration.positions);
-                integrator.advance([Wrench::default(); 2]).unwrap();
+                integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 let after = rod.center_of_mass(&integrator.state().configuration.positions);
                 let now = ((after - before) / h - terminal).norm();
                 // A position of 1 m rounds by 1e-16.
@@ -370,30 +369,23 @@ fn linearization_passes_the_taylor_test() {
             grid,
             initial: &initial,
         };
-        let control: Vec<Wrench> = (0..=12)
-            .map(|_| Wrench {
-                force: dice.vector(2.0),
-                moment: dice.vector(0.2),
-            })
-            .collect();
-        let change: Vec<Wrench> = (0..=12)
-            .map(|_| Wrench {
-                force: dice.vector(2.0),
-                moment: dice.vector(0.2),
-            })
-            .collect();
+        let control = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
+        let change = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
         let base = defects(&motion, &trajectory, &control).unwrap();
-        let (direction, end) = forward_sweep(&motion, &trajectory, Some(&base), &change).unwrap();
+        let (direction, end) = forward_sweep(
+            &motion,
+            &trajectory,
+            Some(&Sources::against(&base)),
+            &change,
+        )
+        .unwrap();
         let remainder = |alpha: f64| -> [f64; 4] {
             let moved = trajectory.retract(&direction, alpha);
-            let u: Vec<Wrench> = control
-                .iter()
-                .zip(&change)
-                .map(|(u, du)| Wrench {
-                    force: u.force + du.force * alpha,
-                    moment: u.moment + du.moment * alpha,
-                })
-                .collect();
+            let mut u = control.clone();
+            for (u, du) in u.wrenches.iter_mut().zip(&change.wrenches) {
+                u.force += du.force * alpha;
+                u.moment += du.moment * alpha;
+            }
             let d = defects(&motion, &moved, &u).unwrap();
             let difference =
                 |now: &[Vector3<f64>],
@@ -442,7 +434,8 @@ fn linearization_passes_the_taylor_test() {
     }
 }
 
-/// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the two sweeps written separately, loads, damping and defects included.
+/// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the two sweeps written separately: forms of all components at time nodes from the first to the
+/// last, wrenches on several nodes, right-hand sides, loads and damping included.
 #[test]
 fn adjoint_is_the_transpose() {
     for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
@@ -462,44 +455,43 @@ fn adjoint_is_the_transpose() {
                 grid,
                 initial: &initial,
             };
-            let change: Vec<Wrench> = (0..=30)
-                .map(|_| Wrench {
-                    force: dice.vector(2.0),
-                    moment: dice.vector(0.2),
+            let change = random_signal(&rod, grid.n_steps, [2.0, 0.2], &mut dice);
+            let sources = random_sources(&rod, grid.n_steps, 1e-3, &mut dice);
+            let times = [0, 1, 13, 14, 29, 30];
+            let forms = times.map(|k| StateForm::of_covector(k, &random_tangent(&rod, &mut dice)));
+            let forward = |sources: Option<&Sources>, change: &ControlSignal| -> f64 {
+                form_values(&motion, &trajectory, sources, change, &forms)
+                    .unwrap()
+                    .iter()
+                    .sum()
+            };
+            let back = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+            let by_control: f64 = (0..=grid.n_steps)
+                .flat_map(|k| change.at(k).iter().map(move |(node, u)| (k, node, u)))
+                .map(|(k, node, u)| {
+                    let g = back.wrench(&motion, k, node);
+                    g.force.dot(&u.force) + g.moment.dot(&u.moment)
                 })
-                .collect();
-            let mut d = defects(&motion, &trajectory, &change).unwrap();
-            for v in d.linear.iter_mut().chain(&mut d.angular) {
-                *v = dice.vector(1e-3);
-            }
-            let mut covector = StateTangent::zeros(rod.n_nodes());
-            for q in 0..rod.n_nodes() {
-                covector.positions[q] = dice.vector(1.0);
-                covector.rotations[q] = dice.vector(1.0);
-                covector.linear[q] = dice.vector(1.0);
-                covector.angular[q] = dice.vector(1.0);
-            }
-            let (_, end) = forward_sweep(&motion, &trajectory, Some(&d), &change).unwrap();
-            let back = adjoint_sweep(&motion, &trajectory, &covector).unwrap();
-            let forward = covector.dot(&end);
-            let by_control: f64 = back
-                .control
-                .iter()
-                .zip(&change)
-                .map(|(g, u)| g.force.dot(&u.force) + g.moment.dot(&u.moment))
                 .sum();
-            let by_defects: f64 = back
-                .linear
-                .iter()
-                .zip(&d.linear)
-                .chain(back.angular.iter().zip(&d.angular))
-                .map(|(l, r)| l.dot(r))
-                .sum();
-            let size = forward.abs() + by_control.abs() + by_defects.abs();
-            assert!(
-                (forward - (by_control - by_defects)).abs() < 1e-12 * size,
-                "{method:?} {damping} {base:?}"
-            );
+            let dot =
+                |rows: &[Vector3<f64>], sources: &[Vector3<f64>], end: &[Vector3<f64>]| -> f64 {
+                    let all = sources.iter().chain(end);
+                    rows.iter().zip(all).map(|(l, r)| l.dot(r)).sum()
+                };
+            let by_sources = dot(&back.linear, &sources.linear, &sources.terminal_linear)
+                + dot(&back.angular, &sources.angular, &sources.terminal_angular);
+            for (found, expected) in [
+                (forward(None, &change), by_control),
+                (
+                    forward(Some(&sources), &ControlSignal::default()),
+                    by_sources,
+                ),
+            ] {
+                assert!(
+                    (found - expected).abs() < 1e-11 * expected.abs(),
+                    "{method:?} {damping} {base:?}: {found} {expected}"
+                );
+            }
         }
     }
 }
@@ -520,19 +512,12 @@ fn forward_sweep_is_linear() {
         grid,
         initial: &initial,
     };
-    let change: Vec<Wrench> = (0..=10)
-        .map(|_| Wrench {
-            force: dice.vector(1.0),
-            moment: dice.vector(1.0),
-        })
-        .collect();
-    let twice: Vec<Wrench> = change
-        .iter()
-        .map(|w| Wrench {
-            force: w.force * 2.0,
-            moment: w.moment * 2.0,
-        })
-        .collect();
+    let change = random_signal(&rod, 10, [1.0, 1.0], &mut dice);
+    let mut twice = change.clone();
+    for wrench in &mut twice.wrenches {
+        wrench.force *= 2.0;
+        wrench.moment *= 2.0;
+    }
     let (once, _): (TrajectoryTangent, _) =
         forward_sweep(&motion, &trajectory, None, &change).unwrap();
     let (double, _) = forward_sweep(&motion, &trajectory, None, &twice).unwrap();
@@ -557,7 +542,7 @@ fn integrator_is_second_order() {
                 step: end / n as f64,
                 n_steps: n,
             };
-            let control: Vec<Wrench> = (0..=n)
+            let control = (0..=n)
                 .map(|k| {
                     let t = grid.time(k);
                     Wrench {
@@ -566,6 +551,7 @@ fn integrator_is_second_order() {
                     }
                 })
                 .collect();
+            let control = ControlSignal::tip(&rod, control);
             let (_, state) = integrate(&rod, &State::at_rest(rod.rest.clone()), grid, &control);
             let tip = rod.tip();
             (
@@ -600,7 +586,7 @@ fn motion_is_reversible() {
         let h = 0.5 * stable_step(&rod);
         let mut there = Integrator::new(&rod, h, initial.clone());
         for _ in 0..500 {
-            there.advance([Wrench::default(); 2]).unwrap();
+            there.advance([NodeWrenches::NONE; 2]).unwrap();
         }
         let mut turned = there.state().clone();
         turned
@@ -610,7 +596,7 @@ fn motion_is_reversible() {
             .for_each(|p| *p = -*p);
         let mut back = Integrator::new(&rod, h, turned);
         for _ in 0..500 {
-            back.advance([Wrench::default(); 2]).unwrap();
+            back.advance([NodeWrenches::NONE; 2]).unwrap();
         }
         let state = back.state();
         for (x, x0) in state
@@ -654,7 +640,7 @@ fn dynamics_is_objective() {
                 State::at_rest(rod.rest.clone()),
             );
             for _ in 0..200 {
-                integrator.advance([Wrench::default(); 2]).unwrap();
+                integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             }
             integrator.state().configuration.clone()
         };

@@ -12,8 +12,8 @@ use common::{Dice, MODELS, RULES, bases, laws, random_state, soft_arm};
 use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
 use softarm::mechanics::{
-    BaseCondition, Integrator, NodeInertia, Rod, RodModel, RodParameters, State, StepError,
-    StrainRule, TimeGrid, Wrench, stable_step,
+    BaseCondition, ControlSignal, Integrator, NodeInertia, NodeWrenches, Rod, RodModel,
+    RodParameters, State, StepError, StrainRule, TimeGrid, Wrench, stable_step,
 };
 use softarm::scene::Scene;
 
@@ -133,8 +133,9 @@ fn payloads_of_all_sizes() {
                 force: Vector3::new(1e-3, 0.0, 0.0),
                 ..Wrench::default()
             };
+            let push = ControlSignal::tip(&rod, vec![push]);
             for _ in 0..100 {
-                integrator.advance([push; 2]).unwrap();
+                integrator.advance([push.at(0); 2]).unwrap();
             }
             if factor > 1.0 {
                 let t = integrator.time();
@@ -286,7 +287,7 @@ fn nothing_comes_of_nothing() {
             let rest = State::at_rest(rod.rest.clone());
             let mut integrator = Integrator::new(&rod, 0.9 * stable_step(&rod), rest.clone());
             for _ in 0..1000 {
-                integrator.advance([Wrench::default(); 2]).unwrap();
+                integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             }
             assert_eq!(*integrator.state(), rest, "{law:?}");
         }
@@ -331,9 +332,9 @@ fn resumed_runs_return_to_the_group_at_the_same_steps() {
         if k == 50 {
             resumed = Some(Integrator::resume(&rod, h, through.state().clone(), k));
         }
-        through.advance([Wrench::default(); 2]).unwrap();
+        through.advance([NodeWrenches::NONE; 2]).unwrap();
         if let Some(resumed) = &mut resumed {
-            resumed.advance([Wrench::default(); 2]).unwrap();
+            resumed.advance([NodeWrenches::NONE; 2]).unwrap();
         }
     }
     assert_eq!(through.state(), resumed.unwrap().state());
@@ -479,7 +480,7 @@ proptest! {
             Ok(setup) => {
                 let mut integrator = Integrator::new(&setup.rod, setup.grid.step, setup.initial.clone());
                 for _ in 0..setup.grid.n_steps.min(6) {
-                    if let Err(error) = integrator.advance([Wrench::default(); 2]) {
+                    if let Err(error) = integrator.advance([NodeWrenches::NONE; 2]) {
                         assert_says_where_and_what_now(&error);
                         return Ok(());
                     }

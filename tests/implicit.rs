@@ -10,8 +10,8 @@ use softarm::mechanics::linearization::{Motion, StateTangent, StepLinearization}
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Material, Rod, RodModel, RodParameters, Section,
-    SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory, Wrench,
+    BaseCondition, Energy, Integrator, Material, NodeWrenches, Rod, RodModel, RodParameters,
+    Section, SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
 };
 
 const SCHEMES: [TimeScheme; 2] = [TimeScheme::Explicit, TimeScheme::Implicit];
@@ -187,7 +187,7 @@ fn swing(
     let mut integrator = Integrator::new(rod, h, initial);
     (0..n)
         .map(|_| {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             (integrator.state().configuration.positions[tip] - rod.rest.positions[tip]).dot(&side)
         })
         .collect()
@@ -257,7 +257,7 @@ fn stiff_wire_swings_until_bending_limits_the_step() {
     let mut kinetic: f64 = start.kinetic;
     let (mut departure, mut sideways, mut bend): (f64, f64, f64) = (0.0, 0.0, 0.0);
     for _ in 0..(0.2 / h) as usize {
-        integrator.advance([Wrench::default(); 2]).unwrap();
+        integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         let energy = Energy::of(&rod, integrator.state());
         kinetic = kinetic.max(energy.kinetic);
         departure = departure.max((energy.total() - start.total()).abs());
@@ -276,7 +276,7 @@ fn stiff_wire_swings_until_bending_limits_the_step() {
     assert!(h < limit && limit < 8.0 * h, "{h}, {limit}");
     let mut integrator = Integrator::new(&rod, 8.0 * h, initial);
     let outcome = (0..(0.2 / (8.0 * h)) as usize)
-        .try_for_each(|_| integrator.advance([Wrench::default(); 2]));
+        .try_for_each(|_| integrator.advance([NodeWrenches::NONE; 2]));
     let end = Energy::of(&rod, integrator.state()).total();
     assert!(outcome.is_err() || end - start.total() > kinetic, "{end} J");
 }
@@ -350,7 +350,7 @@ fn damped_arm_comes_to_rest_in_its_equilibrium() {
         let mut integrator = Integrator::new(&rod, h, State::at_rest(rod.rest.clone()));
         let end = 22.0;
         for _ in 0..(end / h) as usize {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         }
         // The slowest mode, 2.8 rad/s, decays with ζω = τω²/2 = 1.2/s; overdamped ones creep, with 1/τ = 3.3/s.
         let there = &integrator.state().configuration.positions;
@@ -391,7 +391,7 @@ fn rigid_rotation_is_not_damped() {
                 );
                 let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
                 for _ in 0..3000 {
-                    integrator.advance([Wrench::default(); 2]).unwrap();
+                    integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
                 let state = integrator.state();
                 let change = Energy::of(&rod, state).total() / e0 - 1.0;
@@ -420,7 +420,7 @@ fn energy_decays() {
                 let mut integrator = Integrator::new(&rod, fraction * stable_step(&rod), initial);
                 (0..1500)
                     .map(|_| {
-                        integrator.advance([Wrench::default(); 2]).unwrap();
+                        integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                         Energy::of(&rod, integrator.state()).total()
                     })
                     .collect()
@@ -465,7 +465,7 @@ fn schemes_meet() {
                 let mut integrator =
                     Integrator::new(&rod, 0.2 / n as f64, State::at_rest(rod.rest.clone()));
                 for _ in 0..n {
-                    integrator.advance([Wrench::default(); 2]).unwrap();
+                    integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
                 integrator.state().configuration.positions[rod.tip()]
             };
@@ -497,7 +497,7 @@ fn impossible_steps_are_refused() {
         whirling.angular_momentum[q] = Vector3::new(0.0, 0.0, 1e5).component_mul(&node.rotary);
     }
     let error = Integrator::new(&rod, 1e-2, whirling)
-        .advance([Wrench::default(); 2])
+        .advance([NodeWrenches::NONE; 2])
         .unwrap_err();
     assert!(
         matches!(
@@ -509,7 +509,7 @@ fn impossible_steps_are_refused() {
     let mut broken = State::at_rest(rod.rest.clone());
     broken.linear_momentum[2].x = f64::NAN;
     let error = Integrator::new(&rod, 1e-2, broken)
-        .advance([Wrench::default(); 2])
+        .advance([NodeWrenches::NONE; 2])
         .unwrap_err();
     assert!(matches!(error, StepError::NotFinite { .. }), "{error}");
 
@@ -543,7 +543,7 @@ fn newton_takes_few_iterations() {
         let rest = State::at_rest(rod.rest.clone());
         let mut integrator = Integrator::new(&rod, automatic_step(&rod), rest);
         for _ in 0..200 {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         }
         assert!(integrator.newton_iterations() <= 1000, "{method:?}");
     }

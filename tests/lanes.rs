@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, Integrator, LaneIntegrator, MotionCurve, Rod, RodModel,
-    RodParameters, State, StepError, Wrench,
+    BaseCondition, BaseMotion, ControlSignal, Integrator, LaneIntegrator, MotionCurve,
+    NodeWrenches, Rod, RodModel, RodParameters, State, StepError, Wrench,
 };
 
 /// Largest difference of two states, relative to their size: positions to the length of the rod, momenta to the largest.
@@ -41,10 +41,17 @@ fn run_both(rod: &Rod, h: f64, initial: &State, n_steps: usize, dice: &mut Dice)
     let mut largest = difference(rod, plain.state(), &lanes.state());
     let size = rod.scales.force;
     for step in 0..n_steps {
-        // Not continuous from step to step, and different at both ends of a step.
-        let control = [0, 1].map(|_| Wrench {
-            force: dice.vector(size),
-            moment: dice.vector(0.1 * size * rod.scales.length),
+        // Not continuous from step to step, different at both ends of a step, and on nodes that come and go.
+        let control = [0, 1].map(|_| {
+            [0, 1].map(|_| Wrench {
+                force: dice.vector(size),
+                moment: dice.vector(0.1 * size * rod.scales.length),
+            })
+        });
+        let nodes = [[rod.tip(), 0], [rod.tip() / 2, rod.tip()]];
+        let control = [0, 1].map(|end| NodeWrenches {
+            nodes: &nodes[(step / 3 + end) % 2],
+            wrenches: &control[end],
         });
         plain.advance(control).unwrap();
         lanes.advance(control).unwrap();
@@ -129,7 +136,7 @@ fn momenta_and_orthogonality_last() {
         let mut farthest: f64 = 0.0;
         // An even number, so that an alternating model ends as it began.
         for _ in 0..300_000 {
-            lanes.advance([Wrench::default(); 2]).unwrap();
+            lanes.advance([NodeWrenches::NONE; 2]).unwrap();
             farthest = farthest.max(lanes.position(0).norm());
         }
         let state = lanes.state();
@@ -150,8 +157,10 @@ fn momenta_and_orthogonality_last() {
 fn errors(rod: &Rod, h: f64, initial: &State, control: Wrench) -> [StepError; 2] {
     let mut plain = Integrator::new(rod, h, initial.clone());
     let mut lanes = LaneIntegrator::new(rod, h, initial).expect("an explicit step");
-    let plain = (0..1000).find_map(|_| plain.advance([control; 2]).err());
-    let lanes = (0..1000).find_map(|_| lanes.advance([control; 2]).err());
+    let control = ControlSignal::tip(rod, vec![control]);
+    let control = [control.at(0); 2];
+    let plain = (0..1000).find_map(|_| plain.advance(control).err());
+    let lanes = (0..1000).find_map(|_| lanes.advance(control).err());
     [
         plain.expect("a failing step"),
         lanes.expect("a failing step"),
@@ -217,8 +226,8 @@ fn a_collapsed_element_is_named() {
                 let mut lanes =
                     LaneIntegrator::resume(&rod, h, &state, first_step).expect("an explicit step");
                 let errors = [
-                    plain.advance([Wrench::default(); 2]).unwrap_err(),
-                    lanes.advance([Wrench::default(); 2]).unwrap_err(),
+                    plain.advance([NodeWrenches::NONE; 2]).unwrap_err(),
+                    lanes.advance([NodeWrenches::NONE; 2]).unwrap_err(),
                 ];
                 let [plain, lanes] = errors.map(|error| match error {
                     StepError::ElementCollapsed {
@@ -326,7 +335,8 @@ fn reseated_and_resumed_runs_are_the_same() {
                         force,
                         ..Wrench::default()
                     };
-                    run.advance([control; 2]).unwrap();
+                    let control = ControlSignal::tip(&rod, vec![control]);
+                    run.advance([control.at(0); 2]).unwrap();
                 }
                 let stored = run.state();
                 run.reseat();
@@ -334,8 +344,8 @@ fn reseated_and_resumed_runs_are_the_same() {
                     LaneIntegrator::resume(&rod, h, &stored, run.step()).expect("an explicit step");
                 let mut ahead = run.clone();
                 for _ in 0..40 {
-                    ahead.advance([Wrench::default(); 2]).unwrap();
-                    resumed.advance([Wrench::default(); 2]).unwrap();
+                    ahead.advance([NodeWrenches::NONE; 2]).unwrap();
+                    resumed.advance([NodeWrenches::NONE; 2]).unwrap();
                     assert_eq!(ahead.state(), resumed.state());
                 }
                 assert_eq!(ahead.time(), resumed.time());

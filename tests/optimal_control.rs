@@ -7,17 +7,22 @@ use std::ops::ControlFlow;
 use common::{Dice, Method, RULES, bases, busy_arm, exact_methods, methods, shaking, soft_arm};
 use nalgebra::Vector3;
 use softarm::control::{
-    Bound, Channel, ControlGrid, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem,
-    TipTarget, Transcription, first_point,
+    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
+    OptimalControlProblem, Transcription, first_point,
 };
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, DistributedLoad, LoadFrame, Material, NodeInertia, Rod, RodParameters, Section,
-    SectionProfile, State, StrainRule, TimeGrid, TimeScheme, Wrench,
+    BaseCondition, ControlSignal, DistributedLoad, LoadFrame, Material, NodeInertia, Rod,
+    RodParameters, Section, SectionProfile, State, StrainRule, TimeGrid, TimeScheme, Wrench,
 };
-use softarm::sqp::{HessianChoice, LiftedProgram as _, SqpOutcome, SqpSettings, SqpStatus, solve};
-use softarm::verify::{CheckLimits, ForwardCheck, Solution, forward_check, kkt, replay};
+use softarm::sqp::{
+    HessianChoice, LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus,
+    solve,
+};
+use softarm::verify::{
+    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay,
+};
 
 /// A problem and what its rod is built from.
 struct Case {
@@ -28,7 +33,7 @@ struct Case {
 impl Case {
     /// Four elements, 0.3 s, a little damping: the tip passes a point to its side.
     fn pass() -> Self {
-        Self::reach().with(|p| p.target.at_rest = false)
+        Self::reach().with(|p| p.goals[0].at_rest = false)
     }
 
     /// The same, and the tip stops there.
@@ -42,21 +47,26 @@ impl Case {
         let step = 0.3 / n_steps as f64;
         assert!(step < 0.8 * stable_step(&rod));
         let scales = rod.scales;
-        let channel = |scale| Channel { scale, bound: None };
         let problem = OptimalControlProblem {
             grid: TimeGrid { step, n_steps },
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
-            force: channel(scales.force),
-            moment: channel(scales.moment),
-            target: TipTarget {
-                position: Some(Vector3::new(0.1, 0.03, 0.985)),
-                rotation: None,
-                at_rest: true,
-                enforcement: Enforcement::Hard,
+            actuators: vec![Actuator {
+                node: rod.tip(),
+                force: Channel::new(scales.force, None),
+                moment: Channel::new(scales.moment, None),
+            }],
+            goals: vec![Goal::reach(
+                &rod,
+                TimeGrid { step, n_steps },
+                Vector3::new(0.1, 0.03, 0.985),
+            )],
+            path: Vec::new(),
+            objective: Objective {
+                effort: 1.0,
+                ..Objective::default()
             },
-            effort: 1.0,
-            rate: 0.0,
+            radii: Vec::new(),
             rod,
         };
         Self {
@@ -80,7 +90,8 @@ impl Case {
             step: 5e-4,
             n_steps: 40,
         };
-        case.problem.target.at_rest = false;
+        case.problem.goals[0].time_node = 40;
+        case.problem.goals[0].at_rest = false;
         let case = case.rebuilt();
         assert!(case.problem.grid.step > 2000.0 * stable_step(&case.problem.rod));
         case
@@ -89,8 +100,8 @@ impl Case {
     fn rebuilt(mut self) -> Self {
         let rod = Rod::new(&self.parameters).unwrap();
         self.problem.initial = State::at_rest(rod.rest.clone());
-        self.problem.force.scale = rod.scales.force;
-        self.problem.moment.scale = rod.scales.moment;
+        self.problem.actuators[0].force.scale = rod.scales.force;
+        self.problem.actuators[0].moment.scale = rod.scales.moment;
         self.problem.rod = rod;
         self
     }
@@ -116,6 +127,7 @@ impl Case {
     fn on_grid(self, factor: usize, hold: Hold, blocks: usize) -> Self {
         self.with(|p| {
             p.grid.n_steps *= factor;
+            p.goals[0].time_node = p.grid.n_steps;
             p.grid.step /= factor as f64;
             p.control = ControlGrid::new(hold, blocks, p.grid.n_steps, p.grid.step).unwrap();
         })
@@ -123,7 +135,7 @@ impl Case {
 
     fn solve_from(&self, guess: Guess) -> SqpOutcome<LiftedPoint> {
         let program = Transcription::new(&self.problem, 1);
-        let (start, used) = first_point(&self.problem, guess).unwrap();
+        let (start, used) = first_point(&self.problem, guess, None).unwrap();
         assert_eq!(used, guess);
         solve(&program, start, &SqpSettings::default(), &mut |_| {
             ControlFlow::Continue(())
@@ -151,7 +163,7 @@ impl Case {
             &Solution {
                 trajectory: &point.trajectory,
                 coefficients: &self.problem.wrenches(&point.variables),
-                multipliers,
+                multipliers: SolutionMultipliers::of_goals(multipliers),
             },
             &CheckLimits::default(),
         )
@@ -183,32 +195,31 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
         grid: TimeGrid { step, n_steps },
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
-        force: Channel {
-            scale: 2.0,
-            bound: Some(Bound::PerAxis(Vector3::new(0.0, 0.0, 1e3))),
-        },
-        moment: Channel {
-            scale: 1.0,
-            bound: Some(Bound::Norm(0.0)),
-        },
-        target: TipTarget {
-            position: None,
-            rotation: None,
-            at_rest: false,
+        actuators: vec![Actuator {
+            node: rod.tip(),
+            force: Channel::new(2.0, Some(Bound::PerAxis(Vector3::new(0.0, 0.0, 1e3)))),
+            moment: Channel::new(1.0, Some(Bound::Norm(0.0))),
+        }],
+        goals: vec![Goal {
             enforcement: Enforcement::Soft { weight: 1e6 },
+            ..Goal::reach(
+                &rod,
+                TimeGrid { step, n_steps },
+                Vector3::new(0.0, 0.0, 1.0 + distance),
+            )
+        }],
+        path: Vec::new(),
+        objective: Objective {
+            effort: 1.0,
+            ..Objective::default()
         },
-        effort: 1.0,
-        rate: 0.0,
+        radii: Vec::new(),
         rod,
     };
-    let case = Case {
+    Case {
         parameters,
         problem,
-    };
-    case.with(|p| {
-        p.target.position = Some(Vector3::new(0.0, 0.0, 1.0 + distance));
-        p.target.at_rest = true;
-    })
+    }
 }
 
 /// Tip position and velocity at the end per unit force in every block, by the leapfrog of two masses and a spring.
@@ -250,7 +261,7 @@ fn pushed_rod_is_a_double_integrator() {
     let case = pushed_rod(n_blocks, d);
     let problem = &case.problem;
     let program = Transcription::new(problem, 1);
-    let (start, _) = first_point(problem, Guess::Rest).unwrap();
+    let (start, _) = first_point(problem, Guess::Rest, None).unwrap();
     assert_eq!(problem.n_controls(), n_blocks);
     let outcome = solve(
         &program,
@@ -305,7 +316,7 @@ fn soft_targets_approach_the_hard_one() {
     let size = y.iter().fold(0.0f64, |m, y| m.max(y.abs()));
     let mut differences = Vec::new();
     for weight in [1e4 * size, 1e5 * size] {
-        let case = Case::pass().with(|p| p.target.enforcement = Enforcement::Soft { weight });
+        let case = Case::pass().with(|p| p.goals[0].enforcement = Enforcement::Soft { weight });
         let soft = case.solve_from(Guess::StaticPath);
         assert_eq!(soft.status, SqpStatus::Converged, "{:?}", soft.residual);
         let exact = Case::pass();
@@ -332,7 +343,7 @@ fn soft_targets_approach_the_hard_one() {
 #[test]
 fn soft_solutions_are_certified() {
     for weight in [1.0, 10.0, 100.0, 1e3] {
-        let case = Case::reach().with(|p| p.target.enforcement = Enforcement::Soft { weight });
+        let case = Case::reach().with(|p| p.goals[0].enforcement = Enforcement::Soft { weight });
         let outcome = case.solved();
         let check = case.check(&outcome.point, &outcome.multipliers.constraints);
         assert!(check.kkt.stationarity < 1e-6, "{weight}: {:?}", check.kkt);
@@ -344,7 +355,7 @@ fn soft_solutions_are_certified() {
 fn tight_tolerances_are_met() {
     let case = Case::reach().on_grid(4, Hold::Constant, 5);
     let program = Transcription::new(&case.problem, 1);
-    let (start, _) = first_point(&case.problem, Guess::StaticPath).unwrap();
+    let (start, _) = first_point(&case.problem, Guess::StaticPath, None).unwrap();
     let settings = SqpSettings {
         tolerance: 1e-8,
         ..SqpSettings::default()
@@ -395,7 +406,7 @@ fn bounds_hold() {
         Bound::Norm(0.9 * norm),
         Bound::PerAxis(Vector3::repeat(0.9 * axis)),
     ] {
-        let case = Case::pass().with(|p| p.force.bound = Some(bound));
+        let case = Case::pass().with(|p| p.actuators[0].force.bound = Some(bound));
         let outcome = case.solved();
         let u = case.problem.wrenches(&outcome.point.variables);
         let limit = match bound {
@@ -406,7 +417,7 @@ fn bounds_hold() {
             assert!(bound.violation(&wrench.force) < 1e-9 * limit);
         }
         let normals = &outcome.multipliers.normals;
-        let scale = case.problem.force.scale;
+        let scale = case.problem.actuators[0].force.scale;
         let largest = normals.iter().flatten().fold(0.0f64, |m, z| m.max(z.abs()));
         let mut n_active = 0;
         match bound {
@@ -445,8 +456,8 @@ fn bounds_hold() {
 #[test]
 fn unactuated_moment_is_zero() {
     let case = Case::reach().with(|p| {
-        p.moment.bound = Some(Bound::Norm(0.0));
-        p.target.at_rest = false;
+        p.actuators[0].moment.bound = Some(Bound::Norm(0.0));
+        p.goals[0].at_rest = false;
     });
     let outcome = case.solved();
     assert_eq!(outcome.point.variables.len(), 3 * 5);
@@ -526,16 +537,20 @@ fn check_recomputes_the_gradient() {
     let holds = [Hold::Constant, Hold::Linear].into_iter().cycle();
     for (case, hold) in soft.chain(stiff).chain(free).zip(holds) {
         let case = case.on_grid(1, hold, 4).with(|p| {
-            p.target.rotation = Some(exp(&Vector3::new(0.3, -0.4, 0.2)));
-            p.rate = 1e-3;
+            p.goals[0].rotation = Some(exp(&Vector3::new(0.3, -0.4, 0.2)));
+            p.objective.rate = 1e-3;
         });
         let problem = &case.problem;
         let program = Transcription::new(problem, 1);
         let mut dice = Dice(41);
-        let (start, _) = first_point(problem, Guess::Rest).unwrap();
+        let (start, _) = first_point(problem, Guess::Rest, None).unwrap();
         let change: Vec<f64> = start.variables.iter().map(|_| dice.roll()).collect();
         let point = program.restored_step(&start, &change).unwrap();
-        let y: Vec<f64> = program.rows().iter().map(|_| 0.1 * dice.roll()).collect();
+        let y: Vec<f64> = program
+            .goal_rows()
+            .iter()
+            .map(|_| 0.1 * dice.roll())
+            .collect();
 
         let n = point.variables.len();
         let along = |j: usize| -> [f64; 2] {
@@ -561,7 +576,9 @@ fn check_recomputes_the_gradient() {
         let expected = amax(&|d| d[0] + d[1]) / largest;
 
         let evaluation = program.evaluate(&point).unwrap();
-        let linearization = program.linearize(&point, &evaluation, None).unwrap();
+        let linearization = program
+            .linearize(&point, &evaluation, &LinearizationRequest::default())
+            .unwrap();
         let (mut own, mut own_largest) = (0.0f64, 0.0f64);
         for j in 0..n {
             let pulled: f64 = (0..y.len())
@@ -576,7 +593,7 @@ fn check_recomputes_the_gradient() {
             problem,
             &point.trajectory,
             &problem.wrenches(&point.variables),
-            &y,
+            &SolutionMultipliers::of_goals(&y),
         );
         let stationarity = found.residual.stationarity;
         let errors = [expected, own / own_largest].map(|other| (stationarity - other).abs());
@@ -623,7 +640,7 @@ fn hessians_agree() {
     ]
     .into_iter()
     .map(|hessian| {
-        let (start, _) = first_point(&case.problem, Guess::StaticPath).unwrap();
+        let (start, _) = first_point(&case.problem, Guess::StaticPath, None).unwrap();
         let settings = SqpSettings {
             hessian,
             max_iterations: 300,
@@ -680,13 +697,15 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     }];
     let rod = Rod::new(&case.parameters).unwrap();
     case.problem.initial = rod.at_rest_on_base(rod.rest.clone());
+    case.problem.goals[0].node = rod.tip();
+    case.problem.actuators[0].node = rod.tip();
     case.problem.rod = rod;
     let base = case
         .problem
         .rod
         .driven_base(case.problem.grid.end())
         .unwrap();
-    case.problem.target.position =
+    case.problem.goals[0].position =
         Some(base.position + base.rotation * Vector3::new(0.1, 0.03, 0.985));
     let outcome = case.solved();
     let grid = case.problem.grid;
@@ -707,7 +726,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
         &case.problem,
         &outcome.point.trajectory,
         &case.problem.wrenches(&outcome.point.variables),
-        &outcome.multipliers.constraints,
+        &SolutionMultipliers::of_goals(&outcome.multipliers.constraints),
     );
     assert!(found.residual.feasibility > 1.0);
 }
@@ -716,7 +735,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
 #[test]
 fn staying_costs_nothing() {
     let case = Case::reach().with(|p| {
-        p.target.position = Some(p.initial.configuration.positions[p.rod.tip()]);
+        p.goals[0].position = Some(p.initial.configuration.positions[p.rod.tip()]);
     });
     let outcome = case.solve_from(Guess::Rest);
     assert_eq!(outcome.status, SqpStatus::Converged);
@@ -760,7 +779,7 @@ fn energy_account_closes() {
                 let step = 0.2 / n_steps as f64;
                 assert!(step < 0.3 * stable_step(&rod));
                 let initial = rod.at_rest_on_base(rod.rest.clone());
-                let none = vec![Wrench::default(); n_steps + 1];
+                let none = ControlSignal::default();
                 let grid = TimeGrid { step, n_steps };
                 replay(&rod, grid, &initial, &none).unwrap().balance
             };

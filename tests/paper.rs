@@ -1,7 +1,7 @@
 //! The paper's experiments: its scenes, the quantities it prints, and what the three models keep.
 
 use nalgebra::Vector3;
-use softarm::mechanics::{Integrator, RodModel, Wrench};
+use softarm::mechanics::{Integrator, NodeWrenches, RodModel};
 use softarm::paper::{
     Comparison, Experiment, LongRun, Study, convergence, order, section_area, tip_at,
 };
@@ -44,7 +44,7 @@ fn position(scene: &'static str, elements: usize, t: f64, tip: bool) -> Vector3<
     let rod = &simulation.rod;
     let mut integrator = Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
     for _ in 0..simulation.grid.n_steps {
-        integrator.advance([Wrench::default(); 2]).unwrap();
+        integrator.advance([NodeWrenches::NONE; 2]).unwrap();
     }
     integrator.state().configuration.positions[if tip { rod.tip() } else { 0 }]
 }
@@ -133,7 +133,7 @@ fn sections_keep_their_volume() {
         let mut integrator = Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
         let mut stretch: f64 = 0.0;
         for _ in 0..simulation.grid.n_steps {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             let positions = &integrator.state().configuration.positions;
             let rotary = rod.rotary_at(positions);
             let e = rod.dilatation(positions);

@@ -13,8 +13,8 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::{
-    Configuration, Energy, Integrator, LoadFrame, Rod, RodModel, RodParameters, State, StrainRule,
-    Wrench, stable_step,
+    Configuration, ControlSignal, Energy, Integrator, LoadFrame, NodeWrenches, Rod, RodModel,
+    RodParameters, State, StrainRule, Wrench, stable_step,
 };
 
 /// Both sign choices, and moments kept in the body frame: second order at every time with h in proportion to l, an absolute
@@ -270,10 +270,13 @@ fn smooth_motion(rule: StrainRule, n: usize, end: f64, n_steps: usize) -> Config
             moment: Vector3::new(0.1, -0.2, 0.4) * factor,
         }
     };
+    let control = ControlSignal::tip(&rod, (0..=n_steps).map(wrench).collect());
     let mut integrator =
         Integrator::new(&rod, end / n_steps as f64, State::at_rest(rod.rest.clone()));
     for k in 0..n_steps {
-        integrator.advance([wrench(k), wrench(k + 1)]).unwrap();
+        integrator
+            .advance([control.at(k), control.at(k + 1)])
+            .unwrap();
     }
     integrator.state().configuration.clone()
 }
@@ -360,7 +363,7 @@ fn a_million_steps() {
             let (mut sum, mut ripple) = (0.0, 0f64);
             for _ in 0..1000 {
                 for _ in 0..10 {
-                    integrator.advance([Wrench::default(); 2]).unwrap();
+                    integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
                 let off = Energy::of(&rod, integrator.state()).total() - start;
                 sum += off / 1000.0;

@@ -8,7 +8,8 @@ use common::published::frequencies::{ALL, families, frequencies};
 use common::{Dice, RULES, assert_second_order, busy_arm, cowper_arm, paper_rod, soft_arm};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Rod, RodParameters, State, StrainRule, Wrench, stable_step,
+    BaseCondition, Energy, Integrator, NodeWrenches, Rod, RodParameters, State, StrainRule,
+    stable_step,
 };
 
 /// Every family: second order in l under both rules, an absolute tolerance from the lumped waves, and in bending the
@@ -90,7 +91,7 @@ fn stability_limit() {
                     let mut integrator = Integrator::new(&rod, fraction * limit, initial);
                     let mut largest: f64 = 0.0;
                     for _ in 0..steps {
-                        if integrator.advance([Wrench::default(); 2]).is_err() {
+                        if integrator.advance([NodeWrenches::NONE; 2]).is_err() {
                             return f64::INFINITY;
                         }
                         largest =

@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::{Global, Outcome, exit, scene_name};
-use crate::control::{Enforcement, OptimalControlProblem};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::output::summary::{
@@ -203,11 +203,13 @@ fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
     let free = problem.rod.n_nodes() - problem.rod.first_free_node();
     ProblemSize {
         control_blocks: problem.control.n_blocks(),
-        variables: problem.control.n_coefficients() * problem.actuated_components().len(),
-        target_equations: match problem.target.enforcement {
-            Enforcement::Hard => problem.target_rows().len(),
-            Enforcement::Soft { .. } => 0,
-        },
+        variables: problem.n_controls(),
+        target_equations: (problem.goal_rows().iter())
+            .filter(|row| problem.soft_weight(row).is_none())
+            .count(),
+        path_rows: (problem.path_constraints().iter())
+            .map(|path| path.time_nodes.len() * path.limit.n_items(&problem.rod))
+            .sum(),
         eliminated: 6 * free * problem.grid.n_steps,
     }
 }
@@ -239,8 +241,12 @@ fn show(summary: &CheckSummary, console: &Console) {
     ));
     if let Some(size) = &summary.optimal_control {
         console.say(&format!(
-            "  control {} blocks, {} variables; {} target equations; {} configuration unknowns eliminated",
-            size.control_blocks, size.variables, size.target_equations, size.eliminated
+            "  control {} blocks, {} variables; {} target equations, {} path rows; {} configuration unknowns eliminated",
+            size.control_blocks,
+            size.variables,
+            size.target_equations,
+            size.path_rows,
+            size.eliminated
         ));
     }
     if let Some(output) = &summary.output {

@@ -59,7 +59,7 @@ struct Global {
     /// Threads to compute with (changes the time, not the result)
     #[arg(long, global = true, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     threads: u16,
-    /// Seed of everything random (nothing is, in this version; accepted so that scripts need not change)
+    /// Seed of everything random: the detours of several starts
     #[arg(long, global = true, value_name = "N", default_value_t = 0)]
     seed: u64,
 }
@@ -76,8 +76,8 @@ enum Command {
         #[arg(long)]
         resume: bool,
     },
-    /// Optimal control: tip force and moment sequences, checked by forward simulation
-    Solve(SceneAndOut),
+    /// Optimal control: force and moment sequences, checked by forward simulation
+    Solve(solve::SolveArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify {
         /// Result directory of a solve

@@ -1,6 +1,6 @@
 //! What the report page of a simulation and of a solve shows.
 
-use crate::control::{Bound, Hold, OptimalControlProblem};
+use crate::control::{Bound, Goal, Hold, OptimalControlProblem};
 use crate::mechanics::{BaseCondition, Rod, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
@@ -106,10 +106,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         summary: serde_json::to_value(summary).unwrap_or_default(),
         arm: arm(page.scene, &problem.rod),
         motion: ReportMotion::thinned(page.record, FRAMES),
-        target: Some(ReportTarget {
-            position: problem.target.position.map(Into::into),
-            directions: problem.target.rotation.as_ref().map(directors),
-        }),
+        target: Some(target(problem)),
         controls: Some(controls(problem, page.coefficients)),
         energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
         iterations: page.history.iter().map(iteration).collect(),
@@ -174,6 +171,23 @@ fn arm(scene: &Scene, rod: &Rod) -> ReportArm {
     }
 }
 
+/// What the tip should reach at the end.
+fn target(problem: &OptimalControlProblem) -> ReportTarget {
+    let at_end =
+        |goal: &&Goal| goal.node == problem.rod.tip() && goal.time_node == problem.grid.n_steps;
+    let goals = || problem.goals.iter().filter(at_end);
+    ReportTarget {
+        position: goals().find_map(|goal| goal.position).map(Into::into),
+        directions: goals()
+            .find_map(|goal| goal.rotation.as_ref())
+            .map(directors),
+    }
+}
+
+/// Points per block of a spline in a drawing.
+const SPLINE_POINTS: usize = 8;
+
+/// The tip's wrench; a spline is drawn as a polygon.
 fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportControls {
     let bound = |bound: &Option<Bound>| {
         bound.as_ref().map(|bound| match bound {
@@ -181,16 +195,38 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportC
             Bound::PerAxis(limits) => output::Bound::Axes((*limits).into()),
         })
     };
+    let n = problem.actuators.len();
+    let tip = &problem.actuators[0];
+    let control = &problem.control;
+    let at = |j: usize| coefficients[j * n];
+    let (hold, t, wrenches): (_, Vec<f64>, Vec<Wrench>) = match control.hold {
+        Hold::Constant | Hold::Linear => (
+            if control.hold == Hold::Constant {
+                output::Hold::Constant
+            } else {
+                output::Hold::Linear
+            },
+            control.edge_times(),
+            (0..control.n_coefficients()).map(at).collect(),
+        ),
+        Hold::Cubic => {
+            let last = control.n_steps();
+            let points = (SPLINE_POINTS * control.n_blocks()).min(last);
+            let nodes = || (0..=points).map(|i| i * last / points);
+            (
+                output::Hold::Linear,
+                nodes().map(|k| problem.grid.time(k)).collect(),
+                nodes().map(|k| control.value(k, at)).collect(),
+            )
+        }
+    };
     ReportControls {
-        hold: match problem.control.hold {
-            Hold::Constant => output::Hold::Constant,
-            Hold::Linear => output::Hold::Linear,
-        },
-        t: problem.control.edge_times(),
-        force: coefficients.iter().map(|u| u.force.into()).collect(),
-        moment: coefficients.iter().map(|u| u.moment.into()).collect(),
-        force_bound: bound(&problem.force.bound),
-        moment_bound: bound(&problem.moment.bound),
+        hold,
+        t,
+        force: wrenches.iter().map(|u| u.force.into()).collect(),
+        moment: wrenches.iter().map(|u| u.moment.into()).collect(),
+        force_bound: bound(&tip.force.bound),
+        moment_bound: bound(&tip.moment.bound),
     }
 }
 
@@ -206,7 +242,7 @@ fn iteration(row: &IterationRecord) -> ReportIteration {
     }
 }
 
-/// Letters of the iteration table: g Gauss-Newton, x exact, c convexified; then l lifted or r restored, and a `+` for
+/// Letters of the iteration table: g Gauss-Newton, x exact, c convexified, b BFGS, s SR1, p restoration; then l lifted or r restored, and a `+` for
 /// every second-order correction.
 pub(super) fn step_kind(row: &IterationRecord) -> String {
     if row.step_norm == 0.0 {
@@ -216,6 +252,9 @@ pub(super) fn step_kind(row: &IterationRecord) -> String {
         HessianKind::GaussNewton => 'g',
         HessianKind::Exact => 'x',
         HessianKind::Convexified => 'c',
+        HessianKind::Bfgs => 'b',
+        HessianKind::Sr1 => 's',
+        HessianKind::Proximal => 'p',
     };
     let states = if row.restored { 'r' } else { 'l' };
     format!("{hessian}{states}{}", "+".repeat(row.corrections))

@@ -11,7 +11,9 @@ use super::error::CliError;
 use super::report_pages::simulation_page;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::rotation::quaternion;
-use crate::mechanics::{Diagnostics, Energy, PowerBalance, Rod, State, StepError, Stepper, Wrench};
+use crate::mechanics::{
+    Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
+};
 use crate::output::summary::{EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TipPose};
 use crate::output::{
     ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory, RowFiles,
@@ -338,7 +340,7 @@ impl<'a> Run<'a> {
             }
             let leads_to_row = self.setup.n_rows(k + 1) > self.trajectory.n_rows();
             let before = (leads_to_row && self.setup.diagnostics).then(|| self.integrator.state());
-            if let Err(error) = self.integrator.advance([Wrench::default(); 2]) {
+            if let Err(error) = self.integrator.advance([NodeWrenches::NONE; 2]) {
                 break End::Failed(error);
             }
             if leads_to_row {

@@ -1,105 +1,182 @@
 //! `softarm solve SCENE [--out DIR]`
 
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
 
+use clap::Args;
+
 use super::check::warnings;
 use super::console::{Console, interrupted};
+use super::error::CliError;
 use super::report_pages::{SolvePage, solve_page, step_kind};
 use super::simulate::push_row;
+use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::control::{
-    Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem, TargetRow, Transcription,
-    first_point,
+    Attempt, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement, PathRow, Search,
+    Transcription, search,
 };
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
-    CheckOutcome, EnergyAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION, SolveSummary,
+    BetweenSummary, CheckOutcome, EnergyAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION,
+    SolveSummary, StartSummary, StrainSummary,
 };
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, render_report, write_controls,
+    ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
+    write_controls,
 };
 use crate::scene::{OptimalControl, Scene};
-use crate::sqp::{
-    Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop, solve,
+use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
+use crate::verify::{
+    CheckError, CheckLimits, ForwardCheck, PathMultiplier, Solution, SolutionMultipliers,
+    forward_check,
 };
-use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
 
 /// How many constraints are named.
 const NAMED: usize = 5;
 
-pub(super) fn run(arguments: &SceneAndOut, global: &Global, console: &Console) -> Outcome {
+/// Arguments of `solve`.
+#[derive(Debug, Args)]
+pub(super) struct SolveArguments {
+    #[command(flatten)]
+    scene: SceneAndOut,
+    /// Solve from this many starts, detours chosen by --seed after the first, and keep the best that is certified
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    starts: u16,
+    /// Start from the controls in the result directory of an earlier solve, of this scene or one like it
+    #[arg(long, value_name = "DIR")]
+    from: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
-    let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
+    let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
     let setup = scene.optimal_control(&source)?;
     for warning in warnings(&scene, &setup.problem.rod, setup.problem.grid.step) {
         console.warn(&warning);
     }
-    let target = arguments.directory("solve");
+    let previous = (arguments.from.as_deref())
+        .map(|directory| earlier_controls(directory, &setup.problem))
+        .transpose()?;
+    let target = arguments.scene.directory("solve");
     let directory = ResultDirectory::create(&target)?;
     console.catch_interrupts();
 
-    let (start, guess) = first_point(&setup.problem, setup.guess)?;
-    if guess != setup.guess {
-        console.warn(
-            "no static path to the target was found; starting from the motion without control",
-        );
-    }
-    announce(&setup, guess, console);
-    let program = Transcription::new(&setup.problem, global.n_threads());
-    let outcome = solve(&program, start, &setup.settings, &mut |row| {
-        console.say(&table_row(row));
+    announce(&setup, console);
+    let plan = Search {
+        previous,
+        starts: usize::from(arguments.starts),
+        seed: global.seed,
+        n_threads: global.n_threads(),
+        ..setup.search.clone()
+    };
+    let attempts = search(&setup.problem, &setup.settings, &plan, &|_, row| {
+        if plan.starts == 1 {
+            console.say(&table_row(row));
+        }
         if interrupted() {
             ControlFlow::Break(Stop::Interrupted)
         } else {
             ControlFlow::Continue(())
         }
-    });
-
+    })?;
     let clock = Instant::now();
-    let solution = Solved::of(&setup, &program, outcome);
-    let check = certify(
-        &setup,
-        &Solution {
-            trajectory: &solution.outcome.point.trajectory,
-            coefficients: &solution.coefficients,
-            multipliers: &solution.outcome.multipliers.constraints,
-        },
-    );
+    let (solution, starts) = best(&setup, attempts, console);
     let certify_time = clock.elapsed().as_secs_f64();
-    let check = match check {
-        Ok(check) => Some(check),
-        Err(error) => {
-            console.warn(&format!("the check could not be made: {error}"));
-            None
-        }
-    };
     let wall = started.elapsed().as_secs_f64();
     let summary = summarize(
         arguments,
         &setup,
-        guess,
         &solution,
-        check.as_ref(),
+        starts,
         wall,
         certify_time,
         &target,
     );
-    write(
-        &directory,
-        &scene,
-        &setup,
-        &solution,
-        check.as_ref(),
-        &summary,
-    )?;
+    write(&directory, &scene, &setup, &solution, &summary)?;
     let written = directory.finish()?;
-    conclude(&summary, check.as_ref(), &written, console);
+    let check = solution.check.as_ref();
+    conclude(&summary, check, &written, console);
     console.summary(&summary);
-    Ok(exit_code(&solution.outcome.status, check.as_ref()))
+    Ok(exit_code(&solution.attempt.outcome.status, check))
+}
+
+/// The coefficients of an earlier solution at the times of this problem's.
+fn earlier_controls(
+    directory: &Path,
+    problem: &OptimalControlProblem,
+) -> Result<Vec<Wrench>, CliError> {
+    let path = directory.join("scene.toml");
+    let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
+    let earlier = scene.optimal_control(&source)?.problem;
+    let coefficients = read_coefficients(directory, &earlier)?;
+    let n = earlier.actuators.len();
+    let last = earlier.grid.n_steps;
+    Ok((problem.control.coefficient_times().into_iter())
+        .flat_map(|t| {
+            let k = ((t / earlier.grid.step).round() as usize).min(last);
+            let (earlier, coefficients) = (&earlier, &coefficients);
+            (problem.actuators.iter()).map(move |actuator| {
+                let same = |other: &&usize| **other == actuator.node;
+                let nodes = earlier.actuated_nodes();
+                let found = nodes.iter().position(|node| same(&node));
+                found.map_or_else(Wrench::default, |a| {
+                    earlier.control.value(k, |j| coefficients[j * n + a])
+                })
+            })
+        })
+        .collect())
+}
+
+/// The best attempt that the check certifies, or else the best; and how all of them fared.
+fn best(
+    setup: &OptimalControl,
+    attempts: Vec<Attempt>,
+    console: &Console,
+) -> (Solved, Vec<StartSummary>) {
+    let program = Transcription::new(&setup.problem, 1);
+    let mut starts = Vec::new();
+    let mut chosen: Option<Solved> = None;
+    for attempt in attempts {
+        let certified = |solved: &Solved| {
+            (solved.check.as_ref()).is_some_and(ForwardCheck::is_certified)
+                && solved.attempt.outcome.status == SqpStatus::Converged
+        };
+        let settled = chosen.as_ref().is_some_and(certified);
+        let mut start = StartSummary {
+            start: attempt.start,
+            from: attempt.from,
+            status: status_words(&attempt.outcome.status, &[]).0,
+            objective: attempt.outcome.objective,
+            iterations: attempt.outcome.history.len().saturating_sub(1),
+            verdict: None,
+        };
+        // Worse than a certified one, or not converged while another is: nothing to check.
+        let worth =
+            chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
+        if worth {
+            let mut solved = Solved::of(setup, &program, attempt);
+            match certify(setup, &solved.solution()) {
+                Ok(check) => {
+                    start.verdict = Some(check.verdict());
+                    solved.check = Some(check);
+                }
+                Err(error) => console.warn(&format!("the check could not be made: {error}")),
+            }
+            if chosen.is_none() || certified(&solved) {
+                chosen = Some(solved);
+            }
+        }
+        starts.push(start);
+    }
+    starts.sort_by_key(|start| start.start);
+    let Some(chosen) = chosen else {
+        unreachable!("a search has at least one attempt")
+    };
+    (chosen, starts)
 }
 
 fn exit_code(status: &SqpStatus, check: Option<&ForwardCheck>) -> u8 {
@@ -113,31 +190,72 @@ fn exit_code(status: &SqpStatus, check: Option<&ForwardCheck>) -> u8 {
     }
 }
 
-/// An outcome with the control and the target's residuals that belong to it.
+/// An attempt, with what belongs to it.
 struct Solved {
-    outcome: SqpOutcome<LiftedPoint>,
+    attempt: Attempt,
     coefficients: Vec<Wrench>,
-    rows: Vec<TargetRow>,
-    /// Scaled residuals of the target at the solution.
-    residuals: Vec<f64>,
+    multipliers: MultiplierRecord,
+    /// The constraints that are violated most, or nearest to it.
+    worst: Vec<NamedConstraint>,
+    /// The check, if it could be made.
+    check: Option<ForwardCheck>,
 }
 
 impl Solved {
-    fn of(
-        setup: &OptimalControl,
-        program: &Transcription,
-        outcome: SqpOutcome<LiftedPoint>,
-    ) -> Self {
-        let residuals = program
+    fn of(setup: &OptimalControl, program: &Transcription, attempt: Attempt) -> Self {
+        let outcome = &attempt.outcome;
+        let worst = program
             .evaluate(&outcome.point)
-            .map(|values: Evaluation<_>| values.constraints)
+            .map(|values: Evaluation<_>| worst_constraints(program, outcome, &values))
             .unwrap_or_default();
         Self {
             coefficients: setup.problem.wrenches(&outcome.point.variables),
-            rows: program.rows().to_vec(),
-            residuals,
-            outcome,
+            multipliers: multiplier_record(program, outcome),
+            worst,
+            check: None,
+            attempt,
         }
+    }
+
+    fn solution(&self) -> Solution<'_> {
+        Solution {
+            trajectory: &self.attempt.outcome.point.trajectory,
+            coefficients: &self.coefficients,
+            multipliers: SolutionMultipliers {
+                goals: &self.multipliers.goals,
+                path: &self.multipliers.path,
+                rates: &self.multipliers.rates,
+            },
+        }
+    }
+}
+
+/// The multipliers in terms of the problem.
+fn multiplier_record(
+    program: &Transcription,
+    outcome: &SqpOutcome<LiftedPoint>,
+) -> MultiplierRecord {
+    let multipliers = &outcome.multipliers;
+    let path = (multipliers.inequalities.iter().enumerate())
+        .filter(|(_, multiplier)| **multiplier != 0.0)
+        .map(|(row, &multiplier)| {
+            let PathRow {
+                constraint,
+                time,
+                item,
+            } = program.path_row(row);
+            PathMultiplier {
+                constraint,
+                time_node: program.path()[constraint].time_nodes[time],
+                item,
+                multiplier,
+            }
+        })
+        .collect();
+    MultiplierRecord {
+        goals: multipliers.constraints.clone(),
+        path,
+        rates: program.rate_normals(&multipliers.normals),
     }
 }
 
@@ -162,17 +280,16 @@ pub(super) fn certify(
     )
 }
 
-fn announce(setup: &OptimalControl, guess: Guess, console: &Console) {
+fn announce(setup: &OptimalControl, console: &Console) {
     let problem = &setup.problem;
     console.say(&format!(
-        "{} elements ({}), {} steps of {:.4e} s, {} blocks, {} variables, start: {}",
+        "{} elements ({}), {} steps of {:.4e} s, {} blocks, {} variables",
         problem.rod.n_elements(),
         problem.rod.strain_rule.name(),
         problem.grid.n_steps,
         problem.grid.step,
         problem.control.n_blocks(),
-        problem.control.n_coefficients() * problem.actuated_components().len(),
-        guess.name()
+        problem.n_controls(),
     ));
     console.say(" iter     objective   stationar.  feasib.    complem.   step       radius     kind  qp  time");
 }
@@ -195,22 +312,22 @@ fn table_row(row: &IterationRecord) -> String {
 
 #[allow(clippy::too_many_arguments)]
 fn summarize(
-    arguments: &SceneAndOut,
+    arguments: &SolveArguments,
     setup: &OptimalControl,
-    guess: Guess,
     solution: &Solved,
-    check: Option<&ForwardCheck>,
+    starts: Vec<StartSummary>,
     wall: f64,
     certify: f64,
     target: &Path,
 ) -> SolveSummary {
     let problem = &setup.problem;
-    let outcome = &solution.outcome;
-    let (status, message) = status_words(&outcome.status, solution, problem);
+    let outcome = &solution.attempt.outcome;
+    let check = solution.check.as_ref();
+    let (status, message) = status_words(&outcome.status, &solution.worst);
     SolveSummary {
         schema_version: SCHEMA_VERSION,
         command: "solve",
-        scene: scene_name(&arguments.scene),
+        scene: scene_name(&arguments.scene.scene),
         status,
         message,
         iterations: outcome.history.len().saturating_sub(1),
@@ -225,14 +342,16 @@ fn summarize(
             certify,
         },
         kkt: outcome.residual,
+        convergence: outcome.convergence,
         tip_error_m: check.map_or(f64::NAN, |check| check.tip_error),
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         check: check.map(check_outcome),
-        worst_constraints: worst_constraints(problem, solution),
+        worst_constraints: solution.worst.clone(),
         qp_backend: "condensed",
         hessian: setup.settings.hessian.name(),
-        guess: guess.name(),
+        guess: solution.attempt.from,
+        starts,
         model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),
         elements: problem.rod.n_elements(),
@@ -251,6 +370,24 @@ pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
         same_grid_m: check.same_grid,
         refined_time_m: check.refined_time,
         refined_space_m: check.refined_space,
+        order_time: check.order_time,
+        order_space: check.order_space,
+        objective: check.objective,
+        between: (check.between.iter())
+            .map(|between| BetweenSummary {
+                name: between.name.clone(),
+                excess: between.excess,
+                unit: between.unit,
+                reference: between.reference,
+                along: between.along,
+                time_s: between.time,
+            })
+            .collect(),
+        strains: StrainSummary {
+            stretch: [check.strains.least_stretch, check.strains.largest_stretch],
+            curvature_1_m: check.strains.curvature,
+            twist_1_m: check.strains.twist,
+        },
         kkt: check.kkt,
         energy: EnergyAccount {
             work: check.energy.work,
@@ -270,19 +407,15 @@ pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
 }
 
 /// The status in a word, and what else there is to say.
-fn status_words(
-    status: &SqpStatus,
-    solution: &Solved,
-    problem: &OptimalControlProblem,
-) -> (&'static str, Option<String>) {
+fn status_words(status: &SqpStatus, worst: &[NamedConstraint]) -> (&'static str, Option<String>) {
     match status {
         SqpStatus::Converged => ("converged", None),
         SqpStatus::LocallyInfeasible => (
             "locally-infeasible",
-            worst_constraints(problem, solution).first().map(|worst| {
+            worst.first().map(|worst| {
                 format!(
-                    "the target cannot be met to first order: {} is off by {:.3e} {}; move the target, give it more time, or \
-                     loosen control.force_max_n and control.moment_max_n_m",
+                    "the constraints cannot all be met to first order: {} is off by {:.3e} {}; move the target, give it more \
+                     time, or loosen control.force_max_n, control.moment_max_n_m, obstacles and limits",
                     worst.name, worst.amount, worst.unit
                 )
             }),
@@ -301,33 +434,68 @@ fn status_words(
     }
 }
 
-/// Residuals of the target by name, the largest scaled one first.
-fn worst_constraints(problem: &OptimalControlProblem, solution: &Solved) -> Vec<NamedConstraint> {
-    if problem.target.enforcement != Enforcement::Hard {
-        return Vec::new();
-    }
+/// Constraints by name, the most violated (scaled) first; those of a path with their worst row only.
+fn worst_constraints<D>(
+    program: &Transcription,
+    outcome: &SqpOutcome<LiftedPoint>,
+    values: &Evaluation<D>,
+) -> Vec<NamedConstraint> {
+    let problem = program.problem();
     let axes = ["x", "y", "z"];
-    let multipliers = &solution.outcome.multipliers.constraints;
-    let mut order: Vec<usize> = (0..solution.residuals.len()).collect();
-    order.sort_by(|&a, &b| {
-        solution.residuals[b]
-            .abs()
-            .total_cmp(&solution.residuals[a].abs())
-    });
-    order
-        .into_iter()
-        .take(NAMED)
-        .map(|i| {
-            let row = &solution.rows[i];
+    let of = |multipliers: &[f64], i: usize| multipliers.get(i).copied().unwrap_or(f64::NAN);
+    let mut named = Vec::new();
+    for (i, row) in program.goal_rows().iter().enumerate() {
+        if problem.soft_weight(row).is_some() {
+            continue;
+        }
+        let goal = &problem.goals[row.goal];
+        let scaled = values.constraints[i];
+        named.push((
+            scaled.abs(),
             NamedConstraint {
-                name: format!("{} {}", row.part.name(), axes[row.axis]),
-                node: problem.rod.tip(),
-                time_s: problem.grid.end(),
-                amount: solution.residuals[i] * problem.target_scale(row.part),
+                name: format!("{}.{} {}", goal.name, row.part.name(), axes[row.axis]),
+                node: goal.node,
+                time_s: problem.grid.time(goal.time_node),
+                amount: scaled * problem.goal_scale(row.part),
                 unit: row.part.unit(),
-                multiplier: multipliers.get(i).copied().unwrap_or(f64::NAN),
-            }
-        })
+                multiplier: of(&outcome.multipliers.constraints, i),
+            },
+        ));
+    }
+    let mut worst: Vec<Option<(f64, usize)>> = vec![None; program.path().len()];
+    for (i, &h) in values.inequalities.iter().enumerate() {
+        let slot = &mut worst[program.path_row(i).constraint];
+        if slot.is_none_or(|(most, _)| h > most) {
+            *slot = Some((h, i));
+        }
+    }
+    for (h, i) in worst.into_iter().flatten() {
+        let PathRow {
+            constraint,
+            time,
+            item,
+        } = program.path_row(i);
+        let constraint = &program.path()[constraint];
+        if constraint.enforcement != PathEnforcement::Hard {
+            continue;
+        }
+        named.push((
+            h,
+            NamedConstraint {
+                name: constraint.name.clone(),
+                node: constraint.limit.node(item),
+                time_s: problem.grid.time(constraint.time_nodes[time]),
+                amount: h * constraint.limit.scale(&problem.rod),
+                unit: constraint.limit.unit(),
+                multiplier: of(&outcome.multipliers.inequalities, i),
+            },
+        ));
+    }
+    named.sort_by(|a, b| b.0.total_cmp(&a.0));
+    named
+        .into_iter()
+        .map(|(_, named)| named)
+        .take(NAMED)
         .collect()
 }
 
@@ -349,45 +517,43 @@ fn write(
     scene: &Scene,
     setup: &OptimalControl,
     solution: &Solved,
-    check: Option<&ForwardCheck>,
     summary: &SolveSummary,
 ) -> Result<(), OutputError> {
-    let record = motion_record(&setup.problem, solution, check);
+    let outcome = &solution.attempt.outcome;
+    let record = motion_record(&setup.problem, solution);
     record.write_npz(&directory.path().join("trajectory.npz"))?;
     write_controls(
         &directory.path().join("controls.csv"),
         &control_rows(&setup.problem, &solution.coefficients),
     )?;
-    write_iterations(
-        &directory.path().join("iterations.csv"),
-        &solution.outcome.history,
-    )?;
+    write_iterations(&directory.path().join("iterations.csv"), &outcome.history)?;
     directory.write_text("scene.toml", &setup.resolved.to_toml())?;
+    directory.write_json("multipliers.json", &solution.multipliers)?;
     directory.write_json("summary.json", summary)?;
+    if let Some(problem) = &outcome.failed_subproblem {
+        directory.write_text("failed-subproblem.json", problem)?;
+    }
     let page = solve_page(&SolvePage {
         scene,
         setup,
         record: &record,
         coefficients: &solution.coefficients,
-        history: &solution.outcome.history,
-        check,
+        history: &outcome.history,
+        check: solution.check.as_ref(),
         summary,
     });
     directory.write_text("report.html", &render_report(&page))
 }
 
 /// The solution's own configurations, with the energies of its replay.
-fn motion_record(
-    problem: &OptimalControlProblem,
-    solution: &Solved,
-    check: Option<&ForwardCheck>,
-) -> MotionRecord {
-    let trajectory = &solution.outcome.point.trajectory;
-    let control = problem.control.nodal_wrenches(&solution.coefficients);
+fn motion_record(problem: &OptimalControlProblem, solution: &Solved) -> MotionRecord {
+    let trajectory = &solution.attempt.outcome.point.trajectory;
+    let control = problem.signal(&problem.control, &solution.coefficients);
     let mut record = MotionRecord::empty(trajectory.n_nodes);
-    for (k, wrench) in control.iter().enumerate() {
+    for k in 0..trajectory.n_times() {
+        let wrench = &control.at(k).wrenches[0];
         let state = State::at_rest(trajectory.configuration(k));
-        let energy = check.map_or_else(
+        let energy = solution.check.as_ref().map_or_else(
             || Energy::of(&problem.rod, &state),
             |check| check.replay.energies[k],
         );
@@ -404,24 +570,32 @@ fn motion_record(
     record
 }
 
-/// A row per block of a constant hold; a row per knot, with equal times, of a linear one.
+/// A row per coefficient and actuator: per block of a constant hold, per knot, with equal times, of a linear one, per control point
+/// of a spline.
 fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec<ControlRow> {
-    let times = problem.control.edge_times();
+    let edges = problem.control.edge_times();
+    let times = problem.control.coefficient_times();
+    let n = problem.actuators.len();
     coefficients
         .iter()
         .enumerate()
-        .map(|(j, u)| ControlRow {
-            t_start: times[j],
-            t_end: match problem.control.hold {
-                Hold::Constant => times[j + 1],
-                Hold::Linear => times[j],
-            },
-            fx: u.force.x,
-            fy: u.force.y,
-            fz: u.force.z,
-            mx: u.moment.x,
-            my: u.moment.y,
-            mz: u.moment.z,
+        .map(|(i, u)| {
+            let j = i / n;
+            let (t_start, t_end) = match problem.control.hold {
+                Hold::Constant => (edges[j], edges[j + 1]),
+                Hold::Linear | Hold::Cubic => (times[j], times[j]),
+            };
+            ControlRow {
+                t_start,
+                t_end,
+                fx: u.force.x,
+                fy: u.force.y,
+                fz: u.force.z,
+                mx: u.moment.x,
+                my: u.moment.y,
+                mz: u.moment.z,
+                node: problem.actuators[i % n].node,
+            }
         })
         .collect()
 }
@@ -439,6 +613,9 @@ struct IterationRow {
     kind: String,
     elastic_weight: f64,
     slack: f64,
+    linearized_rows: usize,
+    working_rows: usize,
+    contraction: Option<f64>,
     qp_iterations: u32,
     elapsed_s: f64,
 }
@@ -461,6 +638,9 @@ fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), Outp
                 kind: step_kind(row),
                 elastic_weight: row.elastic_weight,
                 slack: row.slack,
+                linearized_rows: row.linearized_rows,
+                working_rows: row.working_rows,
+                contraction: row.contraction,
                 qp_iterations: row.qp_iterations,
                 elapsed_s: row.elapsed,
             })

@@ -12,9 +12,9 @@ use super::{Global, Outcome, exit};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
-use crate::output::{ControlRow, MotionRecord, read_controls};
+use crate::output::{ControlRow, MotionRecord, read_controls, read_multipliers};
 use crate::scene::Scene;
-use crate::verify::Solution;
+use crate::verify::{Solution, SolutionMultipliers};
 
 pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
@@ -29,13 +29,25 @@ pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outco
     let setup = scene.optimal_control(&source)?;
     let trajectory = read_trajectory(directory, &setup.problem)?;
     let coefficients = read_coefficients(directory, &setup.problem)?;
-    let multipliers = read_multipliers(directory, &setup.problem)?;
+    let multipliers = read_multipliers(&directory.join("multipliers.json"))?;
+    let expected = setup.problem.goal_rows().len();
+    if multipliers.goals.len() != expected {
+        return Err(CliError::Directory(format!(
+            "{}: {} multipliers of goals, but scene.toml describes {expected}",
+            directory.join("multipliers.json").display(),
+            multipliers.goals.len()
+        )));
+    }
     let check = certify(
         &setup,
         &Solution {
             trajectory: &trajectory,
             coefficients: &coefficients,
-            multipliers: &multipliers,
+            multipliers: SolutionMultipliers {
+                goals: &multipliers.goals,
+                path: &multipliers.path,
+                rates: &multipliers.rates,
+            },
         },
     )?;
     show_check(&check, true, console);
@@ -86,18 +98,28 @@ fn read_trajectory(
     })
 }
 
-fn read_coefficients(
+pub(super) fn read_coefficients(
     directory: &Path,
     problem: &OptimalControlProblem,
 ) -> Result<Vec<Wrench>, CliError> {
     let path = directory.join("controls.csv");
     let rows = read_controls(&path)?;
-    let expected = problem.control.n_coefficients();
+    let nodes = problem.actuated_nodes();
+    let expected = problem.control.n_coefficients() * nodes.len();
     if rows.len() != expected {
         return Err(CliError::Directory(format!(
             "{}: {} rows, but scene.toml describes {expected}",
             path.display(),
             rows.len()
+        )));
+    }
+    if let Some(row) = (rows.iter().zip(nodes.iter().cycle())).position(|(row, q)| row.node != *q) {
+        return Err(CliError::Directory(format!(
+            "{}:{}: node {}, but scene.toml describes node {} there",
+            path.display(),
+            row + 2,
+            rows[row].node,
+            nodes[row % nodes.len()]
         )));
     }
     Ok(rows
@@ -106,26 +128,4 @@ fn read_coefficients(
             Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz])
         })
         .collect())
-}
-
-/// `multipliers` of `summary.json`.
-fn read_multipliers(
-    directory: &Path,
-    problem: &OptimalControlProblem,
-) -> Result<Vec<f64>, CliError> {
-    let path = directory.join("summary.json");
-    let broken = |reason: String| CliError::Directory(format!("{}: {reason}", path.display()));
-    let text = std::fs::read_to_string(&path).map_err(|error| broken(error.to_string()))?;
-    let summary: serde_json::Value =
-        serde_json::from_str(&text).map_err(|error| broken(error.to_string()))?;
-    let expected = problem.target_rows().len();
-    let values: Option<Vec<f64>> = summary["multipliers"].as_array().map(|values| {
-        values
-            .iter()
-            .filter_map(serde_json::Value::as_f64)
-            .collect()
-    });
-    values
-        .filter(|values| values.len() == expected)
-        .ok_or_else(|| broken(format!("multipliers: expected {expected} numbers")))
 }

@@ -1,8 +1,8 @@
 //! Where the solver starts: always a motion that the rod could make, never zeros.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
-use super::problem::{Bound, OptimalControlProblem};
+use super::problem::{Actuator, Bound, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{exp, log};
@@ -11,9 +11,11 @@ use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
 /// How the first point is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guess {
-    /// Static shapes on the way from the start to the target, passed through smoothly, with the tip wrenches that hold
+    /// Static shapes on the way from the start through the goals, passed through smoothly, with the tip wrenches that hold
     /// them; a driven base carries them along.
     StaticPath,
+    /// The motion under the wrenches that would hold those shapes.
+    Slow,
     /// The motion without any control.
     Rest,
 }
@@ -24,6 +26,7 @@ impl Guess {
     pub fn name(self) -> &'static str {
         match self {
             Self::StaticPath => "static",
+            Self::Slow => "slow",
             Self::Rest => "rest",
         }
     }
@@ -40,35 +43,48 @@ pub enum GuessError {
     Step(#[from] StepError),
 }
 
-/// Static shapes between the start and the target.
+/// Static shapes between the start and the last goal.
 const WAYPOINTS: usize = 12;
 /// Stiffness of the springs that hold the tip at a waypoint, in units of EI/L³ and EI/L.
 const SPRING: f64 = 1e3;
 
-/// Makes the first point; a static path that cannot be found gives way to the uncontrolled motion, and the guess that
-/// was used is returned with it.
+/// Makes the first point, on the way through `detour` (m, halfway to the tip's first goal) where one is given; a static path
+/// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it.
 ///
 /// # Errors
 /// [`GuessError`] when the uncontrolled motion cannot be simulated either.
 pub fn first_point(
     problem: &OptimalControlProblem,
     guess: Guess,
+    detour: Option<&Vector3<f64>>,
 ) -> Result<(LiftedPoint, Guess), GuessError> {
-    if guess == Guess::StaticPath
-        && let Ok(point) = static_path(problem)
+    if guess != Guess::Rest
+        && let Ok(path) = StaticPath::through_goals(problem, detour)
     {
-        return Ok((point, Guess::StaticPath));
+        if guess == Guess::StaticPath {
+            return Ok((path.point(problem), guess));
+        }
+        if let Ok(point) = simulated(problem, &path.holds(problem)) {
+            return Ok((point, guess));
+        }
     }
-    let still = vec![Wrench::default(); problem.grid.n_steps + 1];
-    let trajectory = simulate(problem, problem.grid, &still)?;
-    let none = vec![Wrench::default(); problem.control.n_coefficients()];
-    Ok((
-        LiftedPoint {
-            variables: problem.variables(&none),
-            trajectory,
-        },
-        Guess::Rest,
-    ))
+    let none = vec![Wrench::default(); problem.control.n_coefficients() * problem.actuators.len()];
+    Ok((simulated(problem, &none)?, Guess::Rest))
+}
+
+/// The point of given coefficients whose configurations obey their equations.
+///
+/// # Errors
+/// [`StepError`] of the integrator.
+pub fn simulated(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+) -> Result<LiftedPoint, StepError> {
+    let signal = problem.signal(&problem.control, coefficients);
+    Ok(LiftedPoint {
+        variables: problem.variables(coefficients),
+        trajectory: simulate(problem, problem.grid, &signal)?,
+    })
 }
 
 /// One shape of the path, and the tip wrench that holds it.
@@ -77,30 +93,20 @@ struct Waypoint {
     hold: Wrench,
 }
 
-fn static_path(problem: &OptimalControlProblem) -> Result<LiftedPoint, GuessError> {
-    let waypoints = waypoints(problem)?;
-    let grid = problem.grid;
-    let end = grid.n_steps as f64;
-    let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), grid.n_steps + 1);
-    for k in 0..=grid.n_steps {
-        let shape = shape_at(&waypoints, smooth(k as f64 / end));
-        trajectory.push(&carried(&problem.rod, shape, grid.time(k)));
-    }
-    let times = problem.control.edge_times();
-    let horizon = grid.end();
-    let coefficients: Vec<Wrench> = (0..problem.control.n_coefficients())
-        .map(|j| {
-            let t = match problem.control.hold {
-                super::hold::Hold::Constant => 0.5 * (times[j] + times[j + 1]),
-                super::hold::Hold::Linear => times[j],
-            };
-            within_bounds(problem, hold_at(&waypoints, smooth(t / horizon)))
-        })
-        .collect();
-    Ok(LiftedPoint {
-        variables: problem.variables(&coefficients),
-        trajectory,
-    })
+/// The way to one goal: when it ends, as a fraction of the horizon, and where.
+#[derive(Clone, Copy, Default)]
+struct Leg {
+    end: f64,
+    position: Option<Vector3<f64>>,
+    rotation: Option<Matrix3<f64>>,
+}
+
+/// Shapes on the way from goal to goal, the same number on every leg.
+struct StaticPath {
+    waypoints: Vec<Waypoint>,
+    per_leg: usize,
+    /// When each leg ends, as a fraction of the horizon.
+    ends: Vec<f64>,
 }
 
 /// Rest-to-rest profile with zero velocity and acceleration at both ends: `10 s³ - 15 s⁴ + 6 s⁵`.
@@ -124,84 +130,157 @@ fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration {
     out
 }
 
-/// Static shapes with the base where it is at the end of the horizon.
-fn waypoints(problem: &OptimalControlProblem) -> Result<Vec<Waypoint>, GuessError> {
-    let rod = &problem.rod;
-    let tip = rod.tip();
-    let horizon = problem.grid.end();
-    let start = &carried(rod, problem.initial.configuration.clone(), horizon);
-    let target = &problem.target;
-    let turn = target
-        .rotation
-        .map(|rotation| log(&(start.rotations[tip].transpose() * rotation)));
-    let scales = &rod.scales;
-    let mut shape = start.clone();
-    let mut path = vec![Waypoint {
-        shape: start.clone(),
-        hold: Wrench::default(),
-    }];
-    for i in 1..=WAYPOINTS {
-        let s = i as f64 / WAYPOINTS as f64;
-        let spring = TipSpring {
-            position: target.position.map(|x| {
-                (
-                    start.positions[tip] + (x - start.positions[tip]) * s,
-                    SPRING * scales.force / scales.length,
-                )
-            }),
-            rotation: turn.map(|turn| {
-                (
-                    start.rotations[tip] * exp(&(turn * s)),
-                    SPRING * scales.moment,
-                )
-            }),
+impl StaticPath {
+    /// From the start, by a detour, through the tip's goals, with the base where it is at the end of the horizon.
+    fn through_goals(
+        problem: &OptimalControlProblem,
+        detour: Option<&Vector3<f64>>,
+    ) -> Result<Self, GuessError> {
+        let rod = &problem.rod;
+        let tip = rod.tip();
+        let horizon = problem.grid.end();
+        let last = problem.grid.n_steps as f64;
+        let mut legs: Vec<Leg> = Vec::new();
+        let mut goals: Vec<&Goal> = (problem.goals.iter())
+            .filter(|goal| goal.node == tip && (goal.position.is_some() || goal.rotation.is_some()))
+            .collect();
+        goals.sort_by_key(|goal| goal.time_node);
+        for goal in goals {
+            let end = goal.time_node as f64 / last;
+            if legs.last().is_none_or(|leg| leg.end < end) {
+                legs.push(Leg {
+                    end,
+                    ..Leg::default()
+                });
+            }
+            if let Some(leg) = legs.last_mut() {
+                leg.position = leg.position.or(goal.position);
+                leg.rotation = leg.rotation.or(goal.rotation);
+            }
+        }
+        if let (Some(position), Some(first)) = (detour, legs.first()) {
+            let end = 0.5 * first.end;
+            legs.insert(
+                0,
+                Leg {
+                    end,
+                    position: Some(*position),
+                    rotation: None,
+                },
+            );
+        }
+        let scales = &rod.scales;
+        let mut shape = carried(rod, problem.initial.configuration.clone(), horizon);
+        let mut path = Self {
+            waypoints: vec![Waypoint {
+                shape: shape.clone(),
+                hold: Wrench::default(),
+            }],
+            per_leg: WAYPOINTS.div_ceil(legs.len().max(1)),
+            ends: Vec::new(),
         };
-        shape = static_equilibrium(rod, &shape, 0.0, &spring)?;
-        path.push(Waypoint {
-            hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
-            shape: shape.clone(),
-        });
+        for leg in legs {
+            let (x, r) = (shape.positions[tip], shape.rotations[tip]);
+            let turn = (leg.rotation).map(|rotation| log(&(r.transpose() * rotation)));
+            for i in 1..=path.per_leg {
+                let s = i as f64 / path.per_leg as f64;
+                let spring = TipSpring {
+                    position: leg
+                        .position
+                        .map(|to| (x + (to - x) * s, SPRING * scales.force / scales.length)),
+                    rotation: turn.map(|turn| (r * exp(&(turn * s)), SPRING * scales.moment)),
+                };
+                shape = static_equilibrium(rod, &shape, 0.0, &spring)?;
+                path.waypoints.push(Waypoint {
+                    hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
+                    shape: shape.clone(),
+                });
+            }
+            path.ends.push(leg.end);
+        }
+        Ok(path)
     }
-    Ok(path)
-}
 
-/// Waypoint index and fraction at `s` in [0, 1].
-fn segment(s: f64) -> (usize, f64) {
-    let along = s.clamp(0.0, 1.0) * WAYPOINTS as f64;
-    let index = (along as usize).min(WAYPOINTS - 1);
-    (index, along - index as f64)
-}
+    /// The shapes, and the wrenches that hold them.
+    fn point(&self, problem: &OptimalControlProblem) -> LiftedPoint {
+        let grid = problem.grid;
+        let end = grid.n_steps as f64;
+        let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), grid.n_steps + 1);
+        for k in 0..=grid.n_steps {
+            let shape = self.shape(k as f64 / end);
+            trajectory.push(&carried(&problem.rod, shape, grid.time(k)));
+        }
+        LiftedPoint {
+            variables: problem.variables(&self.holds(problem)),
+            trajectory,
+        }
+    }
 
-fn shape_at(path: &[Waypoint], s: f64) -> Configuration {
-    let (index, fraction) = segment(s);
-    let (from, to) = (&path[index].shape, &path[index + 1].shape);
-    Configuration {
-        positions: from
-            .positions
-            .iter()
-            .zip(&to.positions)
-            .map(|(a, b)| a + (b - a) * fraction)
-            .collect(),
-        rotations: from
-            .rotations
-            .iter()
-            .zip(&to.rotations)
-            .map(|(a, b)| a * exp(&(log(&(a.transpose() * b)) * fraction)))
-            .collect(),
+    /// Coefficients of the wrenches that hold the shapes, within their bounds; only the tip's are used.
+    fn holds(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
+        let horizon = problem.grid.end();
+        (problem.control.coefficient_times().into_iter())
+            .flat_map(|t| {
+                let hold = self.hold(t / horizon);
+                (problem.actuators.iter()).map(move |actuator| {
+                    if actuator.node == problem.rod.tip() {
+                        within_bounds(actuator, hold)
+                    } else {
+                        Wrench::default()
+                    }
+                })
+            })
+            .collect()
+    }
+
+    /// The waypoint before a time (a fraction of the horizon), the next one, and the fraction of the way: at rest at every goal.
+    fn segment(&self, t: f64) -> (&Waypoint, &Waypoint, f64) {
+        let leg = self.ends.partition_point(|&end| end <= t);
+        let last = self.waypoints.len() - 1;
+        let along = match self.ends.get(leg) {
+            None => last as f64,
+            Some(end) => {
+                let begin = leg.checked_sub(1).map_or(0.0, |before| self.ends[before]);
+                (leg as f64 + smooth((t - begin) / (end - begin))) * self.per_leg as f64
+            }
+        };
+        let index = (along as usize).min(last.saturating_sub(1));
+        let next = (index + 1).min(last);
+        let fraction = along - index as f64;
+        (&self.waypoints[index], &self.waypoints[next], fraction)
+    }
+
+    fn shape(&self, t: f64) -> Configuration {
+        let (from, to, fraction) = self.segment(t);
+        let (from, to) = (&from.shape, &to.shape);
+        Configuration {
+            positions: from
+                .positions
+                .iter()
+                .zip(&to.positions)
+                .map(|(a, b)| a + (b - a) * fraction)
+                .collect(),
+            rotations: from
+                .rotations
+                .iter()
+                .zip(&to.rotations)
+                .map(|(a, b)| a * exp(&(log(&(a.transpose() * b)) * fraction)))
+                .collect(),
+        }
+    }
+
+    fn hold(&self, t: f64) -> Wrench {
+        let (from, to, fraction) = self.segment(t);
+        let (from, to) = (&from.hold, &to.hold);
+        Wrench {
+            force: from.force + (to.force - from.force) * fraction,
+            moment: from.moment + (to.moment - from.moment) * fraction,
+        }
     }
 }
 
-fn hold_at(path: &[Waypoint], s: f64) -> Wrench {
-    let (index, fraction) = segment(s);
-    let (from, to) = (&path[index].hold, &path[index + 1].hold);
-    Wrench {
-        force: from.force + (to.force - from.force) * fraction,
-        moment: from.moment + (to.moment - from.moment) * fraction,
-    }
-}
-
-/// The wrench, scaled back into the problem's bounds.
-fn within_bounds(problem: &OptimalControlProblem, wrench: Wrench) -> Wrench {
+/// The wrench, scaled back into the actuator's bounds.
+fn within_bounds(actuator: &Actuator, wrench: Wrench) -> Wrench {
     let clip = |u: Vector3<f64>, bound: Option<Bound>| match bound {
         None => u,
         Some(Bound::Norm(limit)) => {
@@ -211,7 +290,7 @@ fn within_bounds(problem: &OptimalControlProblem, wrench: Wrench) -> Wrench {
         Some(Bound::PerAxis(limits)) => Vector3::from_fn(|i, _| u[i].clamp(-limits[i], limits[i])),
     };
     Wrench {
-        force: clip(wrench.force, problem.force.bound),
-        moment: clip(wrench.moment, problem.moment.bound),
+        force: clip(wrench.force, actuator.force.bound),
+        moment: clip(wrench.moment, actuator.moment.bound),
     }
 }

@@ -1,4 +1,6 @@
-//! Control signals: coefficients held constant over blocks, or joined linearly between knots.
+//! Control signals: coefficients times basis functions of time, one linear map for every kind of hold.
+
+use faer::Mat;
 
 use crate::mechanics::Wrench;
 
@@ -9,6 +11,30 @@ pub enum Hold {
     Constant,
     /// One coefficient per knot (blocks + 1 of them), linear in between.
     Linear,
+    /// Clamped cubic B-spline with knots where blocks meet (blocks + 3 coefficients): twice continuously differentiable, and
+    /// within the convex hull of its coefficients, so that a convex bound on these bounds the control at all times.
+    Cubic,
+}
+
+impl Hold {
+    /// Degree of the polynomials.
+    fn degree(self) -> usize {
+        match self {
+            Self::Constant => 0,
+            Self::Linear => 1,
+            Self::Cubic => 3,
+        }
+    }
+
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Constant => "constant",
+            Self::Linear => "linear",
+            Self::Cubic => "cubic",
+        }
+    }
 }
 
 /// The blocks of a control on a time grid, and how its coefficients act at the time nodes.
@@ -21,6 +47,17 @@ pub struct ControlGrid {
     /// Step of the grid, s.
     step: f64,
 }
+
+/// Coefficients that act together, with their weights; unused places have weight 0 and repeat an index.
+pub type Weights = [(usize, f64); 4];
+
+/// Points and weights of Gauss-Legendre quadrature on [0, 1], exact for the squares of cubics.
+const QUADRATURE: [(f64, f64); 4] = [
+    (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
+    (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
+    (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
+    (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
+];
 
 impl ControlGrid {
     /// `n_blocks` blocks, as equal as whole steps allow. `None` when there are no blocks or fewer steps than blocks.
@@ -49,19 +86,25 @@ impl ControlGrid {
         }
     }
 
+    /// The same coefficients over steps of another length, s.
+    #[must_use]
+    pub fn with_step(&self, step: f64) -> Self {
+        Self {
+            step,
+            ..self.clone()
+        }
+    }
+
     /// Number of blocks.
     #[must_use]
     pub fn n_blocks(&self) -> usize {
         self.edges.len() - 1
     }
 
-    /// Number of coefficients per component: blocks, or knots.
+    /// Number of coefficients per component.
     #[must_use]
     pub fn n_coefficients(&self) -> usize {
-        match self.hold {
-            Hold::Constant => self.n_blocks(),
-            Hold::Linear => self.n_blocks() + 1,
-        }
+        self.n_blocks() + self.hold.degree()
     }
 
     /// Number of steps of the grid.
@@ -79,11 +122,54 @@ impl ControlGrid {
             .collect()
     }
 
-    /// Coefficients that act at time node `k`, with their weights: the mean of both sides where blocks meet.
-    ///
-    /// Never more than two; the second weight is zero where one suffices.
+    /// The time that each coefficient stands for, s: middle of its block, its knot, or the mean of the knots inside its basis function
+    /// (Greville abscissa).
     #[must_use]
-    pub fn weights(&self, k: usize) -> [(usize, f64); 2] {
+    pub fn coefficient_times(&self) -> Vec<f64> {
+        let knot = |i: isize| {
+            let last = self.edges.len() as isize - 1;
+            self.edges[i.clamp(0, last) as usize] as f64 * self.step
+        };
+        (0..self.n_coefficients() as isize)
+            .map(|j| match self.hold {
+                Hold::Constant => 0.5 * (knot(j) + knot(j + 1)),
+                Hold::Linear => knot(j),
+                Hold::Cubic => (knot(j - 2) + knot(j - 1) + knot(j)) / 3.0,
+            })
+            .collect()
+    }
+
+    /// Basis functions that do not vanish in a block, at the fraction `s` of it, from the block's own index on; and their derivatives, 1/s.
+    fn basis(&self, block: usize, s: f64) -> ([f64; 4], [f64; 4]) {
+        // De Boor's recursion over the knots around the block, which repeat at either end.
+        let knot = |i: isize| {
+            let last = self.edges.len() as isize - 1;
+            self.edges[(block as isize + i).clamp(0, last) as usize] as f64
+        };
+        let (from, to) = (knot(0), knot(1));
+        let t = from + s * (to - from);
+        let degree = self.hold.degree();
+        let mut values = [1.0, 0.0, 0.0, 0.0];
+        let mut slopes = [0.0; 4];
+        for p in 1..=degree {
+            let lower = values;
+            values = [0.0; 4];
+            slopes = [0.0; 4];
+            for i in 0..p {
+                let (left, right) = (knot(i as isize + 1 - p as isize), knot(i as isize + 1));
+                let part = lower[i] / (right - left);
+                values[i] += (right - t) * part;
+                values[i + 1] += (t - left) * part;
+                slopes[i] -= p as f64 * part;
+                slopes[i + 1] += p as f64 * part;
+            }
+        }
+        (values, slopes.map(|slope| slope / self.step))
+    }
+
+    /// Coefficients that act at time node `k`, with their weights: the mean of both sides where constant blocks meet.
+    #[must_use]
+    pub fn weights(&self, k: usize) -> Weights {
         let last = self.n_blocks() - 1;
         // The block whose interval begins at or before k; the last one also owns the end.
         let block = self
@@ -91,82 +177,90 @@ impl ControlGrid {
             .partition_point(|&edge| edge <= k)
             .saturating_sub(1)
             .min(last);
-        match self.hold {
-            Hold::Constant => {
-                if block > 0 && k == self.edges[block] {
-                    [(block - 1, 0.5), (block, 0.5)]
-                } else {
-                    [(block, 1.0), (block, 0.0)]
-                }
-            }
-            Hold::Linear => {
-                let (from, to) = (self.edges[block], self.edges[block + 1]);
-                let s = (k - from) as f64 / (to - from) as f64;
-                [(block, 1.0 - s), (block + 1, s)]
-            }
+        if self.hold == Hold::Constant && block > 0 && k == self.edges[block] {
+            return [(block - 1, 0.5), (block, 0.5), (block, 0.0), (block, 0.0)];
         }
+        let (from, to) = (self.edges[block], self.edges[block + 1]);
+        let s = (k - from) as f64 / (to - from) as f64;
+        let (values, _) = self.basis(block, s);
+        let degree = self.hold.degree();
+        std::array::from_fn(|i| (block + i.min(degree), values[i]))
     }
 
     /// Number of leading coefficients that act at time node `k` or earlier.
     #[must_use]
     pub fn n_started(&self, k: usize) -> usize {
-        self.weights(k)[1].0 + 1
+        self.weights(k)[3].0 + 1
     }
 
-    /// Wrench at every time node.
+    /// The function of time at time node `k`, from the coefficients.
     #[must_use]
-    pub fn nodal_wrenches(&self, coefficients: &[Wrench]) -> Vec<Wrench> {
-        (0..=self.n_steps())
-            .map(|k| {
-                let mut sum = Wrench::default();
-                for (coefficient, weight) in self.weights(k) {
-                    sum.force += coefficients[coefficient].force * weight;
-                    sum.moment += coefficients[coefficient].moment * weight;
-                }
-                sum
+    pub fn value(&self, k: usize, coefficient: impl Fn(usize) -> Wrench) -> Wrench {
+        let mut sum = Wrench::default();
+        for (j, weight) in self.weights(k) {
+            if weight != 0.0 {
+                let u = coefficient(j);
+                sum.force += u.force * weight;
+                sum.moment += u.moment * weight;
+            }
+        }
+        sum
+    }
+
+    /// Symmetric matrix `M` with `∫ |u|² dt = Σ_ij M_ij u_i u_j` per component, s.
+    #[must_use]
+    pub fn effort_matrix(&self) -> Mat<f64> {
+        self.gram(|block, s| self.basis(block, s).0)
+    }
+
+    /// Symmetric matrix of `∫ |du/dt|² dt`, 1/s. A constant hold counts its jumps as ramps between the middles of the blocks.
+    #[must_use]
+    pub fn rate_matrix(&self) -> Mat<f64> {
+        if self.hold != Hold::Constant {
+            return self.gram(|block, s| self.basis(block, s).1);
+        }
+        let n = self.n_coefficients();
+        let mut out = Mat::zeros(n, n);
+        for (j, gap) in self.rate_gaps().into_iter().enumerate() {
+            out[(j, j)] += 1.0 / gap;
+            out[(j + 1, j + 1)] += 1.0 / gap;
+            out[(j, j + 1)] -= 1.0 / gap;
+            out[(j + 1, j)] -= 1.0 / gap;
+        }
+        out
+    }
+
+    /// Times `g_j` such that `|u_{j+1} - u_j| ≤ r g_j` for all `j` bounds the rate by `r` at all times, s: the ramp between the middles of constant blocks, the time between knots, and for
+    /// the cubic spline the support of a basis function of its derivative over its degree.
+    #[must_use]
+    pub fn rate_gaps(&self) -> Vec<f64> {
+        let last = self.edges.len() - 1;
+        let knot = |i: usize| self.edges[i.min(last)] as f64 * self.step;
+        (0..self.n_coefficients() - 1)
+            .map(|j| match self.hold {
+                Hold::Constant => 0.5 * (knot(j + 2) - knot(j)),
+                Hold::Linear => knot(j + 1) - knot(j),
+                Hold::Cubic => (knot(j + 1) - knot(j.saturating_sub(2))) / 3.0,
             })
             .collect()
     }
 
-    /// Symmetric tridiagonal matrix `M` with `∫ |u|² dt = Σ_ij M_ij u_i u_j` per component, as (diagonal, off-diagonal), s.
-    #[must_use]
-    pub fn effort_matrix(&self) -> (Vec<f64>, Vec<f64>) {
-        let durations = self.durations();
-        match self.hold {
-            Hold::Constant => (durations.clone(), vec![0.0; durations.len() - 1]),
-            Hold::Linear => {
-                let mut diagonal = vec![0.0; durations.len() + 1];
-                for (i, d) in durations.iter().enumerate() {
-                    diagonal[i] += d / 3.0;
-                    diagonal[i + 1] += d / 3.0;
+    fn gram(&self, functions: impl Fn(usize, f64) -> [f64; 4]) -> Mat<f64> {
+        let n = self.n_coefficients();
+        let mut out = Mat::zeros(n, n);
+        let count = self.hold.degree() + 1;
+        for block in 0..self.n_blocks() {
+            let duration = (self.edges[block + 1] - self.edges[block]) as f64 * self.step;
+            for (s, weight) in QUADRATURE {
+                let values = functions(block, s);
+                for i in 0..count {
+                    for j in 0..count {
+                        out[(block + i, block + j)] += weight * duration * values[i] * values[j];
+                    }
                 }
-                (diagonal, durations.iter().map(|d| d / 6.0).collect())
             }
         }
-    }
-
-    /// Symmetric tridiagonal matrix of `∫ |du/dt|² dt`, 1/s. A constant hold counts its jumps as ramps between the
-    /// middles of the blocks.
-    #[must_use]
-    pub fn rate_matrix(&self) -> (Vec<f64>, Vec<f64>) {
-        let durations = self.durations();
-        let gaps: Vec<f64> = match self.hold {
-            Hold::Constant => durations.windows(2).map(|d| 0.5 * (d[0] + d[1])).collect(),
-            Hold::Linear => durations,
-        };
-        let mut diagonal = vec![0.0; gaps.len() + 1];
-        for (i, gap) in gaps.iter().enumerate() {
-            diagonal[i] += 1.0 / gap;
-            diagonal[i + 1] += 1.0 / gap;
-        }
-        (diagonal, gaps.iter().map(|gap| -1.0 / gap).collect())
-    }
-
-    fn durations(&self) -> Vec<f64> {
-        self.edges
-            .windows(2)
-            .map(|edge| (edge[1] - edge[0]) as f64 * self.step)
-            .collect()
+        out
     }
 }
 
@@ -175,47 +269,84 @@ mod tests {
     use super::*;
     use nalgebra::Vector3;
 
-    fn ramp(grid: &ControlGrid) -> Vec<Wrench> {
-        (0..grid.n_coefficients())
-            .map(|j| Wrench {
-                force: Vector3::new(j as f64, 1.0, 0.0),
-                ..Wrench::default()
-            })
-            .collect()
+    const HOLDS: [Hold; 3] = [Hold::Constant, Hold::Linear, Hold::Cubic];
+
+    /// A force along x at time node `k`.
+    fn force(grid: &ControlGrid, k: usize, coefficients: &[f64]) -> f64 {
+        grid.value(k, |j| Wrench {
+            force: Vector3::x() * coefficients[j],
+            ..Wrench::default()
+        })
+        .force
+        .x
+    }
+
+    fn quadratic(matrix: &Mat<f64>, u: &[f64]) -> f64 {
+        let row = |i: usize| -> f64 { u.iter().enumerate().map(|(j, v)| matrix[(i, j)] * v).sum() };
+        u.iter().enumerate().map(|(i, v)| v * row(i)).sum()
     }
 
     /// Weights at every node add to one, and refining the grid keeps the function: the shared nodes agree.
     #[test]
     fn refinement_keeps_the_function() {
-        for hold in [Hold::Constant, Hold::Linear] {
+        for hold in HOLDS {
             for (blocks, steps) in [(1, 1), (3, 10), (7, 7), (20, 1000)] {
                 let grid = ControlGrid::new(hold, blocks, steps, 0.01).expect("enough steps");
-                let u = ramp(&grid);
-                let coarse = grid.nodal_wrenches(&u);
-                let fine = grid.refined(4).nodal_wrenches(&u);
-                for (k, wrench) in coarse.iter().enumerate() {
-                    assert!((wrench.force - fine[4 * k].force).norm() < 1e-12);
-                    assert!((wrench.force.y - 1.0).abs() < 1e-15);
+                let u: Vec<f64> = (0..grid.n_coefficients()).map(|j| (j * j) as f64).collect();
+                let ones = vec![1.0; u.len()];
+                let fine = grid.refined(4);
+                for k in 0..=steps {
+                    let (coarse, fine) = (force(&grid, k, &u), force(&fine, 4 * k, &u));
+                    assert!((coarse - fine).abs() < 1e-12 * (1.0 + coarse.abs()));
+                    assert!((force(&grid, k, &ones) - 1.0).abs() < 1e-14);
                 }
             }
         }
     }
 
-    /// `∫ u² dt` and `∫ u̇² dt` by the matrices equal the closed forms of u = t on [0, 1] under linear hold.
+    /// Coefficients at their own times reproduce u = t, whose `∫ u² dt` and `∫ u̇² dt` over [0, 1] are 1/3 and 1; blocks of unequal
+    /// length.
     #[test]
-    fn cost_matrices_integrate() {
-        let grid = ControlGrid::new(Hold::Linear, 10, 100, 0.01).expect("enough steps");
-        let u: Vec<f64> = grid.edge_times();
-        let quadratic = |(diagonal, off): (Vec<f64>, Vec<f64>)| -> f64 {
-            diagonal.iter().zip(&u).map(|(d, u)| d * u * u).sum::<f64>()
-                + off
-                    .iter()
-                    .zip(u.windows(2))
-                    .map(|(o, u)| 2.0 * o * u[0] * u[1])
-                    .sum::<f64>()
-        };
-        assert!((quadratic(grid.effort_matrix()) - 1.0 / 3.0).abs() < 1e-14);
-        assert!((quadratic(grid.rate_matrix()) - 1.0).abs() < 1e-13);
+    fn ramps_are_exact_and_integrate() {
+        for hold in [Hold::Linear, Hold::Cubic] {
+            for blocks in [1, 3, 7, 30] {
+                let grid = ControlGrid::new(hold, blocks, 100, 0.01).expect("enough steps");
+                let u = grid.coefficient_times();
+                for k in 0..=100 {
+                    assert!((force(&grid, k, &u) - k as f64 * 0.01).abs() < 1e-14);
+                }
+                assert!((quadratic(&grid.effort_matrix(), &u) - 1.0 / 3.0).abs() < 1e-14);
+                assert!((quadratic(&grid.rate_matrix(), &u) - 1.0).abs() < 1e-12);
+                let slopes =
+                    (u.windows(2).zip(grid.rate_gaps())).map(|(u, gap)| (u[1] - u[0]) / gap);
+                assert!(slopes.into_iter().all(|slope| (slope - 1.0).abs() < 1e-12));
+            }
+        }
+    }
+
+    /// The spline's cost matrices against sums over a fine grid, and its rate within the bound of its coefficients' differences.
+    #[test]
+    fn splines_integrate_and_keep_their_rate() {
+        let grid = ControlGrid::new(Hold::Cubic, 7, 100, 0.01).expect("enough steps");
+        let u: Vec<f64> = (0..10).map(|j| ((j * 7) % 5) as f64).collect();
+        let n = 100 * 64;
+        let fine = grid.refined(64);
+        let values: Vec<f64> = (0..=n).map(|k| force(&fine, k, &u)).collect();
+        let h = 1.0 / n as f64;
+        let square: f64 = values
+            .windows(2)
+            .map(|v| h * 0.25 * (v[0] + v[1]).powi(2))
+            .sum();
+        let slopes: Vec<f64> = values.windows(2).map(|v| (v[1] - v[0]) / h).collect();
+        let rate: f64 = slopes.iter().map(|s| h * s * s).sum();
+        // Midpoint rule: off by h²/24 times second derivatives of order (7 blocks)² of squares of order 16.
+        assert!((quadratic(&grid.effort_matrix(), &u) - square).abs() < 1e-5);
+        assert!((quadratic(&grid.rate_matrix(), &u) - rate).abs() < 1e-3 * rate);
+        let bound = (u.windows(2).zip(grid.rate_gaps()))
+            .map(|(u, gap)| (u[1] - u[0]).abs() / gap)
+            .fold(0.0, f64::max);
+        let largest = slopes.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
+        assert!(largest <= bound && largest > 0.5 * bound);
     }
 
     /// More blocks than steps, and no blocks, are refused.

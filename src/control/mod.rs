@@ -1,13 +1,21 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
 
+pub mod cost;
 pub mod guess;
 pub mod hold;
+pub mod obstacle;
+pub mod path;
 pub mod problem;
+pub mod search;
 pub mod transcription;
 
-pub use guess::{Guess, GuessError, first_point};
+pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
+pub use obstacle::{Shape, SignedDistance};
+pub use path::{PathConstraint, PathEnforcement, PathLimit, Posture};
 pub use problem::{
-    Bound, Channel, Enforcement, OptimalControlProblem, TargetPart, TargetRow, TipTarget,
+    Actuator, Bound, Channel, Component, Enforcement, Goal, GoalPart, GoalRow, Objective,
+    OptimalControlProblem, Tracking,
 };
-pub use transcription::{LiftedDirection, LiftedPoint, Transcription, simulate};
+pub use search::{Attempt, Continuation, Search, search};
+pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

@@ -1,11 +1,12 @@
-//! The optimal-control problem: a rod, a horizon, what the tip may do, and what it must reach.
+//! The optimal-control problem: a rod, a horizon, the wrenches that may be chosen, and what they must achieve.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::hold::ControlGrid;
-use crate::mechanics::{Rod, State, TimeGrid, Wrench};
+use super::path::{PathConstraint, PathEnforcement, PathLimit};
+use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
 
-/// Limit on one of the two vectors of the tip wrench.
+/// Limit on one of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
     /// `|u| ≤ limit`: a second-order cone.
@@ -36,105 +37,226 @@ impl Bound {
     }
 }
 
-/// One of the two vectors of the tip wrench.
+/// One of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {
     /// Magnitude that counts as 1 in the cost and in the solver, N or N m.
     pub scale: f64,
     /// Limit; none means unbounded.
     pub bound: Option<Bound>,
+    /// Limit of the rate of change, N/s or N m/s; none means unbounded.
+    pub rate_bound: Option<Bound>,
 }
 
-/// Whether the target must be met or is paid for.
+impl Channel {
+    /// A channel without a limit of its rate.
+    #[must_use]
+    pub fn new(scale: f64, bound: Option<Bound>) -> Self {
+        Self {
+            scale,
+            bound,
+            rate_bound: None,
+        }
+    }
+}
+
+/// A wrench on one node that may be chosen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Actuator {
+    /// The node.
+    pub node: usize,
+    /// Force, spatial frame.
+    pub force: Channel,
+    /// Moment, body frame.
+    pub moment: Channel,
+}
+
+/// One scalar of an actuator's wrench.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Component {
+    /// Index of the actuator.
+    pub actuator: usize,
+    /// 0..3 force, 3..6 moment.
+    pub axis: usize,
+}
+
+/// Whether a goal must be met, met within a distance, or is paid for.
 ///
-/// A soft target is solved as a hard one with variables of its own: residual = s, at the price `½ weight |s|²`. It then
-/// has all that makes hard targets converge (second-order correction, filter).
+/// A soft goal is solved as a hard one with variables of its own: residual = s, at the price `½ weight |s|²`. It then
+/// has all that makes hard goals converge (second-order correction, filter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Enforcement {
     /// Equality constraints.
     Hard,
-    /// `½ weight Σ r²` over the scaled residuals of [`TipTarget`].
+    /// `½ weight Σ r²` over the scaled residuals of [`Goal`].
     Soft {
         /// Weight on the squared scaled residual.
         weight: f64,
     },
+    /// A set around the goal: `|x - x*| ≤ distance` and a rotation away from `R*` of at most `angle`. Rest is still an equality.
+    Within {
+        /// m
+        distance: f64,
+        /// rad
+        angle: f64,
+    },
 }
 
-/// What the tip must have reached at the end of the horizon.
+/// What a node must have reached at a time node.
 ///
 /// Scaled residuals: position over the rod's length, orientation as the rotation vector `log(R*ᵀ R)`, and with
-/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)), both
-/// from the terminal Legendre transform.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TipTarget {
+/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)): those of the terminal Legendre transform at the end
+/// of the horizon, and of the momenta that arrive at any earlier time node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Goal {
+    /// Name in reports: its key in the scene.
+    pub name: String,
+    /// The node.
+    pub node: usize,
+    /// When.
+    pub time_node: usize,
     /// Position, m.
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Zero linear and angular velocity of the tip.
+    /// Zero linear and angular velocity of the node.
     pub at_rest: bool,
-    /// Hard or soft.
+    /// Hard, soft, or a set.
     pub enforcement: Enforcement,
 }
 
-/// Minimize effort and rate of a tip wrench that brings the tip to its target.
+impl Goal {
+    /// A hard goal of the tip at the end of the horizon, at rest.
+    #[must_use]
+    pub fn reach(rod: &Rod, grid: TimeGrid, position: Vector3<f64>) -> Self {
+        Self {
+            name: "task".into(),
+            node: rod.tip(),
+            time_node: grid.n_steps,
+            position: Some(position),
+            rotation: None,
+            at_rest: true,
+            enforcement: Enforcement::Hard,
+        }
+    }
+
+    /// The vectors of which the goal makes equations.
+    #[must_use]
+    pub fn parts(&self) -> Vec<GoalPart> {
+        let mut parts = Vec::new();
+        if !matches!(self.enforcement, Enforcement::Within { .. }) {
+            parts.extend(self.position.map(|_| GoalPart::Position));
+            parts.extend(self.rotation.map(|_| GoalPart::Orientation));
+        }
+        if self.at_rest {
+            parts.extend([GoalPart::Velocity, GoalPart::AngularVelocity]);
+        }
+        parts
+    }
+}
+
+/// A weighted distance of a node from where it should be, over the whole horizon.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tracking {
+    /// The node.
+    pub node: usize,
+    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside.
+    pub path: Vec<(f64, Vector3<f64>)>,
+    /// Weight of `½ |x - x*|²/L²`, per second.
+    pub weight: f64,
+}
+
+impl Tracking {
+    /// Where the node should be at time `t`.
+    #[must_use]
+    pub fn position(&self, t: f64) -> Vector3<f64> {
+        let next = self.path.partition_point(|&(time, _)| time <= t);
+        let at = |i: usize| self.path.get(i).copied();
+        match (next.checked_sub(1).and_then(at), at(next)) {
+            (Some((t0, x0)), Some((t1, x1))) => x0 + (x1 - x0) * ((t - t0) / (t1 - t0)),
+            (Some((_, x)), None) | (None, Some((_, x))) => x,
+            (None, None) => Vector3::zeros(),
+        }
+    }
+}
+
+/// What is made small.
 ///
-/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt` (+ the soft target), subject to the discrete
-/// equations of motion, the bounds, and the hard target. Time integrals carry the step: refining the grid does not
-/// change the weights' meaning.
+/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking`. Time integrals carry
+/// the step: refining the grid does not change what weights mean. Those over states are sums by the trapezoidal rule over
+/// [`samples`](Self::samples) of the time nodes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Objective {
+    /// Weight of the effort (per second of a control of size 1, halved).
+    pub effort: f64,
+    /// Weight of the rate, s².
+    pub rate: f64,
+    /// Weight of the elastic energy over `EI/L`, per second.
+    pub energy: f64,
+    /// Nodes that should follow a path.
+    pub tracking: Vec<Tracking>,
+    /// Intervals between the samples of what is integrated over states; all time nodes where it exceeds their number. Not
+    /// 0 where there is anything to integrate.
+    pub samples: usize,
+}
+
+/// Minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals, and the path
+/// constraints.
 #[derive(Clone, Debug)]
 pub struct OptimalControlProblem {
     /// The rod.
     pub rod: Rod,
+    /// Radius of the arm at every node, m: what keeps clear of obstacles. Empty for a line without thickness.
+    pub radii: Vec<f64>,
     /// The time grid of the horizon.
     pub grid: TimeGrid,
     /// State at time 0.
     pub initial: State,
     /// Blocks of the control.
     pub control: ControlGrid,
-    /// Tip force, spatial frame.
-    pub force: Channel,
-    /// Tip moment, body frame.
-    pub moment: Channel,
-    /// The target.
-    pub target: TipTarget,
-    /// Weight of the effort (per second of a control of size 1, halved).
-    pub effort: f64,
-    /// Weight of the rate, s².
-    pub rate: f64,
+    /// The wrenches that may be chosen; no node twice.
+    pub actuators: Vec<Actuator>,
+    /// What must be reached.
+    pub goals: Vec<Goal>,
+    /// What must hold on the way.
+    pub path: Vec<PathConstraint>,
+    /// What is made small.
+    pub objective: Objective,
 }
 
-/// One scalar residual of the target.
+/// One scalar residual of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TargetRow {
+pub struct GoalRow {
+    /// Index of the goal.
+    pub goal: usize,
     /// Which vector.
-    pub part: TargetPart,
+    pub part: GoalPart,
     /// Component, 0..3.
     pub axis: usize,
 }
 
-/// The vectors of a target.
+/// The vectors of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TargetPart {
-    /// Tip position.
+pub enum GoalPart {
+    /// Position.
     Position,
-    /// Tip orientation.
+    /// Orientation.
     Orientation,
-    /// Tip velocity.
+    /// Velocity.
     Velocity,
-    /// Tip angular velocity.
+    /// Angular velocity.
     AngularVelocity,
 }
 
-impl TargetPart {
-    /// Scene key (or what it stands for) of this part.
+impl GoalPart {
+    /// Scene key (or what it stands for) of this part, below the goal's own.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Self::Position => "task.position_m",
-            Self::Orientation => "task.orientation_wxyz",
-            Self::Velocity => "task.at_rest (tip velocity)",
-            Self::AngularVelocity => "task.at_rest (tip angular velocity)",
+            Self::Position => "position_m",
+            Self::Orientation => "orientation_wxyz",
+            Self::Velocity => "at_rest (velocity)",
+            Self::AngularVelocity => "at_rest (angular velocity)",
         }
     }
 
@@ -151,61 +273,146 @@ impl TargetPart {
 }
 
 impl OptimalControlProblem {
-    /// The scalar residuals of the target, in the solver's order.
+    /// The least effort of a tip wrench that brings the tip to a goal.
     #[must_use]
-    pub fn target_rows(&self) -> Vec<TargetRow> {
-        let mut parts = Vec::new();
-        if self.target.position.is_some() {
-            parts.push(TargetPart::Position);
+    pub fn least_effort(
+        rod: Rod,
+        grid: TimeGrid,
+        initial: State,
+        control: ControlGrid,
+        [force, moment]: [Channel; 2],
+        goal: Goal,
+    ) -> Self {
+        Self {
+            grid,
+            initial,
+            control,
+            actuators: vec![Actuator {
+                node: rod.tip(),
+                force,
+                moment,
+            }],
+            goals: vec![goal],
+            path: Vec::new(),
+            objective: Objective {
+                effort: 1.0,
+                ..Objective::default()
+            },
+            radii: Vec::new(),
+            rod,
         }
-        if self.target.rotation.is_some() {
-            parts.push(TargetPart::Orientation);
+    }
+
+    /// The scalar residuals of the goals, in the solver's order.
+    #[must_use]
+    pub fn goal_rows(&self) -> Vec<GoalRow> {
+        let mut rows = Vec::new();
+        for (goal, definition) in self.goals.iter().enumerate() {
+            for part in definition.parts() {
+                rows.extend((0..3).map(|axis| GoalRow { goal, part, axis }));
+            }
         }
-        if self.target.at_rest {
-            parts.extend([TargetPart::Velocity, TargetPart::AngularVelocity]);
-        }
-        parts
-            .into_iter()
-            .flat_map(|part| (0..3).map(move |axis| TargetRow { part, axis }))
-            .collect()
+        rows
     }
 
     /// What one unit of a scaled residual is worth in the part's own unit.
     #[must_use]
-    pub fn target_scale(&self, part: TargetPart) -> f64 {
+    pub fn goal_scale(&self, part: GoalPart) -> f64 {
         let scales = &self.rod.scales;
         match part {
-            TargetPart::Position => scales.length,
-            TargetPart::Orientation => 1.0,
-            TargetPart::Velocity => scales.length / scales.time,
-            TargetPart::AngularVelocity => 1.0 / scales.time,
+            GoalPart::Position => scales.length,
+            GoalPart::Orientation => 1.0,
+            GoalPart::Velocity => scales.length / scales.time,
+            GoalPart::AngularVelocity => 1.0 / scales.time,
         }
     }
 
-    /// Components of the wrench that are actuated: 0..3 force, 3..6 moment.
+    /// Weight of a goal's squared residuals; `None` where they are constraints.
     #[must_use]
-    pub fn actuated_components(&self) -> Vec<usize> {
-        (0..6)
-            .filter(|&component| {
-                let channel = self.channel(component);
-                channel
+    pub fn soft_weight(&self, row: &GoalRow) -> Option<f64> {
+        match self.goals[row.goal].enforcement {
+            Enforcement::Soft { weight } => Some(weight),
+            Enforcement::Hard | Enforcement::Within { .. } => None,
+        }
+    }
+
+    /// The path constraints, and those of the goals that are sets.
+    #[must_use]
+    pub fn path_constraints(&self) -> Vec<PathConstraint> {
+        let mut out = self.path.clone();
+        for goal in &self.goals {
+            let Enforcement::Within { distance, angle } = goal.enforcement else {
+                continue;
+            };
+            let node = goal.node;
+            let mut add = |part: GoalPart, limit| {
+                out.push(PathConstraint {
+                    name: format!("{}.{}", goal.name, part.name()),
+                    limit,
+                    time_nodes: vec![goal.time_node],
+                    enforcement: PathEnforcement::Hard,
+                });
+            };
+            if let Some(from) = goal.position {
+                let largest = distance;
+                add(
+                    GoalPart::Position,
+                    PathLimit::Distance {
+                        node,
+                        from,
+                        largest,
+                    },
+                );
+            }
+            if let Some(from) = goal.rotation {
+                let largest = angle;
+                add(
+                    GoalPart::Orientation,
+                    PathLimit::Angle {
+                        node,
+                        from,
+                        largest,
+                    },
+                );
+            }
+        }
+        out
+    }
+
+    /// The components that are actuated, in the order of the variables of one coefficient.
+    #[must_use]
+    pub fn actuated_components(&self) -> Vec<Component> {
+        (0..self.actuators.len())
+            .flat_map(|actuator| (0..6).map(move |axis| Component { actuator, axis }))
+            .filter(|component| {
+                self.channel(component)
                     .bound
-                    .is_none_or(|bound| bound.actuates(component % 3))
+                    .is_none_or(|bound| bound.actuates(component.axis % 3))
             })
             .collect()
     }
 
-    /// Channel of component 0..6.
+    /// Channel of a component.
     #[must_use]
-    pub fn channel(&self, component: usize) -> &Channel {
-        if component < 3 {
-            &self.force
+    pub fn channel(&self, component: &Component) -> &Channel {
+        let actuator = &self.actuators[component.actuator];
+        if component.axis < 3 {
+            &actuator.force
         } else {
-            &self.moment
+            &actuator.moment
         }
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of a soft target.
+    /// The actuated nodes.
+    #[must_use]
+    pub fn actuated_nodes(&self) -> Vec<usize> {
+        self.actuators
+            .iter()
+            .map(|actuator| actuator.node)
+            .collect()
+    }
+
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
@@ -214,47 +421,67 @@ impl OptimalControlProblem {
     /// Number of the solver's variables.
     #[must_use]
     pub fn n_variables(&self) -> usize {
-        self.n_controls()
-            + match self.target.enforcement {
-                Enforcement::Hard => 0,
-                Enforcement::Soft { .. } => self.target_rows().len(),
-            }
+        let soft = |row: &GoalRow| self.soft_weight(row).is_some();
+        self.n_controls() + self.goal_rows().iter().filter(|row| soft(row)).count()
     }
 
-    /// Coefficients of the wrench from the solver's scaled variables, coefficient by coefficient.
+    /// Coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
     #[must_use]
     pub fn wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
         let components = self.actuated_components();
-        variables[..self.n_controls()]
-            .chunks(components.len().max(1))
-            .map(|chunk| {
-                let mut u = [0.0; 6];
-                for (&component, v) in components.iter().zip(chunk) {
-                    u[component] = v * self.channel(component).scale;
+        let mut out = vec![Wrench::default(); self.control.n_coefficients() * self.actuators.len()];
+        if components.is_empty() {
+            return out;
+        }
+        let chunks = variables[..self.n_controls()].chunks(components.len());
+        for (j, chunk) in chunks.enumerate() {
+            for (component, v) in components.iter().zip(chunk) {
+                let wrench = &mut out[j * self.actuators.len() + component.actuator];
+                let value = v * self.channel(component).scale;
+                if component.axis < 3 {
+                    wrench.force[component.axis] = value;
+                } else {
+                    wrench.moment[component.axis - 3] = value;
                 }
-                Wrench::from_array(u)
-            })
-            .collect()
+            }
+        }
+        out
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of a soft target are zero.
+    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of soft goals are zero.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();
         let mut variables: Vec<f64> = wrenches
-            .iter()
-            .flat_map(|wrench| {
-                components.iter().map(|&component| {
-                    let vector = if component < 3 {
-                        &wrench.force
+            .chunks(self.actuators.len().max(1))
+            .flat_map(|wrenches| {
+                components.iter().map(|component| {
+                    let wrench = &wrenches[component.actuator];
+                    let value = if component.axis < 3 {
+                        wrench.force[component.axis]
                     } else {
-                        &wrench.moment
+                        wrench.moment[component.axis - 3]
                     };
-                    vector[component % 3] / self.channel(component).scale
+                    value / self.channel(component).scale
                 })
             })
             .collect();
         variables.resize(self.n_variables(), 0.0);
         variables
+    }
+
+    /// The wrenches at every time node of `grid`, the control's own or a refined one.
+    #[must_use]
+    pub fn signal(&self, grid: &ControlGrid, coefficients: &[Wrench]) -> ControlSignal {
+        let n = self.actuators.len();
+        let wrenches = (0..=grid.n_steps())
+            .flat_map(|k| {
+                (0..n).map(move |actuator| grid.value(k, |j| coefficients[j * n + actuator]))
+            })
+            .collect();
+        ControlSignal {
+            nodes: self.actuated_nodes(),
+            wrenches,
+        }
     }
 }

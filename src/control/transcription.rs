@@ -1,30 +1,39 @@
 //! The optimal-control problem as a lifted program: controls are variables, configurations at every time node are states.
 //!
 //! The state equations are the discrete equations of motion; they are eliminated exactly, by the forward recursion of
-//! the linearized motion (condensing). The constraints are the scaled residuals of the target; a soft target has variables
-//! of its own for them.
+//! the linearized motion (condensing), or its transpose. The constraints are the scaled residuals of the goals, the inequalities the rows of
+//! the path constraints; a soft goal has variables of its own for its residuals.
 
 use faer::Mat;
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 
-use super::problem::{Bound, Enforcement, OptimalControlProblem, TargetPart, TargetRow};
-use crate::mechanics::curvature::Multipliers;
-use crate::mechanics::linearization::{
-    Defects, Motion, StateTangent, adjoint_sweep, defects, forward_sweep,
-};
+use super::cost::{CostRow, cost_curvature, cost_rows, durations, sample_times};
+use super::path::{PathConstraint, Posture, RowCurvature, RowGradient, along, at};
+use super::problem::{Bound, Channel, Component, GoalPart, GoalRow, OptimalControlProblem};
+use crate::mechanics::curvature::Multipliers as StateMultipliers;
+use crate::mechanics::linearization::{Defects, Motion, Sources};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
-use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
+use crate::mechanics::sensitivity::{
+    ControlColumns, Sensitivities, adjoint, defects, direction, sensitivities,
+};
 use crate::mechanics::strain::log_second_derivative;
-use crate::mechanics::{StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent, Wrench};
-use crate::sqp::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
+use crate::mechanics::{
+    ControlSignal, FormTerm, StateForm, StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent,
+};
+use crate::sqp::{
+    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
+    Multipliers, Softness,
+};
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
+/// Rows of path constraints nearer than this (in rod lengths, radians, ...) enter the subproblem from the start.
+const SCREENING_MARGIN: f64 = 0.05;
 
 /// Controls and configurations; the configurations need not obey the dynamics.
 #[derive(Clone, Debug)]
 pub struct LiftedPoint {
-    /// Scaled control coefficients.
+    /// Scaled control coefficients, then the residuals of soft goals.
     pub variables: Vec<f64>,
     /// Configurations at every time node.
     pub trajectory: Trajectory,
@@ -33,21 +42,41 @@ pub struct LiftedPoint {
 /// A change of both.
 #[derive(Clone, Debug)]
 pub struct LiftedDirection {
-    /// Change of the scaled coefficients.
+    /// Change of the variables.
     pub variables: Vec<f64>,
     /// Direction of the configurations.
     pub trajectory: TrajectoryTangent,
 }
 
+/// A row of a path constraint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathRow {
+    /// Index into [`Transcription::path`].
+    pub constraint: usize,
+    /// Index into the constraint's time nodes.
+    pub time: usize,
+    /// Which of its items.
+    pub item: usize,
+}
+
 /// An optimal-control problem, transcribed.
 pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
-    components: Vec<usize>,
-    rows: Vec<TargetRow>,
+    components: Vec<Component>,
+    goal_rows: Vec<GoalRow>,
+    /// Variable of every goal row that is soft.
+    soft_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
-    /// Exact Hessian of the cost over the variables: effort, rate, and the residuals of a soft target.
+    path: Vec<PathConstraint>,
+    /// First row of every path constraint, and their number at the end. The rows of an item follow each other in time: neighbors are
+    /// alike, which the solver's choice of rows relies on.
+    path_starts: Vec<usize>,
+    /// Duration that every time node of every path constraint stands for, s.
+    path_durations: Vec<Vec<f64>>,
+    /// Time nodes at which costs over states are sampled, with durations, s.
+    samples: Vec<(usize, f64)>,
+    /// Exact Hessian of the cost over the variables: effort, rate, and the residuals of soft goals.
     cost_hessian: Mat<f64>,
-    /// Variables that are controls; the others are the residuals of a soft target.
     n_controls: usize,
     n_threads: usize,
 }
@@ -57,15 +86,45 @@ impl<'a> Transcription<'a> {
     #[must_use]
     pub fn new(problem: &'a OptimalControlProblem, n_threads: usize) -> Self {
         let components = problem.actuated_components();
-        let sets = convex_sets(problem, &components);
-        let cost_hessian = cost_hessian(problem, components.len());
+        let goal_rows = problem.goal_rows();
+        let n_controls = problem.n_controls();
+        let mut next = n_controls;
+        let soft_variables: Vec<Option<usize>> = goal_rows
+            .iter()
+            .map(|row| {
+                problem.soft_weight(row).map(|_| {
+                    next += 1;
+                    next - 1
+                })
+            })
+            .collect();
+        let path = problem.path_constraints();
+        let mut path_starts = vec![0];
+        for constraint in &path {
+            let rows = constraint.time_nodes.len() * constraint.limit.n_items(&problem.rod);
+            path_starts.push(path_starts[path_starts.len() - 1] + rows);
+        }
+        let path_durations = path
+            .iter()
+            .map(|constraint| match constraint.time_nodes.as_slice() {
+                [_] => vec![1.0],
+                nodes => (durations(nodes, problem.grid.step).into_iter())
+                    .map(|(_, duration)| duration)
+                    .collect(),
+            })
+            .collect();
         Self {
+            sets: convex_sets(problem, &components),
+            cost_hessian: cost_hessian(problem, components.len(), &goal_rows, &soft_variables),
+            samples: sample_times(problem),
             problem,
-            rows: problem.target_rows(),
-            sets,
-            cost_hessian,
-            n_controls: problem.n_controls(),
             components,
+            goal_rows,
+            soft_variables,
+            path,
+            path_starts,
+            path_durations,
+            n_controls,
             n_threads,
         }
     }
@@ -76,10 +135,67 @@ impl<'a> Transcription<'a> {
         self.problem
     }
 
-    /// The target's residuals, in the order of constraints and multipliers.
+    /// The goals' residuals, in the order of constraints and their multipliers.
     #[must_use]
-    pub fn rows(&self) -> &[TargetRow] {
-        &self.rows
+    pub fn goal_rows(&self) -> &[GoalRow] {
+        &self.goal_rows
+    }
+
+    /// The path constraints, those of the goals included.
+    #[must_use]
+    pub fn path(&self) -> &[PathConstraint] {
+        &self.path
+    }
+
+    /// What row `index` of the inequalities is about.
+    #[must_use]
+    pub fn path_row(&self, index: usize) -> PathRow {
+        let constraint = self.path_starts.partition_point(|&start| start <= index) - 1;
+        let within = index - self.path_starts[constraint];
+        let n_times = self.path[constraint].time_nodes.len();
+        PathRow {
+            constraint,
+            time: within % n_times,
+            item: within / n_times,
+        }
+    }
+
+    /// Number of rows of the path constraints.
+    #[must_use]
+    pub fn n_path_rows(&self) -> usize {
+        self.path_starts[self.path.len()]
+    }
+
+    /// Normals of the bounds on rates, per step between coefficients and actuator, from those of all sets; empty without such bounds.
+    #[must_use]
+    pub fn rate_normals(&self, normals: &[Vec<f64>]) -> Vec<[f64; 6]> {
+        let n_components = self.components.len();
+        let n = self.problem.actuators.len();
+        let steps = self.problem.control.n_coefficients() - 1;
+        let mut out = vec![[0.0; 6]; steps * n];
+        let mut any = false;
+        // The later coefficient of a difference says where it belongs.
+        let mut add = |row: &[(usize, f64)], normal: f64| {
+            let Some(&(later, sign)) = row.iter().max_by_key(|(index, _)| index) else {
+                return;
+            };
+            let component = self.components[later % n_components];
+            let step = later / n_components - 1;
+            out[step * n + component.actuator][component.axis] += sign * normal;
+            any = true;
+        };
+        for (set, normal) in self.sets.iter().zip(normals) {
+            match set {
+                ConvexSet::Ball { rows, .. } if rows.iter().any(|row| row.len() > 1) => {
+                    for (row, z) in rows.iter().zip(normal) {
+                        add(row, *z);
+                    }
+                }
+                ConvexSet::HalfSpace { direction, .. } => add(direction, normal[0]),
+                ConvexSet::Ball { .. } | ConvexSet::Interval { .. } => {}
+            }
+        }
+        if any { out } else { Vec::new() }
     }
 
     fn motion(&self) -> Motion<'_> {
@@ -90,62 +206,84 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    fn nodal_wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
-        self.problem
-            .control
-            .nodal_wrenches(&self.problem.wrenches(variables))
+    fn posture<'b>(&'b self, trajectory: &'b Trajectory) -> Posture<'b> {
+        Posture {
+            rod: &self.problem.rod,
+            radii: &self.problem.radii,
+            trajectory,
+            step: self.problem.grid.step,
+        }
     }
 
-    /// Scaled residuals of the target at the end of a trajectory.
-    fn target_residuals(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
-        let rod = &self.problem.rod;
-        let (tip, last) = (rod.tip(), trajectory.n_times() - 1);
-        let inertia = &rod.nodes[tip];
-        let target = &self.problem.target;
-        let x = trajectory.positions_at(last)[tip];
-        let r = trajectory.rotations_at(last)[tip];
-        self.rows
+    fn signal(&self, variables: &[f64]) -> ControlSignal {
+        let coefficients = self.problem.wrenches(variables);
+        self.problem.signal(&self.problem.control, &coefficients)
+    }
+
+    /// Scaled residuals of the goals, without the variables of soft ones.
+    fn goal_residuals(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
+        self.goal_rows
             .iter()
             .map(|row| {
-                let vector: Vector3<f64> = match row.part {
-                    TargetPart::Position => x - target.position.unwrap_or(x),
-                    TargetPart::Orientation => log(&(target.rotation.unwrap_or(r).transpose() * r)),
-                    TargetPart::Velocity => end.terminal_linear[tip] / inertia.mass,
-                    TargetPart::AngularVelocity => {
-                        end.terminal_angular[tip].component_div(&inertia.rotary)
-                    }
-                };
-                vector[row.axis] / self.problem.target_scale(row.part)
+                let vector = goal_vector(self.problem, trajectory, end, row);
+                vector[row.axis] / self.problem.goal_scale(row.part)
             })
             .collect()
     }
 
-    /// Covector of one residual over the tip's `(δx, ζ, δp, δπ)`.
-    fn target_covector(&self, trajectory: &Trajectory, row: &TargetRow) -> [f64; 12] {
-        let rod = &self.problem.rod;
-        let (tip, last) = (rod.tip(), trajectory.n_times() - 1);
-        let inertia = &rod.nodes[tip];
-        let inverse = 1.0 / self.problem.target_scale(row.part);
-        let mut out = [0.0; 12];
+    /// Derivative of one scaled residual.
+    fn goal_gradient(&self, trajectory: &Trajectory, row: &GoalRow) -> RowGradient {
+        let problem = self.problem;
+        let goal = &problem.goals[row.goal];
+        let (k, node) = (goal.time_node, goal.node);
+        let inertia = &problem.rod.nodes[node];
+        let inverse = 1.0 / problem.goal_scale(row.part);
+        let one = |component: usize, coefficient: f64| {
+            at(
+                k,
+                vec![FormTerm {
+                    node,
+                    component,
+                    coefficient,
+                }],
+            )
+        };
         match row.part {
-            TargetPart::Position => out[row.axis] = inverse,
-            TargetPart::Orientation => {
-                let r = trajectory.rotations_at(last)[tip];
-                let psi = log(&(self.problem.target.rotation.unwrap_or(r).transpose() * r));
+            GoalPart::Position => one(row.axis, inverse),
+            GoalPart::Orientation => {
+                let psi = rotation_error(problem, trajectory, row);
                 let c = InverseTangentCoefficients::at(psi.norm_squared());
                 // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
-                let column = log_tangent(&psi, &c).column(row.axis) * inverse;
-                out[3..6].copy_from_slice(column.as_slice());
+                let direction = log_tangent(&psi, &c).column(row.axis) * inverse;
+                at(k, along(node, 3, &direction).collect())
             }
-            TargetPart::Velocity => out[6 + row.axis] = inverse / inertia.mass,
-            TargetPart::AngularVelocity => {
-                out[9 + row.axis] = inverse / inertia.rotary[row.axis];
-            }
+            GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),
+            GoalPart::AngularVelocity => one(9 + row.axis, inverse / inertia.rotary[row.axis]),
         }
-        out
     }
 
-    fn cost(&self, variables: &[f64]) -> (f64, Vec<f64>) {
+    /// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
+    fn goal_curvature(&self, trajectory: &Trajectory, multipliers: &[f64]) -> Vec<RowCurvature> {
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let rows = self.goal_rows.iter().enumerate();
+        rows.filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
+            .map(|(first, row)| {
+                let goal = &self.problem.goals[row.goal];
+                let y = Vector3::from_fn(|axis, _| multipliers[first + axis]);
+                let second =
+                    log_second_derivative(&rotation_error(self.problem, trajectory, row), &y);
+                RowCurvature {
+                    forms: axes
+                        .map(|axis| at(goal.time_node, along(goal.node, 3, &axis).collect()))
+                        .to_vec(),
+                    matrix: DMatrix::from_fn(3, 3, |i, j| 0.5 * (second[(i, j)] + second[(j, i)])),
+                }
+            })
+            .collect()
+    }
+
+    /// Value of the cost over the variables, and its gradient.
+    fn control_cost(&self, variables: &[f64]) -> (f64, Vec<f64>) {
         let gradient: Vec<f64> = (0..variables.len())
             .map(|i| {
                 variables
@@ -164,59 +302,159 @@ impl<'a> Transcription<'a> {
         (cost, gradient)
     }
 
-    /// Residuals of the target minus the variables that a soft one has for them.
+    /// The residuals of the costs over states.
+    fn state_costs(&self, trajectory: &Trajectory) -> Vec<CostRow> {
+        let posture = self.posture(trajectory);
+        self.samples
+            .iter()
+            .flat_map(|&(k, duration)| cost_rows(self.problem, &posture, k, duration))
+            .collect()
+    }
+
+    /// Residuals of the goals minus the variables that soft ones have for them.
     fn less_soft(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
-        for (r, s) in residuals.iter_mut().zip(&variables[self.n_controls..]) {
-            *r -= s;
+        for (r, variable) in residuals.iter_mut().zip(&self.soft_variables) {
+            *r -= variable.map_or(0.0, |variable| variables[variable]);
         }
         residuals
     }
 
-    /// The curvature of the target's own residuals that the dynamics do not know: that of the rotation's logarithm.
-    fn add_orientation_curvature(
+    /// Values of all path rows.
+    fn path_values(&self, trajectory: &Trajectory) -> Vec<f64> {
+        let posture = self.posture(trajectory);
+        let mut values = Vec::with_capacity(self.n_path_rows());
+        for constraint in &self.path {
+            let n_items = constraint.limit.n_items(&self.problem.rod);
+            for item in 0..n_items {
+                let value = |&k: &usize| constraint.limit.value(&posture, k, item);
+                values.extend(constraint.time_nodes.iter().map(value));
+            }
+        }
+        values
+    }
+
+    fn path_gradient(&self, posture: &Posture, row: usize) -> RowGradient {
+        let PathRow {
+            constraint,
+            time,
+            item,
+        } = self.path_row(row);
+        let constraint = &self.path[constraint];
+        constraint
+            .limit
+            .gradient(posture, constraint.time_nodes[time], item)
+    }
+
+    fn path_curvature(&self, posture: &Posture, row: usize) -> RowCurvature {
+        let PathRow {
+            constraint,
+            time,
+            item,
+        } = self.path_row(row);
+        let constraint = &self.path[constraint];
+        constraint
+            .limit
+            .curvature(posture, constraint.time_nodes[time], item)
+    }
+
+    /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
+    fn own_curvature(
         &self,
         trajectory: &Trajectory,
-        weights: &[f64],
-        found: &mut Sensitivities,
-    ) {
-        let (Some(target), Some(curvature)) =
-            (self.problem.target.rotation, found.curvature.as_mut())
-        else {
-            return;
-        };
-        let mut y = Vector3::zeros();
-        for (row, weight) in self.rows.iter().zip(weights) {
-            if row.part == TargetPart::Orientation {
-                y[row.axis] = *weight;
+        multipliers: &Multipliers,
+    ) -> Vec<RowCurvature> {
+        let posture = self.posture(trajectory);
+        let mut out = self.goal_curvature(trajectory, &multipliers.constraints);
+        for (row, &y) in multipliers.inequalities.iter().enumerate() {
+            if y != 0.0 {
+                let mut curvature = self.path_curvature(&posture, row);
+                curvature.matrix *= y;
+                out.push(curvature);
             }
         }
-        let last = trajectory.n_times() - 1;
-        let r = trajectory.rotations_at(last)[self.problem.rod.tip()];
-        let second = log_second_derivative(&log(&(target.transpose() * r)), &y);
-        let zeta = |tip: &[f64; 12]| Vector3::new(tip[3], tip[4], tip[5]);
-        let answer = second * zeta(&found.defect_tip);
-        for (i, column) in found.tip.iter().enumerate() {
-            let left = second * zeta(column);
-            for (j, other) in found.tip.iter().enumerate() {
-                curvature[(i, j)] += left.dot(&zeta(other));
-            }
-            found.curvature_defect[i] += answer.dot(&zeta(column));
+        for &(k, duration) in &self.samples {
+            out.extend(cost_curvature(self.problem, &posture, k, duration));
         }
+        out
     }
+}
+
+/// A goal's vector before scaling.
+fn goal_vector(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    end: &Defects,
+    row: &GoalRow,
+) -> Vector3<f64> {
+    let goal = &problem.goals[row.goal];
+    let (k, node) = (goal.time_node, goal.node);
+    let inertia = &problem.rod.nodes[node];
+    let x = trajectory.positions_at(k)[node];
+    match row.part {
+        GoalPart::Position => x - goal.position.unwrap_or(x),
+        GoalPart::Orientation => rotation_error(problem, trajectory, row),
+        GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
+        GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
+    }
+}
+
+/// `log(R*ᵀ R)` of a goal.
+fn rotation_error(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    row: &GoalRow,
+) -> Vector3<f64> {
+    let goal = &problem.goals[row.goal];
+    let r = trajectory.rotations_at(goal.time_node)[goal.node];
+    log(&(goal.rotation.unwrap_or(r).transpose() * r))
 }
 
 fn describe(error: StepError) -> Failure {
     Failure(error.to_string())
 }
 
-fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// Rows that are sums of forms, gathered for one sweep in the order of time.
+#[derive(Default)]
+struct Gathered {
+    forms: Vec<StateForm>,
+    /// Forms of every row.
+    rows: Vec<std::ops::Range<usize>>,
 }
 
-/// The columns of the tip wrench's coefficients, in physical units times the channel's scale.
+impl Gathered {
+    fn push(&mut self, gradient: RowGradient) {
+        let start = self.forms.len();
+        self.forms.extend(gradient);
+        self.rows.push(start..self.forms.len());
+    }
+
+    /// The forms in the order of time, and where each of them went.
+    fn sorted(&self) -> (Vec<StateForm>, Vec<usize>) {
+        let mut order: Vec<usize> = (0..self.forms.len()).collect();
+        order.sort_by_key(|&i| self.forms[i].time_node);
+        let mut place = vec![0; order.len()];
+        for (at, &i) in order.iter().enumerate() {
+            place[i] = at;
+        }
+        let forms = order.into_iter().map(|i| self.forms[i].clone()).collect();
+        (forms, place)
+    }
+
+    /// Values of the rows from those of the sorted forms.
+    fn rows_of(&self, values: &Mat<f64>, place: &[usize]) -> Mat<f64> {
+        Mat::from_fn(self.rows.len(), values.ncols(), |i, j| {
+            self.rows[i]
+                .clone()
+                .map(|form| values[(place[form], j)])
+                .sum()
+        })
+    }
+}
+
+/// The columns of the wrenches' coefficients, in physical units times the channel's scale.
 struct Columns<'a> {
     problem: &'a OptimalControlProblem,
-    components: &'a [usize],
+    components: &'a [Component],
 }
 
 impl ControlColumns for Columns<'_> {
@@ -224,15 +462,16 @@ impl ControlColumns for Columns<'_> {
         self.problem.control.n_coefficients() * self.components.len()
     }
 
-    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, f64)) {
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
         for (coefficient, weight) in self.problem.control.weights(k) {
             if weight == 0.0 {
                 continue;
             }
-            for (at, &component) in self.components.iter().enumerate() {
+            for (at, component) in self.components.iter().enumerate() {
                 visit(
                     coefficient * self.components.len() + at,
-                    component,
+                    self.problem.actuators[component.actuator].node,
+                    component.axis,
                     weight * self.problem.channel(component).scale,
                 );
             }
@@ -257,16 +496,59 @@ impl LiftedProgram for Transcription<'_> {
         &point.variables
     }
 
+    fn softness(&self, row: usize) -> Softness {
+        let PathRow {
+            constraint, time, ..
+        } = self.path_row(row);
+        let duration = self.path_durations[constraint][time];
+        self.path[constraint].enforcement.softness(duration)
+    }
+
+    fn group(&self, row: usize) -> usize {
+        self.path_row(row).constraint
+    }
+
+    fn screening_margin(&self) -> f64 {
+        SCREENING_MARGIN
+    }
+
     fn evaluate(&self, point: &LiftedPoint) -> Result<Evaluation<Defects>, Failure> {
-        let control = self.nodal_wrenches(&point.variables);
+        let control = self.signal(&point.variables);
         let found = defects(&self.motion(), &point.trajectory, &control).map_err(describe)?;
-        let residuals = self.target_residuals(&point.trajectory, &found);
-        let (objective, _) = self.cost(&point.variables);
+        let residuals = self.goal_residuals(&point.trajectory, &found);
+        let (control_cost, _) = self.control_cost(&point.variables);
+        let state_cost: f64 = (self.state_costs(&point.trajectory).iter())
+            .map(|row| 0.5 * row.residual * row.residual)
+            .sum();
+        let objective = control_cost + state_cost;
         let constraints = self.less_soft(residuals, &point.variables);
-        if !objective.is_finite() || !constraints.iter().all(|c| c.is_finite()) {
+        let inequalities = self.path_values(&point.trajectory);
+        if !objective.is_finite() {
             return Err(Failure(
-                "the cost or the target's residual is not finite; check the task and the objective's scales".into(),
+                "the objective is not finite; check its weights and scales".into(),
             ));
+        }
+        if let Some(row) = constraints.iter().position(|c| !c.is_finite()) {
+            let GoalRow { goal, part, .. } = self.goal_rows[row];
+            return Err(Failure(format!(
+                "{}.{} is not finite; check it and the objective's scales",
+                self.problem.goals[goal].name,
+                part.name()
+            )));
+        }
+        if let Some(row) = inequalities.iter().position(|h| !h.is_finite()) {
+            let PathRow {
+                constraint,
+                time,
+                item,
+            } = self.path_row(row);
+            let constraint = &self.path[constraint];
+            return Err(Failure(format!(
+                "{} is not finite at node {}, time node {}",
+                constraint.name,
+                constraint.limit.node(item),
+                constraint.time_nodes[time]
+            )));
         }
         // Impulses, relative to what the rod's own force scale delivers in its own time.
         let scales = &self.problem.rod.scales;
@@ -276,6 +558,7 @@ impl LiftedProgram for Transcription<'_> {
         Ok(Evaluation {
             objective,
             constraints,
+            inequalities,
             defect,
             defects: found,
         })
@@ -285,81 +568,99 @@ impl LiftedProgram for Transcription<'_> {
         &self,
         point: &LiftedPoint,
         evaluation: &Evaluation<Defects>,
-        multipliers: Option<&[f64]>,
+        request: &LinearizationRequest,
     ) -> Result<Linearization, Failure> {
         let motion = self.motion();
-        let residuals = self.target_residuals(&point.trajectory, &evaluation.defects);
-        let covectors: Vec<[f64; 12]> = self
-            .rows
-            .iter()
-            .map(|row| self.target_covector(&point.trajectory, row))
-            .collect();
-        let columns = Columns {
-            problem: self.problem,
-            components: &self.components,
-        };
-        let terminal = multipliers.map(|y| tip_covector(motion.rod.n_nodes(), &covectors, y));
-        let adjoint = terminal
-            .as_ref()
-            .map(|terminal| adjoint_sweep(&motion, &point.trajectory, terminal))
+        let posture = self.posture(&point.trajectory);
+        let n_goals = self.goal_rows.len();
+        let mut gathered = Gathered::default();
+        for row in &self.goal_rows {
+            gathered.push(self.goal_gradient(&point.trajectory, row));
+        }
+        for &row in request.rows {
+            gathered.push(self.path_gradient(&posture, row));
+        }
+        let costs = self.state_costs(&point.trajectory);
+        for row in &costs {
+            gathered.push(row.gradient.clone());
+        }
+        let n_rows = gathered.rows.len();
+        // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
+        let (mut own, mut across) = (Vec::new(), Vec::new());
+        if let Some(multipliers) = request.multipliers {
+            for curvature in self.own_curvature(&point.trajectory, multipliers) {
+                match curvature.at_one_time() {
+                    Some(curvature) => own.push(curvature),
+                    None => across.push(curvature),
+                }
+            }
+        }
+        own.sort_by_key(|curvature| curvature.time_node);
+        for form in across.iter().flat_map(|curvature| &curvature.forms) {
+            gathered.push(form.clone());
+        }
+        let (forms, place) = gathered.sorted();
+        let adjoint = request
+            .multipliers
+            .map(|multipliers| {
+                let outcome = self.outcome(point, &costs, multipliers);
+                adjoint(&motion, &point.trajectory, &outcome)
+            })
             .transpose()
             .map_err(describe)?;
-        let second_order = terminal
+        let second_order = adjoint
             .as_ref()
-            .zip(adjoint.as_ref())
-            .map(|(terminal, adjoint)| Multipliers { adjoint, terminal });
+            .map(|adjoint| StateMultipliers { adjoint, own: &own });
         let mut found = sensitivities(
             &motion,
             &point.trajectory,
-            &evaluation.defects,
-            &columns,
+            &[&Sources::against(&evaluation.defects)],
+            &Columns {
+                problem: self.problem,
+                components: &self.components,
+            },
+            &forms,
             second_order.as_ref(),
             self.n_threads,
         )
         .map_err(describe)?;
-        if let Some(y) = multipliers {
-            self.add_orientation_curvature(&point.trajectory, y, &mut found);
-        }
-        let (n, n_controls) = (point.variables.len(), self.n_controls);
-        let jacobian = Mat::from_fn(self.rows.len(), n, |i, j| {
-            if j < n_controls {
-                dot(&covectors[i], &found.tip[j])
-            } else if i == j - n_controls {
-                -1.0
-            } else {
-                0.0
-            }
-        });
-        let offset = self
-            .less_soft(residuals, &point.variables)
-            .iter()
-            .zip(&covectors)
-            .map(|(r, c)| r + dot(c, &found.defect_tip))
-            .collect();
-        let (_, gradient) = self.cost(&point.variables);
-        // What the defects add through the Lagrangian's curvature.
-        let mut model_gradient = gradient.clone();
-        for (g, d) in model_gradient.iter_mut().zip(&found.curvature_defect) {
-            *g += d;
-        }
-        let curvature = found.curvature.take().map(|controls| {
-            Mat::from_fn(n, n, |i, j| {
-                if i < n_controls && j < n_controls {
-                    controls[(i, j)]
-                } else {
-                    0.0
-                }
+        let values = gathered.rows_of(&found.forms, &place);
+        let answers = gathered.rows_of(&found.form_sources, &place);
+        add_curvature_across(&across, n_rows, &values, &answers, &mut found);
+        Ok(self.assemble(
+            point, evaluation, request, &costs, n_goals, &values, &answers, found,
+        ))
+    }
+
+    fn predict_inequalities(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        direction: &LiftedDirection,
+    ) -> Result<Vec<f64>, Failure> {
+        let posture = self.posture(&point.trajectory);
+        let n_nodes = self.problem.rod.n_nodes();
+        let moved = |form: &StateForm| -> f64 {
+            let at = |term: &FormTerm| {
+                let row = form.time_node * n_nodes + term.node;
+                term.coefficient
+                    * if term.component < 3 {
+                        direction.trajectory.positions[row][term.component]
+                    } else {
+                        direction.trajectory.rotations[row][term.component - 3]
+                    }
+            };
+            form.terms.iter().map(at).sum()
+        };
+        Ok((evaluation.inequalities.iter().enumerate())
+            .map(|(row, h)| {
+                h + self
+                    .path_gradient(&posture, row)
+                    .iter()
+                    .map(moved)
+                    .sum::<f64>()
             })
-        });
-        Ok(Linearization {
-            gradient,
-            model_gradient,
-            defect_slope: 0.0,
-            gauss_newton: self.cost_hessian.clone(),
-            curvature,
-            jacobian,
-            offset,
-        })
+            .collect())
     }
 
     fn expand(
@@ -368,9 +669,10 @@ impl LiftedProgram for Transcription<'_> {
         defects: &Defects,
         change: &[f64],
     ) -> Result<LiftedDirection, Failure> {
-        let control = self.nodal_wrenches(change);
+        let control = self.signal(change);
+        let sources = Sources::against(defects);
         let (trajectory, _) =
-            forward_sweep(&self.motion(), &point.trajectory, Some(defects), &control)
+            direction(&self.motion(), &point.trajectory, Some(&sources), &control)
                 .map_err(describe)?;
         Ok(LiftedDirection {
             variables: change.to_vec(),
@@ -406,7 +708,7 @@ impl LiftedProgram for Transcription<'_> {
             .zip(change)
             .map(|(v, d)| v + d)
             .collect();
-        let control = self.nodal_wrenches(&variables);
+        let control = self.signal(&variables);
         let trajectory = simulate(self.problem, self.problem.grid, &control).map_err(describe)?;
         Ok(LiftedPoint {
             variables,
@@ -415,112 +717,290 @@ impl LiftedProgram for Transcription<'_> {
     }
 }
 
-/// Forward simulation of the problem's rod under nodal tip wrenches.
+impl Transcription<'_> {
+    /// The derivative of `J + yᵀ c + zᵀ h` over the states alone.
+    fn outcome(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        multipliers: &Multipliers,
+    ) -> Vec<StateForm> {
+        let posture = self.posture(&point.trajectory);
+        let mut out = Vec::new();
+        let mut add = |gradient: RowGradient, weight: f64| {
+            out.extend(gradient.into_iter().map(|mut form| {
+                for term in &mut form.terms {
+                    term.coefficient *= weight;
+                }
+                form
+            }));
+        };
+        for (row, &y) in self.goal_rows.iter().zip(&multipliers.constraints) {
+            add(self.goal_gradient(&point.trajectory, row), y);
+        }
+        for (row, &z) in multipliers.inequalities.iter().enumerate() {
+            if z != 0.0 {
+                add(self.path_gradient(&posture, row), z);
+            }
+        }
+        for row in costs {
+            add(row.gradient.clone(), row.residual);
+        }
+        out.sort_by_key(|form| form.time_node);
+        out
+    }
+
+    /// The condensed linearization, from the values of all rows along the controls and along the answer to the defects.
+    #[expect(clippy::too_many_arguments, reason = "the parts of one linearization")]
+    fn assemble(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        request: &LinearizationRequest,
+        costs: &[CostRow],
+        n_goals: usize,
+        values: &Mat<f64>,
+        answers: &Mat<f64>,
+        found: Sensitivities,
+    ) -> Linearization {
+        let (n, n_controls) = (point.variables.len(), self.n_controls);
+        let jacobian = Mat::from_fn(n_goals, n, |i, j| {
+            if j < n_controls {
+                values[(i, j)]
+            } else if self.soft_variables[i] == Some(j) {
+                -1.0
+            } else {
+                0.0
+            }
+        });
+        let offset = (evaluation.constraints.iter().enumerate())
+            .map(|(i, c)| c + answers[(i, 0)])
+            .collect();
+        let n_path = request.rows.len();
+        let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
+            if j < n_controls {
+                values[(n_goals + i, j)]
+            } else {
+                0.0
+            }
+        });
+        let inequality_offset = (request.rows.iter().enumerate())
+            .map(|(i, &row)| evaluation.inequalities[row] + answers[(n_goals + i, 0)])
+            .collect();
+        let (_, mut gradient) = self.control_cost(&point.variables);
+        let mut gauss_newton = self.cost_hessian.clone();
+        let first_cost = n_goals + n_path;
+        let mut defect_slope = 0.0;
+        let mut model_extra = vec![0.0; n];
+        if !costs.is_empty() {
+            let rows = values.subrows(first_cost, costs.len());
+            let square = rows.transpose() * rows;
+            for j in 0..n_controls {
+                for i in 0..n_controls {
+                    gauss_newton[(i, j)] += square[(i, j)];
+                }
+            }
+            for (i, cost) in costs.iter().enumerate() {
+                let answer = answers[(first_cost + i, 0)];
+                defect_slope += cost.residual * answer;
+                for j in 0..n_controls {
+                    gradient[j] += rows[(i, j)] * cost.residual;
+                    model_extra[j] += rows[(i, j)] * answer;
+                }
+            }
+        }
+        // What the defects add through the cost's and the Lagrangian's curvature.
+        let mut model_gradient: Vec<f64> = gradient
+            .iter()
+            .zip(&model_extra)
+            .map(|(g, e)| g + e)
+            .collect();
+        if let Some(sources) = &found.curvature_sources {
+            for (j, g) in model_gradient.iter_mut().enumerate().take(n_controls) {
+                *g += sources[(j, 0)];
+            }
+        }
+        let curvature = found.curvature.map(|controls| {
+            Mat::from_fn(n, n, |i, j| {
+                if i < n_controls && j < n_controls {
+                    controls[(i, j)]
+                } else {
+                    0.0
+                }
+            })
+        });
+        Linearization {
+            gradient,
+            model_gradient,
+            defect_slope,
+            gauss_newton,
+            curvature,
+            jacobian,
+            offset,
+            rows: request.rows.to_vec(),
+            inequality_jacobian,
+            inequality_offset,
+        }
+    }
+}
+
+/// Adds `Fᵀ C F` of the second derivatives whose forms are the rows from `first` on.
+fn add_curvature_across(
+    bent: &[RowCurvature],
+    first: usize,
+    values: &Mat<f64>,
+    answers: &Mat<f64>,
+    found: &mut Sensitivities,
+) {
+    let (Some(curvature), Some(sources)) =
+        (found.curvature.as_mut(), found.curvature_sources.as_mut())
+    else {
+        return;
+    };
+    let mut first = first;
+    for own in bent {
+        let m = own.forms.len();
+        let rows = values.subrows(first, m);
+        let matrix = Mat::from_fn(m, m, |i, j| own.matrix[(i, j)]);
+        let weighted = &matrix * rows;
+        *curvature += rows.transpose() * &weighted;
+        *sources += weighted.transpose() * answers.subrows(first, m);
+        first += m;
+    }
+}
+
+/// Forward simulation of the problem's rod under the given wrenches.
 ///
 /// # Errors
 /// [`StepError`] of the integrator.
 pub fn simulate(
     problem: &OptimalControlProblem,
     grid: TimeGrid,
-    control: &[Wrench],
+    control: &ControlSignal,
 ) -> Result<Trajectory, StepError> {
     let rod = &problem.rod;
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     let mut stepper = Stepper::new(rod, grid.step, problem.initial.clone());
     stepper.record(&mut trajectory);
     for k in 0..grid.n_steps {
-        stepper.advance([control[k], control[k + 1]])?;
+        stepper.advance([control.at(k), control.at(k + 1)])?;
         stepper.record(&mut trajectory);
     }
     Ok(trajectory)
 }
 
-/// The bounds, coefficient by coefficient, in scaled variables.
-fn convex_sets(problem: &OptimalControlProblem, components: &[usize]) -> Vec<ConvexSet> {
-    let mut sets = Vec::new();
-    for coefficient in 0..problem.control.n_coefficients() {
+/// The actuated variables of one vector of an actuator at one coefficient.
+struct ChannelVariables<'a> {
+    channel: &'a Channel,
+    indices: Vec<usize>,
+    axes: Vec<usize>,
+}
+
+impl<'a> ChannelVariables<'a> {
+    fn all(
+        problem: &'a OptimalControlProblem,
+        components: &[Component],
+        coefficient: usize,
+    ) -> Vec<Self> {
         let base = coefficient * components.len();
-        for channel in [0..3usize, 3..6] {
-            let Channel3 { indices, axes } = Channel3::of(components, channel.clone(), base);
-            let definition = problem.channel(channel.start);
-            match definition.bound {
-                None => {}
-                Some(Bound::Norm(limit)) if !indices.is_empty() => sets.push(ConvexSet::Ball {
+        let mut out = Vec::new();
+        for (actuator, definition) in problem.actuators.iter().enumerate() {
+            for (channel, axes) in [(&definition.force, 0..3), (&definition.moment, 3..6)] {
+                let (indices, axes) = components
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, c)| c.actuator == actuator && axes.contains(&c.axis))
+                    .map(|(at, c)| (base + at, c.axis % 3))
+                    .unzip();
+                out.push(Self {
+                    channel,
                     indices,
-                    radius: limit / definition.scale,
-                }),
-                Some(Bound::Norm(_)) => {}
-                Some(Bound::PerAxis(limits)) => {
-                    for (index, axis) in indices.into_iter().zip(axes) {
-                        let limit = limits[axis] / definition.scale;
+                    axes,
+                });
+            }
+        }
+        out
+    }
+
+    /// The set in which `rows`, one per axis, must stay.
+    fn push_sets(
+        &self,
+        bound: Option<Bound>,
+        unit: f64,
+        rows: Vec<Vec<(usize, f64)>>,
+        sets: &mut Vec<ConvexSet>,
+    ) {
+        match bound {
+            Some(Bound::Norm(limit)) if !rows.is_empty() => sets.push(ConvexSet::Ball {
+                rows,
+                radius: limit * unit,
+            }),
+            Some(Bound::PerAxis(limits)) => {
+                for (row, &axis) in rows.into_iter().zip(&self.axes) {
+                    let limit = limits[axis] * unit;
+                    if let [(index, _)] = row[..] {
                         sets.push(ConvexSet::Interval {
                             index,
                             lower: -limit,
                             upper: limit,
                         });
+                        continue;
+                    }
+                    let opposite = row.iter().map(|&(index, c)| (index, -c)).collect();
+                    for direction in [row, opposite] {
+                        sets.push(ConvexSet::HalfSpace { direction, limit });
                     }
                 }
+            }
+            Some(Bound::Norm(_)) | None => {}
+        }
+    }
+}
+
+/// The bounds on coefficients, and on their differences, in scaled variables.
+fn convex_sets(problem: &OptimalControlProblem, components: &[Component]) -> Vec<ConvexSet> {
+    let mut sets = Vec::new();
+    let gaps = problem.control.rate_gaps();
+    for coefficient in 0..problem.control.n_coefficients() {
+        for variables in ChannelVariables::all(problem, components, coefficient) {
+            let channel = variables.channel;
+            let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
+            variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+            if let Some(gap) = gaps.get(coefficient) {
+                let stride = components.len();
+                let change = (variables.indices.iter())
+                    .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
+                    .collect();
+                variables.push_sets(channel.rate_bound, gap / channel.scale, change, &mut sets);
             }
         }
     }
     sets
 }
 
-/// The actuated variables of one channel at one coefficient.
-struct Channel3 {
-    indices: Vec<usize>,
-    axes: Vec<usize>,
-}
-
-impl Channel3 {
-    fn of(components: &[usize], range: std::ops::Range<usize>, base: usize) -> Self {
-        let (indices, axes) = components
-            .iter()
-            .enumerate()
-            .filter(|(_, component)| range.contains(component))
-            .map(|(at, component)| (base + at, component - range.start))
-            .unzip();
-        Self { indices, axes }
-    }
-}
-
-/// `effort M_effort + rate M_rate` for every component, and the weight of a soft target on its residuals.
-fn cost_hessian(problem: &OptimalControlProblem, n_components: usize) -> Mat<f64> {
-    let (effort, effort_off) = problem.control.effort_matrix();
-    let (rate, rate_off) = problem.control.rate_matrix();
-    let n_controls = problem.n_controls();
+/// `effort M_effort + rate M_rate` for every component, and the weights of soft goals on their residuals.
+fn cost_hessian(
+    problem: &OptimalControlProblem,
+    n_components: usize,
+    goal_rows: &[GoalRow],
+    soft_variables: &[Option<usize>],
+) -> Mat<f64> {
+    let effort = problem.control.effort_matrix();
+    let rate = problem.control.rate_matrix();
+    let objective = &problem.objective;
     let n = problem.n_variables();
-    Mat::from_fn(n, n, |i, j| {
-        if i >= n_controls || j >= n_controls {
-            return match problem.target.enforcement {
-                Enforcement::Soft { weight } if i == j => weight,
-                _ => 0.0,
-            };
+    let mut out = Mat::zeros(n, n);
+    for i in 0..effort.nrows() {
+        for j in 0..effort.ncols() {
+            let value = objective.effort * effort[(i, j)] + objective.rate * rate[(i, j)];
+            for c in 0..n_components {
+                out[(i * n_components + c, j * n_components + c)] = value;
+            }
         }
-        let (ci, cj) = (i / n_components, j / n_components);
-        if i % n_components != j % n_components {
-            0.0
-        } else if ci == cj {
-            problem.effort * effort[ci] + problem.rate * rate[ci]
-        } else if ci.abs_diff(cj) == 1 {
-            let at = ci.min(cj);
-            problem.effort * effort_off[at] + problem.rate * rate_off[at]
-        } else {
-            0.0
-        }
-    })
-}
-
-/// The terminal covector `Σ weight_i dc_i` on the tip, for the adjoint sweep.
-fn tip_covector(n_nodes: usize, covectors: &[[f64; 12]], weights: &[f64]) -> StateTangent {
-    let mut out = StateTangent::zeros(n_nodes);
-    let tip = n_nodes - 1;
-    for (covector, weight) in covectors.iter().zip(weights) {
-        for axis in 0..3 {
-            out.positions[tip][axis] += weight * covector[axis];
-            out.rotations[tip][axis] += weight * covector[3 + axis];
-            out.linear[tip][axis] += weight * covector[6 + axis];
-            out.angular[tip][axis] += weight * covector[9 + axis];
+    }
+    for (row, variable) in goal_rows.iter().zip(soft_variables) {
+        if let Some(variable) = *variable {
+            out[(variable, variable)] = problem.soft_weight(row).unwrap_or(0.0);
         }
     }
     out

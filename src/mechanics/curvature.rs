@@ -1,16 +1,18 @@
 //! Second derivatives of the discrete equations of motion, contracted with their multipliers.
 //!
-//! With the rows `r_k` and the multipliers `λ_k` of [`linearization`](super::linearization), an outcome
-//! `φ(x_N, R_N, p_N, π_N)` has the Lagrangian `L = φ - Σ_{k<N} λ_k·r_k`, stationary in the configurations by the
-//! choice of `λ`. Its second derivative along directions that obey the linearized motion is that of the outcome as
-//! a function of the control; without the curvature of `φ` itself it is, with `λ_N = ∂φ/∂(p_N, π_N)`,
+//! With the rows `r_k` and the multipliers `λ_k` of [`linearization`](super::linearization), an outcome `φ` of the states at the
+//! time nodes has the Lagrangian `L = φ - Σ_{k<N} λ_k·r_k`, stationary in the configurations by the choice of `λ`. Its second
+//! derivative along directions that obey the linearized motion is that of the outcome as a function of the control; without the
+//! curvature of `φ` in the states it is, with `λ_N = ∂φ/∂(p_N, π_N)` and the covector `μr_k` of the angular momenta that arrive
+//! at `k` (`decay_k λr_k`, and `∂φ/∂π_k` for `k < N`),
 //!
 //! ```text
-//! Σ_{k=0..N} weight_k Σ_q [λx_kq·δ²f_q + λr_kq·δ²τ_q] + Σ_{k<N} Σ_q [decay_{k+1} λr_{k+1,q}·δ²π_q(F_k) - λr_kq·δ²g_q(F_k)]
+//! Σ_{k=0..N} weight_k Σ_q [λx_kq·δ²f_q + λr_kq·δ²τ_q] + Σ_{k<N} Σ_q [μr_{k+1,q}·δ²π_q(F_k) - λr_kq·δ²g_q(F_k)]
 //! ```
 //!
-//! A stress of the [interval](super::implicit) adds `Σ_{k<N} δ²(w_k·B_kᵀσ + w_{k+1}·B_{k+1}ᵀσ)` with `w_k = -(h/2) impulse_k λ_k`,
-//! which couples whole elements at both ends of the interval ([`StressCurvature`]).
+//! A stress of the [interval](super::implicit) adds `Σ_{k<N} δ²(w_k·B_kᵀσ + v_{k+1}·B_{k+1}ᵀσ)` with `w_k = -(h/2) impulse_k λ_k`
+//! and `v_k` the same of `μ_k`, which couples whole elements at both ends of the interval ([`StressCurvature`]). The curvature
+//! of `φ` in the configurations is [given](OwnCurvature).
 //!
 //! All second derivatives are those in the chart `x + δx`, `R exp(ζ̂)`, hence symmetric. They are not those of
 //! another chart, nor the derivative of the left-trivialized derivative; their sum over all rows is the same in each,
@@ -25,7 +27,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use super::configuration::{Trajectory, TrajectoryTangent};
 use super::implicit::IntervalWeights;
 use super::integrator::StepError;
-use super::linearization::{AdjointSweep, Motion, StateTangent, StepLinearization};
+use super::linearization::{AdjointSweep, Motion, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
 use super::rotation::{exp, hat};
@@ -44,23 +46,47 @@ pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 /// returns them for the same motion and trajectory; unit: that of the outcome per unit of momentum.
 #[derive(Clone, Copy, Debug)]
 pub struct Multipliers<'a> {
-    /// Covectors `λ_k` of the rows `k < N`, per momentum.
+    /// Covectors `λ_k` of the rows and, as `λ_N`, of the terminal momenta.
     pub adjoint: &'a AdjointSweep,
-    /// Covector of the outcome at `N`; only the parts of `p_N` and `π_N` enter, as `λ_N`.
-    pub terminal: &'a StateTangent,
+    /// What costs and constraints bend by themselves, in ascending order of time.
+    pub own: &'a [OwnCurvature],
+}
+
+/// Second derivative of costs and constraints themselves, in the configuration of one time node and in the same chart as that
+/// of the equations of motion, multipliers multiplied in.
+#[derive(Clone, Debug)]
+pub struct OwnCurvature {
+    /// Time node `k`.
+    pub time_node: usize,
+    /// The rod node and the component of every row: 0..3 `δx` (spatial), 3..6 `ζ` (body).
+    pub rows: Vec<(usize, usize)>,
+    /// Symmetric, as many rows and columns as `rows`; unit of the outcome per unit of both components.
+    pub matrix: Mat<f64>,
+}
+
+/// Those of the time nodes in `range`.
+pub(super) fn own_within(own: &[OwnCurvature], range: std::ops::Range<usize>) -> &[OwnCurvature] {
+    let before = |limit| own.partition_point(|own| own.time_node < limit);
+    &own[before(range.start)..before(range.end)]
 }
 
 impl Multipliers<'_> {
     /// `(λx, λr)` of rod node `q` at time node `k`; zero where the node is held.
-    fn at(&self, motion: &Motion, k: usize, q: usize) -> (Vector3<f64>, Vector3<f64>) {
-        if q < motion.rod.first_free_node() {
-            (Vector3::zeros(), Vector3::zeros())
-        } else if k == motion.grid.n_steps {
-            (self.terminal.linear[q], self.terminal.angular[q])
-        } else {
-            let row = k * motion.rod.n_nodes() + q;
-            (self.adjoint.linear[row], self.adjoint.angular[row])
-        }
+    pub(super) fn at(&self, motion: &Motion, k: usize, q: usize) -> (Vector3<f64>, Vector3<f64>) {
+        let row = k * motion.rod.n_nodes() + q;
+        (self.adjoint.linear[row], self.adjoint.angular[row])
+    }
+
+    /// The same for the momenta that arrive.
+    pub(super) fn arriving(
+        &self,
+        motion: &Motion,
+        k: usize,
+        q: usize,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let row = k * motion.rod.n_nodes() + q;
+        let adjoint = self.adjoint;
+        (adjoint.arriving_linear[row], adjoint.arriving_angular[row])
     }
 }
 
@@ -88,7 +114,7 @@ pub struct StepCurvature {
 /// The terms that belong to the interval from one time node to the next; empty after the last.
 #[derive(Clone, Debug, Default)]
 pub struct IntervalCurvature {
-    /// `decay_{k+1} λr_{k+1}·δ²π - λr_k·δ²g` of every node.
+    /// `μr_{k+1}·δ²π - λr_k·δ²g` of every node.
     pub inertia: Vec<InertiaCurvature>,
     /// Those of the stress, element by element; empty where none depends on both ends.
     pub stress: Vec<StressCurvature>,
@@ -138,26 +164,9 @@ impl StepCurvature {
                 )
             })
             .collect();
-        let loads = (rod.loads.iter().filter(|load| load.turns()))
-            .map(|load| {
-                let rotation = &rotations[load.node];
-                let (linear, angular) = weighted(load.node);
-                let wrench = load.wrench(motion.grid.time(k), rotation);
-                let rotation = match load.frame {
-                    LoadFrame::Spatial => load_curvature(&angular, &wrench.moment),
-                    LoadFrame::Body => {
-                        load_curvature(&rotation.tr_mul(&linear), &rotation.tr_mul(&wrench.force))
-                    }
-                };
-                NodeCurvature {
-                    node: load.node,
-                    rotation,
-                }
-            })
-            .collect();
         Self {
             elements,
-            loads,
+            loads: load_curvatures(motion, trajectory, multipliers, k),
             interval: IntervalCurvature::at(motion, trajectory, multipliers, k),
         }
     }
@@ -181,6 +190,34 @@ impl StepCurvature {
         }
         sum
     }
+}
+
+/// The terms of the loads at time node `k`.
+pub(super) fn load_curvatures(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: &Multipliers,
+    k: usize,
+) -> Vec<NodeCurvature> {
+    let weight = motion.kick(k).weight;
+    (motion.rod.loads.iter().filter(|load| load.turns()))
+        .map(|load| {
+            let rotation = &trajectory.rotations_at(k)[load.node];
+            let (linear, angular) = multipliers.at(motion, k, load.node);
+            let (linear, angular) = (weight * linear, weight * angular);
+            let wrench = load.wrench(motion.grid.time(k), rotation);
+            let rotation = match load.frame {
+                LoadFrame::Spatial => load_curvature(&angular, &wrench.moment),
+                LoadFrame::Body => {
+                    load_curvature(&rotation.tr_mul(&linear), &rotation.tr_mul(&wrench.force))
+                }
+            };
+            NodeCurvature {
+                node: load.node,
+                rotation,
+            }
+        })
+        .collect()
 }
 
 impl IntervalCurvature {
@@ -216,15 +253,19 @@ fn stress_curvatures(
     let rod = motion.rod;
     (rod.elements.iter().enumerate())
         .map(|(q, element)| {
-            let ends = [k, k + 1].map(|k| {
-                let weight = 0.5 * motion.grid.step * motion.kick(k).impulse;
-                let (linear_a, angular_a) = multipliers.at(motion, k, q);
-                let (linear_b, angular_b) = multipliers.at(motion, k, q + 1);
-                let covector = stack(&(linear_a - linear_b), &-angular_a, &-angular_b) * weight;
+            let half_step = 0.5 * motion.grid.step;
+            let end = |k: usize, weight: f64, [a, b]: [(Vector3<f64>, Vector3<f64>); 2]| {
+                let covector = stack(&(a.0 - b.0), &-a.1, &-b.1) * weight;
                 let pose =
                     Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k));
                 (pose, covector)
-            });
+            };
+            let leaving = [q, q + 1].map(|q| multipliers.at(motion, k, q));
+            let arriving = [q, q + 1].map(|q| multipliers.arriving(motion, k + 1, q));
+            let ends = [
+                end(k, half_step * motion.kick(k).impulse, leaving),
+                end(k + 1, half_step * motion.arriving_impulse(), arriving),
+            ];
             stress_curvature(element, rod.strain_rule, weights, &ends)
         })
         .collect()
@@ -237,7 +278,6 @@ fn inertia_curvatures(
     multipliers: &Multipliers,
     k: usize,
 ) -> Vec<InertiaCurvature> {
-    let decay = motion.kick(k + 1).decay;
     let [leaving, arriving] = motion.inertia(trajectory, k);
     let ends = trajectory
         .rotations_at(k)
@@ -251,7 +291,7 @@ fn inertia_curvatures(
                 motion.grid.step,
                 &before.tr_mul(after),
                 &multipliers.at(motion, k, q).1,
-                &(decay * multipliers.at(motion, k + 1, q).1),
+                &multipliers.arriving(motion, k + 1, q).1,
             )
         })
         .collect()
@@ -458,8 +498,8 @@ pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3
     0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
 }
 
-/// Second derivative of the Lagrangian, without that of the outcome itself, along every pair of `directions`:
-/// symmetric, in their order; the unit is that of the outcome per unit of both directions.
+/// Second derivative of the Lagrangian, with the [own](OwnCurvature) one of the outcome as far as it is given, along every pair
+/// of `directions`: symmetric, in their order; the unit is that of the outcome per unit of both directions.
 ///
 /// The clear counterpart and test oracle of
 /// [`sensitivities`](super::sensitivity::sensitivities), and the form for directions of any kind.
@@ -488,6 +528,9 @@ pub fn lagrangian_curvature(
         for (j, b) in slices.iter().enumerate() {
             for (i, a) in slices[..=j].iter().enumerate() {
                 curvature[(i, j)] += step.form(a, b);
+                for own in own_within(multipliers.own, k..k + 1) {
+                    curvature[(i, j)] += own.form(a, b);
+                }
             }
         }
     }
@@ -507,7 +550,23 @@ struct Slice<'a> {
     next: &'a [Vector3<f64>],
 }
 
+impl OwnCurvature {
+    fn form(&self, a: &Slice, b: &Slice) -> f64 {
+        let mut sum = 0.0;
+        for (i, &row) in self.rows.iter().enumerate() {
+            for (j, &column) in self.rows.iter().enumerate() {
+                sum += self.matrix[(i, j)] * a.component(row) * b.component(column);
+            }
+        }
+        sum
+    }
+}
+
 impl Slice<'_> {
+    fn component(&self, (node, component): (usize, usize)) -> f64 {
+        [self.positions, self.rotations][component / 3][node][component % 3]
+    }
+
     fn element(&self, q: usize) -> SVector<f64, 9> {
         stack(
             &(self.positions[q + 1] - self.positions[q]),

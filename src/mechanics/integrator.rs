@@ -23,9 +23,9 @@ use super::configuration::State;
 use super::forces::NodalForces;
 use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
-use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{cay, cay_inverse, cayley_quaternion, hat, log, orthonormalized, quaternion};
+use super::signal::NodeWrenches;
 
 /// How the elastic forces act within a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -347,13 +347,12 @@ impl<'a> Integrator<'a> {
         &self.forces
     }
 
-    /// One step under a control wrench on the tip: `control[0]` just after this time node, `control[1]` just before
-    /// the next.
+    /// One step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
     ///
     /// # Errors
     /// [`StepError`] when a node would turn more than a quarter turn, when an implicit step does not converge, or when
     /// something is not finite. The state is then no longer meaningful.
-    pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+    pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         if let Some(mut implicit) = self.implicit.take() {
             let outcome = self.advance_implicitly(&mut implicit, control);
             self.implicit = Some(implicit);
@@ -366,7 +365,7 @@ impl<'a> Integrator<'a> {
         let first = self.rod.first_free_node();
         let inertia_rule = InertiaRule::of(self.rod.model, self.step);
         let base = self.approach_base()?;
-        self.leave(&control[0], undamp);
+        self.leave(control[0], undamp);
         if inertia_rule != InertiaRule::End {
             self.solve_turns()?;
         }
@@ -407,21 +406,21 @@ impl<'a> Integrator<'a> {
                 *rotation = orthonormalized(rotation);
             }
         }
-        self.arrive(&control[1])
+        self.arrive(control[1])
     }
 
     /// The step of [`implicit`](super::implicit).
     fn advance_implicitly(
         &mut self,
         implicit: &mut ImplicitStep,
-        control: [Wrench; 2],
+        control: [NodeWrenches; 2],
     ) -> Result<(), StepError> {
         let h = self.time_step;
         let a = 0.5 * self.rod.viscous_damping * h;
         let undamp = 1.0 / (1.0 + a);
         let base = self.approach_base()?;
         implicit.guess(self.rod, &self.state, base.as_ref(), &mut self.turns);
-        self.leave(&control[0], undamp);
+        self.leave(control[0], undamp);
         let weight = 0.5 * h * undamp;
         let (state, turns) = (&mut self.state, &mut self.turns);
         implicit.solve(self.rod, h, weight, self.step, state, turns)?;
@@ -434,15 +433,17 @@ impl<'a> Integrator<'a> {
             *g = cay(&self.turns[node]).tr_mul(g) * (1.0 - a);
         }
         implicit.arrive(self.rod, 0.5 * h, &mut self.state);
-        self.arrive(&control[1])
+        self.arrive(control[1])
     }
 
     /// The first half of the kicks, with the forces at hand and the control just after the time node.
-    fn leave(&mut self, control: &Wrench, undamp: f64) {
+    fn leave(&mut self, control: NodeWrenches, undamp: f64) {
         let half_step = 0.5 * self.time_step;
         let tip = self.rod.tip();
-        self.forces.forces[tip] += control.force;
-        self.forces.moments[tip] += control.moment;
+        for (node, wrench) in control.iter() {
+            self.forces.forces[node] += wrench.force;
+            self.forces.moments[node] += wrench.moment;
+        }
         let State {
             linear_momentum: p,
             angular_momentum: g,
@@ -455,7 +456,7 @@ impl<'a> Integrator<'a> {
     }
 
     /// The second half, with the forces at the next time node and the control just before it.
-    fn arrive(&mut self, control: &Wrench) -> Result<(), StepError> {
+    fn arrive(&mut self, control: NodeWrenches) -> Result<(), StepError> {
         let half_step = 0.5 * self.time_step;
         let tip = self.rod.tip();
         self.check_folds()?;
@@ -478,9 +479,12 @@ impl<'a> Integrator<'a> {
             angular_momentum[node] += half_step * self.forces.moments[node];
             probe += linear_momentum[node] + angular_momentum[node];
         }
-        linear_momentum[tip] += half_step * control.force;
-        angular_momentum[tip] += half_step * control.moment;
-        probe += linear_momentum[tip] + angular_momentum[tip];
+        let first = self.rod.first_free_node();
+        for (node, wrench) in control.iter().filter(|(node, _)| *node >= first) {
+            linear_momentum[node] += half_step * wrench.force;
+            angular_momentum[node] += half_step * wrench.moment;
+            probe += linear_momentum[node] + angular_momentum[node];
+        }
         if probe.sum().is_finite() {
             Ok(())
         } else {

@@ -21,6 +21,7 @@ use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 use super::block_tridiagonal::BlockLu;
 use super::configuration::{State, Trajectory, TrajectoryTangent};
 use super::forces::NodalForces;
+use super::forms::{StateForm, forms_at};
 use super::implicit::{IntervalWeights, join, scatter, spin_inertia, step_matrix};
 use super::inertia::{
     InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
@@ -29,12 +30,13 @@ use super::integrator::{StepError, TimeGrid, TimeScheme};
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{cay_inverse, cay_tangent, hat};
+use super::signal::ControlSignal;
 use super::strain::{ElementStiffness, IntervalStress};
 
 /// A rod on a time grid, from a given state on.
 ///
-/// The functions of this module take the control as a tip wrench at every time node: what the adjacent intervals apply
-/// there on average, the mean of both sides where a control jumps, the one side at either end.
+/// The functions of this module take the control as [wrenches](ControlSignal) at every time node: what the adjacent intervals
+/// apply there on average, the mean of both sides where a control jumps, the one side at either end.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion<'a> {
     /// The rod.
@@ -86,7 +88,7 @@ impl Motion<'_> {
 
     /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that
     /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
-    fn arriving_impulse(&self) -> f64 {
+    pub(super) fn arriving_impulse(&self) -> f64 {
         1.0 / self.undamped()
     }
 
@@ -207,18 +209,53 @@ pub struct Defects {
     pub terminal_angular: Vec<Vector3<f64>>,
 }
 
-/// Evaluates the defects of a trajectory under the nodal tip wrenches `control` (`N + 1` of them).
+/// A right-hand side of the linearized equations of motion: a change of every row `r_k`, and of the momenta at the end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sources {
+    /// Linear rows, spatial, in the order of [`Defects::linear`]; without effect on fixed nodes.
+    pub linear: Vec<Vector3<f64>>,
+    /// Angular rows, body frame, in the same order.
+    pub angular: Vec<Vector3<f64>>,
+    /// Direct change of the linear momentum of every node at `N`.
+    pub terminal_linear: Vec<Vector3<f64>>,
+    /// Direct change of the angular momenta, body frame.
+    pub terminal_angular: Vec<Vector3<f64>>,
+}
+
+impl Sources {
+    /// Minus the defects: what makes them vanish to first order. The terminal momenta have none.
+    #[must_use]
+    pub fn against(defects: &Defects) -> Self {
+        let minus = |v: &[Vector3<f64>]| v.iter().map(|v| -v).collect();
+        let zeros = vec![Vector3::zeros(); defects.terminal_linear.len()];
+        Self {
+            linear: minus(&defects.linear),
+            angular: minus(&defects.angular),
+            terminal_linear: zeros.clone(),
+            terminal_angular: zeros,
+        }
+    }
+
+    /// Change of the momenta of all `n` nodes after the kick at time node `k`.
+    pub(super) fn at(&self, k: usize, n: usize) -> (&[Vector3<f64>], &[Vector3<f64>]) {
+        match self.linear.get(k * n..(k + 1) * n) {
+            Some(linear) => (linear, &self.angular[k * n..(k + 1) * n]),
+            None => (&self.terminal_linear, &self.terminal_angular),
+        }
+    }
+}
+
+/// Evaluates the defects of a trajectory under a control.
 ///
 /// # Errors
 /// [`StepError`] where a node turns a quarter turn or more within a step, or where something is not finite.
 pub fn defects(
     motion: &Motion,
     trajectory: &Trajectory,
-    control: &[Wrench],
+    control: &ControlSignal,
 ) -> Result<Defects, StepError> {
     let Motion { rod, grid, initial } = *motion;
     let n = rod.n_nodes();
-    let tip = rod.tip();
     let h = grid.step;
     let mut forces = NodalForces::zeros(n);
     let mut linear = vec![Vector3::zeros(); n * grid.n_steps];
@@ -229,8 +266,10 @@ pub fn defects(
     for k in 0..=grid.n_steps {
         let positions = trajectory.positions_at(k);
         forces.evaluate_at_node(rod, positions, trajectory.rotations_at(k), grid.time(k));
-        forces.forces[tip] += control[k].force;
-        forces.moments[tip] += control[k].moment;
+        for (node, wrench) in control.at(k).iter() {
+            forces.forces[node] += wrench.force;
+            forces.moments[node] += wrench.moment;
+        }
         let Kick {
             decay,
             weight,
@@ -392,6 +431,26 @@ pub struct StepLinearization {
     pub first_free_node: usize,
 }
 
+/// Of all loads that turn with their node.
+pub(super) fn load_derivatives(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+) -> Vec<LoadDerivative> {
+    let Motion { rod, grid, .. } = *motion;
+    let rotations = trajectory.rotations_at(k);
+    (rod.loads.iter().filter(|load| load.turns()))
+        .map(|load| {
+            let (force, moment) = load.wrench_derivative(grid.time(k), &rotations[load.node]);
+            LoadDerivative {
+                node: load.node,
+                force,
+                moment,
+            }
+        })
+        .collect()
+}
+
 impl StepLinearization {
     /// Linearizes time node `k` (`0..=N`; no drift at `N`) along a trajectory.
     ///
@@ -410,19 +469,7 @@ impl StepLinearization {
                 })
                 .collect(),
         };
-        let loads = rod
-            .loads
-            .iter()
-            .filter(|load| load.turns())
-            .map(|load| {
-                let (force, moment) = load.wrench_derivative(grid.time(k), &rotations[load.node]);
-                LoadDerivative {
-                    node: load.node,
-                    force,
-                    moment,
-                }
-            })
-            .collect();
+        let loads = load_derivatives(motion, trajectory, k);
         let (mut drifts, mut element_drifts) = (Vec::new(), Vec::new());
         let mut stress_drift = None;
         if k < grid.n_steps {
@@ -964,95 +1011,180 @@ impl StateTangent {
         }
     }
 
+    /// One of the four parts, in the order of the fields.
+    pub(super) fn part(&self, part: usize) -> &[Vector3<f64>] {
+        [
+            &self.positions,
+            &self.rotations,
+            &self.linear,
+            &self.angular,
+        ][part]
+    }
+
+    pub(super) fn part_mut(&mut self, part: usize) -> &mut [Vector3<f64>] {
+        [
+            &mut self.positions,
+            &mut self.rotations,
+            &mut self.linear,
+            &mut self.angular,
+        ][part]
+    }
+
+    /// Nodes before `first` do not move.
+    fn hold(&mut self, first: usize) {
+        for part in 0..4 {
+            self.part_mut(part)[..first].fill(Vector3::zeros());
+        }
+    }
+
     /// Euclidean inner product of the components.
     #[must_use]
     pub fn dot(&self, other: &Self) -> f64 {
-        let sum = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 {
-            a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
-        };
-        sum(&self.positions, &other.positions)
-            + sum(&self.rotations, &other.rotations)
-            + sum(&self.linear, &other.linear)
-            + sum(&self.angular, &other.angular)
+        (0..4)
+            .flat_map(|part| self.part(part).iter().zip(other.part(part)))
+            .map(|(a, b)| a.dot(b))
+            .sum()
     }
 }
 
-/// Solves the linearized equations of motion forward for one change of the control: `δr = -defects` along the way
-/// (zero change of the initial state). Returns the direction at every time node and `(δp, δπ)` at the end.
+/// Solves the linearized equations of motion forward for one change of the control and of their right-hand side (zero change
+/// of the initial state). Returns the direction at every time node and `(δp, δπ)` at the end.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
 pub fn forward_sweep(
     motion: &Motion,
     trajectory: &Trajectory,
-    defects: Option<&Defects>,
-    control_change: &[Wrench],
+    sources: Option<&Sources>,
+    control_change: &ControlSignal,
 ) -> Result<(TrajectoryTangent, StateTangent), StepError> {
-    let n = motion.rod.n_nodes();
-    let n_times = motion.grid.n_steps + 1;
-    let tip = motion.rod.tip();
-    let mut column = StateTangent::zeros(n);
+    let size = motion.rod.n_nodes() * (motion.grid.n_steps + 1);
     let mut direction = TrajectoryTangent {
-        positions: Vec::with_capacity(n * n_times),
-        rotations: Vec::with_capacity(n * n_times),
+        positions: Vec::with_capacity(size),
+        rotations: Vec::with_capacity(size),
     };
-    for k in 0..n_times {
+    let end = sweep_tangents(motion, trajectory, sources, control_change, |_, column| {
         direction.positions.extend_from_slice(&column.positions);
         direction.rotations.extend_from_slice(&column.rotations);
+    })?;
+    Ok((direction, end))
+}
+
+/// The values of forms along the direction of [`forward_sweep`]; the clear counterpart and test oracle of
+/// [`sensitivities`](super::sensitivity::sensitivities).
+///
+/// # Errors
+/// [`StepError`] where the trajectory cannot be linearized.
+pub fn form_values(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    sources: Option<&Sources>,
+    control_change: &ControlSignal,
+    forms: &[StateForm],
+) -> Result<Vec<f64>, StepError> {
+    let mut values = Vec::with_capacity(forms.len());
+    sweep_tangents(motion, trajectory, sources, control_change, |k, column| {
+        values.extend(forms[forms_at(forms, k)].iter().map(|form| form.of(column)));
+    })?;
+    Ok(values)
+}
+
+/// Shows `visit` the tangent of every time node, as [forms](StateForm) see it, and returns the last one.
+fn sweep_tangents(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    sources: Option<&Sources>,
+    control_change: &ControlSignal,
+    mut visit: impl FnMut(usize, &StateTangent),
+) -> Result<StateTangent, StepError> {
+    let n = motion.rod.n_nodes();
+    let n_steps = motion.grid.n_steps;
+    let first = motion.rod.first_free_node();
+    let mut column = StateTangent::zeros(n);
+    for k in 0..=n_steps {
+        if k < n_steps {
+            visit(k, &column);
+        }
         let step = StepLinearization::at(motion, trajectory, k)?;
         step.kick_unforced(&mut column);
-        column.linear[tip] += control_change[k].force * step.kick.weight;
-        column.angular[tip] += control_change[k].moment * step.kick.weight;
-        for q in step.first_free_node..n {
-            if let Some(defects) = defects.filter(|_| k < motion.grid.n_steps) {
-                column.linear[q] -= defects.linear[k * n + q];
-                column.angular[q] -= defects.angular[k * n + q];
+        for (node, wrench) in control_change.at(k).iter() {
+            column.linear[node] += wrench.force * step.kick.weight;
+            column.angular[node] += wrench.moment * step.kick.weight;
+        }
+        if let Some((linear, angular)) = sources.map(|sources| sources.at(k, n)) {
+            for q in first..n {
+                column.linear[q] += linear[q];
+                column.angular[q] += angular[q];
             }
         }
-        if k < motion.grid.n_steps {
+        column.hold(first);
+        if k < n_steps {
             step.drift(&mut column);
         }
     }
-    Ok((direction, column))
+    visit(n_steps, &column);
+    Ok(column)
 }
 
-/// Multipliers of the defect rows of one time node, and what they say about the control there.
+/// Multipliers of the defect rows of every time node, and of the terminal momenta.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdjointSweep {
-    /// Covector of the linear rows `r_k`, in the order of [`Defects::linear`].
+    /// Covector of the momenta after the kick: of the linear rows `r_k`, in the order of [`Defects::linear`], then of the linear
+    /// momenta at `N`; zero on fixed nodes.
     pub linear: Vec<Vector3<f64>>,
-    /// Covector of the angular rows.
+    /// Of the angular rows, then of the angular momenta at `N`.
     pub angular: Vec<Vector3<f64>>,
-    /// Derivative of the outcome along the nodal tip wrench of every time node, `N + 1` of them.
-    pub control: Vec<Wrench>,
+    /// Covector of the linear momenta that arrive at a time node, before its kick, in the same order.
+    pub arriving_linear: Vec<Vector3<f64>>,
+    /// Of the angular ones.
+    pub arriving_angular: Vec<Vector3<f64>>,
 }
 
-/// Pulls a covector `(δx, ζ, δp, δπ)` of the last time node back through the linearized equations of motion:
-/// `⟨terminal, outcome of δu⟩ = Σ_k control_k · δu_k`, and `-⟨linear, angular⟩` is its derivative along the defects.
+impl AdjointSweep {
+    pub(super) fn zeros(len: usize) -> Self {
+        let zeros = vec![Vector3::zeros(); len];
+        Self {
+            linear: zeros.clone(),
+            angular: zeros.clone(),
+            arriving_linear: zeros.clone(),
+            arriving_angular: zeros,
+        }
+    }
+
+    /// Derivative along a wrench on `node` at time node `k`: force per newton (spatial), moment per newton metre (body frame).
+    #[must_use]
+    pub fn wrench(&self, motion: &Motion, k: usize, node: usize) -> Wrench {
+        let weight = motion.kick(k).weight;
+        let row = k * motion.rod.n_nodes() + node;
+        Wrench {
+            force: weight * self.linear[row],
+            moment: weight * self.angular[row],
+        }
+    }
+}
+
+/// Pulls the sum of `forms` (in ascending order of time, weights multiplied in) back through the linearized equations of motion:
+/// their value on the answer to a control and [`Sources`] is the sum of [wrenches](AdjointSweep::wrench) times control, and of
+/// the rows times sources.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
 pub fn adjoint_sweep(
     motion: &Motion,
     trajectory: &Trajectory,
-    terminal: &StateTangent,
+    forms: &[StateForm],
 ) -> Result<AdjointSweep, StepError> {
     let n = motion.rod.n_nodes();
     let n_steps = motion.grid.n_steps;
-    let tip = motion.rod.tip();
     let first = motion.rod.first_free_node();
-    let mut covector = terminal.clone();
-    for q in 0..first {
-        covector.positions[q] = Vector3::zeros();
-        covector.rotations[q] = Vector3::zeros();
-        covector.linear[q] = Vector3::zeros();
-        covector.angular[q] = Vector3::zeros();
-    }
-    let mut sweep = AdjointSweep {
-        linear: vec![Vector3::zeros(); n * n_steps],
-        angular: vec![Vector3::zeros(); n * n_steps],
-        control: vec![Wrench::default(); n_steps + 1],
+    let mut covector = StateTangent::zeros(n);
+    let join = |covector: &mut StateTangent, k: usize| {
+        for form in &forms[forms_at(forms, k)] {
+            form.add_to(covector);
+        }
+        covector.hold(first);
     };
+    let mut sweep = AdjointSweep::zeros(n * (n_steps + 1));
     let mut force = vec![Vector3::zeros(); n];
     let mut moment = force.clone();
     for k in (0..=n_steps).rev() {
@@ -1060,31 +1192,28 @@ pub fn adjoint_sweep(
         let Kick { decay, weight, .. } = step.kick;
         if k < n_steps {
             step.drift_transposed(&mut covector);
+        } else {
+            join(&mut covector, k);
         }
         for q in first..n {
-            if k < n_steps {
-                sweep.linear[k * n + q] = covector.linear[q];
-                sweep.angular[k * n + q] = covector.angular[q];
-            }
+            sweep.linear[k * n + q] = covector.linear[q];
+            sweep.angular[k * n + q] = covector.angular[q];
             force[q] = weight * covector.linear[q];
             moment[q] = weight * covector.angular[q];
             covector.linear[q] *= decay;
             covector.angular[q] *= decay;
         }
-        sweep.control[k] = Wrench {
-            force: force[tip],
-            moment: moment[tip],
-        };
         step.force_change_transposed(
             &force,
             &moment,
             &mut covector.positions,
             &mut covector.rotations,
         );
-        for q in 0..first {
-            covector.positions[q] = Vector3::zeros();
-            covector.rotations[q] = Vector3::zeros();
+        if k < n_steps {
+            join(&mut covector, k);
         }
+        sweep.arriving_linear[k * n..][..n].copy_from_slice(&covector.linear);
+        sweep.arriving_angular[k * n..][..n].copy_from_slice(&covector.angular);
     }
     Ok(sweep)
 }

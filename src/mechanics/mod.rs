@@ -10,6 +10,7 @@ pub mod diagnostics;
 pub mod energy;
 pub mod equilibrium;
 pub mod forces;
+pub mod forms;
 pub mod implicit;
 pub mod inertia;
 pub mod integrator;
@@ -19,6 +20,7 @@ pub mod load;
 pub mod rod;
 pub mod rotation;
 pub mod sensitivity;
+pub mod signal;
 pub mod stability;
 pub mod stepper;
 pub mod strain;
@@ -29,6 +31,7 @@ pub use constitutive::RodModel;
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use energy::Energy;
 pub use equilibrium::{TipSpring, static_equilibrium};
+pub use forms::{FormTerm, StateForm};
 pub use integrator::{Integrator, StepError, TimeGrid, TimeScheme};
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
@@ -36,6 +39,7 @@ pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,
     SectionProfile,
 };
+pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
 pub use strain::StrainRule;

@@ -3,8 +3,8 @@
 use super::configuration::{State, Trajectory};
 use super::integrator::{Integrator, StepError};
 use super::lanes::LaneIntegrator;
-use super::load::Wrench;
 use super::rod::Rod;
+use super::signal::NodeWrenches;
 
 /// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] for steps that are solved
 /// for. Both take the same steps, equal to rounding.
@@ -48,7 +48,7 @@ impl<'a> Stepper<'a> {
     ///
     /// # Errors
     /// As [`Integrator::advance`].
-    pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+    pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         match &mut self.engine {
             Engine::Lanes(lanes) => lanes.advance(control)?,
             Engine::Plain(plain) => plain.advance(control)?,

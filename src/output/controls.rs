@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::OutputError;
 
-/// The tip force and moment on one interval of time: a row of `controls.csv`.
+/// The force and moment on a node on one interval of time: a row of `controls.csv`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ControlRow {
     /// Start of the interval, in seconds.
@@ -25,9 +25,13 @@ pub struct ControlRow {
     pub my: f64,
     /// Moment about the third director, body frame, in newton meters.
     pub mz: f64,
+    /// The node.
+    pub node: usize,
 }
 
-const COLUMNS: [&str; 8] = ["t_start", "t_end", "fx", "fy", "fz", "mx", "my", "mz"];
+const COLUMNS: [&str; 9] = [
+    "t_start", "t_end", "fx", "fy", "fz", "mx", "my", "mz", "node",
+];
 
 impl ControlRow {
     fn values(&self) -> [f64; 8] {
@@ -166,6 +170,7 @@ mod tests {
             mx: -0.0,
             my: 6.02e23,
             mz: 0.1 + 0.2,
+            node: 20,
         }
     }
 
@@ -177,7 +182,10 @@ mod tests {
         for rows in [vec![], vec![row(0.0)], vec![row(0.0), row(0.1), row(0.2)]] {
             write_controls(&path, &rows).unwrap();
             let text = std::fs::read_to_string(&path).unwrap();
-            assert_eq!(text.lines().next(), Some("t_start,t_end,fx,fy,fz,mx,my,mz"));
+            assert_eq!(
+                text.lines().next(),
+                Some("t_start,t_end,fx,fy,fz,mx,my,mz,node")
+            );
             let read = read_controls(&path).unwrap();
             let bits = |rows: &[ControlRow]| -> Vec<_> {
                 rows.iter().map(|r| r.values().map(f64::to_bits)).collect()
@@ -191,17 +199,20 @@ mod tests {
     fn errors_name_the_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("controls.csv");
-        let header = "t_start,t_end,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0,0\n";
+        let header = "t_start,t_end,fx,fy,fz,mx,my,mz,node\n0,1,0,0,0,0,0,0,4\n";
         let cases = [
             (
-                "t_start,t_end,fx,fy,fz,mx,my\n".to_string(),
+                "t_start,t_end,fx,fy,fz,mx,my,node\n".to_string(),
                 ":1: no column mz",
             ),
-            (format!("{header}1,2,0,zero,0,0,0,0\n"), ":3: column 4: "),
-            (format!("{header}1,2,0,0\n"), ":3: 4 fields instead of 8"),
-            (format!("{header}1,2,0,0,0,NaN,0,0\n"), ":3: mx: NaN is not"),
+            (format!("{header}1,2,0,zero,0,0,0,0,4\n"), ":3: column 4: "),
+            (format!("{header}1,2,0,0\n"), ":3: 4 fields instead of 9"),
             (
-                format!("{header}2,1,0,0,0,0,0,0\n"),
+                format!("{header}1,2,0,0,0,NaN,0,0,4\n"),
+                ":3: mx: NaN is not",
+            ),
+            (
+                format!("{header}2,1,0,0,0,0,0,0,4\n"),
                 ":3: the interval ends",
             ),
         ];

@@ -5,6 +5,7 @@ mod diagnostics;
 mod directory;
 mod error;
 mod motion;
+mod multipliers;
 mod npz;
 mod report;
 mod rows;
@@ -16,6 +17,7 @@ pub use diagnostics::DiagnosticsRecord;
 pub use directory::ResultDirectory;
 pub use error::OutputError;
 pub use motion::{MotionRecord, ThinnedMotion};
+pub use multipliers::{MultiplierRecord, read_multipliers};
 pub use report::{
     Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
     ReportIteration, ReportMotion, ReportTarget, ReportVerdict, render_report,

@@ -382,6 +382,7 @@ mod tests {
             mx: 0.0,
             my: 0.0,
             mz: 1.0,
+            node: 4,
         };
         let controls = ReportControls::held(&[row(0.0, 1.0), row(0.5, 2.0)]);
         assert_eq!(controls.t, [0.0, 0.5, 1.0]);

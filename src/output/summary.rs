@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::sqp::KktResidual;
+use crate::sqp::{Convergence, KktResidual};
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -85,6 +85,8 @@ pub struct ProblemSize {
     pub variables: usize,
     /// Scalar equations of a hard target.
     pub target_equations: usize,
+    /// Rows of the path constraints.
+    pub path_rows: usize,
     /// Configuration unknowns that condensing eliminates.
     pub eliminated: usize,
 }
@@ -207,6 +209,16 @@ pub struct CheckOutcome {
     pub refined_time_m: f64,
     /// Estimated error in space, m.
     pub refined_space_m: f64,
+    /// Observed order in time.
+    pub order_time: Option<f64>,
+    /// Observed order in space; absent where only one refinement was made.
+    pub order_space: Option<f64>,
+    /// Value of the objective, recomputed.
+    pub objective: f64,
+    /// Hard path constraints between nodes and samples.
+    pub between: Vec<BetweenSummary>,
+    /// Extremes of the strains.
+    pub strains: StrainSummary,
     /// Recomputed optimality conditions.
     pub kkt: KktResidual,
     /// Energy account of the replay.
@@ -215,6 +227,34 @@ pub struct CheckOutcome {
     pub verdict: &'static str,
     /// Names of the criteria that failed.
     pub failed: Vec<&'static str>,
+}
+
+/// A path constraint at its worst on the finest replay.
+#[derive(Clone, Debug, Serialize)]
+pub struct BetweenSummary {
+    /// Name of the constraint.
+    pub name: String,
+    /// Excess over the limit; negative inside.
+    pub excess: f64,
+    /// Unit of the excess.
+    pub unit: &'static str,
+    /// What the certificate compares it with.
+    pub reference: f64,
+    /// Where, as a fraction of the arm's length.
+    pub along: f64,
+    /// When, s.
+    pub time_s: f64,
+}
+
+/// Extremes of the strains over a motion.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StrainSummary {
+    /// Least and largest length of an element over that at rest.
+    pub stretch: [f64; 2],
+    /// Largest bending curvature, 1/m.
+    pub curvature_1_m: f64,
+    /// Largest twist, 1/m.
+    pub twist_1_m: f64,
 }
 
 /// Energy account, J.
@@ -252,6 +292,23 @@ pub struct NamedConstraint {
     pub multiplier: f64,
 }
 
+/// One start of a solve.
+#[derive(Clone, Debug, Serialize)]
+pub struct StartSummary {
+    /// Its number, from 0.
+    pub start: usize,
+    /// Where it started.
+    pub from: &'static str,
+    /// How it ended.
+    pub status: &'static str,
+    /// Value of the objective.
+    pub objective: f64,
+    /// Iterations.
+    pub iterations: usize,
+    /// Of the check; absent where a better one was certified before.
+    pub verdict: Option<&'static str>,
+}
+
 /// Summary of `solve`.
 #[derive(Clone, Debug, Serialize)]
 pub struct SolveSummary {
@@ -277,6 +334,8 @@ pub struct SolveSummary {
     pub phases_s: PhaseSummary,
     /// The solver's own residuals.
     pub kkt: KktResidual,
+    /// How fast the last steps shrank.
+    pub convergence: Convergence,
     /// Distance of the tip from its target in the forward simulation, m.
     pub tip_error_m: f64,
     /// Angle from the target orientation, rad.
@@ -293,6 +352,8 @@ pub struct SolveSummary {
     pub hessian: &'static str,
     /// Which start was used.
     pub guess: &'static str,
+    /// How every start fared.
+    pub starts: Vec<StartSummary>,
     /// Rod model.
     pub model: &'static str,
     /// Strain rule.

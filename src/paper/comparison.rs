@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::rotation::cay_inverse;
-use crate::mechanics::{Configuration, Integrator, Rod, RodModel, StepError, Wrench};
+use crate::mechanics::{Configuration, Integrator, NodeWrenches, Rod, RodModel, StepError};
 use crate::scene::Simulation;
 
 /// The three sums of equation (86), J, for the interval from time node `k` on.
@@ -218,7 +218,7 @@ impl<'a> Running<'a> {
         let now = &self.integrator.state().configuration;
         self.before.positions.clone_from(&now.positions);
         self.before.rotations.clone_from(&now.rotations);
-        self.integrator.advance([Wrench::default(); 2])?;
+        self.integrator.advance([NodeWrenches::NONE; 2])?;
         let after = &self.integrator.state().configuration;
         Ok(DiscreteEnergy::of(self.rod, &self.before, after, self.step))
     }

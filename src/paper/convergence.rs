@@ -6,7 +6,7 @@
 use nalgebra::Matrix3;
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, RodModel, Trajectory, Wrench};
+use crate::mechanics::{Integrator, NodeWrenches, RodModel, Trajectory};
 
 const SCENE: &str = "paper-convergence";
 const SAMPLE_PERIOD: f64 = 1e-3;
@@ -148,7 +148,7 @@ fn sample(
         }
         if k < grid.n_steps {
             integrator
-                .advance([Wrench::default(); 2])
+                .advance([NodeWrenches::NONE; 2])
                 .map_err(|error| PaperError::Step {
                     scene: SCENE,
                     error,

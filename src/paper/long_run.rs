@@ -4,7 +4,7 @@ use nalgebra::Matrix3;
 
 use super::{Experiment, PaperError, Study};
 use crate::mechanics::forces::NodalForces;
-use crate::mechanics::{Energy, Rod, RodModel, State, Stepper, Wrench};
+use crate::mechanics::{Energy, NodeWrenches, Rod, RodModel, State, Stepper};
 
 /// Energy and rotations of the third experiment's rod after its loads have ended.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ impl LongRun {
         let mut integrator = Stepper::new(rod, step, simulation.initial.clone());
         let advance = |integrator: &mut Stepper, n: usize| {
             (0..n)
-                .try_for_each(|_| integrator.advance([Wrench::default(); 2]))
+                .try_for_each(|_| integrator.advance([NodeWrenches::NONE; 2]))
                 .map_err(|error| PaperError::Step { scene, error })
         };
         let loaded = (Experiment::BendingStretching.unloaded() / step).round() as usize;

@@ -1,7 +1,7 @@
 //! What the third experiment shows beside the printed numbers: locking, and the breakdown of the paper's model.
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, RodModel, StepError, Wrench};
+use crate::mechanics::{Integrator, NodeWrenches, RodModel, StepError};
 
 const SCENE: &str = "paper-bending-stretching";
 
@@ -116,7 +116,7 @@ pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<Blo
                 if k % GLANCE == 0 && grid.time(k) >= unloaded {
                     energies.push(crate::mechanics::Energy::of(rod, integrator.state()).total());
                 }
-                failure = integrator.advance([Wrench::default(); 2]).err();
+                failure = integrator.advance([NodeWrenches::NONE; 2]).err();
                 if failure.is_some() {
                     break;
                 }
@@ -136,7 +136,7 @@ pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<Blo
 
 fn advance(integrator: &mut Integrator) -> Result<(), PaperError> {
     integrator
-        .advance([Wrench::default(); 2])
+        .advance([NodeWrenches::NONE; 2])
         .map_err(|error| PaperError::Step {
             scene: SCENE,
             error,

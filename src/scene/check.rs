@@ -1,8 +1,9 @@
 //! Ranges and relations between keys: what the types of a scene cannot say.
 
 use super::model::{
-    Base, BaseKind, BaseMotion, Bound, Control, Damping, DistributedLoad, Initial, Load, LoadNode,
-    Material, Objective, Payload, Rod, Scene, Section, Solver, Task, Time, TimeStep,
+    Base, BaseKind, BaseMotion, Bound, Continuation, Control, Damping, DistributedLoad, Initial,
+    Limit, Load, LoadNode, Material, Objective, Obstacle, Payload, Price, Rod, RodModel, Scene,
+    Section, Solver, Task, Time, TimeStep, Via,
 };
 use super::{SceneError, SceneSource};
 
@@ -11,6 +12,9 @@ const MOST_ELEMENTS: usize = 5000;
 
 /// Blocks and iterations beyond this number are a typing error rather than a wish.
 const LARGEST_COUNT: usize = 1_000_000;
+
+/// Stages of a continuation beyond this number are a typing error rather than a wish.
+const MOST_STAGES: usize = 1000;
 
 /// Steps beyond this number would run for days.
 pub(super) const MOST_STEPS: f64 = 1e10;
@@ -48,10 +52,16 @@ impl Scene {
             keys.check_task(task, self)?;
         }
         if let Some(control) = &self.control {
-            keys.check_control(control)?;
+            keys.check_control(control, self)?;
         }
         if let Some(objective) = &self.objective {
-            keys.check_objective(objective)?;
+            keys.check_objective(objective, self)?;
+        }
+        for (index, obstacle) in self.obstacle.iter().enumerate() {
+            keys.check_obstacle(obstacle, index)?;
+        }
+        for (index, limit) in self.limit.iter().enumerate() {
+            keys.check_limit(limit, index, self.rod.elements)?;
         }
         if let Some(solver) = &self.solver {
             keys.check_solver(solver)?;
@@ -300,15 +310,7 @@ impl Keys<'_> {
     }
 
     fn check_load(&self, load: &Load, index: usize, elements: usize) -> Checked {
-        if let LoadNode::Index(node) = load.node
-            && node > elements
-        {
-            let message = format!("there is no node {node}");
-            return Err(self
-                .source
-                .error_at(&format!("load.{index}.node"), message, None)
-                .expecting(format!("expected 0 (base) to {elements} (tip)")));
-        }
+        self.node(&format!("load.{index}.node"), load.node, elements)?;
         self.finite(&format!("load.{index}.force_n"), &load.force_n)?;
         self.finite(&format!("load.{index}.moment_n_m"), &load.moment_n_m)?;
         load.profile.as_ref().map_or(Ok(()), |profile| {
@@ -467,19 +469,229 @@ impl Keys<'_> {
                 .error_at("time.end_s", message, None)
                 .expecting("expected a positive duration"));
         }
-        self.positive_if_given("task.weight", task.weight, "weight", "")?;
-        if task.hard && task.weight.is_some() {
-            let help = "set task.hard = false to make the task a term of the objective".to_string();
+        self.check_enforcement(
+            "task",
+            task.hard,
+            task.weight,
+            [
+                (task.tolerance_m, task.position_m.is_some()),
+                (task.tolerance_rad, task.orientation_wxyz.is_some()),
+            ],
+        )?;
+        for (index, via) in task.via.iter().enumerate() {
+            self.check_via(via, index, task.instant(end), scene)?;
+        }
+        Ok(())
+    }
+
+    fn check_via(&self, via: &Via, index: usize, end: f64, scene: &Scene) -> Checked {
+        let key = |name: &str| format!("task.via.{index}.{name}");
+        if via.position_m.is_none() && via.orientation_wxyz.is_none() {
+            return Err(self.missing(
+                &key("position_m"),
+                &format!("or else, or as well, give {}", key("orientation_wxyz")),
+            ));
+        }
+        if let Some(position) = &via.position_m {
+            self.finite(&key("position_m"), position)?;
+            self.check_reach_of(&key("position_m"), position, scene)?;
+        }
+        if let Some(orientation) = &via.orientation_wxyz {
+            self.nonzero(&key("orientation_wxyz"), orientation)?;
+        }
+        self.node(&key("node"), via.node, scene.rod.elements)?;
+        self.positive(&key("at_s"), via.at_s, "instant", "seconds")?;
+        if via.at_s >= end {
+            let message = format!("{} s is not before the task's own time", number(via.at_s));
+            return Err(self
+                .source
+                .error_at(&key("at_s"), message, None)
+                .expecting(format!("expected less than {}", number(end))));
+        }
+        self.check_enforcement(
+            &format!("task.via.{index}"),
+            via.hard,
+            via.weight,
+            [
+                (via.tolerance_m, via.position_m.is_some()),
+                (via.tolerance_rad, via.orientation_wxyz.is_some()),
+            ],
+        )
+    }
+
+    /// `tolerances` in m and rad, each with whether there is anything that it belongs to.
+    fn check_enforcement(
+        &self,
+        section: &str,
+        hard: bool,
+        weight: Option<f64>,
+        tolerances: [(Option<f64>, bool); 2],
+    ) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        self.positive_if_given(&key("weight"), weight, "weight", "")?;
+        if hard && weight.is_some() {
+            let help = format!(
+                "set {} = false to make it a term of the objective",
+                key("hard")
+            );
             return Err(self.source.error_at(
-                "task.weight",
-                "a hard task has no weight",
+                &key("weight"),
+                "what is hard has no weight",
                 Some(help),
+            ));
+        }
+        let names = [
+            ("tolerance_m", "position_m", "meters"),
+            ("tolerance_rad", "orientation_wxyz", "radians"),
+        ];
+        for ((name, owner, unit), (tolerance, owned)) in names.into_iter().zip(tolerances) {
+            self.positive_if_given(&key(name), tolerance, "tolerance", unit)?;
+            if tolerance.is_some() && !owned {
+                return Err(self.missing(&key(owner), &format!("goes with {}", key(name))));
+            }
+            if tolerance.is_some() && !hard {
+                return Err(self.contradiction(&key(name), &key("hard")));
+            }
+        }
+        if let Some(angle) = tolerances[1].0
+            && angle >= std::f64::consts::PI
+        {
+            return Err(self.out_of_range(
+                &key("tolerance_rad"),
+                angle,
+                "angle below π",
+                "radians",
             ));
         }
         Ok(())
     }
 
+    fn check_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
+        let key = |name: &str| format!("obstacle.{index}.{name}");
+        let shapes = [
+            ("sphere", obstacle.sphere.is_some()),
+            ("capsule", obstacle.capsule.is_some()),
+            ("half_space", obstacle.half_space.is_some()),
+            ("box", obstacle.cuboid.is_some()),
+        ];
+        self.exactly_one(&format!("obstacle.{index}"), &shapes)?;
+        let radius = |shape: &str, radius: f64| {
+            self.positive(
+                &key(&format!("{shape}.radius_m")),
+                radius,
+                "radius",
+                "meters",
+            )
+        };
+        if let Some(sphere) = &obstacle.sphere {
+            self.finite(&key("sphere.center_m"), &sphere.center_m)?;
+            radius("sphere", sphere.radius_m)?;
+        }
+        if let Some(capsule) = &obstacle.capsule {
+            self.finite(&key("capsule.from_m"), &capsule.from_m)?;
+            self.finite(&key("capsule.to_m"), &capsule.to_m)?;
+            radius("capsule", capsule.radius_m)?;
+        }
+        if let Some(half_space) = &obstacle.half_space {
+            self.finite(&key("half_space.point_m"), &half_space.point_m)?;
+            self.nonzero(&key("half_space.normal"), &half_space.normal)?;
+        }
+        if let Some(cuboid) = &obstacle.cuboid {
+            self.finite(&key("box.center_m"), &cuboid.center_m)?;
+            for (axis, size) in cuboid.size_m.into_iter().enumerate() {
+                self.positive(&key(&format!("box.size_m.{axis}")), size, "edge", "meters")?;
+            }
+            if let Some(orientation) = &cuboid.orientation_wxyz {
+                self.nonzero(&key("box.orientation_wxyz"), orientation)?;
+            }
+        }
+        self.not_negative(&key("margin_m"), obstacle.margin_m, "clearance", "meters")?;
+        self.check_price(&key("soft"), obstacle.soft)?;
+        self.positive_if_given(&key("rate_hz"), obstacle.rate_hz, "rate", "Hz")
+    }
+
+    fn check_limit(&self, limit: &Limit, index: usize, elements: usize) -> Checked {
+        let key = |name: &str| format!("limit.{index}.{name}");
+        let kinds = [
+            ("stretch", limit.stretch.is_some()),
+            ("curvature_max_1_m", limit.curvature_max_1_m.is_some()),
+            ("twist_max_1_m", limit.twist_max_1_m.is_some()),
+            ("speed_max_m_s", limit.speed_max_m_s.is_some()),
+        ];
+        self.exactly_one(&format!("limit.{index}"), &kinds)?;
+        if let Some([least, largest]) = limit.stretch {
+            self.not_negative(&key("stretch.0"), least, "stretch", "")?;
+            self.positive(&key("stretch.1"), largest, "stretch", "")?;
+            if largest <= least {
+                let message = format!("{} is not above {}", number(largest), number(least));
+                return Err(self.source.error_at(&key("stretch.1"), message, None));
+            }
+        }
+        for (name, value, unit) in [
+            ("curvature_max_1_m", limit.curvature_max_1_m, "1/m"),
+            ("twist_max_1_m", limit.twist_max_1_m, "1/m"),
+            ("speed_max_m_s", limit.speed_max_m_s, "m/s"),
+        ] {
+            self.positive_if_given(&key(name), value, "limit", unit)?;
+        }
+        if let Some(node) = limit.node {
+            self.node(&key("node"), node, elements)?;
+            if limit.speed_max_m_s.is_none() {
+                return Err(self.missing(&key("speed_max_m_s"), "goes with node"));
+            }
+        }
+        self.check_price(&key("soft"), limit.soft)?;
+        self.positive_if_given(&key("rate_hz"), limit.rate_hz, "rate", "Hz")
+    }
+
+    fn check_price(&self, key: &str, price: Option<Price>) -> Checked {
+        let Some(price) = price else {
+            return Ok(());
+        };
+        self.not_negative(&format!("{key}.linear"), price.linear, "price", "")?;
+        self.not_negative(&format!("{key}.quadratic"), price.quadratic, "price", "")?;
+        if price.linear == 0.0 && price.quadratic == 0.0 {
+            return Err(self
+                .source
+                .error_at(key, "a violation that costs nothing", None)
+                .expecting("expected linear or quadratic above 0"));
+        }
+        Ok(())
+    }
+
+    fn exactly_one(&self, section: &str, keys: &[(&str, bool)]) -> Checked {
+        let mut given = keys.iter().filter(|(_, given)| *given);
+        match (given.next(), given.next()) {
+            (Some(_), None) => Ok(()),
+            (Some((first, _)), Some((second, _))) => Err(self.contradiction(
+                &format!("{section}.{second}"),
+                &format!("{section}.{first}"),
+            )),
+            _ => {
+                let names: Vec<&str> = keys.iter().map(|(name, _)| *name).collect();
+                Err(self
+                    .source
+                    .error_at(section, "nothing is given", None)
+                    .expecting(format!("expected one of {}", names.join(", "))))
+            }
+        }
+    }
+
+    fn node(&self, key: &str, node: LoadNode, elements: usize) -> Checked {
+        match node {
+            LoadNode::Index(node) if node > elements => Err(self
+                .source
+                .error_at(key, format!("there is no node {node}"), None)
+                .expecting(format!("expected 0 (base) to {elements} (tip)"))),
+            _ => Ok(()),
+        }
+    }
+
     fn check_reach(&self, position: &[f64; 3], scene: &Scene) -> Checked {
+        self.check_reach_of("task.position_m", position, scene)
+    }
+
+    fn check_reach_of(&self, key: &str, position: &[f64; 3], scene: &Scene) -> Checked {
         let stretch = scene
             .rod
             .reference
@@ -496,7 +708,7 @@ impl Keys<'_> {
             );
             return Err(self
                 .source
-                .error_at("task.position_m", message, Some(help))
+                .error_at(key, message, Some(help))
                 .expecting(format!(
                     "expected at most {} m, the largest reach of this arm",
                     rounded(reach)
@@ -505,28 +717,58 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_control(&self, control: &Control) -> Checked {
+    fn check_control(&self, control: &Control, scene: &Scene) -> Checked {
         self.count("control.blocks", control.blocks, LARGEST_COUNT)?;
+        self.check_bounds("control", control.force_max_n, control.moment_max_n_m)?;
         for (key, bound, unit) in [
-            ("control.force_max_n", control.force_max_n, "N"),
-            ("control.moment_max_n_m", control.moment_max_n_m, "N m"),
+            (
+                "control.force_rate_max_n_s",
+                control.force_rate_max_n_s,
+                "N/s",
+            ),
+            (
+                "control.moment_rate_max_n_m_s",
+                control.moment_rate_max_n_m_s,
+                "N m/s",
+            ),
         ] {
             match bound {
                 None => {}
-                Some(Bound::Norm(norm)) => self.not_negative(key, norm, "bound", unit)?,
+                Some(Bound::Norm(norm)) => self.positive(key, norm, "rate", unit)?,
                 Some(Bound::PerAxis(bounds)) => {
                     for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.not_negative(&format!("{key}.{axis}"), bound, "bound", unit)?;
+                        self.positive(&format!("{key}.{axis}"), bound, "rate", unit)?;
                     }
                 }
             }
         }
-        let is_zero = |bound: Option<Bound>| match bound {
-            None => false,
-            Some(Bound::Norm(norm)) => norm == 0.0,
-            Some(Bound::PerAxis(bounds)) => bounds == [0.0; 3],
-        };
-        if is_zero(control.force_max_n) && is_zero(control.moment_max_n_m) {
+        let mut nothing = is_zero(control.force_max_n) && is_zero(control.moment_max_n_m);
+        let elements = scene.rod.elements;
+        for (index, actuator) in control.actuator.iter().enumerate() {
+            let key = format!("control.actuator.{index}");
+            let held = scene.base.kind != BaseKind::Free && actuator.node == 0;
+            let earlier = &control.actuator[..index];
+            let message = if actuator.node > elements {
+                format!("there is no node {}", actuator.node)
+            } else if actuator.node == elements {
+                "the tip has the control's own force and moment".to_string()
+            } else if held {
+                "a held or driven base does not answer to forces".to_string()
+            } else if earlier.iter().any(|other| other.node == actuator.node) {
+                format!("node {} is given twice", actuator.node)
+            } else {
+                self.check_bounds(&key, actuator.force_max_n, actuator.moment_max_n_m)?;
+                nothing &= is_zero(actuator.force_max_n) && is_zero(actuator.moment_max_n_m);
+                continue;
+            };
+            return Err(self
+                .source
+                .error_at(&format!("{key}.node"), message, None)
+                .expecting(format!(
+                    "expected another node, below the tip's index {elements}"
+                )));
+        }
+        if nothing {
             let message =
                 "both this and control.force_max_n are 0, so that there is nothing to control";
             return Err(self
@@ -536,9 +778,39 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_objective(&self, objective: &Objective) -> Checked {
+    fn check_bounds(&self, section: &str, force: Option<Bound>, moment: Option<Bound>) -> Checked {
+        for (name, bound, unit) in [
+            ("force_max_n", force, "N"),
+            ("moment_max_n_m", moment, "N m"),
+        ] {
+            let key = format!("{section}.{name}");
+            match bound {
+                None => {}
+                Some(Bound::Norm(norm)) => self.not_negative(&key, norm, "bound", unit)?,
+                Some(Bound::PerAxis(bounds)) => {
+                    for (axis, bound) in bounds.into_iter().enumerate() {
+                        self.not_negative(&format!("{key}.{axis}"), bound, "bound", unit)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_objective(&self, objective: &Objective, scene: &Scene) -> Checked {
         self.not_negative("objective.effort", objective.effort, "weight", "")?;
         self.not_negative("objective.rate", objective.rate, "weight", "")?;
+        self.not_negative("objective.energy", objective.energy, "weight", "")?;
+        if objective.energy > 0.0 && scene.rod.model != RodModel::Standard {
+            return Err(self.contradiction("objective.energy", "rod.model"));
+        }
+        self.count("objective.samples", objective.samples, LARGEST_COUNT)?;
+        for (index, track) in objective.track.iter().enumerate() {
+            let key = |name: &str| format!("objective.track.{index}.{name}");
+            self.node(&key("node"), track.node, scene.rod.elements)?;
+            self.table(&key("path_m"), &track.path_m, "no path")?;
+            self.positive(&key("weight"), track.weight, "weight", "")?;
+        }
         if objective.effort == 0.0 && objective.rate == 0.0 {
             let message =
                 "both this and objective.rate are 0, so that there is nothing to make small";
@@ -565,6 +837,15 @@ impl Keys<'_> {
             solver.max_iterations,
             LARGEST_COUNT,
         )?;
+        match solver.continuation {
+            None => {}
+            Some(Continuation::Target(stages)) => {
+                self.count("solver.continuation.target", stages, MOST_STAGES)?;
+            }
+            Some(Continuation::Load(stages)) => {
+                self.count("solver.continuation.load", stages, MOST_STAGES)?;
+            }
+        }
         self.positive_if_given(
             "solver.deadline_s",
             solver.deadline_s,
@@ -659,6 +940,14 @@ impl Keys<'_> {
             format!("contradicts {other}"),
             Some("give one or the other".to_string()),
         )
+    }
+}
+
+fn is_zero(bound: Option<Bound>) -> bool {
+    match bound {
+        None => false,
+        Some(Bound::Norm(norm)) => norm == 0.0,
+        Some(Bound::PerAxis(bounds)) => bounds == [0.0; 3],
     }
 }
 

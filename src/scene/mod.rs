@@ -20,9 +20,10 @@ pub mod translate;
 
 pub use error::SceneError;
 pub use model::{
-    Base, BaseKind, Bound, Control, Damping, Gravity, Guess, Hessian, Hold, Inertia, Initial,
-    InitialShape, Load, LoadFrame, LoadNode, Material, Objective, Output, Reference, Rod, RodModel,
-    Scene, Section, Solver, Stiffness, StrainRule, Task, Time, TimeStep,
+    Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Gravity,
+    Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load, LoadFrame,
+    LoadNode, Material, Objective, Obstacle, Output, Price, Reference, Rod, RodModel, Scene,
+    Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeStep, Track, Via,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
@@ -31,7 +32,7 @@ use overrides::Override;
 use std::path::Path;
 
 /// Features that scene files may come to describe, and this version does not have.
-const UNAVAILABLE_SECTIONS: [&str; 2] = ["obstacle", "mpc"];
+const UNAVAILABLE_SECTIONS: [&str; 1] = ["mpc"];
 
 impl Scene {
     /// Reads the scene file at `name_or_path`, or the built-in scene of that name where there is no such file.

@@ -35,9 +35,15 @@ pub struct Scene {
     /// Where the tip should be, and when. Absent: there is nothing to reach.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<Task>,
-    /// The tip force and moment that the optimizer may choose. Absent: none.
+    /// The forces and moments that the optimizer may choose. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub control: Option<Control>,
+    /// Bodies that the arm stays clear of.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub obstacle: Vec<Obstacle>,
+    /// Limits on strain and speed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limit: Vec<Limit>,
     /// What the optimizer makes small. Absent: the defaults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
@@ -67,7 +73,7 @@ pub struct Rod {
     /// How axial stretch enters stiffness and inertia.
     #[serde(default)]
     pub model: RodModel,
-    /// Radius in m that pictures show when the rod has no `section`; has no effect on the motion.
+    /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub display_radius_m: Option<f64>,
@@ -360,10 +366,11 @@ pub struct Load {
 }
 
 /// A node of the rod.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
 pub enum LoadNode {
     /// The last node.
+    #[default]
     Tip,
     /// The first node.
     Base,
@@ -389,6 +396,17 @@ enum LoadNodeKey {
 enum RodEnd {
     Tip,
     Base,
+}
+
+impl LoadNode {
+    /// Index of the node in a rod of `elements`.
+    pub fn index(self, elements: usize) -> usize {
+        match self {
+            Self::Tip => elements,
+            Self::Base => 0,
+            Self::Index(index) => index,
+        }
+    }
 }
 
 impl From<LoadNodeKey> for LoadNode {
@@ -518,9 +536,182 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: Option<f64>,
+    /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_m: Option<f64>,
+    /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_rad: Option<f64>,
+    /// Points to pass through on the way.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub via: Vec<Via>,
 }
 
-/// The tip force and moment that the optimizer may choose, on blocks of equal duration.
+/// A point to pass through: a position, an orientation, or both.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Via {
+    /// When, in s; above 0 and before the task's own time. The nearest time node counts.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub at_s: f64,
+    /// Which node passes. Default: "tip".
+    #[serde(default)]
+    pub node: LoadNode,
+    /// Position in m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<[f64; 3]>,
+    /// Orientation as a quaternion, scalar first, of any length but zero.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// Whether it is a constraint (true, the default) or a term of the objective.
+    #[serde(default = "yes")]
+    pub hard: bool,
+    /// Weight of that term, positive, default 1; only with `hard = false`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: Option<f64>,
+    /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_m: Option<f64>,
+    /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_rad: Option<f64>,
+}
+
+/// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Obstacle {
+    /// Name in reports. Default: "obstacle" and its number, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// All points within a distance of a center.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sphere: Option<Sphere>,
+    /// All points within a distance of a segment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub capsule: Option<Capsule>,
+    /// All points behind a plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub half_space: Option<HalfSpace>,
+    /// A box.
+    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    pub cuboid: Option<Cuboid>,
+    /// Clearance in m between the arm's surface and the body, not negative, default 0.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub margin_m: f64,
+    /// The price of coming closer. Absent: never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub soft: Option<Price>,
+    /// Times per second at which the clearance is kept, positive. Absent: at every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub rate_hz: Option<f64>,
+}
+
+/// A sphere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sphere {
+    /// Center in m.
+    pub center_m: [f64; 3],
+    /// Radius in m, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub radius_m: f64,
+}
+
+/// A cylinder with round ends.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Capsule {
+    /// One end of the axis in m.
+    pub from_m: [f64; 3],
+    /// The other end of the axis in m.
+    pub to_m: [f64; 3],
+    /// Radius in m, positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub radius_m: f64,
+}
+
+/// All points behind a plane.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HalfSpace {
+    /// A point of the plane in m.
+    pub point_m: [f64; 3],
+    /// Direction out of the obstacle, of any length but zero.
+    pub normal: [f64; 3],
+}
+
+/// A box.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cuboid {
+    /// Center in m.
+    pub center_m: [f64; 3],
+    /// Whole edges in m, positive.
+    pub size_m: [f64; 3],
+    /// Orientation as a quaternion, scalar first, of any length but zero. Default: along the axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+}
+
+/// The price of a violation, in the units of the objective: per second and per violation over the rod's length (strains and
+/// angles as they are, speeds over the rod's length per its time scale), `linear` times it and half of `quadratic` times its square. A linear price above
+/// the constraint's multiplier keeps it exactly.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Price {
+    /// Not negative, default 0.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub linear: f64,
+    /// Not negative, default 0; one of the two is positive.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub quadratic: f64,
+}
+
+/// A limit on the strain of every element, or on the speed of a node: exactly one of the four.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Limit {
+    /// Name in reports. Default: the key of what is limited.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Least and largest length of an element over its length at rest. The model of the section holds for about [0.7, 1.3].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<[f64; 2]>,
+    /// Largest bending curvature in 1/m, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub curvature_max_1_m: Option<f64>,
+    /// Largest twist in 1/m, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub twist_max_1_m: Option<f64>,
+    /// Largest speed of a node in m/s, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub speed_max_m_s: Option<f64>,
+    /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub node: Option<LoadNode>,
+    /// The price of a violation. Absent: never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub soft: Option<Price>,
+    /// Times per second at which the limit is kept, positive. Absent: at every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub rate_hz: Option<f64>,
+}
+
+/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
@@ -536,6 +727,29 @@ pub struct Control {
     /// Largest tip moment in N m; 0 means no moment. Absent: unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
+    /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_rate_max_n_s: Option<Bound>,
+    /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_rate_max_n_m_s: Option<Bound>,
+    /// Forces and moments on other nodes than the tip.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub actuator: Vec<Actuator>,
+}
+
+/// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Actuator {
+    /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
+    pub node: usize,
+    /// Largest force in N; 0 means no force. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<Bound>,
+    /// Largest moment in N m; 0 means no moment. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_max_n_m: Option<Bound>,
 }
 
 /// The course of the controls within a block.
@@ -547,6 +761,8 @@ pub enum Hold {
     Constant,
     /// Linear between the ends of blocks.
     Linear,
+    /// A cubic spline, smooth where blocks meet; bounds hold for its control points, and so for the spline.
+    Cubic,
 }
 
 /// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative.
@@ -572,6 +788,15 @@ pub struct Objective {
     /// Weight of the squared changes of the controls from block to block; not negative, default 0.
     #[schemars(range(min = 0.0))]
     pub rate: f64,
+    /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
+    #[schemars(range(min = 0.0))]
+    pub energy: f64,
+    /// Nodes that should follow a path.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub track: Vec<Track>,
+    /// Samples of energy and paths over the horizon, at least 1, default 100.
+    #[schemars(range(min = 1))]
+    pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: chosen from the rod.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -580,6 +805,21 @@ pub struct Objective {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub moment_scale_n_m: Option<f64>,
+}
+
+/// A node that should follow a path: half the squared distance over the rod's length squared, integrated over time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Track {
+    /// Which node. Default: "tip".
+    #[serde(default)]
+    pub node: LoadNode,
+    /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
+    pub path_m: Vec<[f64; 4]>,
+    /// Weight, positive, default 1.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: f64,
 }
 
 /// How the optimizer works.
@@ -596,6 +836,9 @@ pub struct Solver {
     pub hessian: Hessian,
     /// Where the iteration starts.
     pub guess: Guess,
+    /// Solve easier problems first, and start each from the one before. Absent: no.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub continuation: Option<Continuation>,
     /// Wall-clock time in s after which the best iterate is returned, positive. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -613,17 +856,33 @@ pub enum Hessian {
     GaussNewton,
     /// Of the Lagrangian.
     Exact,
+    /// Of the Lagrangian, gathered from its gradients, kept positive definite.
+    Bfgs,
+    /// Of the Lagrangian, gathered from its gradients by symmetric rank one.
+    Sr1,
 }
 
 /// Where the iteration starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
-    /// From a static shape that meets the task.
+    /// From static shapes on the way to the task.
     #[default]
     Static,
+    /// From the motion under the forces that would hold these shapes.
+    Slow,
     /// From the arm at rest and no controls.
     Rest,
+}
+
+/// What is made easier at first, and the number of problems, the last one included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Continuation {
+    /// The task moves from where the arm starts to where it is.
+    Target(#[schemars(range(min = 1))] usize),
+    /// Gravity and loads grow from nothing.
+    Load(#[schemars(range(min = 1))] usize),
 }
 
 /// State at t = 0: a shape, and a velocity as of a rigid body.
@@ -682,6 +941,9 @@ impl Default for Objective {
         Objective {
             effort: 1.0,
             rate: 0.0,
+            energy: 0.0,
+            track: Vec::new(),
+            samples: 100,
             force_scale_n: None,
             moment_scale_n_m: None,
         }
@@ -695,6 +957,7 @@ impl Default for Solver {
             max_iterations: 100,
             hessian: Hessian::default(),
             guess: Guess::default(),
+            continuation: None,
             deadline_s: None,
         }
     }
@@ -745,11 +1008,6 @@ impl Base {
 }
 
 impl Task {
-    /// The task's weight where it is a term of the objective.
-    pub fn soft_weight(&self) -> Option<f64> {
-        (!self.hard).then(|| self.weight.unwrap_or(1.0))
-    }
-
     /// When the tip should be there, in s, given the duration of the scene.
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.unwrap_or(end_s)

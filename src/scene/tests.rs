@@ -201,7 +201,7 @@ fn defaults_are_as_documented() {
         })
     );
     let task = scene.task.unwrap_or_else(|| panic!("reach has a task"));
-    assert_eq!((task.instant(1.5), task.soft_weight()), (1.5, None));
+    assert_eq!((task.instant(1.5), task.weight), (1.5, None));
 }
 
 /// The third column of the base's rotation is its direction, also close to and at the half turn; the roll turns the
@@ -303,8 +303,8 @@ fn schema_is_strict_and_described() {
     }
     let mut sections = 0;
     visit(&Scene::schema(), "scene", &mut sections);
-    // The scene itself and its twenty-one sections and sub-sections.
-    assert_eq!(sections, 22);
+    // The scene itself and its thirty-one sections and sub-sections.
+    assert_eq!(sections, 32);
 }
 
 /// A position in the source is found for keys in tables, inline tables, arrays and arrays of tables.

@@ -6,10 +6,12 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::check::MOST_STEPS;
 use super::error::SceneError;
-use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
+use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use crate::control::{
-    Bound, Channel, ControlGrid, Enforcement, Guess, Hold, OptimalControlProblem, TipTarget,
+    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, Goal, Guess, Hold,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
+    Tracking,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::from_quaternion;
@@ -58,14 +60,16 @@ pub struct OptimalControl {
     pub problem: OptimalControlProblem,
     /// Settings of the solver.
     pub settings: SqpSettings,
-    /// How the first point is made.
-    pub guess: Guess,
+    /// Where the solve starts.
+    pub search: Search,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
 }
 
 /// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
 const MOST_VARIABLES: usize = 2000;
+/// Penetration of an obstacle at the start that counts as touching, in rod lengths.
+const START_TOLERANCE: f64 = 1e-9;
 /// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
@@ -130,6 +134,7 @@ impl Scene {
         let hold = match control.hold {
             model::Hold::Constant => Hold::Constant,
             model::Hold::Linear => Hold::Linear,
+            model::Hold::Cubic => Hold::Cubic,
         };
         let blocks =
             ControlGrid::new(hold, control.blocks, grid.n_steps, grid.step).ok_or_else(|| {
@@ -142,14 +147,33 @@ impl Scene {
                     Some("use fewer blocks or a shorter time.step_s".into()),
                 )
             })?;
-        let force = Channel {
-            scale: objective.force_scale_n.unwrap_or(rod.scales.force),
-            bound: control.force_max_n.as_ref().map(bound),
+        let force_scale = objective.force_scale_n.unwrap_or(rod.scales.force);
+        let moment_scale = objective.moment_scale_n_m.unwrap_or(rod.scales.moment);
+        let actuator = |node: usize, force: Option<model::Bound>, moment: Option<model::Bound>| {
+            let channel =
+                |scale: f64, limit: Option<model::Bound>, rate: Option<model::Bound>| Channel {
+                    scale,
+                    bound: limit.as_ref().map(bound),
+                    rate_bound: rate.as_ref().map(bound),
+                };
+            Actuator {
+                node,
+                force: channel(force_scale, force, control.force_rate_max_n_s),
+                moment: channel(moment_scale, moment, control.moment_rate_max_n_m_s),
+            }
         };
-        let moment = Channel {
-            scale: objective.moment_scale_n_m.unwrap_or(rod.scales.moment),
-            bound: control.moment_max_n_m.as_ref().map(bound),
-        };
+        let mut actuators = vec![actuator(
+            rod.tip(),
+            control.force_max_n,
+            control.moment_max_n_m,
+        )];
+        actuators.extend((control.actuator.iter()).map(|definition| {
+            actuator(
+                definition.node,
+                definition.force_max_n,
+                definition.moment_max_n_m,
+            )
+        }));
         let resolved = {
             let mut resolved = self.clone();
             resolve_time(&mut resolved, &grid);
@@ -157,31 +181,39 @@ impl Scene {
                 task.at_s = Some(horizon);
             }
             resolved.objective = Some(Objective {
-                force_scale_n: Some(force.scale),
-                moment_scale_n_m: Some(moment.scale),
+                force_scale_n: Some(force_scale),
+                moment_scale_n_m: Some(moment_scale),
                 ..objective.clone()
             });
             resolved.solver = Some(solver.clone());
             resolved
         };
         let problem = OptimalControlProblem {
+            radii: self.display_radii(),
+            goals: self.goals(task, &rod, &grid),
+            path: self.path_constraints(&rod, &grid),
+            objective: crate::control::Objective {
+                effort: objective.effort,
+                rate: objective.rate,
+                energy: objective.energy,
+                tracking: (objective.track.iter())
+                    .map(|track| Tracking {
+                        node: track.node.index(rod.tip()),
+                        path: (track.path_m.iter())
+                            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
+                            .collect(),
+                        weight: track.weight,
+                    })
+                    .collect(),
+                samples: objective.samples,
+            },
             grid,
             initial,
             control: blocks,
-            force,
-            moment,
-            target: TipTarget {
-                position: task.position_m.map(Vector3::from),
-                rotation: task.orientation_wxyz.map(from_quaternion),
-                at_rest: task.at_rest,
-                enforcement: task
-                    .soft_weight()
-                    .map_or(Enforcement::Hard, |weight| Enforcement::Soft { weight }),
-            },
-            effort: objective.effort,
-            rate: objective.rate,
+            actuators,
             rod,
         };
+        self.check_start(source, &problem)?;
         if problem.n_variables() > MOST_VARIABLES {
             return Err(source.error_at(
                 "control.blocks",
@@ -203,15 +235,161 @@ impl Scene {
                     model::Hessian::Auto => HessianChoice::Auto,
                     model::Hessian::GaussNewton => HessianChoice::GaussNewton,
                     model::Hessian::Exact => HessianChoice::Exact,
+                    model::Hessian::Bfgs => HessianChoice::Bfgs,
+                    model::Hessian::Sr1 => HessianChoice::Sr1,
                 },
                 deadline: solver.deadline_s.map(duration),
             },
-            guess: match solver.guess {
-                model::Guess::Static => Guess::StaticPath,
-                model::Guess::Rest => Guess::Rest,
+            search: Search {
+                continuation: solver.continuation.as_ref().map(|stages| match *stages {
+                    model::Continuation::Target(stages) => Continuation::Target { stages },
+                    model::Continuation::Load(stages) => Continuation::Load { stages },
+                }),
+                ..Search::from_guess(
+                    match solver.guess {
+                        model::Guess::Static => Guess::StaticPath,
+                        model::Guess::Slow => Guess::Slow,
+                        model::Guess::Rest => Guess::Rest,
+                    },
+                    1,
+                )
             },
             resolved,
         })
+    }
+
+    /// The task and the points on the way to it.
+    fn goals(&self, task: &model::Task, rod: &Rod, grid: &TimeGrid) -> Vec<Goal> {
+        let last = grid.n_steps;
+        let via = task.via.iter().enumerate().flat_map(|(index, via)| {
+            let time_node = ((via.at_s / grid.step).round() as usize).clamp(1, last);
+            let goal = Goal {
+                name: format!("task.via.{index}"),
+                node: via.node.index(rod.tip()),
+                time_node,
+                position: via.position_m.map(Vector3::from),
+                rotation: via.orientation_wxyz.map(from_quaternion),
+                at_rest: false,
+                enforcement: enforcement(via.hard, via.weight),
+            };
+            with_tolerances(goal, via.tolerance_m, via.tolerance_rad)
+        });
+        let goal = Goal {
+            name: "task".into(),
+            node: rod.tip(),
+            time_node: last,
+            position: task.position_m.map(Vector3::from),
+            rotation: task.orientation_wxyz.map(from_quaternion),
+            at_rest: task.at_rest,
+            enforcement: enforcement(task.hard, task.weight),
+        };
+        let mut goals: Vec<Goal> = via.collect();
+        goals.extend(with_tolerances(goal, task.tolerance_m, task.tolerance_rad));
+        goals
+    }
+
+    fn path_constraints(&self, rod: &Rod, grid: &TimeGrid) -> Vec<PathConstraint> {
+        let time_nodes = |rate: Option<f64>| -> Vec<usize> {
+            let stride = rate.map_or(1, |rate| {
+                ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps)
+            });
+            let mut nodes: Vec<usize> = (0..=grid.n_steps).step_by(stride).collect();
+            if nodes[nodes.len() - 1] != grid.n_steps {
+                nodes.push(grid.n_steps);
+            }
+            nodes
+        };
+        let price = |soft: Option<model::Price>| {
+            soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
+                linear: price.linear,
+                quadratic: price.quadratic,
+            })
+        };
+        let radii = self.display_radii();
+        let thinnest = radii.iter().copied().fold(f64::INFINITY, f64::min);
+        let thinnest = if thinnest.is_finite() { thinnest } else { 0.0 };
+        let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+        let obstacles = self
+            .obstacle
+            .iter()
+            .enumerate()
+            .filter_map(|(index, obstacle)| {
+                let shape = shape(obstacle)?;
+                Some(PathConstraint {
+                    name: (obstacle.name.clone()).unwrap_or_else(|| format!("obstacle {index}")),
+                    limit: PathLimit::Clearance {
+                        shape,
+                        margin: obstacle.margin_m,
+                        points: PathLimit::points_per_element(
+                            chord,
+                            shape.least_radius() + thinnest + obstacle.margin_m,
+                        ),
+                    },
+                    time_nodes: time_nodes(obstacle.rate_hz),
+                    enforcement: price(obstacle.soft),
+                })
+            });
+        let limits = self.limit.iter().filter_map(|limit| {
+            let (key, definition) = if let Some([least, largest]) = limit.stretch {
+                ("stretch", PathLimit::Stretch { least, largest })
+            } else if let Some(largest) = limit.curvature_max_1_m {
+                ("curvature", PathLimit::Curvature { largest })
+            } else if let Some(largest) = limit.twist_max_1_m {
+                ("twist", PathLimit::Twist { largest })
+            } else {
+                let node = limit.node.unwrap_or_default().index(rod.tip());
+                let largest = limit.speed_max_m_s?;
+                ("speed", PathLimit::Speed { node, largest })
+            };
+            Some(PathConstraint {
+                name: limit.name.clone().unwrap_or_else(|| key.to_string()),
+                limit: definition,
+                time_nodes: time_nodes(limit.rate_hz),
+                enforcement: price(limit.soft),
+            })
+        });
+        obstacles.chain(limits).collect()
+    }
+
+    /// Whether the arm, where it is at the start, is clear of all obstacles: nothing could be done about it.
+    fn check_start(
+        &self,
+        source: &SceneSource,
+        problem: &OptimalControlProblem,
+    ) -> Result<(), SceneError> {
+        let mut start = crate::mechanics::Trajectory::with_capacity(problem.rod.n_nodes(), 1);
+        start.push(&problem.initial.configuration);
+        let posture = Posture {
+            rod: &problem.rod,
+            radii: &problem.radii,
+            trajectory: &start,
+            step: problem.grid.step,
+        };
+        for (index, constraint) in problem.path.iter().enumerate().take(self.obstacle.len()) {
+            if constraint.enforcement != PathEnforcement::Hard {
+                continue;
+            }
+            let limit = &constraint.limit;
+            let deepest = (0..limit.n_items(&problem.rod))
+                .map(|item| (limit.value(&posture, 0, item), item))
+                .fold(
+                    (0.0, 0),
+                    |worst, row| if row.0 > worst.0 { row } else { worst },
+                );
+            if deepest.0 > START_TOLERANCE {
+                return Err(source.error_at(
+                    &format!("obstacle.{index}"),
+                    format!(
+                        "at t = 0 the arm is {:.3e} m inside \"{}\" at node {}",
+                        deepest.0 * limit.scale(&problem.rod),
+                        constraint.name,
+                        limit.node(deepest.1)
+                    ),
+                    Some("move the obstacle, give it a smaller margin_m, or a soft price".into()),
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Radius of every node for pictures, m; empty when the scene does not say.
@@ -331,11 +509,7 @@ impl Scene {
 
     fn load_of(&self, load: &model::Load) -> Load {
         Load {
-            node: match load.node {
-                LoadNode::Tip => self.rod.elements,
-                LoadNode::Base => 0,
-                LoadNode::Index(index) => index,
-            },
+            node: load.node.index(self.rod.elements),
             force: load.force_n.into(),
             moment: load.moment_n_m.into(),
             frame: load_frame(load.frame),
@@ -414,6 +588,70 @@ impl Scene {
             }
         })
     }
+}
+
+fn enforcement(hard: bool, weight: Option<f64>) -> Enforcement {
+    if hard {
+        Enforcement::Hard
+    } else {
+        Enforcement::Soft {
+            weight: weight.unwrap_or(1.0),
+        }
+    }
+}
+
+/// A goal whose position or orientation may be met within a tolerance: those that may become goals of their own.
+fn with_tolerances(goal: Goal, distance: Option<f64>, angle: Option<f64>) -> Vec<Goal> {
+    let mut exact = goal.clone();
+    let mut near = Goal {
+        position: None,
+        rotation: None,
+        at_rest: false,
+        enforcement: Enforcement::Within {
+            distance: distance.unwrap_or(0.0),
+            angle: angle.unwrap_or(0.0),
+        },
+        ..goal
+    };
+    if distance.is_some() {
+        near.position = exact.position.take();
+    }
+    if angle.is_some() {
+        near.rotation = exact.rotation.take();
+    }
+    [near, exact]
+        .into_iter()
+        .filter(|goal| goal.position.is_some() || goal.rotation.is_some() || goal.at_rest)
+        .collect()
+}
+
+fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
+    if let Some(sphere) = &obstacle.sphere {
+        return Some(Shape::Sphere {
+            center: sphere.center_m.into(),
+            radius: sphere.radius_m,
+        });
+    }
+    if let Some(capsule) = &obstacle.capsule {
+        return Some(Shape::Capsule {
+            from: capsule.from_m.into(),
+            to: capsule.to_m.into(),
+            radius: capsule.radius_m,
+        });
+    }
+    if let Some(half_space) = &obstacle.half_space {
+        return Some(Shape::HalfSpace {
+            point: half_space.point_m.into(),
+            normal: Vector3::from(half_space.normal).normalize(),
+        });
+    }
+    obstacle.cuboid.as_ref().map(|cuboid| Shape::Cuboid {
+        center: cuboid.center_m.into(),
+        rotation: cuboid
+            .orientation_wxyz
+            .map_or_else(Matrix3::identity, from_quaternion),
+        half_size: Vector3::from(cuboid.size_m) * 0.5,
+    })
 }
 
 fn load_frame(frame: model::LoadFrame) -> LoadFrame {

@@ -3,9 +3,9 @@
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
 
-use super::program::{Evaluation, LiftedProgram, Linearization};
-use super::quadratic_program::QuadraticProgram;
-use super::residual::norm;
+use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
+use super::quadratic_program::{LinearInequalities, QuadraticProgram};
+use super::residual::{Multipliers, norm};
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
 const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
@@ -22,9 +22,54 @@ const LIFTED_MARGIN: f64 = 8.0;
 /// Longer steps of the (scaled) variables are not worth the attempt.
 const LIFTED_LENGTH: f64 = 0.3;
 const LIFTED_INFEASIBILITY: f64 = 0.1;
+/// Infeasibility at which only optimality is left to be gained.
+pub(super) const FEASIBLE: f64 = 1e-8;
+/// Of the objective, relatively.
+const ROUNDING: f64 = 10.0 * f64::EPSILON;
 const CORRECTIONS: usize = 3;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
+
+/// What the filter compares.
+#[derive(Clone, Copy, Debug)]
+pub struct Measure {
+    infeasibility: f64,
+    objective: f64,
+    /// With the multipliers of the step that is judged.
+    lagrangian: f64,
+}
+
+impl Measure {
+    /// Of a point's values: [`LiftedProgram::infeasibility`], [`LiftedProgram::total_objective`], and that with `yᵀc + zᵀh`
+    /// over the hard rows.
+    #[must_use]
+    pub fn of<P: LiftedProgram>(
+        program: &P,
+        evaluation: &Evaluation<P::Defects>,
+        multipliers: &Multipliers,
+    ) -> Self {
+        let objective = program.total_objective(evaluation);
+        Self {
+            infeasibility: program.infeasibility(evaluation),
+            objective,
+            lagrangian: objective
+                + multipliers.work(
+                    program,
+                    &evaluation.constraints,
+                    evaluation.inequalities.iter().copied().enumerate(),
+                ),
+        }
+    }
+}
+
+/// What a step does to first order.
+#[derive(Clone, Copy, Debug)]
+struct Slope {
+    objective: f64,
+    lagrangian: f64,
+    /// What rows that are met to the accuracy of a subproblem change the objective by.
+    noise: f64,
+}
 
 /// Pairs (infeasibility, objective) that no later point may be worse than in both.
 #[derive(Clone, Debug)]
@@ -73,36 +118,51 @@ impl Filter {
         !self.entries.is_empty()
     }
 
-    fn passage<R>(&self, from: &Evaluation<R>, to: &Evaluation<R>, slope: f64) -> Option<Passage> {
-        let (theta, phi) = (from.infeasibility(), from.objective);
-        let (theta_to, phi_to) = (to.infeasibility(), to.objective);
-        if !(theta_to <= self.largest && phi_to.is_finite()) {
+    /// Whether a point is better than every remembered one in one of the two; an objective that is higher by no more than
+    /// `noise` is no worse.
+    #[must_use]
+    pub fn allows(&self, to: Measure, noise: f64) -> bool {
+        to.infeasibility <= self.largest
+            && to.objective.is_finite()
+            && !(self.entries.iter())
+                .any(|&(t, p)| to.infeasibility >= t && to.objective >= p + noise)
+    }
+
+    /// Where the objective is what matters, it is judged by the Lagrangian: rows that bend turn a good step's objective
+    /// either way by as much as they are then violated (Maratos), and steps that only trade one for the other are no
+    /// progress.
+    fn passage(&self, from: Measure, to: Measure, slope: Slope) -> Option<Passage> {
+        let rounding = ROUNDING * from.objective.abs();
+        // A step that promises less than the noise is judged by nothing else; one that promises more must deliver it.
+        let noise = if slope.lagrangian.abs() <= slope.noise {
+            rounding + slope.noise
+        } else {
+            rounding
+        };
+        if !self.allows(to, noise) {
             return None;
         }
-        // Differences at rounding of the objective are no increase.
-        let noise = 10.0 * f64::EPSILON * phi.abs();
-        if self
-            .entries
-            .iter()
-            .any(|&(t, p)| theta_to >= t && phi_to >= p + noise)
-        {
-            return None;
+        let switching = slope.objective < 0.0
+            && (-slope.objective).powf(SWITCH_OBJECTIVE_POWER)
+                > SWITCH_FACTOR * from.infeasibility.powf(SWITCH_INFEASIBILITY_POWER);
+        let is_feasible = from.infeasibility <= FEASIBLE && slope.lagrangian < 0.0;
+        if is_feasible || (from.infeasibility <= self.small && switching) {
+            let change = if slope.lagrangian < 0.0 {
+                to.lagrangian - from.lagrangian - SUFFICIENT_DECREASE * slope.lagrangian
+            } else {
+                to.objective - from.objective - SUFFICIENT_DECREASE * slope.objective
+            };
+            return (change <= noise && to.infeasibility <= self.small.max(from.infeasibility))
+                .then_some(Passage::Objective);
         }
-        let switching = slope < 0.0
-            && (-slope).powf(SWITCH_OBJECTIVE_POWER)
-                > SWITCH_FACTOR * theta.powf(SWITCH_INFEASIBILITY_POWER);
-        if theta <= self.small && switching {
-            return (phi_to <= phi + SUFFICIENT_DECREASE * slope + noise
-                && theta_to <= self.small.max(theta))
-            .then_some(Passage::Objective);
-        }
-        (theta_to <= (1.0 - MARGIN_INFEASIBILITY) * theta
-            || phi_to <= phi - MARGIN_OBJECTIVE * theta + noise)
+        (to.infeasibility <= (1.0 - MARGIN_INFEASIBILITY) * from.infeasibility
+            || to.objective <= from.objective - MARGIN_OBJECTIVE * from.infeasibility + noise)
             .then_some(Passage::Filter)
     }
 
-    fn leave<R>(&mut self, from: &Evaluation<R>) {
-        let (theta, phi) = (from.infeasibility(), from.objective);
+    /// Remembers a point that is left behind.
+    pub fn leave(&mut self, from: Measure) {
+        let (theta, phi) = (from.infeasibility, from.objective);
         let entry = (
             (1.0 - MARGIN_INFEASIBILITY) * theta,
             phi - MARGIN_OBJECTIVE * theta,
@@ -114,7 +174,6 @@ impl Filter {
     /// Tries the step `change` of a subproblem: the lifted point first, then the point whose states obey their
     /// equations under the same variables, then second-order corrections of that.
     ///
-    ///
     /// # Errors
     /// When all are refused: the restored point, uncorrected, if it could be computed. Unless that serves some other
     /// measure, the trust region must shrink.
@@ -125,15 +184,17 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Accepted<P>>> {
-        let slope = from.slope(change);
+        let slope = from.first_order(program, change);
         if norm(change) <= LIFTED_LENGTH
             && let Some(accepted) = self.try_lifted(program, from, change, slope)
         {
             return Ok(accepted);
         }
         let trial = Self::restored(program, from, change, 0).ok_or(None)?;
-        if let Some(passage) = self.passage(from.evaluation, &trial.evaluation, slope) {
-            self.pass(passage, from.evaluation);
+        let here = from.measure(program, from.evaluation);
+        let there = from.measure(program, &trial.evaluation);
+        if let Some(passage) = self.passage(here, there, slope) {
+            self.pass(passage, here);
             return Ok(trial);
         }
         self.correct(program, from, subproblem, change, &trial.evaluation, slope)
@@ -141,7 +202,7 @@ impl Filter {
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
-    fn restored<P: LiftedProgram>(
+    pub(super) fn restored<P: LiftedProgram>(
         program: &P,
         from: &Departure<P>,
         change: &[f64],
@@ -162,7 +223,7 @@ impl Filter {
         program: &P,
         from: &Departure<P>,
         change: &[f64],
-        slope: f64,
+        slope: Slope,
     ) -> Option<Accepted<P>> {
         let direction = program
             .expand(from.point, &from.evaluation.defects, change)
@@ -172,11 +233,13 @@ impl Filter {
         }
         let trial = program.retract(from.point, &direction, 1.0);
         let values = program.evaluate(&trial).ok()?;
-        if values.infeasibility() > LIFTED_INFEASIBILITY.max(from.evaluation.infeasibility()) {
+        let here = from.measure(program, from.evaluation);
+        let there = from.measure(program, &values);
+        if there.infeasibility > LIFTED_INFEASIBILITY.max(here.infeasibility) {
             return None;
         }
-        let passage = self.passage(from.evaluation, &values, slope)?;
-        self.pass(passage, from.evaluation);
+        let passage = self.passage(here, there, slope)?;
+        self.pass(passage, here);
         Some(Accepted {
             point: trial,
             evaluation: values,
@@ -185,7 +248,7 @@ impl Filter {
         })
     }
 
-    fn pass<R>(&mut self, passage: Passage, from: &Evaluation<R>) {
+    fn pass(&mut self, passage: Passage, from: Measure) {
         if passage == Passage::Filter {
             self.leave(from);
         }
@@ -199,42 +262,48 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
         refused: &Evaluation<P::Defects>,
-        slope: f64,
+        slope: Slope,
     ) -> Option<Accepted<P>> {
-        let jacobian = &from.linearization.jacobian;
-        let along = |change: &[f64], row: usize| -> f64 {
-            change
-                .iter()
-                .enumerate()
-                .map(|(j, d)| jacobian[(row, j)] * d)
-                .sum()
-        };
+        let linearization = from.linearization;
         let mut change = change.to_vec();
         let mut constraints = refused.constraints.clone();
-        let mut infeasibility = refused.infeasibility();
+        let mut inequalities = refused.inequalities.clone();
+        let here = from.measure(program, from.evaluation);
+        let mut infeasibility = program.infeasibility(refused);
         for count in 1..=CORRECTIONS {
-            // The states of the trial obey their equations, so only the constraints' own curvature is left.
-            let offset: Vec<f64> = constraints
-                .iter()
-                .enumerate()
-                .map(|(i, c)| c - along(&change, i))
+            // The states of the trial obey their equations, so only the rows' own curvature is left.
+            let offset: Vec<f64> = (linearization.constraints_along(&change).iter())
+                .zip(&linearization.offset)
+                .zip(&constraints)
+                .map(|((linear, offset), c)| c - (linear - offset))
+                .collect();
+            let inequality_offset: Vec<f64> = (linearization.inequalities_along(&change).iter())
+                .zip(&linearization.inequality_offset)
+                .zip(&linearization.rows)
+                .map(|((linear, offset), &row)| inequalities[row] - (linear - offset))
                 .collect();
             let corrected = QuadraticProgram {
                 offset: &offset,
+                inequalities: LinearInequalities {
+                    offset: &inequality_offset,
+                    ..subproblem.inequalities
+                },
                 ..subproblem.clone()
             };
             let solution = corrected.solve().ok()?;
             let trial = Self::restored(program, from, &solution.change, count)?;
-            if let Some(passage) = self.passage(from.evaluation, &trial.evaluation, slope) {
-                self.pass(passage, from.evaluation);
+            let there = from.measure(program, &trial.evaluation);
+            if let Some(passage) = self.passage(here, there, slope) {
+                self.pass(passage, here);
                 return Some(trial);
             }
-            if trial.evaluation.infeasibility() > CORRECTION_PROGRESS * infeasibility {
+            if there.infeasibility > CORRECTION_PROGRESS * infeasibility {
                 return None;
             }
             change = solution.change;
-            infeasibility = trial.evaluation.infeasibility();
+            infeasibility = there.infeasibility;
             constraints = trial.evaluation.constraints;
+            inequalities = trial.evaluation.inequalities;
         }
         None
     }
@@ -248,18 +317,53 @@ pub struct Departure<'a, P: LiftedProgram> {
     pub evaluation: &'a Evaluation<P::Defects>,
     /// Its linearization.
     pub linearization: &'a Linearization,
+    /// Of the linearized inequalities.
+    pub softness: &'a [Softness],
+    /// Of the subproblem whose step is judged.
+    pub multipliers: &'a Multipliers,
 }
 
 impl<P: LiftedProgram> Departure<'_, P> {
-    /// Derivative of the objective along a step.
-    fn slope(&self, change: &[f64]) -> f64 {
-        let along: f64 = self
-            .linearization
-            .gradient
-            .iter()
-            .zip(change)
+    fn measure(&self, program: &P, evaluation: &Evaluation<P::Defects>) -> Measure {
+        Measure::of(program, evaluation, self.multipliers)
+    }
+
+    fn first_order(&self, program: &P, change: &[f64]) -> Slope {
+        let objective = self.slope(change);
+        let linearization = self.linearization;
+        let work = |constraints: &[f64], rows: &mut dyn Iterator<Item = (usize, f64)>| {
+            self.multipliers.work(program, constraints, rows)
+        };
+        let values = linearization.inequalities_along(change);
+        let after = work(
+            &linearization.constraints_along(change),
+            &mut linearization.rows.iter().copied().zip(values),
+        );
+        let now = work(
+            &self.evaluation.constraints,
+            &mut self.evaluation.inequalities.iter().copied().enumerate(),
+        );
+        Slope {
+            objective,
+            lagrangian: objective + after - now,
+            noise: self.multipliers.row_noise(),
+        }
+    }
+
+    /// First-order change of the objective over a step; soft rows by their linear models, whose price is convex.
+    #[must_use]
+    pub fn slope(&self, change: &[f64]) -> f64 {
+        let linearization = self.linearization;
+        let cost: f64 = (linearization.gradient.iter().zip(change))
             .map(|(g, d)| g * d)
             .sum();
-        self.linearization.defect_slope + along
+        let values = linearization.inequalities_along(change);
+        let prices: f64 = (linearization.rows.iter().zip(values))
+            .zip(self.softness)
+            .map(|((&row, value), softness)| {
+                softness.penalty(value) - softness.penalty(self.evaluation.inequalities[row])
+            })
+            .sum();
+        linearization.defect_slope + cost + prices
     }
 }

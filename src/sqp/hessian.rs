@@ -1,9 +1,9 @@
-//! The Hessian of the quadratic subproblem: Gauss-Newton, or the exact one made convex where it must be.
+//! The Hessian of the quadratic subproblem: Gauss-Newton, the exact one made convex where it must be, or a quasi-Newton
+//! matrix.
 
-use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
-use super::program::{ConvexSet, Linearization};
+use super::program::{ConvexSet, Linearization, Softness, along};
 use super::residual::{Multipliers, norm};
 
 /// Which Hessian the solver uses.
@@ -15,6 +15,10 @@ pub enum HessianChoice {
     GaussNewton,
     /// Exact throughout.
     Exact,
+    /// Damped BFGS from Gauss-Newton (Powell 1978): positive definite throughout.
+    Bfgs,
+    /// Symmetric rank one from Gauss-Newton, made convex like the exact one.
+    Sr1,
 }
 
 impl HessianChoice {
@@ -25,6 +29,8 @@ impl HessianChoice {
             Self::Auto => "auto",
             Self::GaussNewton => "gauss-newton",
             Self::Exact => "exact",
+            Self::Bfgs => "bfgs",
+            Self::Sr1 => "sr1",
         }
     }
 }
@@ -39,6 +45,12 @@ pub enum HessianKind {
     Exact,
     /// Exact, with its negative curvature there turned round.
     Convexified,
+    /// Damped BFGS.
+    Bfgs,
+    /// Symmetric rank one.
+    Sr1,
+    /// None: restoration of feasibility, with a proximal term.
+    Proximal,
 }
 
 /// A positive semidefinite Hessian and the gradient that goes with it.
@@ -52,6 +64,8 @@ pub struct ModelHessian {
     pub kind: HessianKind,
     /// Balls whose own curvature is in `matrix`: the subproblem must hold them by their tangents instead.
     pub tangents: Vec<ActiveNormal>,
+    /// Value of the model at no step, which the terms of what is held contribute.
+    pub constant: f64,
 }
 
 /// Eigenvalues below this part of the least positive Gauss-Newton diagonal entry count as negative curvature.
@@ -66,175 +80,312 @@ impl ModelHessian {
             gradient: linearization.model_gradient.clone(),
             kind: HessianKind::GaussNewton,
             tangents: Vec::new(),
+            constant: 0.0,
         }
     }
 
-    /// The exact Hessian `H = GN + curvature`, convexified. Directions are split by the constraints' gradients and the
-    /// normals of the active sets: on what they leave free, negative eigenvalues are turned round; on what they hold,
-    /// `½ σ |Yᵀδ - t|²` is added, which vanishes where constraints and active sets hold (`t` is what `Yᵀδ` must be
-    /// there) and so changes neither the step nor the multipliers, but for the sets' own curvature.
+    /// A given matrix and no objective.
+    pub(super) fn proximal(matrix: Mat<f64>) -> Self {
+        Self {
+            gradient: vec![0.0; matrix.nrows()],
+            matrix,
+            kind: HessianKind::Proximal,
+            tangents: Vec::new(),
+            constant: 0.0,
+        }
+    }
+
+    /// The exact Hessian `H = GN + curvature`, convexified. Directions are split by the gradients of constraints and
+    /// active inequalities and the normals of the active sets: on what they leave free, negative eigenvalues are turned
+    /// round; on what they hold, `½ σ |Yᵀδ - t|²` is added, which vanishes where all of them hold (`t` is what `Yᵀδ` must
+    /// be there) and so changes neither the step nor the multipliers, but for the sets' own curvature.
     ///
     /// A ball that is active bends the Lagrangian as well, by its multiplier over its radius across the normal. Where
     /// only that makes the Hessian positive, it goes into the matrix, and the ball's tangent takes the ball's place in
     /// the subproblem: otherwise the convexification would spoil the convergence for nothing.
     ///
-    /// Falls back to Gauss-Newton without curvature, or when the held directions are dependent.
+    /// A Hessian that is positive definite is left alone; without curvature it is Gauss-Newton.
     #[must_use]
-    pub fn exact(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
-        match Self::try_exact(linearization, active, false) {
+    pub fn exact(linearization: &Linearization, sets: &[ConvexSet], active: &ActiveSet) -> Self {
+        match &linearization.curvature {
+            Some(curvature) => Self::of_curvature(curvature, linearization, sets, active),
+            None => Self::gauss_newton(linearization),
+        }
+    }
+
+    /// [`Self::exact`] with any symmetric matrix in the place of the curvature.
+    #[must_use]
+    pub fn of_curvature(
+        curvature: &Mat<f64>,
+        linearization: &Linearization,
+        sets: &[ConvexSet],
+        active: &ActiveSet,
+    ) -> Self {
+        let full = &linearization.gauss_newton + curvature;
+        if is_positive(&full, CURVATURE_FLOOR * linearization.least_curvature()) {
+            return Self {
+                matrix: full,
+                kind: HessianKind::Exact,
+                ..Self::gauss_newton(linearization)
+            };
+        }
+        match Self::convexified(full.clone(), linearization, active) {
             Some(model) if model.kind == HessianKind::Exact => model,
-            plain => Self::try_exact(linearization, active, true)
+            plain => Self::bent(full, linearization, sets, active)
                 .filter(|model| model.kind == HessianKind::Exact)
                 .or(plain)
-                .or_else(|| Self::try_exact(linearization, &[], false))
                 .unwrap_or_else(|| Self::gauss_newton(linearization)),
         }
     }
 
-    fn try_exact(
+    /// With the curvature of the active balls.
+    fn bent(
+        mut full: Mat<f64>,
         linearization: &Linearization,
-        active: &[ActiveNormal],
-        bent: bool,
+        sets: &[ConvexSet],
+        active: &ActiveSet,
     ) -> Option<Self> {
-        let curvature = linearization.curvature.as_ref()?;
-        let mut full = &linearization.gauss_newton + curvature;
-        let tangents: Vec<ActiveNormal> = active
-            .iter()
-            .filter(|normal| bent && normal.curvature > 0.0)
+        let tangents: Vec<ActiveNormal> = (active.normals.iter())
+            .filter(|normal| normal.curvature > 0.0)
             .cloned()
             .collect();
-        for normal in &tangents {
-            normal.add_curvature(&mut full);
-        }
-        let n = full.nrows();
-        let held = Held::new(linearization, active);
-        let m = held.target.len();
-        if m >= n {
+        if tangents.is_empty() {
             return None;
         }
+        for normal in &tangents {
+            normal.add_curvature(sets, &mut full);
+        }
+        Some(Self {
+            tangents,
+            ..Self::convexified(full, linearization, active)?
+        })
+    }
+
+    fn convexified(
+        full: Mat<f64>,
+        linearization: &Linearization,
+        active: &ActiveSet,
+    ) -> Option<Self> {
+        let n = full.nrows();
+        let Held {
+            basis: range,
+            target,
+        } = Held::of(linearization, active);
+        let m = target.len();
         let unit = largest_diagonal(&linearization.gauss_newton);
         let floor = CURVATURE_FLOOR * linearization.least_curvature();
-        let basis = held.gradients.transpose().to_owned().qr().compute_Q();
-        let (range, null) = basis.split_at_col(m);
-        let reduced = null.transpose() * &full * null;
-        let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;
-        let values: Vec<f64> = (0..n - m).map(|i| eigen.S()[i]).collect();
-        if !values.iter().all(|v| v.is_finite()) {
-            return None;
-        }
-        let turned: Vec<f64> = values.iter().map(|v| v.abs().max(floor)).collect();
-        let kind = if values.iter().all(|&v| v >= floor) {
-            HessianKind::Exact
-        } else {
-            HessianKind::Convexified
-        };
-        let vectors = null * eigen.U();
+        let complete = range.qr().compute_Q();
+        let null = complete.subcols(m, n - m);
         let mut matrix = full.clone();
-        if kind == HessianKind::Convexified {
-            let scaled = Mat::from_fn(n, n - m, |i, j| vectors[(i, j)] * (turned[j] - values[j]));
-            matrix += &scaled * vectors.transpose();
-        }
         let mut gradient = linearization.model_gradient.clone();
+        let mut kind = HessianKind::Exact;
+        let mut constant = 0.0;
+        let mut cross_terms = Mat::zeros(m, m);
+        if n > m {
+            let reduced = null.transpose() * &full * null;
+            let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;
+            let values: Vec<f64> = (0..n - m).map(|i| eigen.S()[i]).collect();
+            if !values.iter().all(|v| v.is_finite()) {
+                return None;
+            }
+            let turned: Vec<f64> = values.iter().map(|v| v.abs().max(floor)).collect();
+            let vectors = null * eigen.U();
+            if !values.iter().all(|&v| v >= floor) {
+                kind = HessianKind::Convexified;
+                let scaled =
+                    Mat::from_fn(n, n - m, |i, j| vectors[(i, j)] * (turned[j] - values[j]));
+                matrix += &scaled * vectors.transpose();
+            }
+            let cross = vectors.transpose() * &full * &range;
+            let weighted = Mat::from_fn(n - m, m, |i, j| cross[(i, j)] / turned[i]);
+            cross_terms = cross.transpose() * &weighted;
+        }
         if m > 0 {
             // Schur complement of the held directions: what σ must outweigh.
-            let cross = vectors.transpose() * &full * range;
-            let weighted = Mat::from_fn(n - m, m, |i, j| cross[(i, j)] / turned[i]);
-            let schur = cross.transpose() * &weighted - range.transpose() * &full * range;
+            let schur = cross_terms - range.transpose() * &full * &range;
             let worst = schur
                 .self_adjoint_eigen(Side::Lower)
                 .ok()
                 .map(|e| (0..m).map(|i| e.S()[i]).fold(0.0, f64::max))?;
             let sigma = 2.0 * worst + unit;
-            let square = &held.gradients * range;
-            let target = Mat::from_fn(m, 1, |i, _| held.target[i]);
-            let t = square.partial_piv_lu().solve(&target);
-            if !sigma.is_finite() || !(0..m).all(|i| t[(i, 0)].is_finite()) {
+            if !sigma.is_finite() || !target.iter().all(|t| t.is_finite()) {
                 return None;
             }
-            matrix += (range * range.transpose()) * faer::Scale(sigma);
+            matrix += (&range * range.transpose()) * faer::Scale(sigma);
+            constant = 0.5 * sigma * target.iter().map(|t| t * t).sum::<f64>();
             for (i, g) in gradient.iter_mut().enumerate() {
-                *g -= sigma * (0..m).map(|j| range[(i, j)] * t[(j, 0)]).sum::<f64>();
+                *g -= sigma * (0..m).map(|j| range[(i, j)] * target[j]).sum::<f64>();
             }
         }
         Some(Self {
             matrix,
             gradient,
             kind,
-            tangents,
+            tangents: Vec::new(),
+            constant,
         })
     }
 }
 
-/// Gradients of everything that holds a direction, and how far the step must go along them.
+/// An orthonormal basis of the directions that something holds, and how far the step must go along each. A gradient that
+/// depends on those before it holds nothing of its own.
 struct Held {
-    gradients: Mat<f64>,
+    basis: Mat<f64>,
     target: Vec<f64>,
 }
 
+/// Part of a gradient that must be independent of the others. Neighbors among many inequalities point almost the same way;
+/// the one with the larger multiplier holds that direction, and what the other is off by would be magnified.
+const INDEPENDENT_PART: f64 = 1e-8;
+const INDEPENDENT_PART_OF_ROWS: f64 = 1e-2;
+
 impl Held {
-    fn new(linearization: &Linearization, active: &[ActiveNormal]) -> Self {
-        let jacobian = &linearization.jacobian;
-        let m = jacobian.nrows();
-        let mut gradients = Mat::zeros(m + active.len(), jacobian.ncols());
-        let mut target: Vec<f64> = linearization.offset.iter().map(|c| -c).collect();
-        for i in 0..m {
-            for j in 0..jacobian.ncols() {
-                gradients[(i, j)] = jacobian[(i, j)];
-            }
+    fn of(linearization: &Linearization, active: &ActiveSet) -> Self {
+        let n = linearization.gradient.len();
+        let mut held = (Vec::<Vec<f64>>::new(), Vec::new());
+        for (i, offset) in linearization.offset.iter().enumerate() {
+            let row = (0..n).map(|j| linearization.jacobian[(i, j)]).collect();
+            hold(&mut held, row, -offset, INDEPENDENT_PART);
         }
-        for (row, normal) in active.iter().enumerate() {
-            for &(index, value) in &normal.direction {
-                gradients[(m + row, index)] = value;
-            }
-            target.push(normal.gap);
+        for &at in &active.rows {
+            let jacobian = &linearization.inequality_jacobian;
+            let row = (0..n).map(|j| jacobian[(at, j)]).collect();
+            let target = -linearization.inequality_offset[at];
+            hold(&mut held, row, target, INDEPENDENT_PART_OF_ROWS);
         }
-        Self { gradients, target }
+        for normal in &active.normals {
+            let mut row = vec![0.0; n];
+            for &(index, component) in &normal.direction {
+                row[index] += component;
+            }
+            hold(&mut held, row, normal.gap, INDEPENDENT_PART);
+        }
+        let (basis, target) = held;
+        Self {
+            basis: Mat::from_fn(n, basis.len(), |i, j| basis[j][i]),
+            target,
+        }
     }
 }
 
-/// The outward unit normal of a set whose boundary holds the variables, and the distance that is left to it.
+/// Gram and Schmidt, twice, on `row · δ = target`.
+fn hold(
+    held: &mut (Vec<Vec<f64>>, Vec<f64>),
+    mut row: Vec<f64>,
+    mut target: f64,
+    independent_part: f64,
+) {
+    let size = norm(&row);
+    if held.0.len() == row.len() {
+        return;
+    }
+    for _ in 0..2 {
+        for (direction, t) in held.0.iter().zip(&held.1) {
+            let along: f64 = direction.iter().zip(&row).map(|(d, r)| d * r).sum();
+            for (r, d) in row.iter_mut().zip(direction) {
+                *r -= along * d;
+            }
+            target -= along * t;
+        }
+    }
+    let left = norm(&row);
+    if left > independent_part * size {
+        held.0.push(row.iter().map(|r| r / left).collect());
+        held.1.push(target / left);
+    }
+}
+
+/// What holds the variables besides the constraints.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ActiveSet {
+    /// Linearized inequalities, by their place in the linearization, the largest multiplier first.
+    pub rows: Vec<usize>,
+    /// Convex sets.
+    pub normals: Vec<ActiveNormal>,
+}
+
+impl ActiveSet {
+    /// What has a multiplier that, in units of the cost's curvature, exceeds the slack. A soft row holds nothing once its
+    /// price is paid. `softness`: of the linearized rows.
+    #[must_use]
+    pub fn of(
+        linearization: &Linearization,
+        softness: &[Softness],
+        sets: &[ConvexSet],
+        variables: &[f64],
+        multipliers: &Multipliers,
+    ) -> Self {
+        let unit = linearization.least_curvature();
+        let multiplier = |at: usize| multipliers.inequalities[linearization.rows[at]];
+        let holds = |&at: &usize| {
+            let z = multiplier(at);
+            let is_bought = match softness[at] {
+                Softness::Hard => false,
+                Softness::Soft { linear, .. } => !(z < (1.0 - BOUGHT) * linear),
+            };
+            z > 0.0 && z / unit > -linearization.inequality_offset[at] && !is_bought
+        };
+        let mut rows: Vec<usize> = (0..linearization.rows.len()).filter(holds).collect();
+        rows.sort_by(|&a, &b| multiplier(b).total_cmp(&multiplier(a)));
+        Self {
+            rows,
+            normals: ActiveNormal::of(sets, variables, multipliers, unit),
+        }
+    }
+}
+
+/// A soft row's multiplier this near to its price, relatively, is at it.
+const BOUGHT: f64 = 1e-6;
+
+/// The outward normal of a set whose boundary holds the variables, and the distance that is left to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActiveNormal {
-    /// `(variable, component)`
+    /// `(variable, component)`: the gradient of what the set limits.
     pub direction: Vec<(usize, f64)>,
-    /// Distance to the boundary along the normal.
+    /// What is left to the limit.
     pub gap: f64,
     /// Multiplier over radius of a ball; 0 for a flat set.
     pub curvature: f64,
     /// Which set it is.
     pub set: usize,
+    /// Unit vector in the space of the set's own rows: a ball's `M v / |M v|`, of which `direction` is the pull.
+    pub outward: Vec<f64>,
 }
 
 impl ActiveNormal {
-    /// Adds `curvature (I - n nᵀ)` on the set's variables.
-    fn add_curvature(&self, matrix: &mut Mat<f64>) {
-        for &(i, a) in &self.direction {
-            matrix[(i, i)] += self.curvature;
-            for &(j, b) in &self.direction {
-                matrix[(i, j)] -= self.curvature * a * b;
+    /// Adds a ball's `curvature (MᵀM - g gᵀ)`, `g = Mᵀn` the direction.
+    fn add_curvature(&self, sets: &[ConvexSet], matrix: &mut Mat<f64>) {
+        let ConvexSet::Ball { rows, .. } = &sets[self.set] else {
+            return;
+        };
+        let mut add = |direction: &[(usize, f64)], factor: f64| {
+            for &(i, a) in direction {
+                for &(j, b) in direction {
+                    matrix[(i, j)] += factor * a * b;
+                }
             }
+        };
+        for row in rows {
+            add(row, self.curvature);
         }
+        add(&self.direction, -self.curvature);
     }
 
     /// The half-space that touches the set where the variables are closest to it.
     #[must_use]
     pub fn tangent(&self, variables: &[f64]) -> ConvexSet {
-        let along: f64 = self.direction.iter().map(|&(i, c)| c * variables[i]).sum();
         ConvexSet::HalfSpace {
+            limit: along(&self.direction, variables) + self.gap,
             direction: self.direction.clone(),
-            limit: along + self.gap,
         }
     }
 
-    /// The active sets: those whose multiplier, in units of the cost's curvature, exceeds their slack.
-    #[must_use]
-    pub fn of(
+    fn of(
         sets: &[ConvexSet],
         variables: &[f64],
         multipliers: &Multipliers,
-        linearization: &Linearization,
+        unit: f64,
     ) -> Vec<Self> {
-        let unit = linearization.least_curvature();
         sets.iter()
             .zip(&multipliers.normals)
             .enumerate()
@@ -252,37 +403,55 @@ impl ActiveNormal {
                         gap,
                         curvature: 0.0,
                         set: at,
+                        outward: vec![1.0],
                     })
                 }
                 ConvexSet::HalfSpace { direction, limit } => {
-                    let along: f64 = direction.iter().map(|&(i, c)| c * variables[i]).sum();
-                    let gap = limit - along;
+                    let gap = limit - along(direction, variables);
                     (normal[0] / unit > gap).then(|| Self {
                         direction: direction.clone(),
                         gap,
                         curvature: 0.0,
                         set: at,
+                        outward: vec![1.0],
                     })
                 }
-                ConvexSet::Ball { indices, radius } => {
-                    let u: Vec<f64> = indices.iter().map(|&i| variables[i]).collect();
-                    let size = norm(&u);
+                ConvexSet::Ball { rows, radius } => {
+                    let inside: Vec<f64> = rows.iter().map(|row| along(row, variables)).collect();
+                    let size = norm(&inside);
                     let pull = norm(normal);
                     let gap = radius - size;
-                    (size > 0.0 && pull / unit > gap).then(|| Self {
-                        direction: indices
-                            .iter()
-                            .zip(&u)
-                            .map(|(&i, x)| (i, x / size))
-                            .collect(),
+                    (size > 0.0 && *radius > 0.0 && pull / unit > gap).then(|| Self {
+                        direction: combination(rows, &inside, 1.0 / size),
                         gap,
                         curvature: pull / radius,
                         set: at,
+                        outward: inside.iter().map(|x| x / size).collect(),
                     })
                 }
             })
             .collect()
     }
+}
+
+/// `factor Mᵀx`, each variable once.
+fn combination(rows: &[Vec<(usize, f64)>], x: &[f64], factor: f64) -> Vec<(usize, f64)> {
+    let mut sums = std::collections::BTreeMap::new();
+    for (row, x) in rows.iter().zip(x) {
+        for &(index, component) in row {
+            *sums.entry(index).or_insert(0.0) += factor * component * x;
+        }
+    }
+    sums.into_iter().collect()
+}
+
+/// Whether every eigenvalue exceeds `floor`.
+fn is_positive(matrix: &Mat<f64>, floor: f64) -> bool {
+    let n = matrix.nrows();
+    let shifted = Mat::from_fn(n, n, |i, j| {
+        matrix[(i, j)] - if i == j { floor } else { 0.0 }
+    });
+    shifted.llt(Side::Lower).is_ok()
 }
 
 fn largest_diagonal(m: &Mat<f64>) -> f64 {

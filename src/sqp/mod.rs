@@ -1,14 +1,20 @@
 //! Sequential quadratic programming for lifted programs. Knows no rod.
 
+mod balls;
 pub mod globalization;
 pub mod hessian;
 pub mod program;
 pub mod quadratic_program;
+pub mod quasi_newton;
 pub mod residual;
 mod run;
 pub mod solver;
 
 pub use hessian::{HessianChoice, HessianKind};
-pub use program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
+pub use program::{
+    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
+};
 pub use residual::{KktResidual, Multipliers};
-pub use solver::{IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop, solve};
+pub use solver::{
+    Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop, solve,
+};

@@ -1,11 +1,18 @@
 //! The nonlinear programs that the solver understands.
 //!
 //! Minimize `J(v, q)` over variables `v` and states `q`, subject to state equations `D(v, q) = 0` that determine `q`
-//! from `v`, to constraints `c(v, q) = 0`, and to convex sets on `v` alone. The iterate is lifted: its states need not
-//! obey their equations. The program eliminates the linearized states itself (condensing), so that the quadratic
-//! subproblem is dense and small; a program without states is the special case of an empty `q`.
+//! from `v`, to constraints `c(v, q) = 0`, to inequalities `h(v, q) ≤ 0`, and to convex sets on `v` alone. The iterate is
+//! lifted: its states need not obey their equations. The program eliminates the linearized states itself (condensing),
+//! so that the quadratic subproblem is dense and small; a program without states is the special case of an empty `q`.
+//!
+//! There may be many more inequalities than variables (a distance per node and time): their values are asked for at
+//! every point, their gradients only where they may matter.
+
+use std::collections::BTreeMap;
 
 use faer::Mat;
+
+use super::residual::{Multipliers, infinity_norm, norm};
 
 /// A convex set on some of the variables.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,20 +26,105 @@ pub enum ConvexSet {
         /// Upper limit.
         upper: f64,
     },
-    /// `Σ component v[index] ≤ limit`, the direction `(index, component)` of length one.
+    /// `Σ component v[index] ≤ limit`
     HalfSpace {
-        /// Outward unit normal.
+        /// Outward normal, `(index, component)`, of any length but zero.
         direction: Vec<(usize, f64)>,
         /// Largest value along it.
         limit: f64,
     },
-    /// `|v[indices]| ≤ radius`, radius positive.
+    /// `|M v| ≤ radius`
     Ball {
-        /// The variables.
-        indices: Vec<usize>,
-        /// Largest norm.
+        /// `M`, row by row: `(index, component)`.
+        rows: Vec<Vec<(usize, f64)>>,
+        /// Largest norm, not negative.
         radius: f64,
     },
+}
+
+impl ConvexSet {
+    /// `|v[indices]| ≤ radius`
+    #[must_use]
+    pub fn ball(indices: impl IntoIterator<Item = usize>, radius: f64) -> Self {
+        Self::Ball {
+            rows: indices
+                .into_iter()
+                .map(|index| vec![(index, 1.0)])
+                .collect(),
+            radius,
+        }
+    }
+}
+
+impl ConvexSet {
+    /// How far variables are outside, in the set's own units; not positive inside.
+    #[must_use]
+    pub fn violation(&self, variables: &[f64]) -> f64 {
+        match self {
+            Self::Interval {
+                index,
+                lower,
+                upper,
+            } => (variables[*index] - upper).max(lower - variables[*index]),
+            Self::HalfSpace { direction, limit } => along(direction, variables) - limit,
+            Self::Ball { rows, radius } => {
+                let inside: Vec<f64> = rows.iter().map(|row| along(row, variables)).collect();
+                norm(&inside) - radius
+            }
+        }
+    }
+}
+
+/// `Σ component v[index]`
+pub(crate) fn along(direction: &[(usize, f64)], v: &[f64]) -> f64 {
+    direction.iter().map(|&(index, c)| c * v[index]).sum()
+}
+
+/// Whether an inequality must hold, or what its violation costs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Softness {
+    /// `h ≤ 0`
+    Hard,
+    /// `linear t + ½ quadratic t²` is added to the objective, `t = max(h, 0)`: exact, prices not negative.
+    Soft {
+        /// Price of violation; the row holds as long as its multiplier is below it.
+        linear: f64,
+        /// Growth of the price with violation.
+        quadratic: f64,
+    },
+}
+
+impl Softness {
+    /// Costs nothing: the row is as good as absent.
+    pub const FREE: Self = Self::Soft {
+        linear: 0.0,
+        quadratic: 0.0,
+    };
+
+    /// What `h` adds to the objective.
+    #[must_use]
+    pub fn penalty(self, h: f64) -> f64 {
+        match self {
+            Self::Hard => 0.0,
+            Self::Soft { linear, quadratic } => {
+                // `max` would drop a NaN.
+                let t = if h <= 0.0 { 0.0 } else { h };
+                t * (linear + 0.5 * quadratic * t)
+            }
+        }
+    }
+}
+
+/// Sum over groups of their largest positive value; NaN if any is.
+pub(super) fn sum_of_largest(values: impl Iterator<Item = (usize, f64)>) -> f64 {
+    let mut largest = BTreeMap::new();
+    for (group, value) in values {
+        let so_far: &mut f64 = largest.entry(group).or_insert(0.0);
+        if !(value <= *so_far) {
+            *so_far = value;
+        }
+    }
+    largest.into_values().sum()
 }
 
 /// Something that is not a number, or a point at which the model has no meaning, in words that say where.
@@ -43,22 +135,25 @@ pub struct Failure(pub String);
 /// Values at a point.
 #[derive(Clone, Debug)]
 pub struct Evaluation<R> {
-    /// `J`
+    /// `J`, without the price of soft inequalities.
     pub objective: f64,
     /// `c`, scaled.
     pub constraints: Vec<f64>,
+    /// `h`, scaled: all rows, always in the same order.
+    pub inequalities: Vec<f64>,
     /// Size of the state residual `D`, scaled, at least its largest component.
     pub defect: f64,
     /// `D` itself, for the program's own use.
     pub defects: R,
 }
 
-impl<R> Evaluation<R> {
-    /// `Σ|c| + defect`: what the globalization drives to zero.
-    #[must_use]
-    pub fn infeasibility(&self) -> f64 {
-        self.constraints.iter().map(|c| c.abs()).sum::<f64>() + self.defect
-    }
+/// What is wanted of a linearization beyond gradients of objective and constraints.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LinearizationRequest<'a> {
+    /// Asks for the exact curvature of the Lagrangian with these: of objective, constraints and inequalities.
+    pub multipliers: Option<&'a Multipliers>,
+    /// Inequalities whose gradients are wanted, ascending.
+    pub rows: &'a [usize],
 }
 
 /// The condensed linearization at a point: everything over the variables alone.
@@ -78,19 +173,94 @@ pub struct Linearization {
     pub jacobian: Mat<f64>,
     /// `c` after the states' answer to their defects: the model is `offset + jacobian δv`.
     pub offset: Vec<f64>,
+    /// Inequalities that are linearized, ascending: those of the request.
+    pub rows: Vec<usize>,
+    /// `dh/dv` of these, one row each.
+    pub inequality_jacobian: Mat<f64>,
+    /// `h` of these after the states' answer to their defects.
+    pub inequality_offset: Vec<f64>,
 }
 
 impl Linearization {
-    /// Least positive diagonal entry of the Gauss-Newton Hessian, 1 without any: the curvature of the cheapest variable,
-    /// in which small things are counted (the weight of a soft target is no measure).
+    /// Least positive diagonal entry of the Gauss-Newton Hessian: the curvature of the cheapest variable, in which small
+    /// things are counted (the weight of a soft target is no measure). Without any: the size of the gradient, or 1.
     #[must_use]
     pub fn least_curvature(&self) -> f64 {
         let least = (0..self.gauss_newton.nrows())
             .map(|i| self.gauss_newton[(i, i)])
             .filter(|d| *d > 0.0)
             .fold(f64::INFINITY, f64::min);
-        if least.is_finite() { least } else { 1.0 }
+        let slope = infinity_norm(&self.gradient);
+        match (least.is_finite(), slope > 0.0) {
+            (true, _) => least,
+            (false, true) => slope,
+            (false, false) => 1.0,
+        }
     }
+
+    /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
+    pub(crate) fn cost_unit(&self) -> f64 {
+        self.least_curvature().max(infinity_norm(&self.gradient))
+    }
+
+    /// Adds the rows of another linearization at the same point.
+    pub(crate) fn join_rows(&mut self, other: &Self) {
+        let mut sources: Vec<(usize, &Self, usize)> = [&*self, other]
+            .into_iter()
+            .flat_map(|source| {
+                let rows = source.rows.iter().enumerate();
+                rows.map(move |(at, &row)| (row, source, at))
+            })
+            .collect();
+        sources.sort_by_key(|source| source.0);
+        sources.dedup_by_key(|source| source.0);
+        let jacobian = Mat::from_fn(sources.len(), self.gradient.len(), |i, j| {
+            let (_, source, at) = sources[i];
+            source.inequality_jacobian[(at, j)]
+        });
+        let offset = (sources.iter())
+            .map(|(_, source, at)| source.inequality_offset[*at])
+            .collect();
+        let rows = sources.iter().map(|source| source.0).collect();
+        self.inequality_jacobian = jacobian;
+        self.inequality_offset = offset;
+        self.rows = rows;
+    }
+
+    /// `c + Jδ`
+    pub(crate) fn constraints_along(&self, change: &[f64]) -> Vec<f64> {
+        affine(&self.offset, &self.jacobian, change)
+    }
+
+    /// `h + Dδ` of the linearized rows.
+    pub(crate) fn inequalities_along(&self, change: &[f64]) -> Vec<f64> {
+        affine(&self.inequality_offset, &self.inequality_jacobian, change)
+    }
+
+    /// `∇J + Jᵀy + Dᵀz`, without the sets.
+    pub(crate) fn lagrangian_gradient(&self, multipliers: &Multipliers) -> Vec<f64> {
+        let mut sum = self.gradient.clone();
+        for (j, s) in sum.iter_mut().enumerate() {
+            for (i, y) in multipliers.constraints.iter().enumerate() {
+                *s += y * self.jacobian[(i, j)];
+            }
+            for (at, &row) in self.rows.iter().enumerate() {
+                *s += multipliers.inequalities[row] * self.inequality_jacobian[(at, j)];
+            }
+        }
+        sum
+    }
+}
+
+/// `offset + matrix change`
+pub(crate) fn affine(offset: &[f64], matrix: &Mat<f64>, change: &[f64]) -> Vec<f64> {
+    let mut values = offset.to_vec();
+    for (j, d) in change.iter().enumerate() {
+        for (v, a) in values.iter_mut().zip(matrix.col_as_slice(j)) {
+            *v += a * d;
+        }
+    }
+    values
 }
 
 /// A nonlinear program with lifted states.
@@ -114,7 +284,23 @@ pub trait LiftedProgram {
     /// [`Failure`] when something is not finite or the model has no meaning there.
     fn evaluate(&self, point: &Self::Point) -> Result<Evaluation<Self::Defects>, Failure>;
 
-    /// Condensed linearization; with `multipliers` of the constraints also the exact curvature, if the program has it.
+    /// Whether an inequality is hard.
+    fn softness(&self, _row: usize) -> Softness {
+        Softness::Hard
+    }
+
+    /// The group of a hard inequality. The infeasibility counts the largest violation of every group, and the elastic
+    /// subproblem has one slack for it: of rows that sample one condition (a distance at many times), only the worst matters
+    /// while it is violated. Every row by itself, unless the program says otherwise.
+    fn group(&self, row: usize) -> usize {
+        row
+    }
+
+    /// Inequalities above minus this are linearized from the start; the others are screened out and checked again once
+    /// a step is known. Positive, in the units of `h`; infinite to linearize all.
+    fn screening_margin(&self) -> f64;
+
+    /// Condensed linearization, with what `request` asks for; no curvature if the program has none.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -122,8 +308,19 @@ pub trait LiftedProgram {
         &self,
         point: &Self::Point,
         evaluation: &Evaluation<Self::Defects>,
-        multipliers: Option<&[f64]>,
+        request: &LinearizationRequest,
     ) -> Result<Linearization, Failure>;
+
+    /// `h + dh` of all rows along a direction of [`Self::expand`], to first order.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`].
+    fn predict_inequalities(
+        &self,
+        point: &Self::Point,
+        evaluation: &Evaluation<Self::Defects>,
+        direction: &Self::Direction,
+    ) -> Result<Vec<f64>, Failure>;
 
     /// Solves the linearized state equations for the states' part of a direction.
     ///
@@ -152,4 +349,22 @@ pub trait LiftedProgram {
     /// # Errors
     /// [`Failure`] when the states cannot be computed.
     fn restored_step(&self, point: &Self::Point, change: &[f64]) -> Result<Self::Point, Failure>;
+
+    /// `Σ|c| + Σ max(h, 0) + defect`, the second sum over [groups](Self::group) of hard rows, of their largest: what the
+    /// globalization drives to zero.
+    fn infeasibility(&self, evaluation: &Evaluation<Self::Defects>) -> f64 {
+        let violations = (evaluation.inequalities.iter().enumerate())
+            .filter(|&(row, &h)| !(h <= 0.0) && self.softness(row) == Softness::Hard)
+            .map(|(row, &h)| (self.group(row), h));
+        let constraints = (evaluation.constraints.iter()).fold(0.0, |sum, c| sum + c.abs());
+        constraints + evaluation.defect + sum_of_largest(violations)
+    }
+
+    /// `J` and the price of violated soft rows.
+    fn total_objective(&self, evaluation: &Evaluation<Self::Defects>) -> f64 {
+        let penalties = (evaluation.inequalities.iter().enumerate())
+            .filter(|&(_, &h)| !(h <= 0.0))
+            .map(|(row, &h)| self.softness(row).penalty(h));
+        penalties.fold(evaluation.objective, |sum, price| sum + price)
+    }
 }

@@ -1,21 +1,29 @@
 //! The elastic quadratic subproblem and its solution by Clarabel.
 //!
 //! ```text
-//! minimize    ½ δᵀHδ + gᵀδ + γ Σ (s⁺ + s⁻)
+//! minimize    ½ δᵀHδ + gᵀδ + γ Σ (s⁺ + s⁻) + Σ (p t + ½ q t²)
 //! subject to  offset + Jδ = s⁺ - s⁻,   s⁺, s⁻ ≥ 0,   v + δ in the convex sets,   |δ| ≤ trust radius
+//!             h + Dδ ≤ t,   t ≥ 0          hard rows: p = γ, q = 0;   soft rows: their own prices
 //! ```
 //!
-//! The slacks make it feasible whenever the sets are not empty. The sets enter as they are (second-order cones for
-//! balls), not linearized.
+//! The slacks make it feasible whenever the sets are not empty and within reach. The sets enter as they are (second-order
+//! cones for balls), not linearized; a set without interior enters as equations.
+//!
+//! Of many inequalities few are active, and dense rows are what Clarabel's time grows with: it first sees a working set,
+//! to which the peaks of what its solution violates are added until nothing is violated. Rows never leave, so this ends.
+
+use std::io::{Read as _, Seek as _};
+
+use std::collections::BTreeMap;
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT,
-    SolverStatus, SupportedConeT, ZeroConeT,
+    SolverJSONReadWrite as _, SolverStatus, SupportedConeT, ZeroConeT,
 };
 use faer::Mat;
 
-use super::program::ConvexSet;
+use super::program::{ConvexSet, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
 
 /// The data of one subproblem.
@@ -29,6 +37,8 @@ pub struct QuadraticProgram<'a> {
     pub jacobian: &'a Mat<f64>,
     /// Offset of the constraints.
     pub offset: &'a [f64],
+    /// The linearized inequalities.
+    pub inequalities: LinearInequalities<'a>,
     /// `v`
     pub variables: &'a [f64],
     /// Sets on `v + δ`.
@@ -41,17 +51,36 @@ pub struct QuadraticProgram<'a> {
     pub time_limit: f64,
 }
 
+/// `h + Dδ ≤ 0`, hard or soft.
+#[derive(Clone, Copy, Debug)]
+pub struct LinearInequalities<'a> {
+    /// `D`
+    pub jacobian: &'a Mat<f64>,
+    /// `h`
+    pub offset: &'a [f64],
+    /// One per row.
+    pub softness: &'a [Softness],
+    /// Group of every row; hard rows of a group share a slack.
+    pub groups: &'a [usize],
+    /// Rows to begin with, by their place here; a good guess saves solves.
+    pub first: &'a [usize],
+}
+
 /// Its solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct QpSolution {
     /// `δ`
     pub change: Vec<f64>,
-    /// Multipliers of constraints and sets.
+    /// Multipliers of constraints, linearized inequalities (in the order of the rows given) and sets.
     pub multipliers: Multipliers,
-    /// `Σ (s⁺ + s⁻)`
+    /// `Σ (s⁺ + s⁻)` and the slacks of hard inequalities.
     pub slack: f64,
     /// Interior-point iterations.
     pub iterations: u32,
+    /// Inequalities that Clarabel saw, by their place.
+    pub working: Vec<usize>,
+    /// Slack of every group of hard inequalities that the solve saw.
+    pub slacks: BTreeMap<usize, f64>,
 }
 
 /// Why a subproblem has no usable solution.
@@ -61,36 +90,105 @@ pub enum QpError {
     #[error("the quadratic subproblem holds a number that is not finite ({0})")]
     NotFinite(&'static str),
     /// Clarabel's own status.
-    #[error("Clarabel ended with {0}")]
-    Status(String),
+    #[error("Clarabel ended with {status}")]
+    Status {
+        /// Its words, and the residuals it reached.
+        status: String,
+        /// The problem as Clarabel's own JSON, for a report.
+        problem: Option<String>,
+    },
 }
 
-const GAP_TOLERANCE: f64 = 1e-11;
-/// Of the second attempt.
-const LOOSE_TOLERANCE: f64 = 1e-9;
-/// Clarabel's own default leaves up to 1e-2 in weakly determined controls; this is what it then reaches at least.
-const REDUCED_TOLERANCE: f64 = 1e-7;
-/// What the second attempt must reach: a rough step far from a solution beats none, and near one it would show.
-const LAST_TOLERANCE: f64 = 1e-5;
+/// How Clarabel is run. What it cannot solve is tried again with the next of [`LADDER`].
+#[derive(Clone, Copy, Debug)]
+struct Attempt {
+    /// Added to the diagonal of the Hessian, relative to its largest entry (Levenberg-Marquardt).
+    shift: f64,
+    tolerance: f64,
+    /// What it must have reached when it stops early.
+    reduced: f64,
+    /// Static regularization of the factorization; Clarabel's default is 1e-8.
+    regularization: f64,
+}
+
+/// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
+/// from a solution beats none, and near one it would show.
+const LADDER: [Attempt; 4] = [
+    Attempt {
+        shift: 0.0,
+        tolerance: 1e-11,
+        reduced: 1e-7,
+        regularization: 1e-8,
+    },
+    Attempt {
+        shift: 1e-8,
+        tolerance: 1e-9,
+        reduced: 1e-5,
+        regularization: 1e-8,
+    },
+    Attempt {
+        shift: 1e-8,
+        tolerance: 1e-9,
+        reduced: 1e-5,
+        regularization: 1e-6,
+    },
+    Attempt {
+        shift: 1e-5,
+        tolerance: 1e-8,
+        reduced: 1e-5,
+        regularization: 1e-7,
+    },
+];
+/// Inequalities that are all given to Clarabel at once.
+const FEW_ROWS: usize = 32;
+/// First working set of many: so many of the highest peaks.
+const FIRST_PEAKS: usize = 8;
+/// A row outside the working set may be violated by this much of its terms.
+pub(super) const ROW_TOLERANCE: f64 = 1e-9;
+/// After so many rounds everything that is violated joins, not only its peaks.
+const PEAK_ROUNDS: usize = 8;
+/// A multiplier this much smaller than the slack of its row, both scaled, is what the interior point is off by.
+const NEGLIGIBLE_MULTIPLIER: f64 = 1e-8;
 
 impl QuadraticProgram<'_> {
-    /// Solves the subproblem; tries once more, with a slightly convexified Hessian and a looser tolerance, when Clarabel stops early.
+    /// Solves the subproblem.
     ///
     /// # Errors
-    /// [`QpError`] when the data are not finite or both attempts fail.
+    /// [`QpError`] when the data are not finite or Clarabel finds no solution however it is run.
     pub fn solve(&self) -> Result<QpSolution, QpError> {
         self.check_finite()?;
-        let diagonal = (0..self.hessian.nrows())
-            .map(|i| self.hessian[(i, i)].abs())
-            .fold(0.0, f64::max);
-        self.attempt(0.0, GAP_TOLERANCE, REDUCED_TOLERANCE)
-            .or_else(|_| {
-                self.attempt(
-                    1e-8 * diagonal.max(f64::MIN_POSITIVE),
-                    LOOSE_TOLERANCE,
-                    LAST_TOLERANCE,
-                )
-            })
+        let mut working = self.first_rows();
+        let mut iterations = 0;
+        for round in 0.. {
+            let mut solution = self.solve_with(&working)?;
+            iterations += solution.iterations;
+            let violated = self.violated(&solution, &working);
+            if violated.is_empty() {
+                solution.iterations = iterations;
+                solution.working = working;
+                return Ok(solution);
+            }
+            let joining = if round < PEAK_ROUNDS {
+                peaks(&violated)
+            } else {
+                violated
+            };
+            working.extend(joining.into_iter().map(|(at, _)| at));
+            working.sort_unstable();
+        }
+        unreachable!("every round adds a row")
+    }
+
+    /// Down the ladder, until Clarabel is content.
+    fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
+        let mut last = None;
+        for (at, attempt) in LADDER.iter().enumerate() {
+            match self.attempt(working, attempt, at + 1 == LADDER.len()) {
+                Ok(solution) => return Ok(solution),
+                Err(error) => last = Some(error),
+            }
+        }
+        Err(last.unwrap_or(QpError::NotFinite("ladder")))
     }
 
     fn check_finite(&self) -> Result<(), QpError> {
@@ -105,107 +203,128 @@ impl QuadraticProgram<'_> {
             |name, m: &Mat<f64>| (0..m.ncols()).try_for_each(|j| finite(name, m.col_as_slice(j)));
         all_finite("Hessian", self.hessian)?;
         all_finite("Jacobian", self.jacobian)?;
+        all_finite("inequality Jacobian", self.inequalities.jacobian)?;
         finite("gradient", self.gradient)?;
         finite("constraint offset", self.offset)?;
-        finite("variables", self.variables)
+        finite("inequality offset", self.inequalities.offset)?;
+        finite("variables", self.variables)?;
+        finite("elastic weight", &[self.elastic_weight])?;
+        for set in self.sets {
+            match set {
+                ConvexSet::Interval { lower, upper, .. } => finite("interval", &[*lower, *upper])?,
+                ConvexSet::HalfSpace { limit, .. } => finite("half-space", &[*limit])?,
+                ConvexSet::Ball { radius, .. } => finite("ball", &[*radius])?,
+            }
+        }
+        if self.trust_radius.is_nan() {
+            return Err(QpError::NotFinite("trust radius"));
+        }
+        Ok(())
     }
 
-    fn attempt(&self, shift: f64, tolerance: f64, reduced: f64) -> Result<QpSolution, QpError> {
+    /// Rows that the first solve sees.
+    fn first_rows(&self) -> Vec<usize> {
+        let LinearInequalities {
+            offset,
+            softness,
+            first,
+            ..
+        } = self.inequalities;
+        let all: Vec<(usize, f64)> = (offset.iter().copied().enumerate())
+            .filter(|&(at, _)| softness[at] != Softness::FREE)
+            .collect();
+        if all.len() <= FEW_ROWS {
+            return all.into_iter().map(|(at, _)| at).collect();
+        }
+        let mut highest = peaks(&all);
+        highest.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let mut rows = first.to_vec();
+        rows.extend(highest.iter().take(FIRST_PEAKS).map(|(at, _)| at));
+        rows.sort_unstable();
+        rows.dedup();
+        rows
+    }
+
+    /// Rows outside the working set that a step violates by more than the slack of their group, ascending, and by how much.
+    fn violated(&self, solution: &QpSolution, working: &[usize]) -> Vec<(usize, f64)> {
+        let LinearInequalities {
+            jacobian,
+            offset,
+            softness,
+            groups,
+            ..
+        } = self.inequalities;
+        if working.len() == offset.len() {
+            return Vec::new();
+        }
+        let beyond = |at: usize, value: f64| match softness[at] {
+            Softness::Hard => value - solution.slacks.get(&groups[at]).copied().unwrap_or(0.0),
+            Softness::Soft { .. } => value,
+        };
+        (affine(offset, jacobian, &solution.change)
+            .into_iter()
+            .enumerate())
+        .map(|(at, value)| (at, beyond(at, value)))
+        .filter(|&(at, v)| {
+            v > ROW_TOLERANCE * offset[at].abs().max(1.0)
+                && softness[at] != Softness::FREE
+                && working.binary_search(&at).is_err()
+        })
+        .collect()
+    }
+
+    fn attempt(
+        &self,
+        working: &[usize],
+        attempt: &Attempt,
+        is_last: bool,
+    ) -> Result<QpSolution, QpError> {
         let n = self.gradient.len();
         let m = self.offset.len();
-        let size = n + 2 * m;
         // An objective of order one, whatever the weights.
         let scale = 1.0
             / infinity_norm(self.gradient)
                 .max(self.elastic_weight * 1e-3)
                 .max(f64::MIN_POSITIVE);
-
-        let p = upper_triangle(self.hessian, size, scale, shift);
-        let mut q: Vec<f64> = self.gradient.iter().map(|g| g * scale).collect();
-        q.resize(size, self.elastic_weight * scale);
-
-        let mut rows = Rows::new(size);
-        // Zero cone: J δ - s⁺ + s⁻ = -offset.
-        for i in 0..m {
-            for j in 0..n {
-                rows.put(j, self.jacobian[(i, j)]);
-            }
-            rows.put(n + i, -1.0);
-            rows.put(n + m + i, 1.0);
-            rows.end(-self.offset[i]);
-        }
-        // Nonnegative cone: slacks, then intervals (upper, lower) and half-spaces.
-        let mut n_nonnegative = 2 * m;
-        for i in 0..2 * m {
-            rows.put(n + i, -1.0);
-            rows.end(0.0);
-        }
-        for set in self.sets {
-            match set {
-                ConvexSet::Interval {
-                    index,
-                    lower,
-                    upper,
-                } => {
-                    rows.put(*index, 1.0);
-                    rows.end(upper - self.variables[*index]);
-                    rows.put(*index, -1.0);
-                    rows.end(self.variables[*index] - lower);
-                    n_nonnegative += 2;
-                }
-                ConvexSet::HalfSpace { direction, limit } => {
-                    let mut left = *limit;
-                    for &(index, component) in direction {
-                        rows.put(index, component);
-                        left -= component * self.variables[index];
-                    }
-                    rows.end(left);
-                    n_nonnegative += 1;
-                }
-                ConvexSet::Ball { .. } => {}
-            }
-        }
-        let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
-        if m > 0 {
-            cones.push(ZeroConeT(m));
-        }
-        if n_nonnegative > 0 {
-            cones.push(NonnegativeConeT(n_nonnegative));
-        }
-        for set in self.sets {
-            if let ConvexSet::Ball { indices, radius } = set {
-                rows.end(*radius);
-                for &index in indices {
-                    rows.put(index, -1.0);
-                    rows.end(self.variables[index]);
-                }
-                cones.push(SecondOrderConeT(indices.len() + 1));
-            }
-        }
-        if self.trust_radius.is_finite() {
-            rows.end(self.trust_radius);
-            for index in 0..n {
-                rows.put(index, -1.0);
-                rows.end(0.0);
-            }
-            cones.push(SecondOrderConeT(n + 1));
-        }
-        let (a, b) = rows.finish();
+        let slacks = Slacks::of(self, working);
+        let rows = Assembly::of(self, working, &slacks);
+        let diagonal = (0..n)
+            .map(|i| self.hessian[(i, i)].abs())
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let mut q = self.gradient.to_vec();
+        q.resize(n + 2 * m, self.elastic_weight);
+        q.extend(slacks.prices.iter().map(|p| p.0));
+        q.iter_mut().for_each(|q| *q *= scale);
+        let p = upper_triangle(
+            self.hessian,
+            2 * m,
+            &slacks.prices,
+            scale,
+            attempt.shift * diagonal,
+        );
+        let Assembly {
+            matrix,
+            right,
+            cones,
+            places,
+            inequalities,
+        } = rows;
         let settings = DefaultSettingsBuilder::default()
             .verbose(false)
             .presolve_enable(false)
             .max_threads(1)
-            .tol_gap_abs(tolerance)
-            .tol_gap_rel(tolerance)
-            .tol_feas(tolerance)
-            .reduced_tol_gap_abs(reduced)
-            .reduced_tol_gap_rel(reduced)
-            .reduced_tol_feas(reduced)
+            .tol_gap_abs(attempt.tolerance)
+            .tol_gap_rel(attempt.tolerance)
+            .tol_feas(attempt.tolerance)
+            .reduced_tol_gap_abs(attempt.reduced)
+            .reduced_tol_gap_rel(attempt.reduced)
+            .reduced_tol_feas(attempt.reduced)
+            .static_regularization_constant(attempt.regularization)
             .time_limit(self.time_limit)
             .build()
-            .map_err(|error| QpError::Status(error.to_string()))?;
-        let mut solver = DefaultSolver::new(&p, &q, &a, &b, &cones, settings)
-            .map_err(|error| QpError::Status(error.to_string()))?;
+            .map_err(|error| QpError::refused(error.to_string()))?;
+        let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
+            .map_err(|error| QpError::refused(error.to_string()))?;
         solver.solve();
         let solution = &solver.solution;
         let info = &solver.info;
@@ -213,71 +332,298 @@ impl QuadraticProgram<'_> {
             SolverStatus::Solved | SolverStatus::AlmostSolved => true,
             // It stops a step after its best point, whose residuals may well be good enough.
             SolverStatus::InsufficientProgress => {
-                info.res_primal <= reduced
-                    && info.res_dual <= reduced
-                    && info.gap_rel.min(info.gap_abs) <= reduced
+                info.res_primal <= attempt.reduced
+                    && info.res_dual <= attempt.reduced
+                    && info.gap_rel.min(info.gap_abs) <= attempt.reduced
             }
             _ => false,
         };
-        if !usable {
-            return Err(QpError::Status(format!(
-                "{} (primal residual {:.1e}, dual residual {:.1e}, relative gap {:.1e})",
-                solution.status, info.res_primal, info.res_dual, info.gap_rel
-            )));
+        let finite = solution.x.iter().chain(&solution.z).all(|x| x.is_finite());
+        if !(usable && finite) {
+            return Err(QpError::Status {
+                status: format!(
+                    "{} (primal residual {:.1e}, dual residual {:.1e}, relative gap {:.1e})",
+                    solution.status, info.res_primal, info.res_dual, info.gap_rel
+                ),
+                problem: is_last.then(|| saved(&solver)).flatten(),
+            });
         }
-        if !solution.x.iter().chain(&solution.z).all(|x| x.is_finite()) {
-            return Err(QpError::NotFinite("solution"));
+        let (of_constraints, of_rows) = solution.x[n..].split_at(2 * m);
+        let hard = (of_rows.iter().zip(&slacks.is_hard)).filter(|(_, hard)| **hard);
+        let violation = (of_constraints.iter()).chain(hard.map(|(slack, _)| slack));
+        let mut multipliers = Multipliers {
+            constraints: solution.z[..m].iter().map(|y| y / scale).collect(),
+            inequalities: vec![0.0; self.inequalities.offset.len()],
+            normals: (self.sets.iter().zip(&places))
+                .map(|(set, &place)| normal(set, place, &solution.z, scale))
+                .collect(),
+        };
+        for (at, row) in working.iter().zip(inequalities..) {
+            let (z, s) = (solution.z[row], solution.s[row]);
+            if z > NEGLIGIBLE_MULTIPLIER * s {
+                multipliers.inequalities[*at] = z / scale;
+            }
         }
         Ok(QpSolution {
             change: solution.x[..n].to_vec(),
-            multipliers: self.multipliers(&solution.z, m, n_nonnegative, scale),
-            slack: solution.x[n..].iter().map(|s| s.max(0.0)).sum(),
+            multipliers,
+            slack: violation.map(|s| s.max(0.0)).sum(),
             iterations: solution.iterations,
+            working: Vec::new(),
+            slacks: (slacks.shared.iter())
+                .map(|(group, at)| (*group, of_rows[*at].max(0.0)))
+                .collect(),
         })
     }
+}
 
-    /// Clarabel's `z` in our order and units: `P x + q + Aᵀ z = 0`.
-    fn multipliers(&self, z: &[f64], m: usize, n_nonnegative: usize, scale: f64) -> Multipliers {
-        let mut linear = 3 * m;
-        let mut ball = m + n_nonnegative;
-        Multipliers {
-            constraints: z[..m].iter().map(|y| y / scale).collect(),
-            normals: self
-                .sets
-                .iter()
-                .map(|set| match set {
-                    ConvexSet::Interval { .. } => {
-                        linear += 2;
-                        vec![(z[linear - 2] - z[linear - 1]) / scale]
-                    }
-                    ConvexSet::HalfSpace { .. } => {
-                        linear += 1;
-                        vec![z[linear - 1] / scale]
-                    }
-                    ConvexSet::Ball { indices, .. } => {
-                        // Rows (radius; v + δ) with A = (0; -I): the normal is minus the cone's vector part.
-                        let from = ball + 1;
-                        ball += indices.len() + 1;
-                        z[from..ball].iter().map(|z| -z / scale).collect()
-                    }
-                })
-                .collect(),
+impl QpError {
+    fn refused(status: String) -> Self {
+        Self::Status {
+            status,
+            problem: None,
         }
     }
 }
 
-fn upper_triangle(h: &Mat<f64>, size: usize, scale: f64, shift: f64) -> CscMatrix<f64> {
-    let n = h.nrows();
-    let mut colptr = vec![0];
-    let mut rowval = Vec::with_capacity(n * (n + 1) / 2);
-    let mut nzval = Vec::with_capacity(n * (n + 1) / 2);
-    for j in 0..size {
-        if j < n {
-            for i in 0..=j {
-                let diagonal = if i == j { shift } else { 0.0 };
-                rowval.push(i);
-                nzval.push((0.5 * (h[(i, j)] + h[(j, i)]) + diagonal) * scale);
+/// Local maxima along runs of neighboring rows, ends included; of equal ones the first.
+pub(super) fn peaks(rows: &[(usize, f64)]) -> Vec<(usize, f64)> {
+    let value = |at: usize, i: Option<usize>| {
+        i.and_then(|i| rows.get(i))
+            .filter(|neighbor| neighbor.0.abs_diff(at) == 1)
+            .map_or(f64::NEG_INFINITY, |neighbor| neighbor.1)
+    };
+    (rows.iter().enumerate())
+        .filter(|&(i, &(at, v))| v > value(at, i.checked_sub(1)) && v >= value(at, Some(i + 1)))
+        .map(|(_, &row)| row)
+        .collect()
+}
+
+/// The problem as Clarabel writes it.
+fn saved(solver: &DefaultSolver<f64>) -> Option<String> {
+    let mut file = tempfile::tempfile().ok()?;
+    let mut text = String::new();
+    solver.save_to_file(&mut file).ok()?;
+    file.rewind().ok()?;
+    file.read_to_string(&mut text).ok()?;
+    Some(text)
+}
+
+/// Where a set's rows are in Clarabel's `A`, and whether they are equations.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    row: usize,
+    is_equation: bool,
+}
+
+impl ConvexSet {
+    /// Without interior: no interior-point method could begin.
+    fn is_equation(&self) -> bool {
+        match self {
+            Self::Interval { lower, upper, .. } => lower == upper,
+            Self::HalfSpace { .. } => false,
+            Self::Ball { radius, .. } => *radius == 0.0,
+        }
+    }
+}
+
+/// Clarabel's `z` in our order and units: `P x + q + Aᵀ z = 0`.
+fn normal(set: &ConvexSet, place: Place, z: &[f64], scale: f64) -> Vec<f64> {
+    let z = &z[place.row..];
+    match set {
+        ConvexSet::Interval { .. } if place.is_equation => vec![z[0] / scale],
+        ConvexSet::Interval { .. } => vec![(z[0] - z[1]) / scale],
+        ConvexSet::HalfSpace { .. } => vec![z[0] / scale],
+        ConvexSet::Ball { rows, .. } if place.is_equation => {
+            z[..rows.len()].iter().map(|z| z / scale).collect()
+        }
+        // Rows (radius; M (v + δ)) with A = (0; -M): the normal is minus the cone's vector part.
+        ConvexSet::Ball { rows, .. } => z[1..=rows.len()].iter().map(|z| -z / scale).collect(),
+    }
+}
+
+/// `A`, `b` and the cones.
+struct Assembly {
+    matrix: CscMatrix<f64>,
+    right: Vec<f64>,
+    cones: Vec<SupportedConeT<f64>>,
+    /// One per set.
+    places: Vec<Place>,
+    /// First row of the inequalities.
+    inequalities: usize,
+}
+
+/// Slacks of the working set: one per group of hard rows, one per soft row.
+struct Slacks {
+    /// Which one every row of the working set has.
+    of_row: Vec<usize>,
+    /// Linear and quadratic price.
+    prices: Vec<(f64, f64)>,
+    is_hard: Vec<bool>,
+    /// Slack of every group.
+    shared: BTreeMap<usize, usize>,
+}
+
+impl Slacks {
+    fn of(qp: &QuadraticProgram, working: &[usize]) -> Self {
+        let mut out = Self {
+            shared: BTreeMap::new(),
+            of_row: Vec::with_capacity(working.len()),
+            prices: Vec::new(),
+            is_hard: Vec::new(),
+        };
+        for &at in working {
+            let next = out.prices.len();
+            let (price, is_hard) = match qp.inequalities.softness[at] {
+                Softness::Hard => {
+                    let group = qp.inequalities.groups[at];
+                    let slack = *out.shared.entry(group).or_insert(next);
+                    if slack < next {
+                        out.of_row.push(slack);
+                        continue;
+                    }
+                    ((qp.elastic_weight, 0.0), true)
+                }
+                Softness::Soft { linear, quadratic } => ((linear, quadratic), false),
+            };
+            out.of_row.push(next);
+            out.prices.push(price);
+            out.is_hard.push(is_hard);
+        }
+        out
+    }
+}
+
+impl Assembly {
+    /// Columns: `δ`, `s⁺`, `s⁻`, `t` of the working set.
+    fn of(qp: &QuadraticProgram, working: &[usize], slacks: &Slacks) -> Self {
+        let (n, m) = (qp.gradient.len(), qp.offset.len());
+        let n_slacks = 2 * m + slacks.prices.len();
+        let mut rows = Rows::new(n + n_slacks);
+        let mut places = vec![
+            Place {
+                row: 0,
+                is_equation: false
+            };
+            qp.sets.len()
+        ];
+        let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
+        for i in 0..m {
+            rows.dense(qp.jacobian, i);
+            rows.put(n + i, -1.0);
+            rows.put(n + m + i, 1.0);
+            rows.end(-qp.offset[i]);
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            if set.is_equation() {
+                *place = Place {
+                    row: rows.count(),
+                    is_equation: true,
+                };
+                rows.equations(set, qp.variables);
             }
+        }
+        let n_equations = rows.count();
+        if n_equations > 0 {
+            cones.push(ZeroConeT(n_equations));
+        }
+        for i in 0..n_slacks {
+            rows.put(n + i, -1.0);
+            rows.end(0.0);
+        }
+        let inequalities = rows.count();
+        for (&at, slack) in working.iter().zip(&slacks.of_row) {
+            rows.dense(qp.inequalities.jacobian, at);
+            rows.put(n + 2 * m + slack, -1.0);
+            rows.end(-qp.inequalities.offset[at]);
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            let row = rows.count();
+            match set {
+                _ if place.is_equation => continue,
+                ConvexSet::Interval {
+                    index,
+                    lower,
+                    upper,
+                } => {
+                    rows.put(*index, 1.0);
+                    rows.end(upper - qp.variables[*index]);
+                    rows.put(*index, -1.0);
+                    rows.end(qp.variables[*index] - lower);
+                }
+                ConvexSet::HalfSpace { direction, limit } => {
+                    rows.sparse(direction, 1.0);
+                    rows.end(limit - along(direction, qp.variables));
+                }
+                ConvexSet::Ball { .. } => continue,
+            }
+            place.row = row;
+        }
+        if rows.count() > n_equations {
+            cones.push(NonnegativeConeT(rows.count() - n_equations));
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            if let ConvexSet::Ball {
+                rows: directions,
+                radius,
+            } = set
+                && !(place.is_equation || directions.is_empty())
+            {
+                place.row = rows.count();
+                rows.end(*radius);
+                for direction in directions {
+                    rows.sparse(direction, -1.0);
+                    rows.end(along(direction, qp.variables));
+                }
+                cones.push(SecondOrderConeT(directions.len() + 1));
+            }
+        }
+        if qp.trust_radius.is_finite() {
+            rows.end(qp.trust_radius);
+            for index in 0..n {
+                rows.put(index, -1.0);
+                rows.end(0.0);
+            }
+            cones.push(SecondOrderConeT(n + 1));
+        }
+        let (matrix, right) = rows.finish();
+        Self {
+            matrix,
+            right,
+            cones,
+            places,
+            inequalities,
+        }
+    }
+}
+
+/// Upper triangle of the scaled Hessian, of zeros for the `n_linear` variables that only cost linearly, and of the
+/// quadratic prices.
+fn upper_triangle(
+    h: &Mat<f64>,
+    n_linear: usize,
+    prices: &[(f64, f64)],
+    scale: f64,
+    shift: f64,
+) -> CscMatrix<f64> {
+    let n = h.nrows();
+    let size = n + n_linear + prices.len();
+    let mut colptr = vec![0];
+    let mut rowval = Vec::with_capacity(n * (n + 1) / 2 + prices.len());
+    let mut nzval = Vec::with_capacity(n * (n + 1) / 2 + prices.len());
+    for j in 0..n {
+        for i in 0..=j {
+            let diagonal = if i == j { shift } else { 0.0 };
+            rowval.push(i);
+            nzval.push((0.5 * (h[(i, j)] + h[(j, i)]) + diagonal) * scale);
+        }
+        colptr.push(rowval.len());
+    }
+    colptr.resize(n + n_linear + 1, rowval.len());
+    for (i, &(_, quadratic)) in prices.iter().enumerate() {
+        if quadratic > 0.0 {
+            rowval.push(n + n_linear + i);
+            nzval.push(quadratic * scale);
         }
         colptr.push(rowval.len());
     }
@@ -298,8 +644,45 @@ impl Rows {
         }
     }
 
+    fn count(&self) -> usize {
+        self.right.len()
+    }
+
     fn put(&mut self, column: usize, value: f64) {
-        self.columns[column].push((self.right.len(), value));
+        let row = self.count();
+        match self.columns[column].last_mut() {
+            Some(last) if last.0 == row => last.1 += value,
+            _ => self.columns[column].push((row, value)),
+        }
+    }
+
+    fn dense(&mut self, matrix: &Mat<f64>, row: usize) {
+        for j in 0..matrix.ncols() {
+            self.put(j, matrix[(row, j)]);
+        }
+    }
+
+    fn sparse(&mut self, direction: &[(usize, f64)], factor: f64) {
+        for &(index, component) in direction {
+            self.put(index, factor * component);
+        }
+    }
+
+    /// A set without interior.
+    fn equations(&mut self, set: &ConvexSet, variables: &[f64]) {
+        match set {
+            ConvexSet::Interval { index, upper, .. } => {
+                self.put(*index, 1.0);
+                self.end(upper - variables[*index]);
+            }
+            ConvexSet::HalfSpace { .. } => {}
+            ConvexSet::Ball { rows, .. } => {
+                for row in rows {
+                    self.sparse(row, 1.0);
+                    self.end(-along(row, variables));
+                }
+            }
+        }
     }
 
     fn end(&mut self, right: f64) {
@@ -333,6 +716,17 @@ mod tests {
         Mat::identity(n, n)
     }
 
+    fn none() -> LinearInequalities<'static> {
+        static EMPTY: std::sync::LazyLock<Mat<f64>> = std::sync::LazyLock::new(|| Mat::zeros(0, 0));
+        LinearInequalities {
+            jacobian: &EMPTY,
+            offset: &[],
+            softness: &[],
+            groups: &[],
+            first: &[],
+        }
+    }
+
     /// Projection of a point outside onto a ball, with no constraints: known answer, outward normal, right sign.
     #[test]
     fn ball_projects() {
@@ -343,11 +737,9 @@ mod tests {
             gradient: &[-3.0, -4.0],
             jacobian: &jacobian,
             offset: &[],
+            inequalities: none(),
             variables: &[0.0, 0.0],
-            sets: &[ConvexSet::Ball {
-                indices: vec![0, 1],
-                radius: 1.0,
-            }],
+            sets: &[ConvexSet::ball([0, 1], 1.0)],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             time_limit: 1.0,
@@ -375,6 +767,7 @@ mod tests {
             gradient: &[-9.0, 9.0],
             jacobian: &jacobian,
             offset: &[],
+            inequalities: none(),
             variables: &variables,
             sets: &[set(0), set(1)],
             elastic_weight: 1.0,
@@ -397,6 +790,7 @@ mod tests {
             gradient: &[0.0],
             jacobian: &jacobian,
             offset: &[-5.0],
+            inequalities: none(),
             variables: &[0.0],
             sets: &[ConvexSet::Interval {
                 index: 0,
@@ -423,6 +817,7 @@ mod tests {
             gradient: &[f64::NAN],
             jacobian: &jacobian,
             offset: &[],
+            inequalities: none(),
             variables: &[0.0],
             sets: &[],
             elastic_weight: 1.0,
@@ -430,5 +825,93 @@ mod tests {
             time_limit: 1.0,
         };
         assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
+    }
+
+    /// Many rows, three kinds of price: the working sets end at the solution of the problem with all rows.
+    #[test]
+    fn exchange_finds_the_full_solution() {
+        const ROWS: usize = 600;
+        let n = 8;
+        let angle = |i: usize, j: usize| (j as f64 + 0.5) * (i as f64) / ROWS as f64;
+        let rows = Mat::from_fn(ROWS, n, |i, j| (3.0 * angle(i, j)).cos());
+        let offset: Vec<f64> = (0..ROWS).map(|i| -0.4 - 0.1 * angle(i, 3).sin()).collect();
+        let hard = vec![Softness::Hard; ROWS];
+        let soft = vec![
+            Softness::Soft {
+                linear: 0.05,
+                quadratic: 0.1,
+            };
+            ROWS
+        ];
+        let mixed: Vec<Softness> = (0..ROWS)
+            .map(|i| [Softness::Hard, soft[0], Softness::FREE][i * 3 / ROWS])
+            .collect();
+        let (hessian, jacobian) = (identity(n), Mat::zeros(0, n));
+        let groups: Vec<usize> = (0..ROWS).collect();
+        for softness in [&hard, &soft, &mixed] {
+            let qp = QuadraticProgram {
+                hessian: &hessian,
+                gradient: &[-1.0, 0.7, -0.4, 0.9, -0.3, 0.2, -0.8, 0.1],
+                jacobian: &jacobian,
+                offset: &[],
+                inequalities: LinearInequalities {
+                    jacobian: &rows,
+                    offset: &offset,
+                    softness,
+                    groups: &groups,
+                    first: &[],
+                },
+                variables: &[0.0; 8],
+                sets: &[],
+                elastic_weight: 100.0,
+                trust_radius: f64::INFINITY,
+                time_limit: f64::INFINITY,
+            };
+            let all: Vec<usize> = (0..ROWS)
+                .filter(|&at| softness[at] != Softness::FREE)
+                .collect();
+            let full = qp.solve_with(&all).expect("feasible");
+            let found = qp.solve().expect("feasible");
+            let seen = found.working.len();
+            assert!(0 < seen && seen < ROWS / 4, "{seen}");
+            assert!(full.multipliers.inequalities.iter().any(|z| *z > 0.01));
+            for (a, b) in found.change.iter().zip(&full.change) {
+                assert!((a - b).abs() < 1e-8, "{a} {b}");
+            }
+        }
+    }
+
+    /// What Clarabel cannot solve is handed back as it writes it, with the cones.
+    #[test]
+    fn unsolved_problem_is_saved() {
+        let (hessian, jacobian) = (identity(1), Mat::zeros(0, 1));
+        let qp = QuadraticProgram {
+            hessian: &hessian,
+            gradient: &[0.0],
+            jacobian: &jacobian,
+            offset: &[],
+            inequalities: none(),
+            variables: &[0.0],
+            sets: &[
+                ConvexSet::ball([0], 1.0),
+                ConvexSet::HalfSpace {
+                    direction: vec![(0, -1.0)],
+                    limit: -2.0,
+                },
+            ],
+            elastic_weight: 1.0,
+            trust_radius: f64::INFINITY,
+            time_limit: f64::INFINITY,
+        };
+        let Err(QpError::Status {
+            problem: Some(problem),
+            ..
+        }) = qp.solve()
+        else {
+            panic!("the sets have no common point");
+        };
+        let problem: serde_json::Value = serde_json::from_str(&problem).expect("JSON");
+        assert_eq!(problem["cones"].as_array().map(Vec::len), Some(2));
+        assert_eq!(problem["b"].as_array().map(Vec::len), Some(3));
     }
 }

@@ -1,43 +1,89 @@
 //! The optimality conditions and how far a point is from them.
 
-use super::program::{ConvexSet, Linearization};
+use super::program::{ConvexSet, Evaluation, LiftedProgram, Linearization, Softness, along};
 
-/// Multipliers of the constraints and of the convex sets.
+/// Multipliers of the constraints, the inequalities and the convex sets.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Multipliers {
     /// `y`, one per constraint; Lagrangian `J + yᵀ c + …`.
     pub constraints: Vec<f64>,
-    /// Per set, the normal vector it exerts on its variables: an interval has one entry (positive: upper limit), a
-    /// half-space its length, a ball as many entries as it has variables.
+    /// `z ≥ 0`, one per inequality; Lagrangian `… + zᵀ h + …`.
+    pub inequalities: Vec<f64>,
+    /// Per set: an interval has one entry (positive: upper limit), a half-space the factor of its direction, a ball the
+    /// vector `w` that pulls on the variables with `Mᵀ w`.
     pub normals: Vec<Vec<f64>>,
 }
 
 impl Multipliers {
-    /// Zero multipliers for `n_constraints` constraints and the given sets.
+    /// Zero multipliers for so many constraints and inequalities, and the given sets.
     #[must_use]
-    pub fn zeros(n_constraints: usize, sets: &[ConvexSet]) -> Self {
+    pub fn zeros(n_constraints: usize, n_inequalities: usize, sets: &[ConvexSet]) -> Self {
         Self {
             constraints: vec![0.0; n_constraints],
+            inequalities: vec![0.0; n_inequalities],
             normals: sets
                 .iter()
                 .map(|set| match set {
                     ConvexSet::Interval { .. } | ConvexSet::HalfSpace { .. } => vec![0.0],
-                    ConvexSet::Ball { indices, .. } => vec![0.0; indices.len()],
+                    ConvexSet::Ball { rows, .. } => vec![0.0; rows.len()],
                 })
                 .collect(),
         }
     }
 }
 
+impl Multipliers {
+    /// `yᵀc + Σ z h` over the hard ones of the given rows.
+    pub(super) fn work<P: LiftedProgram>(
+        &self,
+        program: &P,
+        constraints: &[f64],
+        rows: impl Iterator<Item = (usize, f64)>,
+    ) -> f64 {
+        let held = (constraints.iter().zip(&self.constraints)).map(|(c, y)| c * y);
+        let pushed = rows
+            .filter(|&(row, _)| {
+                self.inequalities[row] != 0.0 && program.softness(row) == Softness::Hard
+            })
+            .map(|(row, h)| self.inequalities[row] * h);
+        held.chain(pushed).sum()
+    }
+}
+
+/// Accuracy to which a subproblem meets its rows.
+const ROW_NOISE: f64 = 1e-12;
+
+impl Multipliers {
+    /// What rows that are met to the accuracy of a subproblem change the objective by.
+    pub(super) fn row_noise(&self) -> f64 {
+        let pulls = self.constraints.iter().map(|y| y.abs());
+        ROW_NOISE * (pulls.sum::<f64>() + self.inequalities.iter().sum::<f64>())
+    }
+}
+
 /// Scaled residuals of the Karush-Kuhn-Tucker conditions.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
-    /// `|∇J + Jᵀy + Σ normals|_∞`, relative to the largest of its terms.
+    /// `|∇J + Jᵀy + Dᵀz + Σ pulls of the sets|_∞`, relative to the largest of its terms.
     pub stationarity: f64,
-    /// Largest of the scaled constraints, the state defect, and the violation of the sets.
+    /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
-    /// Largest product of a set's slack and its normal, relative like the stationarity; covers wrong signs as well.
+    /// Largest product of a slack and its multiplier, relative like the stationarity; covers wrong signs as well. A soft
+    /// row of violation `t` has two pairs: `z` with `max(-h, 0)`, and `linear + quadratic t - z` with `t`.
     pub complementarity: f64,
+}
+
+/// Sums of the terms of `∇L`, and the largest term.
+struct Sum {
+    gradient: Vec<f64>,
+    largest: f64,
+}
+
+impl Sum {
+    fn add(&mut self, index: usize, term: f64) {
+        self.largest = self.largest.max(term.abs());
+        self.gradient[index] += term;
+    }
 }
 
 impl KktResidual {
@@ -54,82 +100,106 @@ impl KktResidual {
             .max(self.complementarity)
     }
 
-    /// Residuals at a point with the given variables, constraint values and state defect.
+    /// Residuals at a point. Inequalities with a multiplier must be among the linearized rows.
     #[must_use]
-    pub fn of(
+    pub fn of<P: LiftedProgram>(
+        program: &P,
+        point: &P::Point,
+        evaluation: &Evaluation<P::Defects>,
         linearization: &Linearization,
-        constraints: &[f64],
-        defect: f64,
-        variables: &[f64],
-        sets: &[ConvexSet],
         multipliers: &Multipliers,
     ) -> Self {
-        let mut sum = linearization.gradient.clone();
-        let mut largest = infinity_norm(&sum);
+        let variables = program.variables(point);
+        let mut sum = Sum {
+            gradient: linearization.gradient.clone(),
+            largest: infinity_norm(&linearization.gradient),
+        };
         for (row, &y) in multipliers.constraints.iter().enumerate() {
-            for (j, s) in sum.iter_mut().enumerate() {
-                let term = linearization.jacobian[(row, j)] * y;
-                largest = largest.max(term.abs());
-                *s += term;
+            for j in 0..variables.len() {
+                sum.add(j, linearization.jacobian[(row, j)] * y);
             }
         }
-        let mut feasibility = infinity_norm(constraints).max(defect);
-        let mut complementarity: f64 = 0.0;
-        for (set, normal) in sets.iter().zip(&multipliers.normals) {
-            match set {
-                ConvexSet::Interval {
-                    index,
-                    lower,
-                    upper,
-                } => {
-                    let (v, z) = (variables[*index], normal[0]);
-                    sum[*index] += z;
-                    largest = largest.max(z.abs());
-                    feasibility = feasibility.max(v - upper).max(lower - v);
-                    // A positive normal belongs to the upper limit, a negative one to the lower.
-                    let slack = if z >= 0.0 { upper - v } else { v - lower };
-                    complementarity = complementarity.max((z * slack).abs());
-                }
-                ConvexSet::HalfSpace { direction, limit } => {
-                    let z = normal[0];
-                    let mut along = 0.0;
-                    for &(index, component) in direction {
-                        sum[index] += z * component;
-                        along += component * variables[index];
-                    }
-                    largest = largest.max(z.abs());
-                    feasibility = feasibility.max(along - limit);
-                    // A normal pulls outward only: a negative one is as wrong as it is long.
-                    complementarity = complementarity.max(if z < 0.0 {
-                        -z
-                    } else {
-                        (z * (limit - along)).abs()
-                    });
-                }
-                ConvexSet::Ball { indices, radius } => {
-                    let mut inner = 0.0;
-                    let mut norm = 0.0;
-                    let mut size = 0.0;
-                    for (&index, &z) in indices.iter().zip(normal) {
-                        sum[index] += z;
-                        largest = largest.max(z.abs());
-                        inner += z * variables[index];
-                        norm += z * z;
-                        size += variables[index] * variables[index];
-                    }
-                    feasibility = feasibility.max(size.sqrt() - radius);
-                    // |z| radius = z·v exactly when v is on the sphere and z points outward.
-                    complementarity = complementarity.max((norm.sqrt() * radius - inner).abs());
+        for (at, &row) in linearization.rows.iter().enumerate() {
+            let z = multipliers.inequalities[row];
+            if z != 0.0 {
+                for j in 0..variables.len() {
+                    sum.add(j, linearization.inequality_jacobian[(at, j)] * z);
                 }
             }
+        }
+        let mut feasibility = infinity_norm(&evaluation.constraints).max(evaluation.defect);
+        let mut complementarity: f64 = 0.0;
+        for (row, (&h, &z)) in (evaluation.inequalities.iter())
+            .zip(&multipliers.inequalities)
+            .enumerate()
+        {
+            let softness = program.softness(row);
+            if softness == Softness::Hard {
+                feasibility = feasibility.max(h);
+            }
+            complementarity = complementarity.max(row_complementarity(h, z, softness));
+        }
+        for (set, normal) in program.sets().iter().zip(&multipliers.normals) {
+            feasibility = feasibility.max(set.violation(variables));
+            complementarity =
+                complementarity.max(set_complementarity(set, normal, variables, &mut sum));
         }
         // A problem whose terms all vanish (already at its optimum) is judged against one unit of effort instead.
         let unit = 1e-6 * linearization.least_curvature();
-        let scale = largest.max(unit).max(f64::MIN_POSITIVE);
+        let scale = sum.largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
-            stationarity: infinity_norm(&sum) / scale,
+            stationarity: infinity_norm(&sum.gradient) / scale,
             feasibility,
             complementarity: complementarity / scale,
+        }
+    }
+}
+
+/// Products of slacks and multipliers of one inequality, and what has the wrong sign.
+fn row_complementarity(h: f64, z: f64, softness: Softness) -> f64 {
+    match softness {
+        Softness::Hard => (z * h).abs().max(-z),
+        Softness::Soft { linear, quadratic } => {
+            let t = h.max(0.0);
+            let left = linear + quadratic * t - z;
+            let products = (z * h.min(0.0)).abs().max((left * t).abs());
+            products.max(-z).max(-left)
+        }
+    }
+}
+
+/// The product of a set's slack and its normal; adds its pull to `sum`.
+fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: &mut Sum) -> f64 {
+    match set {
+        ConvexSet::Interval {
+            index,
+            lower,
+            upper,
+        } => {
+            let (v, z) = (variables[*index], normal[0]);
+            sum.add(*index, z);
+            // A positive normal belongs to the upper limit, a negative one to the lower.
+            let slack = if z >= 0.0 { upper - v } else { v - lower };
+            (z * slack).abs()
+        }
+        ConvexSet::HalfSpace { direction, .. } => {
+            let z = normal[0];
+            for &(index, component) in direction {
+                sum.add(index, z * component);
+            }
+            // A normal pulls outward only: a negative one is as wrong as it is long.
+            (z * set.violation(variables)).abs().max(-z)
+        }
+        ConvexSet::Ball { rows, radius } => {
+            let mut inner = 0.0;
+            for (row, z) in rows.iter().zip(normal) {
+                inner += z * along(row, variables);
+                for &(index, component) in row {
+                    sum.add(index, z * component);
+                }
+            }
+            // |w| radius = w·Mv exactly when Mv is on the sphere and w points outward.
+            (norm(normal) * radius - inner).abs()
         }
     }
 }

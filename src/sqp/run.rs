@@ -1,14 +1,26 @@
 //! A solve in progress: what one iteration of the loop does, and what it remembers.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use super::globalization::{Accepted, Departure, Filter};
-use super::hessian::{ActiveNormal, HessianChoice, HessianKind, ModelHessian};
-use super::program::{ConvexSet, Evaluation, Failure, LiftedProgram, Linearization};
-use super::quadratic_program::{QpError, QpSolution, QuadraticProgram};
-use super::residual::{KktResidual, Multipliers, infinity_norm, norm};
-use super::solver::{IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop};
+use faer::Mat;
+
+use super::balls::into_balls;
+use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure};
+use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian};
+use super::program::{
+    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
+    sum_of_largest,
+};
+use super::quadratic_program::{
+    LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
+};
+use super::quasi_newton::{Formula, QuasiNewton};
+use super::residual::{KktResidual, Multipliers, norm};
+use super::solver::{
+    Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
+};
 
 /// Smallest and first elastic weight, relative to the size of the cost gradient.
 const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
@@ -24,25 +36,50 @@ const NO_SLACK: f64 = 1e-8;
 const EXACT_BELOW: f64 = 0.3;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
 const NEARLY_DONE: f64 = 1e-4;
+/// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
+const EXACT_REFUSALS: usize = 3;
+const EXACT_PAUSE: usize = 3;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
 /// First trust radius, relative to the first variables (at least to one).
 const FIRST_TRUST_RADIUS: f64 = 2.0;
+/// Room that a trust region leaves around the nearest point of the sets.
+const SET_ROOM: f64 = 2.0;
+/// A set may be violated by this much before the trust region makes room for the way back.
+const SET_TOLERANCE: f64 = 1e-9;
 const SHRINK: f64 = 0.3;
 const GROW: f64 = 2.5;
 /// Ratios of what a step delivered to what it promised, above which the trust region grows and below which it shrinks.
 const GOOD_RATIO: f64 = 0.5;
 const POOR_RATIO: f64 = 0.05;
 const POOR_SHRINK: f64 = 0.5;
+/// Rounding of the merit, relatively.
+const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
+/// A trust region is shrunk by poor steps to no less than this, relative to the variables (at least to one).
+const LEAST_TRUST_RADIUS: f64 = 1e-9;
+/// Steps that shrink by less than this no longer converge by themselves.
+const SLOW_CONTRACTION: f64 = 0.95;
 const SHRINKAGES: usize = 12;
 /// Subproblems without a solution, in all, after which a solve gives up.
 const RESCUES: usize = 8;
 const REFUSALS_IN_A_ROW: usize = 4;
 const FILTER_RESETS: usize = 5;
+/// Refused trials of an iteration whose violated rows join the subproblem at the same trust radius.
+const TRIAL_JOINS: usize = 2;
+/// Rows that are linearized from the start, peaks and active ones apart.
+const MOST_CANDIDATES: usize = 500;
 /// Part of the promise that a step refused by the filter must deliver, and how many such steps there may be.
 const MERIT_RATIO: f64 = 0.2;
 const MERIT_STEPS: usize = 40;
+/// The screening margin grows by this when a step violates what was screened out.
+const MARGIN_GROWTH: f64 = 2.0;
+/// A step of the restoration must deliver this part of what it promised.
+const RESTORATION_RATIO: f64 = 0.1;
+/// The restoration ends where the filter lets it, once the infeasibility is this part of what it was.
+const RESTORATION_GAIN: f64 = 0.5;
+/// Restorations, at most.
+const RESTORATIONS: usize = 5;
 
 /// What was done about a subproblem without a solution.
 enum Recovery {
@@ -58,6 +95,22 @@ pub(super) enum Step {
     Infeasible,
 }
 
+/// Why a solve cannot go on.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(super) enum Breakdown {
+    #[error(transparent)]
+    Subproblem(#[from] QpError),
+    #[error(transparent)]
+    Model(#[from] Failure),
+}
+
+/// The restoration phase: the infeasibility alone is minimized, close to where it began.
+#[derive(Clone, Copy)]
+struct Restoration {
+    began_with: f64,
+    radius: f64,
+}
+
 /// A solve in progress.
 pub(super) struct Run<'a, P: LiftedProgram> {
     program: &'a P,
@@ -69,16 +122,35 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     filter: Filter,
     elastic_weight: Option<f64>,
     trust_radius: f64,
+    /// Distance of the variables from the sets; positive at most at the start.
+    outside: f64,
+    /// Inequalities above minus this are linearized from the start.
+    screening_margin: f64,
+    /// Of the linearized inequalities.
+    softness: Vec<Softness>,
+    /// Group of every linearized inequality.
+    groups: Vec<usize>,
+    /// Inequalities of the last working set that mattered.
+    working: Vec<usize>,
     stuck: usize,
     rescues: usize,
     refused_in_a_row: usize,
     filter_resets: usize,
     merit_steps: usize,
+    exact_pause: usize,
+    /// Whether the present point's curvature was left out because it was expected to be the last.
+    bets_on_end: bool,
+    restoration: Option<Restoration>,
+    restorations: usize,
+    quasi_newton: Option<QuasiNewton>,
+    /// Variables and linearization that the last step left.
+    departed: Option<(Vec<f64>, Linearization)>,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
+    failed_subproblem: Option<String>,
 }
 
 /// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
@@ -103,101 +175,178 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         settings: &'a SqpSettings,
     ) -> Result<Self, Box<SqpOutcome<P::Point>>> {
         let started = Instant::now();
-        match program.evaluate(&point) {
-            Ok(evaluation) => {
-                let multipliers = Multipliers::zeros(evaluation.constraints.len(), program.sets());
-                Ok(Self {
-                    program,
-                    settings,
-                    started,
-                    filter: Filter::new(evaluation.infeasibility()),
-                    best: Best {
-                        point: point.clone(),
-                        multipliers: multipliers.clone(),
-                        residual: UNKNOWN_RESIDUAL,
-                        objective: evaluation.objective,
-                        infeasibility: f64::INFINITY,
-                    },
-                    trust_radius: first_trust_radius(program.variables(&point)),
-                    point,
-                    evaluation,
-                    multipliers,
-                    elastic_weight: None,
-                    stuck: 0,
-                    rescues: 0,
-                    refused_in_a_row: 0,
-                    filter_resets: 0,
-                    merit_steps: 0,
-                    rounding: 0.0,
-                    history: Vec::new(),
-                    phases: PhaseTimes::default(),
-                })
+        let evaluation = match program.evaluate(&point) {
+            Ok(evaluation) => evaluation,
+            Err(failure) => return Err(Box::new(SqpOutcome::without_start(point, failure.0))),
+        };
+        let outside = match distance_from_sets(program.sets(), program.variables(&point)) {
+            Ok(outside) => outside,
+            Err(error) => {
+                let words = format!("no variables are in all convex sets ({error})");
+                return Err(Box::new(SqpOutcome::without_start(point, words)));
             }
-            Err(failure) => Err(Box::new(SqpOutcome {
-                status: SqpStatus::Failed(failure.0),
-                point,
-                multipliers: Multipliers::default(),
+        };
+        let multipliers = Multipliers::zeros(
+            evaluation.constraints.len(),
+            evaluation.inequalities.len(),
+            program.sets(),
+        );
+        Ok(Self {
+            program,
+            settings,
+            started,
+            filter: Filter::new(program.infeasibility(&evaluation)),
+            best: Best {
+                point: point.clone(),
+                multipliers: multipliers.clone(),
                 residual: UNKNOWN_RESIDUAL,
-                objective: f64::NAN,
-                history: Vec::new(),
-                phases: PhaseTimes::default(),
-            })),
-        }
+                objective: program.total_objective(&evaluation),
+                infeasibility: f64::INFINITY,
+            },
+            trust_radius: first_trust_radius(program.variables(&point)),
+            outside,
+            screening_margin: program.screening_margin(),
+            softness: Vec::new(),
+            groups: Vec::new(),
+            working: Vec::new(),
+            point,
+            evaluation,
+            multipliers,
+            elastic_weight: None,
+            stuck: 0,
+            rescues: 0,
+            refused_in_a_row: 0,
+            filter_resets: 0,
+            merit_steps: 0,
+            exact_pause: 0,
+            bets_on_end: false,
+            restoration: None,
+            restorations: 0,
+            quasi_newton: None,
+            departed: None,
+            rounding: 0.0,
+            history: Vec::new(),
+            phases: PhaseTimes::default(),
+            failed_subproblem: None,
+        })
     }
 
+    fn variables(&self) -> &[f64] {
+        self.program.variables(&self.point)
+    }
+
+    fn infeasibility(&self) -> f64 {
+        self.program.infeasibility(&self.evaluation)
+    }
+
+    /// Whether the exact Hessian is to be used at the present point.
     fn wants_curvature(&self) -> bool {
+        if self.restoration.is_some() {
+            return false;
+        }
         match self.settings.hessian {
-            HessianChoice::GaussNewton => false,
+            HessianChoice::GaussNewton | HessianChoice::Bfgs | HessianChoice::Sr1 => false,
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
-                let about_to_converge = last.residual.stationarity <= self.settings.tolerance
-                    || (last.hessian == HessianKind::Exact
-                        && last.residual.stationarity < NEARLY_DONE);
-                last.residual.stationarity < EXACT_BELOW
-                    && self.evaluation.infeasibility() < EXACT_BELOW
-                    && !about_to_converge
+                self.exact_pause == 0
+                    && last.residual.stationarity < EXACT_BELOW
+                    && self.infeasibility() < EXACT_BELOW
             }),
         }
     }
 
+    /// Whether the present point is expected to be the last; its curvature would be computed for nothing.
+    fn expects_to_converge(&self) -> bool {
+        self.settings.hessian == HessianChoice::Auto
+            && self.history.last().is_some_and(|last| {
+                last.residual.stationarity <= self.settings.tolerance
+                    || (last.hessian == HessianKind::Exact
+                        && last.residual.stationarity < NEARLY_DONE)
+            })
+    }
+
     pub(super) fn linearize(&mut self) -> Result<Linearization, Failure> {
+        let wanted = self.wants_curvature();
+        let saved = wanted && self.expects_to_converge();
+        self.bets_on_end = saved;
+        self.linearize_with(wanted && !saved)
+    }
+
+    fn linearize_with(&mut self, curvature: bool) -> Result<Linearization, Failure> {
         let clock = Instant::now();
-        let multipliers = self
-            .wants_curvature()
-            .then_some(self.multipliers.constraints.as_slice());
-        let linearization = self
-            .program
-            .linearize(&self.point, &self.evaluation, multipliers);
+        let rows = self.candidates();
+        let linearization = self.program.linearize(
+            &self.point,
+            &self.evaluation,
+            &LinearizationRequest {
+                multipliers: curvature.then_some(&self.multipliers),
+                rows: &rows,
+            },
+        )?;
+        self.note_rows(&linearization);
         self.phases.linearize += clock.elapsed().as_secs_f64();
-        linearization
+        Ok(linearization)
+    }
+
+    /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
+    /// those with multipliers. What is missing joins when a step violates it.
+    fn candidates(&self) -> Vec<usize> {
+        let values = self.evaluation.inequalities.iter();
+        let near: Vec<(usize, f64)> = (values.zip(&self.multipliers.inequalities).enumerate())
+            .filter(|&(_, (&h, &z))| h > -self.screening_margin || z > 0.0)
+            .map(|(row, (&h, _))| (row, h))
+            .collect();
+        let stride = near.len().div_ceil(MOST_CANDIDATES);
+        let mut rows: Vec<usize> = near
+            .iter()
+            .step_by(stride.max(1))
+            .map(|row| row.0)
+            .collect();
+        if stride > 1 {
+            rows.extend(peaks(&near).iter().map(|row| row.0));
+            let held = self.multipliers.inequalities.iter().enumerate();
+            rows.extend(held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row));
+            rows.sort_unstable();
+            rows.dedup();
+        }
+        rows
+    }
+
+    fn note_rows(&mut self, linearization: &Linearization) {
+        let rows = &linearization.rows;
+        self.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
+        self.groups = rows.iter().map(|&row| self.program.group(row)).collect();
     }
 
     pub(super) fn residual(&self, linearization: &Linearization) -> KktResidual {
         KktResidual::of(
+            self.program,
+            &self.point,
+            &self.evaluation,
             linearization,
-            &self.evaluation.constraints,
-            self.evaluation.defect,
-            self.program.variables(&self.point),
-            self.program.sets(),
             &self.multipliers,
         )
     }
 
     pub(super) fn record(&mut self, iteration: usize, residual: KktResidual) {
-        let infeasibility = self.evaluation.infeasibility();
+        let infeasibility = self.infeasibility();
+        let objective = self.program.total_objective(&self.evaluation);
         self.history.push(IterationRecord {
             iteration,
-            objective: self.evaluation.objective,
+            objective,
             residual,
             infeasibility,
             step_norm: 0.0,
+            contraction: None,
             hessian: HessianKind::GaussNewton,
             corrections: 0,
             restored: false,
             trust_radius: self.trust_radius,
             elastic_weight: self.elastic_weight.unwrap_or(0.0),
             slack: 0.0,
+            linearized_rows: 0,
+            working_rows: 0,
             qp_iterations: 0,
             elapsed: self.started.elapsed().as_secs_f64(),
         });
@@ -212,7 +361,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 point: self.point.clone(),
                 multipliers: self.multipliers.clone(),
                 residual,
-                objective: self.evaluation.objective,
+                objective,
                 infeasibility,
             };
         }
@@ -230,63 +379,153 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             .map(|_| Stop::Deadline)
     }
 
-    /// Subproblems of shrinking trust radius, until one's step is accepted.
-    pub(super) fn step(&mut self, linearization: &Linearization) -> Result<Step, QpError> {
+    /// One iteration: subproblems of shrinking trust radius, until one's step is accepted, or a step of the restoration.
+    pub(super) fn step(&mut self, mut linearization: Linearization) -> Result<Step, Breakdown> {
+        if self.restoration.is_some() {
+            return self.restoration_step(linearization);
+        }
+        if self.bets_on_end {
+            // The bet is lost: a Gauss-Newton step from here would lose more than a linearization.
+            linearization = self.linearize_with(true)?;
+        }
         let clock = Instant::now();
-        let model = if linearization.curvature.is_some() {
-            let active = ActiveNormal::of(
-                self.program.sets(),
-                self.program.variables(&self.point),
-                &self.multipliers,
-                linearization,
-            );
-            ModelHessian::exact(linearization, &active)
-        } else {
-            ModelHessian::gauss_newton(linearization)
-        };
+        let model = self.model_hessian(&linearization);
         let sets = self.subproblem_sets(&model);
         self.phases.condense += clock.elapsed().as_secs_f64();
-        for refusals in 0..=SHRINKAGES {
-            let solution = match self.solve_subproblem(linearization, &model, &sets) {
+        let (mut refusals, mut joins) = (0, 0);
+        while refusals <= SHRINKAGES {
+            let solution = match self.solve_subproblem(&mut linearization, &model, &sets) {
                 Ok(solution) => solution,
-                Err(error) => match self.recover(error)? {
+                Err(_) if self.out_of_time().is_some() => return Ok(Step::Refused),
+                Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
                     Recovery::Smaller => continue,
                     Recovery::Restored => return Ok(Step::Restored),
                 },
+                Err(error) => return Err(error),
             };
-            self.note_subproblem(&model, &solution);
-            if self.is_stuck(linearization, &model, &sets, &solution) {
-                return Ok(Step::Infeasible);
+            self.note_subproblem(model.kind, &linearization, &solution);
+            if self.is_stuck(&linearization, &model, &sets, &solution) {
+                return self.restore(linearization);
             }
             let clock = Instant::now();
-            let accepted = self.search(linearization, &model, &sets, &solution);
+            let found = self.search(&linearization, &model, &sets, &solution);
             self.phases.globalize += clock.elapsed().as_secs_f64();
-            let length = norm(&solution.change);
-            if let Some(accepted) = accepted {
-                self.note_refusals(refusals);
-                let weight = self.merit_weight(&solution);
-                let promise = self.promise(linearization, &model, &solution, weight);
-                self.take(accepted, &solution, promise, length);
-                return Ok(Step::Taken);
+            match found {
+                Ok(accepted) => {
+                    self.note_refusals(refusals);
+                    self.take(accepted, linearization, &model, &solution);
+                    return Ok(Step::Taken);
+                }
+                // A trial that fails by what was screened out says nothing about the trust region, unless that goes on and on.
+                Err(Some(trial))
+                    if joins < TRIAL_JOINS
+                        && self.join(&mut linearization, &trial.inequalities)? =>
+                {
+                    joins += 1;
+                }
+                Err(_) => {
+                    self.trust_radius = SHRINK * norm(&solution.change).min(self.trust_radius);
+                    refusals += 1;
+                }
             }
-            self.trust_radius = SHRINK * length.min(self.trust_radius);
             if self.out_of_time().is_some() {
                 return Ok(Step::Refused);
             }
         }
+        if self.infeasibility() > self.settings.tolerance && self.restorations < RESTORATIONS {
+            return self.restore(linearization);
+        }
         // Not even a short step: forget the past once more, before giving up.
         if self.filter_resets < FILTER_RESETS && self.filter.has_entries() {
             self.filter_resets += 1;
-            self.filter = Filter::new(self.evaluation.infeasibility());
-            self.trust_radius = first_trust_radius(self.program.variables(&self.point));
+            self.forget();
             return Ok(Step::Restored);
         }
         Ok(Step::Refused)
     }
 
+    /// Begins anew from here, with an empty filter and the first trust region.
+    fn forget(&mut self) {
+        self.filter = Filter::new(self.infeasibility());
+        self.trust_radius = first_trust_radius(self.variables());
+        self.quasi_newton = None;
+    }
+
+    /// Hessian of this iteration's subproblems.
+    fn model_hessian(&mut self, linearization: &Linearization) -> ModelHessian {
+        self.exact_pause = self.exact_pause.saturating_sub(1);
+        let formula = match self.settings.hessian {
+            HessianChoice::Bfgs => Formula::Bfgs,
+            HessianChoice::Sr1 => Formula::Sr1,
+            _ if linearization.curvature.is_none() => {
+                return ModelHessian::gauss_newton(linearization);
+            }
+            _ => {
+                let active = self.active_set(linearization);
+                return ModelHessian::exact(linearization, self.program.sets(), &active);
+            }
+        };
+        self.learn(linearization, formula);
+        let Some(learned) = &self.quasi_newton else {
+            return ModelHessian::gauss_newton(linearization);
+        };
+        match formula {
+            Formula::Bfgs => ModelHessian {
+                matrix: learned.matrix.clone(),
+                kind: HessianKind::Bfgs,
+                ..ModelHessian::gauss_newton(linearization)
+            },
+            Formula::Sr1 => ModelHessian {
+                kind: HessianKind::Sr1,
+                ..ModelHessian::of_curvature(
+                    &(&learned.matrix - &linearization.gauss_newton),
+                    linearization,
+                    self.program.sets(),
+                    &self.active_set(linearization),
+                )
+            },
+        }
+    }
+
+    fn active_set(&self, linearization: &Linearization) -> ActiveSet {
+        ActiveSet::of(
+            linearization,
+            &self.softness,
+            self.program.sets(),
+            self.variables(),
+            &self.multipliers,
+        )
+    }
+
+    /// Shows the quasi-Newton matrix the last step: how the gradient of the Lagrangian, with the present multipliers,
+    /// changed over it.
+    fn learn(&mut self, linearization: &Linearization, formula: Formula) {
+        let learned = self
+            .quasi_newton
+            .get_or_insert_with(|| QuasiNewton::new(linearization, formula));
+        if let Some((variables, departed)) = self.departed.take() {
+            let difference = |to: &[f64], from: &[f64]| -> Vec<f64> {
+                to.iter().zip(from).map(|(a, b)| a - b).collect()
+            };
+            learned.update(
+                &difference(self.program.variables(&self.point), &variables),
+                &difference(
+                    &linearization.lagrangian_gradient(&self.multipliers),
+                    &departed.lagrangian_gradient(&self.multipliers),
+                ),
+            );
+        }
+    }
+
     /// A filter that refuses the first trial again and again remembers a place that the iteration cannot get back to:
     /// it is emptied (Wächter and Biegler 2006, section 3.4), at most a few times.
     fn note_refusals(&mut self, refusals: usize) {
+        let last = self.history.last().map(|row| row.hessian);
+        if refusals >= EXACT_REFUSALS
+            && matches!(last, Some(HessianKind::Exact | HessianKind::Convexified))
+        {
+            self.exact_pause = EXACT_PAUSE;
+        }
         self.refused_in_a_row = if refusals > 0 {
             self.refused_in_a_row + 1
         } else {
@@ -295,23 +534,26 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if self.refused_in_a_row >= REFUSALS_IN_A_ROW && self.filter_resets < FILTER_RESETS {
             self.filter_resets += 1;
             self.refused_in_a_row = 0;
-            self.filter = Filter::new(self.evaluation.infeasibility());
+            self.filter = Filter::new(self.infeasibility());
         }
     }
 
     /// After a subproblem that Clarabel could not solve: put the states back onto their equations (large defects make
     /// badly scaled subproblems), or else shrink the trust region.
     fn recover(&mut self, error: QpError) -> Result<Recovery, QpError> {
+        if let QpError::Status { problem, .. } = &error {
+            self.failed_subproblem.clone_from(problem);
+        }
         self.rescues += 1;
         if self.rescues > RESCUES {
             return Err(error);
         }
-        let still = vec![0.0; self.program.variables(&self.point).len()];
+        let still = vec![0.0; self.variables().len()];
         if self.evaluation.defect > self.settings.tolerance
             && let Ok(point) = self.program.restored_step(&self.point, &still)
             && let Ok(evaluation) = self.program.evaluate(&point)
         {
-            self.filter = Filter::new(evaluation.infeasibility());
+            self.filter = Filter::new(self.program.infeasibility(&evaluation));
             self.elastic_weight = None;
             self.point = point;
             self.evaluation = evaluation;
@@ -321,44 +563,115 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(Recovery::Smaller)
     }
 
-    fn note_subproblem(&mut self, model: &ModelHessian, solution: &QpSolution) {
+    fn note_subproblem(
+        &mut self,
+        kind: HessianKind,
+        linearization: &Linearization,
+        solution: &QpSolution,
+    ) {
         let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_radius);
         if let Some(row) = self.history.last_mut() {
-            row.hessian = model.kind;
+            row.hessian = kind;
             row.slack = solution.slack;
+            row.linearized_rows = linearization.rows.len();
+            row.working_rows = solution.working.len();
             row.qp_iterations += solution.iterations;
             row.elastic_weight = weight;
             row.trust_radius = radius;
         }
     }
 
-    fn take(&mut self, accepted: Accepted<P>, solution: &QpSolution, promise: f64, length: f64) {
+    /// Goes to an accepted point.
+    fn take(
+        &mut self,
+        accepted: Accepted<P>,
+        linearization: Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) {
+        let length = norm(&solution.change);
+        self.note_step(&accepted, length);
+        let weight = self.merit_weight(solution);
+        let promise = self.promise(&linearization, model, solution, weight);
+        let delivered = merit(self.program, &self.evaluation, weight)
+            - merit(self.program, &accepted.evaluation, weight);
+        let noise = MERIT_ROUNDING * merit(self.program, &self.evaluation, weight).abs()
+            + solution.multipliers.row_noise();
+        // Lifted states are off by their own second order, which near feasibility is all there is to see. Steps of the
+        // exact Hessian contract until rounding, or lead away from a saddle.
+        let is_blind = promise.abs() <= noise
+            || (!accepted.restored
+                && !matches!(model.kind, HessianKind::Exact | HessianKind::Convexified)
+                && accepted.evaluation.defect > 0.0
+                && self.infeasibility() <= FEASIBLE
+                && self.program.infeasibility(&accepted.evaluation) <= FEASIBLE);
+        let contraction = (self.history.last()).and_then(|row| row.contraction);
+        let is_good = if is_blind {
+            // Steps that do not contract by themselves are made to.
+            contraction.is_some_and(|ratio| ratio < SLOW_CONTRACTION)
+        } else {
+            // Every lifted step leaves defects; farther out they say nothing about the radius.
+            !accepted.restored || delivered > GOOD_RATIO * promise
+        };
+        let is_poor = if is_blind {
+            !is_good
+        } else {
+            accepted.restored && !(delivered > POOR_RATIO * promise)
+        };
+        if is_good && length > 0.5 * self.trust_radius {
+            self.trust_radius *= GROW;
+        } else if is_poor {
+            let least = LEAST_TRUST_RADIUS * norm(self.variables()).max(1.0);
+            self.trust_radius = self.trust_radius.min((length * POOR_SHRINK).max(least));
+        }
+        if self.settings.hessian == HessianChoice::Bfgs
+            || self.settings.hessian == HessianChoice::Sr1
+        {
+            self.departed = Some((self.variables().to_vec(), linearization));
+        }
+        self.multipliers = solution.multipliers.clone();
+        self.arrive(accepted);
+    }
+
+    fn note_step(&mut self, accepted: &Accepted<P>, length: f64) {
+        let before = (self.history.iter().rev())
+            .map(|row| row.step_norm)
+            .find(|&step| step > 0.0);
         if let Some(row) = self.history.last_mut() {
             row.step_norm = length;
+            row.contraction = before.map(|before| length / before);
             row.corrections = accepted.corrections;
             row.restored = accepted.restored;
         }
-        let weight = self.merit_weight(solution);
-        let ratio =
-            (merit(&self.evaluation, weight) - merit(&accepted.evaluation, weight)) / promise;
-        // Every lifted step leaves defects of its own second order; they say nothing about the radius.
-        let good = !accepted.restored || ratio > GOOD_RATIO;
-        if good && length > 0.5 * self.trust_radius {
-            self.trust_radius *= GROW;
-        } else if !(ratio > POOR_RATIO) && accepted.restored {
-            self.trust_radius = self.trust_radius.min(length * POOR_SHRINK);
-        }
+    }
+
+    fn arrive(&mut self, accepted: Accepted<P>) {
         if accepted.restored {
             self.rounding = accepted.evaluation.defect;
         }
         self.point = accepted.point;
         self.evaluation = accepted.evaluation;
-        self.multipliers = solution.multipliers.clone();
+        self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
 
     /// Weight of infeasibility in the merit that sizes the trust region: above every multiplier.
     fn merit_weight(&self, solution: &QpSolution) -> f64 {
-        2.0 * infinity_norm(&solution.multipliers.constraints)
+        2.0 * self.largest_multiplier(solution)
+    }
+
+    /// Of constraints and hard inequalities: those that the elastic weight must exceed.
+    fn largest_multiplier(&self, solution: &QpSolution) -> f64 {
+        let rows = solution.multipliers.inequalities.iter().enumerate();
+        let hard =
+            rows.filter(|&(row, &z)| z > 0.0 && self.program.softness(row) == Softness::Hard);
+        // One slack answers for a whole group.
+        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
+        for (row, z) in hard {
+            *groups.entry(self.program.group(row)).or_insert(0.0) += z;
+        }
+        (solution.multipliers.constraints.iter())
+            .chain(groups.values())
+            .fold(0.0, |m: f64, y| m.max(y.abs()))
     }
 
     /// What the subproblem promised to take off the merit `J + weight · infeasibility`.
@@ -371,42 +684,70 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) -> f64 {
         let change = &solution.change;
         let n = change.len();
-        let mut cost = 0.0;
+        let mut bending = model.constant;
         for i in 0..n {
             let bent: f64 = (0..n).map(|j| model.matrix[(i, j)] * change[j]).sum();
-            cost += change[i] * (linearization.gradient[i] + 0.5 * bent);
+            let held = model.gradient[i] - linearization.model_gradient[i];
+            bending += change[i] * (held + 0.5 * bent);
         }
-        let violation: f64 = self.evaluation.constraints.iter().map(|c| c.abs()).sum();
-        let saved = violation + self.evaluation.defect - solution.slack;
-        weight * saved - cost - linearization.defect_slope
+        let slope = self.departure(linearization, solution).slope(change);
+        weight * (self.infeasibility() - solution.slack) - bending - slope
+    }
+
+    fn departure<'b>(
+        &'b self,
+        linearization: &'b Linearization,
+        solution: &'b QpSolution,
+    ) -> Departure<'b, P> {
+        Departure {
+            point: &self.point,
+            evaluation: &self.evaluation,
+            linearization,
+            softness: &self.softness,
+            multipliers: &solution.multipliers,
+        }
     }
 
     /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
     fn subproblem_sets(&self, model: &ModelHessian) -> Vec<ConvexSet> {
         let mut sets = self.program.sets().to_vec();
         for tangent in &model.tangents {
-            sets[tangent.set] = tangent.tangent(self.program.variables(&self.point));
+            sets[tangent.set] = tangent.tangent(self.variables());
         }
         sets
     }
 
+    /// Solves the subproblem with all rows that its step violates, whether they were linearized at first or not.
     fn solve_subproblem(
+        &mut self,
+        linearization: &mut Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+    ) -> Result<QpSolution, Breakdown> {
+        loop {
+            let clock = Instant::now();
+            let solution = self.solve_elastic(linearization, model, sets);
+            self.phases.qp += clock.elapsed().as_secs_f64();
+            let solution = solution?;
+            if !self.join_predicted(linearization, &solution)? {
+                return Ok(solution);
+            }
+        }
+    }
+
+    /// Adapts the elastic weight.
+    fn solve_elastic(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         sets: &[ConvexSet],
     ) -> Result<QpSolution, QpError> {
-        let clock = Instant::now();
-        let unit = cost_unit(linearization);
+        let unit = linearization.cost_unit();
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
-        let mut solution = self
-            .subproblem(linearization, model, sets, weight)
-            .solve()?;
+        let mut solution = self.solve_once(linearization, model, sets, weight)?;
         // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
         while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
-            let heavier = self
-                .subproblem(linearization, model, sets, weight * ELASTIC_FACTOR)
-                .solve()?;
+            let heavier = self.solve_once(linearization, model, sets, weight * ELASTIC_FACTOR)?;
             if heavier.slack > ELASTIC_GAIN * solution.slack {
                 break;
             }
@@ -414,35 +755,127 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             solution = heavier;
         }
         if solution.slack <= NO_SLACK {
-            let largest = infinity_norm(&solution.multipliers.constraints);
-            weight = (ELASTIC_MARGIN * largest).max(FIRST_ELASTIC_WEIGHT * unit);
+            weight = (ELASTIC_MARGIN * self.largest_multiplier(&solution))
+                .clamp(FIRST_ELASTIC_WEIGHT * unit, LARGEST_ELASTIC_WEIGHT * unit);
         }
         self.return_to_balls(model, &mut solution);
         self.elastic_weight = Some(weight);
-        self.phases.qp += clock.elapsed().as_secs_f64();
         Ok(solution)
+    }
+
+    /// One quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
+    fn solve_once(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+        weight: f64,
+    ) -> Result<QpSolution, QpError> {
+        let first = self.first_rows(linearization);
+        let mut solution = self
+            .subproblem(linearization, model, sets, weight, &first)
+            .solve()?;
+        let rows = &linearization.rows;
+        self.working = solution.working.iter().map(|&at| rows[at]).collect();
+        let mut inequalities = vec![0.0; self.evaluation.inequalities.len()];
+        for (&row, z) in rows.iter().zip(&solution.multipliers.inequalities) {
+            inequalities[row] = *z;
+        }
+        solution.multipliers.inequalities = inequalities;
+        Ok(solution)
+    }
+
+    /// Places, among the linearized rows, of those that mattered last.
+    fn first_rows(&self, linearization: &Linearization) -> Vec<usize> {
+        (self.working.iter())
+            .filter_map(|row| linearization.rows.binary_search(row).ok())
+            .collect()
+    }
+
+    /// Linearizes what a step violates to first order and what was screened out. Whether there was any.
+    fn join_predicted(
+        &mut self,
+        linearization: &mut Linearization,
+        solution: &QpSolution,
+    ) -> Result<bool, Breakdown> {
+        if linearization.rows.len() == self.evaluation.inequalities.len() {
+            return Ok(false);
+        }
+        let clock = Instant::now();
+        let predicted = self
+            .program
+            .expand(&self.point, &self.evaluation.defects, &solution.change)
+            .and_then(|direction| {
+                self.program
+                    .predict_inequalities(&self.point, &self.evaluation, &direction)
+            })?;
+        // What the slack of its group covers is known already.
+        let beyond = |(row, h): (usize, f64)| match self.program.softness(row) {
+            Softness::Hard => {
+                let slack = solution.slacks.get(&self.program.group(row));
+                h - slack.copied().unwrap_or(0.0)
+            }
+            Softness::Soft { .. } => h,
+        };
+        let predicted: Vec<f64> = predicted.into_iter().enumerate().map(beyond).collect();
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        self.join(linearization, &predicted)
+    }
+
+    /// Linearizes what is violated and was screened out. Whether there was any.
+    fn join(
+        &mut self,
+        linearization: &mut Linearization,
+        values: &[f64],
+    ) -> Result<bool, Breakdown> {
+        let clock = Instant::now();
+        let violated: Vec<(usize, f64)> = (values.iter().enumerate())
+            .filter(|&(row, &h)| {
+                h > ROW_TOLERANCE
+                    && linearization.rows.binary_search(&row).is_err()
+                    && self.program.softness(row) != Softness::FREE
+            })
+            .map(|(row, &h)| (row, h))
+            .collect();
+        // Only a row of its own price counts by itself; of a group, the worst are enough.
+        let missing: Vec<usize> = peaks(&violated).into_iter().map(|(row, _)| row).collect();
+        if missing.is_empty() {
+            return Ok(false);
+        }
+        self.screening_margin *= MARGIN_GROWTH;
+        let request = LinearizationRequest {
+            multipliers: None,
+            rows: &missing,
+        };
+        let more = self
+            .program
+            .linearize(&self.point, &self.evaluation, &request)?;
+        linearization.join_rows(&more);
+        self.note_rows(linearization);
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        Ok(true)
     }
 
     /// After a subproblem with tangents: the step ends on the balls themselves, and their normals are vectors again.
     fn return_to_balls(&self, model: &ModelHessian, solution: &mut QpSolution) {
-        let variables = self.program.variables(&self.point);
+        if model.tangents.is_empty() {
+            return;
+        }
+        let variables = self.variables();
+        let end: Vec<f64> = (variables.iter().zip(&solution.change))
+            .map(|(v, d)| v + d)
+            .collect();
         for tangent in &model.tangents {
             let length = solution.multipliers.normals[tangent.set][0];
             solution.multipliers.normals[tangent.set] =
-                tangent.direction.iter().map(|&(_, c)| c * length).collect();
-            let ConvexSet::Ball { indices, radius } = &self.program.sets()[tangent.set] else {
-                continue;
-            };
-            let end: Vec<f64> = indices
-                .iter()
-                .map(|&i| variables[i] + solution.change[i])
-                .collect();
-            let size = norm(&end);
-            if size > *radius {
-                for (&i, e) in indices.iter().zip(&end) {
-                    solution.change[i] = e * (radius / size) - variables[i];
-                }
-            }
+                tangent.outward.iter().map(|n| n * length).collect();
+        }
+        let sets = (model.tangents.iter()).map(|tangent| &self.program.sets()[tangent.set]);
+        for ((d, end), v) in (solution.change.iter_mut())
+            .zip(into_balls(end, sets))
+            .zip(variables)
+        {
+            *d = end - v;
         }
     }
 
@@ -452,6 +885,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         model: &'b ModelHessian,
         sets: &'b [ConvexSet],
         elastic_weight: f64,
+        first: &'b [usize],
     ) -> QuadraticProgram<'b> {
         let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
             deadline
@@ -464,10 +898,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             gradient: &model.gradient,
             jacobian: &linearization.jacobian,
             offset: &linearization.offset,
-            variables: self.program.variables(&self.point),
+            inequalities: LinearInequalities {
+                jacobian: &linearization.inequality_jacobian,
+                offset: &linearization.inequality_offset,
+                softness: &self.softness,
+                groups: &self.groups,
+                first,
+            },
+            variables: self.variables(),
             sets,
             elastic_weight,
-            trust_radius: self.trust_radius,
+            trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
             time_limit,
         }
     }
@@ -480,7 +921,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         sets: &[ConvexSet],
         solution: &QpSolution,
     ) -> bool {
-        let violation: f64 = linearization.offset.iter().map(|c| c.abs()).sum();
+        let violation = self.linear_violation(linearization);
         let promises_nothing = |slack: f64| {
             slack > self.settings.tolerance && violation - slack < INFEASIBLE_PROGRESS * violation
         };
@@ -488,9 +929,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             && self.evaluation.defect < INFEASIBLE_PROGRESS * violation
             && (norm(&solution.change) < 0.5 * self.trust_radius || {
                 let weight = self.elastic_weight.unwrap_or(0.0);
+                let first = self.first_rows(linearization);
                 let free = QuadraticProgram {
                     trust_radius: f64::INFINITY,
-                    ..self.subproblem(linearization, model, sets, weight)
+                    ..self.subproblem(linearization, model, sets, weight, &first)
                 };
                 free.solve().is_ok_and(|free| promises_nothing(free.slack))
             });
@@ -498,55 +940,197 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.stuck >= INFEASIBLE_PATIENCE
     }
 
+    /// Infeasibility that the linearization sees here: its slack without a step.
+    fn linear_violation(&self, linearization: &Linearization) -> f64 {
+        let rows = self.softness.iter().zip(&self.groups);
+        let hard = (linearization.inequality_offset.iter().zip(rows))
+            .filter(|(_, (softness, _))| **softness == Softness::Hard)
+            .map(|(h, (_, group))| (*group, *h));
+        linearization.offset.iter().map(|c| c.abs()).sum::<f64>() + sum_of_largest(hard)
+    }
+
+    /// The accepted step, or the values of the trial that was refused.
+    #[allow(clippy::type_complexity)]
     fn search(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         sets: &[ConvexSet],
         solution: &QpSolution,
-    ) -> Option<Accepted<P>> {
+    ) -> Result<Accepted<P>, Option<Evaluation<P::Defects>>> {
         let weight = self.elastic_weight.unwrap_or(0.0);
         let mut filter = self.filter.clone();
-        let departure = Departure {
-            point: &self.point,
-            evaluation: &self.evaluation,
-            linearization,
-        };
         let verdict = filter.accept(
             self.program,
-            &departure,
-            &self.subproblem(linearization, model, sets, weight),
+            &self.departure(linearization, solution),
+            &self.subproblem(linearization, model, sets, weight, &solution.working),
             &solution.change,
         );
         self.filter = filter;
         match verdict {
-            Ok(accepted) => Some(accepted),
-            Err(refused) => self.accept_by_merit(linearization, model, solution, refused?),
+            Ok(accepted) => Ok(accepted),
+            Err(Some(refused)) => {
+                if self.passes_by_merit(linearization, model, solution, &refused) {
+                    self.merit_steps += 1;
+                    self.filter = Filter::new(self.infeasibility());
+                    Ok(refused)
+                } else {
+                    Err(Some(refused.evaluation))
+                }
+            }
+            Err(None) => Err(None),
         }
     }
 
     /// What the filter refuses may still be what the elastic subproblem set out to do: lower `J + γ · infeasibility`.
     /// A point far below in infeasibility, visited and left for a better objective, must not block the way back for
     /// ever; such a step empties the filter.
-    fn accept_by_merit(
-        &mut self,
+    fn passes_by_merit(
+        &self,
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
-        refused: Accepted<P>,
-    ) -> Option<Accepted<P>> {
-        let weight = self.elastic_weight?;
+        refused: &Accepted<P>,
+    ) -> bool {
+        let Some(weight) = self.elastic_weight else {
+            return false;
+        };
         if self.merit_steps >= MERIT_STEPS || self.evaluation.defect > self.settings.tolerance {
-            return None;
+            return false;
         }
         let promise = self.promise(linearization, model, solution, weight);
-        let delivered = merit(&self.evaluation, weight) - merit(&refused.evaluation, weight);
-        if !(promise > 0.0 && delivered >= MERIT_RATIO * promise) {
-            return None;
+        let delivered = merit(self.program, &self.evaluation, weight)
+            - merit(self.program, &refused.evaluation, weight);
+        promise > 0.0 && delivered >= MERIT_RATIO * promise
+    }
+
+    /// Begins the restoration phase.
+    fn restore(&mut self, linearization: Linearization) -> Result<Step, Breakdown> {
+        self.restorations += 1;
+        self.stuck = 0;
+        self.filter.leave(Measure::of(
+            self.program,
+            &self.evaluation,
+            &self.multipliers,
+        ));
+        self.restoration = Some(Restoration {
+            began_with: self.infeasibility(),
+            radius: first_trust_radius(self.variables()),
+        });
+        self.restoration_step(linearization)
+    }
+
+    /// A step towards feasibility: `½ ρ |δ|²` and the slacks, without the objective; `ρ` is such that a step as long as the
+    /// trust radius costs half of the infeasibility. Soft rows may be violated.
+    fn restoration_step(&mut self, mut linearization: Linearization) -> Result<Step, Breakdown> {
+        let Some(mut phase) = self.restoration else {
+            return Ok(Step::Refused);
+        };
+        let n = self.variables().len();
+        let sets = self.program.sets().to_vec();
+        let before = self.infeasibility();
+        for _ in 0..=SHRINKAGES {
+            let mut matrix = Mat::<f64>::identity(n, n);
+            matrix *= faer::Scale(before / (phase.radius * phase.radius));
+            let model = ModelHessian::proximal(matrix);
+            let solution = self.solve_feasibility(&mut linearization, &model, &sets, phase.radius);
+            let solution = match solution {
+                Ok(solution) => solution,
+                Err(_) if self.out_of_time().is_some() => return Ok(Step::Refused),
+                Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
+                    Recovery::Smaller => {
+                        phase.radius *= SHRINK;
+                        continue;
+                    }
+                    Recovery::Restored => return Ok(Step::Restored),
+                },
+                Err(error) => return Err(error),
+            };
+            self.note_subproblem(HessianKind::Proximal, &linearization, &solution);
+            let promise = before - solution.slack;
+            let length = norm(&solution.change);
+            if promise < INFEASIBLE_PROGRESS * before {
+                let is_free = length < 0.5 * phase.radius || {
+                    let far = 1e3 * phase.radius;
+                    let free = self.solve_feasibility(&mut linearization, &model, &sets, far)?;
+                    before - free.slack < INFEASIBLE_PROGRESS * before
+                };
+                if is_free && before > self.settings.tolerance {
+                    return Ok(Step::Infeasible);
+                }
+            }
+            let clock = Instant::now();
+            let trial = Filter::restored(
+                self.program,
+                &self.departure(&linearization, &solution),
+                &solution.change,
+                0,
+            );
+            self.phases.globalize += clock.elapsed().as_secs_f64();
+            let Some(trial) = trial else {
+                phase.radius = SHRINK * length.min(phase.radius);
+                continue;
+            };
+            let after = self.program.infeasibility(&trial.evaluation);
+            let ratio = (before - after) / promise;
+            if !(promise > 0.0 && ratio >= RESTORATION_RATIO) {
+                if !self.join(&mut linearization, &trial.evaluation.inequalities)? {
+                    phase.radius = SHRINK * length.min(phase.radius);
+                }
+                continue;
+            }
+            if ratio > GOOD_RATIO && length > 0.5 * phase.radius {
+                phase.radius *= GROW;
+            }
+            let done = after <= self.settings.tolerance
+                || (after <= RESTORATION_GAIN * phase.began_with
+                    && self.filter.allows(
+                        Measure::of(self.program, &trial.evaluation, &self.multipliers),
+                        0.0,
+                    ));
+            self.note_step(&trial, length);
+            self.arrive(trial);
+            self.departed = None;
+            self.restoration = Some(phase);
+            if done {
+                self.restoration = None;
+                self.trust_radius = phase.radius.max(self.trust_radius);
+                if after > self.settings.tolerance {
+                    return Ok(Step::Taken);
+                }
+                // Feasible: nothing that the filter remembers is worth more.
+                self.filter = Filter::new(after);
+            }
+            return Ok(Step::Taken);
         }
-        self.merit_steps += 1;
-        self.filter = Filter::new(self.evaluation.infeasibility());
-        Some(refused)
+        Ok(Step::Refused)
+    }
+
+    /// The restoration's subproblem, with all rows that its step violates.
+    fn solve_feasibility(
+        &mut self,
+        linearization: &mut Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+        radius: f64,
+    ) -> Result<QpSolution, Breakdown> {
+        loop {
+            let clock = Instant::now();
+            for softness in &mut self.softness {
+                if *softness != Softness::Hard {
+                    *softness = Softness::FREE;
+                }
+            }
+            let trust_radius = std::mem::replace(&mut self.trust_radius, radius);
+            let solution = self.solve_once(linearization, model, sets, 1.0);
+            self.trust_radius = trust_radius;
+            self.note_rows(linearization);
+            self.phases.qp += clock.elapsed().as_secs_f64();
+            let solution = solution?;
+            if !self.join_predicted(linearization, &solution)? {
+                return Ok(solution);
+            }
+        }
     }
 
     pub(super) fn show(
@@ -570,30 +1154,58 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     pub(super) fn end(self, status: SqpStatus) -> SqpOutcome<P::Point> {
+        let failed_subproblem = match status {
+            SqpStatus::Converged => None,
+            _ => self.failed_subproblem,
+        };
         SqpOutcome {
             status,
             point: self.best.point,
             multipliers: self.best.multipliers,
             residual: self.best.residual,
             objective: self.best.objective,
+            convergence: Convergence::of(&self.history),
             history: self.history,
             phases: self.phases,
+            failed_subproblem,
         }
     }
 }
 
 /// `J + weight · infeasibility`
-fn merit<R>(values: &Evaluation<R>, weight: f64) -> f64 {
-    values.objective + weight * values.infeasibility()
+fn merit<P: LiftedProgram>(program: &P, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
+    program.total_objective(values) + weight * program.infeasibility(values)
 }
 
 fn first_trust_radius(variables: &[f64]) -> f64 {
     FIRST_TRUST_RADIUS * norm(variables).max(1.0)
 }
 
-/// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
-fn cost_unit(linearization: &Linearization) -> f64 {
-    linearization
-        .least_curvature()
-        .max(infinity_norm(&linearization.gradient))
+/// How far variables are from the intersection of the sets; 0 inside.
+fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpError> {
+    let size = norm(variables).max(1.0);
+    // `max` would drop a NaN, which the subproblem must see.
+    if (sets.iter()).all(|set| set.violation(variables) <= SET_TOLERANCE * size) {
+        return Ok(0.0);
+    }
+    let n = variables.len();
+    let projection = QuadraticProgram {
+        hessian: &Mat::identity(n, n),
+        gradient: &vec![0.0; n],
+        jacobian: &Mat::zeros(0, n),
+        offset: &[],
+        inequalities: LinearInequalities {
+            jacobian: &Mat::zeros(0, n),
+            offset: &[],
+            softness: &[],
+            groups: &[],
+            first: &[],
+        },
+        variables,
+        sets,
+        elastic_weight: 1.0,
+        trust_radius: f64::INFINITY,
+        time_limit: f64::INFINITY,
+    };
+    Ok(norm(&projection.solve()?.change))
 }

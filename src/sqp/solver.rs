@@ -73,7 +73,7 @@ pub enum SqpStatus {
 pub struct IterationRecord {
     /// Counted from 0.
     pub iteration: usize,
-    /// `J` at the point.
+    /// `J` at the point, with the price of soft inequalities.
     pub objective: f64,
     /// KKT residual at the point.
     pub residual: KktResidual,
@@ -81,6 +81,8 @@ pub struct IterationRecord {
     pub infeasibility: f64,
     /// Norm of the step of the variables from here; 0 in the last row.
     pub step_norm: f64,
+    /// Norm of this step over that of the last one before it.
+    pub contraction: Option<f64>,
     /// Hessian of the step.
     pub hessian: HessianKind,
     /// Second-order corrections of the step.
@@ -93,6 +95,10 @@ pub struct IterationRecord {
     pub elastic_weight: f64,
     /// What the subproblem could not satisfy.
     pub slack: f64,
+    /// Inequalities that were linearized.
+    pub linearized_rows: usize,
+    /// Inequalities that Clarabel saw.
+    pub working_rows: usize,
     /// Interior-point iterations of the subproblem.
     pub qp_iterations: u32,
     /// Seconds since the start.
@@ -123,12 +129,62 @@ pub struct SqpOutcome<P> {
     pub multipliers: Multipliers,
     /// KKT residual at that point.
     pub residual: KktResidual,
-    /// Objective at that point.
+    /// `J` at that point, with the price of soft inequalities.
     pub objective: f64,
     /// One row per iteration.
     pub history: Vec<IterationRecord>,
+    /// How fast the last steps shrank.
+    pub convergence: Convergence,
     /// Where the time went.
     pub phases: PhaseTimes,
+    /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
+    pub failed_subproblem: Option<String>,
+}
+
+impl<P> SqpOutcome<P> {
+    /// A solve that could not begin.
+    pub(super) fn without_start(point: P, reason: String) -> Self {
+        Self {
+            status: SqpStatus::Failed(reason),
+            point,
+            multipliers: Multipliers::default(),
+            residual: KktResidual {
+                stationarity: f64::INFINITY,
+                feasibility: f64::INFINITY,
+                complementarity: f64::INFINITY,
+            },
+            objective: f64::NAN,
+            history: Vec::new(),
+            convergence: Convergence::default(),
+            phases: PhaseTimes::default(),
+            failed_subproblem: None,
+        }
+    }
+}
+
+/// Observed rate of convergence, of the norms `s` of the last three steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Convergence {
+    /// `s₃/s₂`; needs two steps.
+    pub contraction: Option<f64>,
+    /// `ln(s₃/s₂) / ln(s₂/s₁)`, where both ratios are below one: about 1 for linear convergence, 2 for quadratic.
+    pub order: Option<f64>,
+}
+
+impl Convergence {
+    /// Of the steps of a history.
+    #[must_use]
+    pub fn of(history: &[IterationRecord]) -> Self {
+        let mut ratios = history.iter().rev().filter_map(|row| row.contraction);
+        let (last, before) = (ratios.next(), ratios.next());
+        let order = (last.zip(before))
+            .filter(|&(last, before)| 0.0 < last && last < 1.0 && before < 1.0)
+            .map(|(last, before)| last.ln() / before.ln());
+        Self {
+            contraction: last,
+            order,
+        }
+    }
 }
 
 /// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
@@ -175,7 +231,7 @@ pub fn solve<P: LiftedProgram>(
         if let Some(stop) = run.out_of_time() {
             return run.finish(SqpStatus::Stopped(stop), observer);
         }
-        let step = match run.step(&linearization) {
+        let step = match run.step(linearization) {
             Ok(step) => step,
             Err(error) => return run.finish(SqpStatus::Failed(error.to_string()), observer),
         };

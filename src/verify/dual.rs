@@ -166,6 +166,11 @@ fn bending_factor(t: f64) -> (f64, f64) {
     (value, (-inner - value) / t)
 }
 
+/// Elastic energy, J.
+pub(super) fn energy_value(element: &Element, rule: StrainRule, pose: &ElementPose) -> f64 {
+    energy(element, rule, pose).value
+}
+
 /// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's model.
 pub(super) fn gradient(
     element: &Element,

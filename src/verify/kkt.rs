@@ -12,9 +12,16 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::dual;
 use super::interval::{self, Nine, Strained, nine};
-use crate::control::{Bound, Enforcement, OptimalControlProblem, TargetPart};
+use super::limits::{Measure, Pose, add_state_cost};
+use super::{PathMultiplier, SolutionMultipliers};
+use crate::control::cost::{durations, sample_times};
+use crate::control::{
+    Bound, Channel, GoalPart, OptimalControlProblem, PathConstraint, PathEnforcement,
+};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{BaseCondition, Rod, RodModel, TimeScheme, Trajectory, Wrench};
+use crate::mechanics::{
+    BaseCondition, ControlSignal, Rod, RodModel, TimeScheme, Trajectory, Wrench,
+};
 use crate::sqp::KktResidual;
 
 /// The recomputed conditions.
@@ -22,8 +29,12 @@ use crate::sqp::KktResidual;
 pub struct RecomputedKkt {
     /// Scaled as the solver's own.
     pub residual: KktResidual,
-    /// Largest violation of a bound, N or N m.
+    /// Largest violation of a bound, N or N m, or of a rate's, N/s or N m/s.
     pub bound_violation: f64,
+    /// Value of the objective.
+    pub objective: f64,
+    /// Largest term of the Lagrangian's gradient: what stationarity and complementarity are relative to.
+    pub scale: f64,
 }
 
 /// `∂U/∂x` and `∂U/∂η` of all nodes; under [`TimeScheme::Implicit`], elastic energy is that of the intervals and not in `U`.
@@ -115,7 +126,14 @@ fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
 struct Conditions<'a> {
     problem: &'a OptimalControlProblem,
     trajectory: &'a Trajectory,
-    control: &'a [Wrench],
+    control: &'a ControlSignal,
+    path: &'a [PathConstraint],
+}
+
+/// Covectors of a configuration at every time node: of positions and of body rotations, time-major.
+struct Outcome {
+    x: Vec<Vector3<f64>>,
+    eta: Vec<Vector3<f64>>,
 }
 
 impl Conditions<'_> {
@@ -222,9 +240,12 @@ impl Conditions<'_> {
             force += wrench.force;
             moment += wrench.moment;
         }
-        if q == self.rod().tip() {
-            force += self.control[k].force;
-            moment += self.control[k].moment;
+        let control = self.control.at(k);
+        for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
+            if *node == q {
+                force += wrench.force;
+                moment += wrench.moment;
+            }
         }
         (force, moment)
     }
@@ -250,13 +271,14 @@ impl Conditions<'_> {
             .sum()
     }
 
-    /// Sum of the scaled defects, and the tip's momenta at the end.
-    fn defects(&self) -> (f64, Vector3<f64>, Vector3<f64>) {
+    /// Sum of the scaled defects, and the momenta of every node at the end.
+    fn defects(&self) -> (f64, Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
         let scales = &rod.scales;
         let mut sum = 0.0;
-        let mut tip_momenta = (Vector3::zeros(), Vector3::zeros());
+        let mut p_end = vec![Vector3::zeros(); rod.n_nodes()];
+        let mut pi_end = p_end.clone();
         let weights = interval::weights(rod, h);
         let mut strains = weights.map(|_| self.strains(0));
         let mut stresses = vec![Nine::zeros(); rod.n_elements()];
@@ -300,9 +322,7 @@ impl Conditions<'_> {
                     decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
                 let after_angular = decay * before_angular + weight * moment + impulse * twists[q];
                 let Some([j_d, _]) = &leaving else {
-                    if q == rod.tip() {
-                        tip_momenta = (after, after_angular);
-                    }
+                    (p_end[q], pi_end[q]) = (after, after_angular);
                     continue;
                 };
                 sum += (self.velocity_momentum(k, q) - after).norm() / (scales.force * scales.time);
@@ -310,68 +330,175 @@ impl Conditions<'_> {
                     / (scales.moment * scales.time);
             }
         }
-        (sum, tip_momenta.0, tip_momenta.1)
+        (sum, p_end, pi_end)
     }
 
-    /// Scaled target residuals from the end of the trajectory.
-    fn residuals(&self, p: &Vector3<f64>, pi: &Vector3<f64>) -> Vec<f64> {
+    /// Scaled residuals of the goals.
+    fn residuals(&self, p: &[Vector3<f64>], pi: &[Vector3<f64>]) -> Vec<f64> {
         let rod = self.rod();
-        let (tip, n) = (rod.tip(), self.problem.grid.n_steps);
-        let (x, r) = (
-            self.trajectory.positions_at(n)[tip],
-            self.trajectory.rotations_at(n)[tip],
-        );
-        let target = &self.problem.target;
-        self.problem
-            .target_rows()
-            .iter()
+        (self.problem.goal_rows().iter())
             .map(|row| {
+                let goal = &self.problem.goals[row.goal];
+                let (node, k) = (goal.node, goal.time_node);
+                let x = self.trajectory.positions_at(k)[node];
+                let r = self.trajectory.rotations_at(k)[node];
                 let vector: Vector3<f64> = match row.part {
-                    TargetPart::Position => target.position.map_or_else(Vector3::zeros, |t| x - t),
-                    TargetPart::Orientation => target
+                    GoalPart::Position => goal.position.map_or_else(Vector3::zeros, |t| x - t),
+                    GoalPart::Orientation => goal
                         .rotation
                         .map_or_else(Vector3::zeros, |t| log(&(t.transpose() * r))),
-                    TargetPart::Velocity => p / rod.nodes[tip].mass,
-                    TargetPart::AngularVelocity => pi.component_div(&rod.nodes[tip].rotary),
+                    GoalPart::Velocity => p[node] / rod.nodes[node].mass,
+                    GoalPart::AngularVelocity => pi[node].component_div(&rod.nodes[node].rotary),
                 };
-                vector[row.axis] / self.problem.target_scale(row.part)
+                vector[row.axis] / self.problem.goal_scale(row.part)
             })
             .collect()
     }
 
-    /// Adjoint equations backward in time: derivative of `Σ y c` along the tip wrench of every time node.
-    fn control_gradient(&self, multipliers: &[f64]) -> Vec<Wrench> {
+    fn measure(&self) -> Measure<'_> {
+        Measure {
+            rod: self.rod(),
+            radii: &self.problem.radii,
+            step: self.problem.grid.step,
+        }
+    }
+
+    /// Covectors of `J + Σ y c + Σ z h` over the configurations at every time node, and the part of `J` over states.
+    fn outcome(&self, multipliers: &SolutionMultipliers) -> (Outcome, f64) {
+        let n = self.rod().n_nodes();
+        let zeros = vec![Vector3::zeros(); n * self.trajectory.n_times()];
+        let mut out = Outcome {
+            x: zeros.clone(),
+            eta: zeros,
+        };
+        for (row, y) in (self.problem.goal_rows().iter()).zip(multipliers.goals) {
+            let goal = &self.problem.goals[row.goal];
+            let (at, weight) = (
+                goal.time_node * n + goal.node,
+                y / self.problem.goal_scale(row.part),
+            );
+            match row.part {
+                GoalPart::Position => out.x[at][row.axis] += weight,
+                GoalPart::Orientation => {
+                    if let Some(target) = goal.rotation {
+                        let r = self.trajectory.rotations_at(goal.time_node)[goal.node];
+                        out.eta[at] += log_gradient(&(target.transpose() * r), row.axis) * weight;
+                    }
+                }
+                GoalPart::Velocity | GoalPart::AngularVelocity => {}
+            }
+        }
+        let measure = self.measure();
+        for PathMultiplier {
+            constraint,
+            time_node: k,
+            item,
+            multiplier,
+        } in multipliers.path
+        {
+            let limit = &self.path[*constraint].limit;
+            let weight = multiplier / limit.scale(self.rod());
+            let here = Pose::at(self.trajectory, *k);
+            let before = Pose::at(self.trajectory, k.saturating_sub(1));
+            let mut add = |k: usize, along_before: bool| {
+                let range = k * n..(k + 1) * n;
+                measure.add_slope(
+                    limit,
+                    *item,
+                    [&before, &here],
+                    along_before,
+                    weight,
+                    [&mut out.x[range.clone()], &mut out.eta[range]],
+                );
+            };
+            add(*k, false);
+            if *k > 0 {
+                add(k - 1, true);
+            }
+        }
+        let mut cost = 0.0;
+        for (k, duration) in sample_times(self.problem) {
+            let range = k * n..(k + 1) * n;
+            cost += add_state_cost(
+                self.problem,
+                &Pose::at(self.trajectory, k),
+                self.problem.grid.time(k),
+                duration,
+                [&mut out.x[range.clone()], &mut out.eta[range]],
+            );
+        }
+        (out, cost)
+    }
+
+    /// Of all rows of the path constraints: the largest scaled violation of a hard one, the cost of soft ones, and how far
+    /// multipliers are from what goes with their rows: signs, slack times multiplier, prices.
+    fn path_conditions(&self, multipliers: &[PathMultiplier]) -> PathConditions {
+        let mut out = PathConditions::default();
+        let measure = self.measure();
+        let mut given = std::collections::HashMap::new();
+        for m in multipliers {
+            given.insert((m.constraint, m.time_node, m.item), m.multiplier);
+        }
+        for (index, constraint) in self.path.iter().enumerate() {
+            let scale = constraint.limit.scale(self.rod());
+            let lasting = match constraint.time_nodes.as_slice() {
+                [k] => vec![(*k, 1.0)],
+                nodes => durations(nodes, self.problem.grid.step),
+            };
+            for (k, duration) in lasting {
+                let here = Pose::at(self.trajectory, k);
+                let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1));
+                for item in 0..constraint.limit.n_items(self.rod()) {
+                    let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
+                    let h = excess / scale;
+                    let z = given.remove(&(index, k, item)).unwrap_or(0.0);
+                    out.add(constraint.enforcement, duration, h, z);
+                }
+            }
+        }
+        if !given.is_empty() {
+            // A multiplier of a row that does not exist explains nothing.
+            out.complementarity = f64::NAN;
+        }
+        out
+    }
+
+    /// Adjoint equations backward in time: derivative of an outcome along the wrench on every actuated node at every time node,
+    /// in the order of the signal. Multipliers of goals enter here only where they are about momenta.
+    fn control_gradient(&self, outcome: &Outcome, goals: &[f64]) -> Vec<Wrench> {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
-        let (first, count, tip) = (rod.first_free_node(), rod.n_nodes(), rod.tip());
+        let (first, count) = (rod.first_free_node(), rod.n_nodes());
         let zeros = vec![Vector3::zeros(); count];
         // Covectors of x and η at the node under way, from everything later than its own kick.
         let (mut cx, mut ceta) = (zeros.clone(), zeros.clone());
         // Multipliers of the kick at k, and at k + 1.
         let (mut lx, mut lr) = (zeros.clone(), zeros.clone());
-        let r_end = self.trajectory.rotations_at(n)[tip];
-        for (row, y) in self.problem.target_rows().iter().zip(multipliers) {
-            let weight = y / self.problem.target_scale(row.part);
+        for (row, y) in self.problem.goal_rows().iter().zip(goals) {
+            let node = self.problem.goals[row.goal].node;
+            let weight = y / self.problem.goal_scale(row.part);
             match row.part {
-                TargetPart::Position => cx[tip][row.axis] += weight,
-                TargetPart::Orientation => {
-                    if let Some(target) = self.problem.target.rotation {
-                        ceta[tip] += log_gradient(&(target.transpose() * r_end), row.axis) * weight;
-                    }
+                GoalPart::Velocity => lx[node][row.axis] += weight / rod.nodes[node].mass,
+                GoalPart::AngularVelocity => {
+                    lr[node][row.axis] += weight / rod.nodes[node].rotary[row.axis];
                 }
-                TargetPart::Velocity => lx[tip][row.axis] += weight / rod.nodes[tip].mass,
-                TargetPart::AngularVelocity => {
-                    lr[tip][row.axis] += weight / rod.nodes[tip].rotary[row.axis];
-                }
+                GoalPart::Position | GoalPart::Orientation => {}
             }
         }
-        let mut out = vec![Wrench::default(); n + 1];
+        let nodes = &self.control.nodes;
+        let mut out = vec![Wrench::default(); (n + 1) * nodes.len()];
         for k in (0..=n).rev() {
             let (decay, weight, impulse) = kick(rod, h, k, n);
-            out[k] = Wrench {
-                force: weight * lx[tip],
-                moment: weight * lr[tip],
-            };
+            for q in first..count {
+                cx[q] += outcome.x[k * count + q];
+                ceta[q] += outcome.eta[k * count + q];
+            }
+            for (i, &node) in nodes.iter().enumerate() {
+                out[k * nodes.len() + i] = Wrench {
+                    force: weight * lx[node],
+                    moment: weight * lr[node],
+                };
+            }
             self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
             if k == 0 {
                 break;
@@ -839,77 +966,106 @@ fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
     })
 }
 
-/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and the multipliers of
-/// its target's residuals.
+/// What the rows of path constraints say together.
+#[derive(Default)]
+struct PathConditions {
+    violation: f64,
+    cost: f64,
+    /// Of multipliers that no price explains.
+    stationarity: f64,
+    complementarity: f64,
+    largest: f64,
+}
+
+/// Within this of its limit, a soft row is at it.
+const AT_LIMIT: f64 = 1e-7;
+
+impl PathConditions {
+    fn add(&mut self, enforcement: PathEnforcement, duration: f64, h: f64, z: f64) {
+        self.largest = self.largest.max(z.abs());
+        match enforcement {
+            PathEnforcement::Hard => {
+                self.violation = worse(self.violation, h);
+                let gap = if z < 0.0 { -z } else { (z * h).abs() };
+                self.complementarity = worse(self.complementarity, gap);
+            }
+            PathEnforcement::Soft { linear, quadratic } => {
+                let (linear, quadratic) = (linear * duration, quadratic * duration);
+                let over = h.max(0.0);
+                self.cost += linear * over + 0.5 * quadratic * over * over;
+                let price = linear + quadratic * over;
+                // Beyond the limit the multiplier is the price, before it nothing, at it anything between.
+                let (least, most) = if h > AT_LIMIT {
+                    (price, price)
+                } else if h < -AT_LIMIT {
+                    (0.0, 0.0)
+                } else {
+                    (0.0, price)
+                };
+                let off = (least - z).max(z - most).max(0.0);
+                if h < -AT_LIMIT {
+                    self.complementarity = worse(self.complementarity, off * h.abs());
+                } else {
+                    self.stationarity = worse(self.stationarity, off);
+                }
+            }
+        }
+    }
+}
+
+/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and its multipliers.
 #[must_use]
 pub fn recompute(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
     coefficients: &[Wrench],
-    multipliers: &[f64],
+    multipliers: &SolutionMultipliers,
 ) -> RecomputedKkt {
-    let control = problem.control.nodal_wrenches(coefficients);
+    let control = problem.signal(&problem.control, coefficients);
+    let path = problem.path_constraints();
     let conditions = Conditions {
         problem,
         trajectory,
         control: &control,
+        path: &path,
     };
     let (defect, p, pi) = conditions.defects();
     let residuals = conditions.residuals(&p, &pi);
-    // A soft target is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
-    let soft = match problem.target.enforcement {
-        Enforcement::Hard => None,
-        Enforcement::Soft { weight } => Some(weight),
-    };
-    let constraint_size = residuals
-        .iter()
-        .zip(multipliers)
-        .map(|(r, y)| (r - soft.map_or(0.0, |weight| y / weight)).abs())
-        .fold(0.0, worse);
-    let pulled = conditions.control_gradient(multipliers);
-
-    let (sum, largest) = lagrangian_gradient(problem, coefficients, &pulled);
-    let mut stationarity: f64 = 0.0;
-    let mut complementarity: f64 = 0.0;
-    let mut bound_violation: f64 = 0.0;
-    for (gradient, wrench) in sum.iter().zip(coefficients) {
-        for (channel, g, u) in [
-            (&problem.force, gradient.force, wrench.force),
-            (&problem.moment, gradient.moment, wrench.moment),
-        ] {
-            let (rest, gap) = normal_cone(&channel.bound, &g, &u, channel.scale);
-            stationarity = worse(stationarity, rest);
-            complementarity = worse(complementarity, gap);
-            if let Some(bound) = channel.bound {
-                bound_violation = worse(bound_violation, bound.violation(&u));
-            }
-        }
+    // A soft goal is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
+    let rows = problem.goal_rows();
+    let mut constraint_size: f64 = 0.0;
+    let mut soft_cost = 0.0;
+    for ((r, y), row) in residuals.iter().zip(multipliers.goals).zip(&rows) {
+        let soft = problem.soft_weight(row).map_or(0.0, |weight| {
+            soft_cost += 0.5 * y * y / weight;
+            y / weight
+        });
+        constraint_size = worse(constraint_size, (r - soft).abs());
     }
-    let relative_bound = [&problem.force, &problem.moment]
-        .iter()
-        .filter(|channel| channel.bound.is_some())
-        .map(|channel| bound_violation / channel.scale)
-        .fold(0.0, f64::max);
+    let on_path = conditions.path_conditions(multipliers.path);
+    let (outcome, state_cost) = conditions.outcome(multipliers);
+    let pulled = conditions.control_gradient(&outcome, multipliers.goals);
+
+    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
     // As the solver: a problem whose terms all vanish is judged against one unit of effort.
+    let largest_of = |m: &Mat<f64>| (0..m.nrows()).map(|i| m[(i, i)]).fold(0.0, f64::max);
     let unit = 1e-6
-        * (problem.effort * largest_of(&problem.control.effort_matrix().0)
-            + problem.rate * largest_of(&problem.control.rate_matrix().0));
-    let scale = largest.max(unit).max(f64::MIN_POSITIVE);
+        * (problem.objective.effort * largest_of(&problem.control.effort_matrix())
+            + problem.objective.rate * largest_of(&problem.control.rate_matrix()));
+    let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
     RecomputedKkt {
         residual: KktResidual {
-            stationarity: stationarity / scale,
+            stationarity: worse(controls.stationarity, on_path.stationarity) / scale,
             feasibility: worse(
                 worse(constraint_size, defect + conditions.base_defects()),
-                relative_bound,
+                worse(controls.relative_violation, on_path.violation),
             ),
-            complementarity: complementarity / scale,
+            complementarity: worse(controls.complementarity, on_path.complementarity) / scale,
         },
-        bound_violation,
+        bound_violation: controls.violation,
+        objective: controls.cost + soft_cost + state_cost + on_path.cost,
+        scale,
     }
-}
-
-fn largest_of(values: &[f64]) -> f64 {
-    values.iter().copied().fold(0.0, f64::max)
 }
 
 /// Larger of the two; NaN if either is.
@@ -921,54 +1077,116 @@ fn worse(a: f64, b: f64) -> f64 {
     }
 }
 
-/// Gradient of the Lagrangian over scaled coefficients, and the size of its largest term.
-fn lagrangian_gradient(
-    problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
-    pulled: &[Wrench],
-) -> (Vec<Wrench>, f64) {
-    let mut sum = vec![Wrench::default(); coefficients.len()];
-    for (k, wrench) in pulled.iter().enumerate() {
-        for (coefficient, weight) in problem.control.weights(k) {
-            sum[coefficient].force += wrench.force * (weight * problem.force.scale);
-            sum[coefficient].moment += wrench.moment * (weight * problem.moment.scale);
+/// What the controls say: their cost, the gradient of the Lagrangian, bounds.
+#[derive(Default)]
+struct ControlConditions {
+    cost: f64,
+    stationarity: f64,
+    complementarity: f64,
+    /// Of a bound, in its own unit, and over the channel's scale.
+    violation: f64,
+    relative_violation: f64,
+    /// Size of the largest term of the gradient.
+    largest: f64,
+}
+
+impl ControlConditions {
+    fn of(
+        problem: &OptimalControlProblem,
+        coefficients: &[Wrench],
+        pulled: &[Wrench],
+        rates: &[[f64; 6]],
+    ) -> Self {
+        let mut out = Self::default();
+        let n = problem.actuators.len();
+        let (effort, rate) = (
+            problem.control.effort_matrix(),
+            problem.control.rate_matrix(),
+        );
+        let gaps = problem.control.rate_gaps();
+        for (a, actuator) in problem.actuators.iter().enumerate() {
+            let channels = [(&actuator.force, 0), (&actuator.moment, 3)];
+            let part = |w: &Wrench, at: usize| if at == 0 { w.force } else { w.moment };
+            for (channel, at) in channels {
+                let u: Vec<Vector3<f64>> = (coefficients.iter().skip(a).step_by(n))
+                    .map(|w| part(w, at))
+                    .collect();
+                let mut gradient = vec![Vector3::zeros(); u.len()];
+                for (k, wrench) in pulled.iter().skip(a).step_by(n).enumerate() {
+                    for (j, weight) in problem.control.weights(k) {
+                        gradient[j] += part(wrench, at) * (weight * channel.scale);
+                    }
+                }
+                out.note(&gradient);
+                let mut cost = vec![Vector3::zeros(); u.len()];
+                for i in 0..u.len() {
+                    for j in 0..u.len() {
+                        let weight = problem.objective.effort * effort[(i, j)]
+                            + problem.objective.rate * rate[(i, j)];
+                        cost[i] += u[j] * (weight / channel.scale);
+                    }
+                    out.cost += 0.5 * cost[i].dot(&u[i]) / channel.scale;
+                    gradient[i] += cost[i];
+                }
+                out.note(&cost);
+                for (j, gap) in gaps.iter().enumerate() {
+                    let change = (u[j + 1] - u[j]) / channel.scale;
+                    let normal = (rates.get(j * n + a)).map_or_else(Vector3::zeros, |z| {
+                        Vector3::from_column_slice(&z[at..at + 3])
+                    });
+                    gradient[j] -= normal;
+                    gradient[j + 1] += normal;
+                    out.note(&[normal]);
+                    out.add_rate(channel, *gap, &change, &normal);
+                }
+                for (g, u) in gradient.iter().zip(&u) {
+                    let (rest, gap) = normal_cone(&channel.bound, g, u, channel.scale);
+                    out.stationarity = worse(out.stationarity, rest);
+                    out.complementarity = worse(out.complementarity, gap);
+                    if let Some(bound) = channel.bound {
+                        out.add_violation(bound.violation(u), channel.scale);
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    fn note(&mut self, terms: &[Vector3<f64>]) {
+        self.largest = terms.iter().fold(self.largest, |m, t| m.max(t.amax()));
+    }
+
+    fn add_violation(&mut self, violation: f64, scale: f64) {
+        self.violation = worse(self.violation, violation);
+        self.relative_violation = worse(self.relative_violation, violation / scale);
+    }
+
+    /// Bound on the rate from one coefficient to the next: `|z| limit = z·change` exactly when the change is at the limit and the
+    /// normal points outward.
+    fn add_rate(
+        &mut self,
+        channel: &Channel,
+        gap: f64,
+        change: &Vector3<f64>,
+        normal: &Vector3<f64>,
+    ) {
+        let slack = match channel.rate_bound {
+            None => normal.norm(),
+            Some(Bound::Norm(limit)) => {
+                normal.norm() * (limit * gap / channel.scale) - normal.dot(change)
+            }
+            Some(Bound::PerAxis(limits)) => (0..3)
+                .map(|i| {
+                    normal[i].abs() * (limits[i] * gap / channel.scale) - normal[i] * change[i]
+                })
+                .fold(0.0, |m, s: f64| worse(m, s.abs())),
+        };
+        self.complementarity = worse(self.complementarity, slack.abs());
+        if let Some(bound) = channel.rate_bound {
+            let violation = bound.violation(&(change * (channel.scale / gap)));
+            self.add_violation(violation * gap, channel.scale);
         }
     }
-    let size = |w: &Wrench| w.force.amax().max(w.moment.amax());
-    let mut largest = sum.iter().map(size).fold(0.0, f64::max);
-    let matrices = [
-        (problem.effort, problem.control.effort_matrix()),
-        (problem.rate, problem.control.rate_matrix()),
-    ];
-    let scaled: Vec<Wrench> = coefficients
-        .iter()
-        .map(|w| Wrench {
-            force: w.force / problem.force.scale,
-            moment: w.moment / problem.moment.scale,
-        })
-        .collect();
-    let mut cost = vec![Wrench::default(); coefficients.len()];
-    for (weight, (diagonal, off)) in &matrices {
-        for i in 0..coefficients.len() {
-            let mut add = |factor: f64, w: &Wrench| {
-                cost[i].force += w.force * (weight * factor);
-                cost[i].moment += w.moment * (weight * factor);
-            };
-            add(diagonal[i], &scaled[i]);
-            if i > 0 {
-                add(off[i - 1], &scaled[i - 1]);
-            }
-            if i + 1 < coefficients.len() {
-                add(off[i], &scaled[i + 1]);
-            }
-        }
-    }
-    for (s, c) in sum.iter_mut().zip(&cost) {
-        largest = largest.max(size(c));
-        s.force += c.force;
-        s.moment += c.moment;
-    }
-    (sum, largest)
 }
 
 /// What of `-g` the bound's normal at `u` cannot explain, and the product of slack and normal.

@@ -1,21 +1,23 @@
 //! Re-checks a solution by code that shares no assembly with the solver.
 //!
 //! The optimality conditions are recomputed ([`kkt`]), the controls are replayed by the forward simulation on the same
-//! grid, with the step halved, and with the elements doubled, and the energy is balanced.
+//! grid and on finer ones ([`refinement`]), constraints are looked at between nodes and samples, and the energy is balanced.
 
 mod dual;
 mod interval;
 pub mod kkt;
+mod limits;
+pub mod refinement;
 
 use nalgebra::Vector3;
 
 use self::interval::Strained;
-use crate::control::{Enforcement, OptimalControlProblem, TargetPart};
+use self::refinement::{Between, PeakStrains, refine};
+use crate::control::{ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
-use crate::mechanics::stability::stable_step;
 use crate::mechanics::{
-    Configuration, Energy, Integrator, Rod, RodError, RodParameters, State, StepError, TimeGrid,
-    TimeScheme, Trajectory, Wrench,
+    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
+    State, StepError, TimeGrid, Trajectory, Wrench,
 };
 use crate::sqp::KktResidual;
 
@@ -32,6 +34,8 @@ pub struct CheckLimits {
     pub tip: f64,
     /// Energy residual over the energy that passed through.
     pub energy: f64,
+    /// Violation of a path constraint between nodes and samples, over the radius of obstacle and arm, or over the limit.
+    pub between: f64,
 }
 
 impl Default for CheckLimits {
@@ -42,6 +46,7 @@ impl Default for CheckLimits {
             refined: 0.02,
             tip: 1e-4,
             energy: 0.02,
+            between: 0.01,
         }
     }
 }
@@ -71,6 +76,9 @@ impl CheckItem {
             "same_grid_m" => {
                 "the files were changed, or the motion is so unstable that it cannot be replayed"
             }
+            "between_samples" => {
+                "use a shorter time.step_s, more rod.elements, or a margin around what is limited"
+            }
             _ => "solve again, with a smaller solver.tolerance",
         }
     }
@@ -91,10 +99,20 @@ pub struct ForwardCheck {
     pub kkt: KktResidual,
     /// Largest distance of any node at any time between the solution and its replay, m.
     pub same_grid: f64,
-    /// Estimated error of any node at any time from the time step: 4/3 of the change when it is halved, m.
+    /// Value of the objective, recomputed.
+    pub objective: f64,
+    /// Estimated error of any node at any time from the time step, m: see [`refinement::ErrorEstimate`].
     pub refined_time: f64,
-    /// Estimated error of any node at any time from the elements: 4/3 of the change when they are doubled, m.
+    /// Estimated error of any node at any time from the elements, m.
     pub refined_space: f64,
+    /// Observed order in time, about 2.
+    pub order_time: Option<f64>,
+    /// Observed order in space, about 2 where the elements are shorter than the shape's own features.
+    pub order_space: Option<f64>,
+    /// Worst violation of every hard path constraint between nodes and samples, on the finest replay.
+    pub between: Vec<Between>,
+    /// Extremes of the strains.
+    pub strains: PeakStrains,
     /// Distance of the replayed tip from a target position, m; 0 without one.
     pub tip_error: f64,
     /// Angle between the replayed tip and a target orientation, rad; 0 without one.
@@ -160,7 +178,7 @@ impl EnergyBalance {
     }
 }
 
-/// A forward simulation under given nodal tip wrenches, with its accounts.
+/// A forward simulation under given wrenches, with its accounts.
 #[derive(Clone, Debug)]
 pub struct Replay {
     /// Configurations at every time node.
@@ -197,14 +215,31 @@ pub fn replay(
     rod: &Rod,
     grid: TimeGrid,
     initial: &State,
-    control: &[Wrench],
+    control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
+    let accounts = account(rod, grid, initial, control, &mut |state| {
+        trajectory.push(&state.configuration);
+    })?;
+    Ok(Replay {
+        trajectory,
+        ..accounts
+    })
+}
+
+/// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty.
+fn account(
+    rod: &Rod,
+    grid: TimeGrid,
+    initial: &State,
+    control: &ControlSignal,
+    observe: &mut dyn FnMut(&State),
+) -> Result<Replay, StepError> {
     let mut integrator = Integrator::new(rod, grid.step, initial.clone());
     let mut internal = InternalAccount::new(rod, grid.step, integrator.state());
     let start = Energy::of(rod, integrator.state());
     let mut energies = vec![start];
-    trajectory.push(&integrator.state().configuration);
+    observe(integrator.state());
     // Below this no energy passes through worth the name: rounding of the stiffest element.
     let mut balance = EnergyBalance {
         throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
@@ -212,7 +247,7 @@ pub fn replay(
     };
     for k in 0..grid.n_steps {
         let before = integrator.state().clone();
-        let pair = [control[k], control[k + 1]];
+        let pair = [control.at(k), control.at(k + 1)];
         let base_before = base_wrench(&integrator);
         integrator.advance(pair)?;
         let after = integrator.state();
@@ -235,10 +270,10 @@ pub fn replay(
             .max((energy.potential - start.potential).abs())
             .max(balance.dissipation);
         energies.push(energy);
-        trajectory.push(&after.configuration);
+        observe(after);
     }
     Ok(Replay {
-        trajectory,
+        trajectory: Trajectory::with_capacity(rod.n_nodes(), 0),
         energies,
         end: integrator.state().clone(),
         balance,
@@ -337,13 +372,14 @@ fn step_work(
     k: usize,
     before: &State,
     after: &State,
-    control: &[Wrench; 2],
+    control: &[NodeWrenches; 2],
 ) -> f64 {
-    let tip = rod.tip();
-    let (dx, turn) = displacement(before, after, tip);
     let mut work = 0.0;
-    for wrench in control {
-        work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
+    for control in control {
+        for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
+            let (dx, turn) = displacement(before, after, *node);
+            work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
+        }
     }
     for load in &rod.loads {
         let (dx, turn) = displacement(before, after, load.node);
@@ -380,10 +416,47 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
 pub struct Solution<'a> {
     /// Configurations at every time node.
     pub trajectory: &'a Trajectory,
-    /// Coefficients of the control.
+    /// Coefficients of the control, those of all actuators together.
     pub coefficients: &'a [Wrench],
-    /// Multipliers of the target's scaled residuals.
-    pub multipliers: &'a [f64],
+    /// Multipliers.
+    pub multipliers: SolutionMultipliers<'a>,
+}
+
+/// Multipliers of a solution, in the solver's scaling.
+#[derive(Clone, Copy, Debug)]
+pub struct SolutionMultipliers<'a> {
+    /// Of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
+    pub goals: &'a [f64],
+    /// Of rows of [`OptimalControlProblem::path_constraints`]; those that are absent are zero.
+    pub path: &'a [PathMultiplier],
+    /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, per step between coefficients and
+    /// actuator (force, moment); empty without such bounds.
+    pub rates: &'a [[f64; 6]],
+}
+
+impl<'a> SolutionMultipliers<'a> {
+    /// Where only goals have multipliers.
+    #[must_use]
+    pub fn of_goals(goals: &'a [f64]) -> Self {
+        Self {
+            goals,
+            path: &[],
+            rates: &[],
+        }
+    }
+}
+
+/// The multiplier of one row of a path constraint.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PathMultiplier {
+    /// Index of the constraint.
+    pub constraint: usize,
+    /// Time node.
+    pub time_node: usize,
+    /// Item of the constraint.
+    pub item: usize,
+    /// Multiplier of the scaled row.
+    pub multiplier: f64,
 }
 
 /// Checks a solution. `parameters` describe the problem's rod, so that it can be built again with twice the elements;
@@ -402,44 +475,47 @@ pub fn forward_check(
         problem,
         solution.trajectory,
         solution.coefficients,
-        solution.multipliers,
+        &solution.multipliers,
     );
-    let run = |rod: &Rod, start: &State, factor: usize, which| {
+    let run = |factor: usize, which| {
         let grid = refined_grid(problem.grid, factor);
-        let control = problem
-            .control
-            .refined(factor)
-            .nodal_wrenches(solution.coefficients);
-        replay(rod, grid, start, &control).map_err(|source| CheckError::Replay { which, source })
-    };
-    let same = run(&problem.rod, &problem.initial, 1, "same grid")?;
-    let half = run(&problem.rod, &problem.initial, 2, "half the step")?;
-
-    let doubled = doubled_rod(parameters)?;
-    let factor = stable_factor(problem.grid.step, &doubled);
-    let fine_start = initial(&doubled);
-    let fine = run(&doubled, &fine_start, factor, "twice the elements")?;
-    let coarse = if factor == 2 {
-        None
-    } else {
-        Some(run(
+        let control = refined_signal(
+            problem,
+            &problem.control.refined(factor),
             &problem.rod,
+            solution,
+        );
+        let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
+        account(
+            &problem.rod,
+            grid,
             &problem.initial,
-            factor,
-            "the finer step",
-        )?)
+            &control,
+            &mut |state| {
+                if factor == 1 {
+                    trajectory.push(&state.configuration);
+                }
+            },
+        )
+        .map(|accounts| Replay {
+            trajectory,
+            ..accounts
+        })
+        .map_err(|source| CheckError::Replay { which, source })
     };
-    let coarse = coarse.as_ref().unwrap_or(&half);
-
-    let refined_time =
-        RICHARDSON * largest_distance(&same.trajectory, 1, 1, &half.trajectory, 2, 1);
-    let refined_space =
-        RICHARDSON * largest_distance(&coarse.trajectory, factor, 1, &fine.trajectory, factor, 2);
+    let same = run(1, "same grid")?;
+    let half = run(2, "half the step")?;
+    let refinement = refine(problem, parameters, initial, solution)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
-        same_grid: largest_distance(solution.trajectory, 1, 1, &same.trajectory, 1, 1),
-        refined_time,
-        refined_space,
+        objective: conditions.objective,
+        same_grid: largest_distance(solution.trajectory, &same.trajectory),
+        refined_time: refinement.time.error,
+        refined_space: refinement.space.error,
+        order_time: refinement.time.order,
+        order_space: refinement.space.order,
+        between: refinement.between,
+        strains: PeakStrains::of(&problem.rod, &same.trajectory),
         tip_error: 0.0,
         tip_angle: 0.0,
         tip_speed: 0.0,
@@ -455,10 +531,19 @@ pub fn forward_check(
     Ok(check)
 }
 
-/// Richardson's factor of a second-order method whose step is halved: `1/(1 - 1/4)`.
-const RICHARDSON: f64 = 4.0 / 3.0;
-/// Part of the stable step that a refined rod may use.
-const REFINED_STEP_FRACTION: f64 = 0.9;
+/// The controls on a finer grid, and on the nodes of a rod with a whole multiple of the elements.
+fn refined_signal(
+    problem: &OptimalControlProblem,
+    grid: &ControlGrid,
+    rod: &Rod,
+    solution: &Solution,
+) -> ControlSignal {
+    let mut signal = problem.signal(grid, solution.coefficients);
+    for node in &mut signal.nodes {
+        *node *= rod.n_elements() / problem.rod.n_elements();
+    }
+    signal
+}
 
 fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
     TimeGrid {
@@ -467,50 +552,28 @@ fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
     }
 }
 
-/// How many times the step must be divided for `rod` to be stable with it, at least 2. Implicit steps have no linear limit, and
-/// the one under bending goes with the square root of an element's length: two halves of an element need no more than half the
-/// step.
-fn stable_factor(step: f64, rod: &Rod) -> usize {
-    let factor = match rod.scheme {
-        TimeScheme::Explicit => (step / (REFINED_STEP_FRACTION * stable_step(rod))).ceil() as usize,
-        TimeScheme::Implicit => 0,
-    };
-    factor.max(2)
-}
-
-/// The same rod with twice the elements; loads stay on the same material points.
-fn doubled_rod(parameters: &RodParameters) -> Result<Rod, RodError> {
-    let mut doubled = parameters.clone();
-    doubled.n_elements *= 2;
-    for load in &mut doubled.loads {
-        load.node *= 2;
-    }
-    Rod::new(&doubled)
-}
-
-/// Largest distance over shared times and nodes; every `time_*`-th time node and `node_*`-th rod node of each is shared.
-fn largest_distance(
-    a: &Trajectory,
-    time_a: usize,
-    node_a: usize,
-    b: &Trajectory,
-    time_b: usize,
-    node_b: usize,
-) -> f64 {
-    let n_times = (a.n_times() - 1) / time_a + 1;
-    let n_nodes = (a.n_nodes - 1) / node_a + 1;
+/// Largest distance of any node at any time; NaN if any is.
+fn largest_distance(a: &Trajectory, b: &Trajectory) -> f64 {
     let mut largest: f64 = 0.0;
-    for k in 0..n_times {
-        let (xa, xb) = (a.positions_at(k * time_a), b.positions_at(k * time_b));
-        for q in 0..n_nodes {
-            let distance = (xa[q * node_a] - xb[q * node_b]).norm();
-            if distance.is_nan() {
-                return f64::NAN;
-            }
-            largest = largest.max(distance);
+    for (x, y) in a.positions.iter().zip(&b.positions) {
+        let distance = (x - y).norm();
+        if distance.is_nan() {
+            return f64::NAN;
         }
+        largest = largest.max(distance);
     }
     largest
+}
+
+/// The goal of the tip at the end that has what `part` picks, if any.
+fn last_goal<T>(
+    problem: &OptimalControlProblem,
+    part: impl Fn(&Goal) -> Option<T>,
+) -> Option<(T, Enforcement)> {
+    let at_end =
+        |goal: &&Goal| goal.node == problem.rod.tip() && goal.time_node == problem.grid.n_steps;
+    (problem.goals.iter().filter(at_end))
+        .find_map(|goal| part(goal).map(|found| (found, goal.enforcement)))
 }
 
 fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
@@ -520,14 +583,10 @@ fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
         end.configuration.positions[tip],
         end.configuration.rotations[tip],
     );
-    check.tip_error = problem
-        .target
-        .position
-        .map_or(0.0, |target| (x - target).norm());
-    check.tip_angle = problem
-        .target
-        .rotation
-        .map_or(0.0, |target| log(&(target.transpose() * r)).norm());
+    check.tip_error =
+        last_goal(problem, |goal| goal.position).map_or(0.0, |(target, _)| (x - target).norm());
+    check.tip_angle = last_goal(problem, |goal| goal.rotation)
+        .map_or(0.0, |(target, _)| log(&(target.transpose() * r)).norm());
     let velocity: Vector3<f64> = end.linear_momentum[tip] / problem.rod.nodes[tip].mass;
     check.tip_speed = velocity.norm();
     check.tip_spin = end.angular_momentum[tip]
@@ -603,43 +662,72 @@ fn items(
         // There is no energy to balance.
         items.retain(|item| item.name != "energy");
     }
-    if problem.target.enforcement == Enforcement::Hard {
-        if problem.target.position.is_some() {
-            items.push(item(
-                "tip_error_m",
-                check.tip_error,
-                limits.tip * length,
-                "m",
-                "distance of the simulated tip from the target",
-            ));
-        }
-        if problem.target.rotation.is_some() {
-            items.push(item(
-                "tip_angle_rad",
-                check.tip_angle,
-                limits.tip,
-                "rad",
-                "angle between the simulated tip and the target orientation",
-            ));
-        }
-        if problem.target.at_rest {
-            let scale = problem.target_scale(TargetPart::Velocity);
-            items.push(item(
-                "tip_speed_m_s",
-                check.tip_speed,
-                limits.tip * scale,
-                "m/s",
-                "speed of the simulated tip at the end",
-            ));
-            let scale = problem.target_scale(TargetPart::AngularVelocity);
-            items.push(item(
-                "tip_spin_rad_s",
-                check.tip_spin,
-                limits.tip * scale,
-                "rad/s",
-                "angular speed of the simulated tip at the end",
-            ));
-        }
+    if let Some(between) = (check.between.iter())
+        .map(|between| between.excess.max(0.0) / between.reference)
+        .reduce(|a, b| {
+            if a.is_nan() || b.is_nan() {
+                f64::NAN
+            } else {
+                a.max(b)
+            }
+        })
+    {
+        items.push(item(
+            "between_samples",
+            between,
+            limits.between,
+            "",
+            "largest violation of a path constraint anywhere on the finest replay, over the radius or the limit itself",
+        ));
+    }
+    let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {
+        Enforcement::Hard => Some(0.0),
+        Enforcement::Within {
+            distance,
+            angle: largest,
+        } => Some(if angle { *largest } else { *distance }),
+        Enforcement::Soft { .. } => None,
+    };
+    if let Some((_, enforcement)) = last_goal(problem, |goal| goal.position)
+        && let Some(tolerance) = allowed(&enforcement, false)
+    {
+        items.push(item(
+            "tip_error_m",
+            check.tip_error,
+            tolerance + limits.tip * length,
+            "m",
+            "distance of the simulated tip from the target",
+        ));
+    }
+    if let Some((_, enforcement)) = last_goal(problem, |goal| goal.rotation)
+        && let Some(tolerance) = allowed(&enforcement, true)
+    {
+        items.push(item(
+            "tip_angle_rad",
+            check.tip_angle,
+            tolerance + limits.tip,
+            "rad",
+            "angle between the simulated tip and the target orientation",
+        ));
+    }
+    let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));
+    if at_rest.is_some_and(|(_, enforcement)| !matches!(enforcement, Enforcement::Soft { .. })) {
+        let scale = problem.goal_scale(GoalPart::Velocity);
+        items.push(item(
+            "tip_speed_m_s",
+            check.tip_speed,
+            limits.tip * scale,
+            "m/s",
+            "speed of the simulated tip at the end",
+        ));
+        let scale = problem.goal_scale(GoalPart::AngularVelocity);
+        items.push(item(
+            "tip_spin_rad_s",
+            check.tip_spin,
+            limits.tip * scale,
+            "rad/s",
+            "angular speed of the simulated tip at the end",
+        ));
     }
     items
 }

@@ -7,8 +7,8 @@ use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::{cay, exp, log, orthonormalized};
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, LoadFrame, Material, NodeInertia, Rod, RodModel,
-    RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring, Wrench,
+    BaseCondition, Energy, Integrator, LoadFrame, Material, NodeInertia, NodeWrenches, Rod,
+    RodModel, RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring,
     stable_step, static_equilibrium,
 };
 
@@ -93,7 +93,7 @@ pub fn same_in_other_units(law: Law, units: [i32; 3]) -> bool {
         let rest = State::at_rest(rod.rest.clone());
         let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), rest);
         for _ in 0..200 {
-            integrator.advance([Wrench::default(); 2]).unwrap();
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         }
         integrator.state().clone()
     };
@@ -157,7 +157,7 @@ pub fn arc_errors(
     let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
     let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), State::at_rest(arc));
     for _ in 0..200 {
-        integrator.advance([Wrench::default(); 2]).unwrap();
+        integrator.advance([NodeWrenches::NONE; 2]).unwrap();
     }
     [
         (shape.positions[n_elements] - tip).norm(),
@@ -203,7 +203,7 @@ pub fn compliance(law: Law, force: f64) -> Result<f64, StepError> {
     let rest = State::at_rest(rod.rest.clone());
     let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), rest);
     for _ in 0..300 {
-        integrator.advance([Wrench::default(); 2])?;
+        integrator.advance([NodeWrenches::NONE; 2])?;
     }
     Ok(integrator.state().configuration.positions[8].x / force)
 }
@@ -239,7 +239,7 @@ pub fn drift(
         rotation: 0.0,
     };
     for k in 0..n_steps {
-        integrator.advance([Wrench::default(); 2])?;
+        integrator.advance([NodeWrenches::NONE; 2])?;
         if k % 16 == 0 || k + 1 == n_steps {
             let state = integrator.state();
             for x in &state.configuration.positions {
@@ -314,7 +314,7 @@ pub fn spin_error(rule: StrainRule, level: f64) -> Result<f64, StepError> {
     let angle = (level * rod.nodes[0].rotary.min() / rod.nodes[0].rotary.z).asin();
     let mut integrator = Integrator::new(&rod, h, initial);
     for _ in 0..100 {
-        integrator.advance([Wrench::default(); 2])?;
+        integrator.advance([NodeWrenches::NONE; 2])?;
     }
     let expected = exp(&Vector3::new(0.0, 0.0, (100.0 * angle) % (2.0 * PI)));
     let errors = (integrator.state().configuration.rotations.iter()).map(|r| (r - expected).norm());
@@ -385,7 +385,7 @@ pub fn fold(law: Law, excess: f64) -> (Option<StepError>, f64) {
     let mut integrator = Integrator::new(&rod, 0.02 * stable_step(&rod), initial);
     let mut worst: f64 = 0.0;
     for _ in 0..20_000 {
-        if let Err(error) = integrator.advance([Wrench::default(); 2]) {
+        if let Err(error) = integrator.advance([NodeWrenches::NONE; 2]) {
             return (Some(error), worst);
         }
         let now = Energy::of(&rod, integrator.state()).total();
@@ -418,7 +418,7 @@ pub fn release(law: Law, start: f64, fraction: f64, n_steps: usize) -> Result<St
         largest: start,
     };
     for _ in 0..n_steps {
-        integrator.advance([Wrench::default(); 2])?;
+        integrator.advance([NodeWrenches::NONE; 2])?;
         let state = integrator.state();
         let e = rod.dilatation(&state.configuration.positions)[0];
         out.least = out.least.min(e);
@@ -460,7 +460,7 @@ pub fn growth(law: Law, fraction: f64, n_steps: usize) -> (f64, Option<StepError
     let mut integrator = Integrator::new(&rod, fraction * assembled_limit(&rod), initial);
     let mut largest: f64 = 1.0;
     for _ in 0..n_steps {
-        if let Err(error) = integrator.advance([Wrench::default(); 2]) {
+        if let Err(error) = integrator.advance([NodeWrenches::NONE; 2]) {
             return (largest, Some(error));
         }
         largest = largest.max(Energy::of(&rod, integrator.state()).total() / energy);

@@ -5,11 +5,13 @@ pub mod extremes;
 pub mod published;
 
 use nalgebra::{DMatrix, Vector3};
+use softarm::mechanics::linearization::{Sources, StateTangent};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, Configuration, DistributedLoad, Load, LoadFrame, Material,
-    MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section, SectionProfile,
-    State, StrainRule, TimeGrid, TimeScheme, TipSpring, Trajectory, static_equilibrium,
+    BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
+    Material, MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section,
+    SectionProfile, State, StrainRule, TimeGrid, TimeScheme, TipSpring, Trajectory, Wrench,
+    static_equilibrium,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -326,4 +328,45 @@ pub fn random_trajectory(
         trajectory.push(&configuration);
     }
     trajectory
+}
+
+/// Any wrenches up to this force and moment, on the tip, in the middle, and on the base, where they have an effect only if it is
+/// free.
+pub fn random_signal(
+    rod: &Rod,
+    n_steps: usize,
+    [force, moment]: [f64; 2],
+    dice: &mut Dice,
+) -> ControlSignal {
+    let nodes = vec![rod.tip(), rod.tip() / 2, 0];
+    let wrenches = (0..nodes.len() * (n_steps + 1))
+        .map(|_| Wrench {
+            force: dice.vector(force),
+            moment: dice.vector(moment),
+        })
+        .collect();
+    ControlSignal { nodes, wrenches }
+}
+
+/// Any right-hand side of the equations of motion.
+pub fn random_sources(rod: &Rod, n_steps: usize, size: f64, dice: &mut Dice) -> Sources {
+    let n = rod.n_nodes();
+    let mut vectors = |count: usize| (0..count).map(|_| dice.vector(size)).collect();
+    Sources {
+        linear: vectors(n * n_steps),
+        angular: vectors(n * n_steps),
+        terminal_linear: vectors(n),
+        terminal_angular: vectors(n),
+    }
+}
+
+/// Any covector of one instant.
+pub fn random_tangent(rod: &Rod, dice: &mut Dice) -> StateTangent {
+    let mut vectors = || (0..rod.n_nodes()).map(|_| dice.vector(1.0)).collect();
+    StateTangent {
+        positions: vectors(),
+        rotations: vectors(),
+        linear: vectors(),
+        angular: vectors(),
+    }
 }

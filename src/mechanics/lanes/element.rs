@@ -369,6 +369,7 @@ impl Rule for Helical {
             angle_squared,
             c,
             slope,
+            ..
         } = logarithm(relative);
         let y = a.frame.to_body(chord.dx);
         let psi_y = psi.dot(y);
@@ -395,11 +396,13 @@ impl Rule for Helical {
 
 /// The logarithm of a rotation, and the coefficient of its tangent; see
 /// [`InverseTangentCoefficients`](crate::mechanics::rotation::InverseTangentCoefficients).
-struct Logarithm<S: Simd> {
-    psi: Vec3<S>,
-    angle_squared: Lanes<S>,
-    c: Lanes<S>,
-    slope: Lanes<S>,
+#[derive(Clone, Copy, Debug)]
+pub struct Logarithm<S: Simd> {
+    pub psi: Vec3<S>,
+    pub angle_squared: Lanes<S>,
+    pub c: Lanes<S>,
+    pub slope: Lanes<S>,
+    pub bend: Lanes<S>,
 }
 
 /// Rotations whose quaternion has at least this scalar part, `sqrt(15)/4`, are near: an angle of at most 0.505.
@@ -442,8 +445,19 @@ const SLOPE_SERIES: [f64; SERIES_TERMS] = {
     series
 };
 
+/// Of the derivative of the slope over `θ` once more, `4 d²c/d(θ²)²`.
+const BEND_SERIES: [f64; SERIES_TERMS] = {
+    let mut series = [0.0; SERIES_TERMS];
+    let mut i = 0;
+    while i < SERIES_TERMS {
+        series[i] = 4.0 * ((i + 2) * (i + 1)) as f64 * INVERSE_TANGENT_SERIES[i + 2];
+        i += 1;
+    }
+    series
+};
+
 #[inline(always)]
-fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
+pub fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
     let Quaternion { w, v } = rotation;
     let t = v.dot(v);
     let stretch = t.polynomial(&ARCSINE);
@@ -453,6 +467,7 @@ fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
         angle_squared,
         c: angle_squared.polynomial(&C_SERIES),
         slope: angle_squared.polynomial(&SLOPE_SERIES),
+        bend: angle_squared.polynomial(&BEND_SERIES),
     };
     if (-w).all_at_most(-NEAR) {
         return near;
@@ -472,12 +487,13 @@ fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
         angle_squared: w.select_below(NEAR, far.angle_squared, near.angle_squared),
         c: w.select_below(NEAR, far.c, near.c),
         slope: w.select_below(NEAR, far.slope, near.slope),
+        bend: w.select_below(NEAR, far.bend, near.bend),
     }
 }
 
 /// Any rotation but those near the identity: three halvings of the angle lead to the near range. `w >= 0`, `t = |v|²`.
 ///
-/// `c = (1 - (θ/2) cot(θ/2))/θ²` satisfies `c'/θ = (1/4 - 3c + c²θ²)/θ²`.
+/// `c = (1 - (θ/2) cot(θ/2))/θ²` satisfies `c'/θ = (1/4 - 3c + c²θ²)/θ²`; with this slope `s`, `s'/θ = (2c² - 5s + 2csθ²)/θ²`.
 #[inline(always)]
 fn far_logarithm<S: Simd>(w: Lanes<S>, v: Vec3<S>, t: Lanes<S>) -> Logarithm<S> {
     let one = Lanes::splat(w.simd, 1.0);
@@ -493,11 +509,13 @@ fn far_logarithm<S: Simd>(w: Lanes<S>, v: Vec3<S>, t: Lanes<S>) -> Logarithm<S> 
     let stretch = halved.polynomial(&ARCSINE) / cosines;
     let angle_squared = stretch * stretch * t * 4.0;
     let c = (one - stretch * w) / angle_squared;
+    let slope = (c * c * angle_squared - c * 3.0 + 0.25) / angle_squared;
     Logarithm {
         psi: v * (stretch + stretch),
         angle_squared,
         c,
-        slope: (c * c * angle_squared - c * 3.0 + 0.25) / angle_squared,
+        slope,
+        bend: (c * c * 2.0 - slope * 5.0 + c * slope * angle_squared * 2.0) / angle_squared,
     }
 }
 
@@ -531,6 +549,8 @@ mod tests {
             prop_assert!(error(log.psi.z, -0.8 * angle) <= 2e-15 * angle);
             prop_assert!(error(log.angle_squared, angle * angle) <= 4e-15 * angle * angle);
             prop_assert!(error(log.c, exact.value) <= 3e-15);
+            // Five times the error of the slope, over the square again.
+            prop_assert!(error(log.bend, exact.bend) <= 7.1e-13);
             prop_assert!(error(log.slope, exact.slope) <= 3.6e-14, "{} {}", log.slope.value, exact.slope);
         }
     }

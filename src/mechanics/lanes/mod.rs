@@ -6,8 +6,9 @@
 
 mod element;
 mod sweep;
+pub(super) mod tangent;
 mod turn;
-mod vector;
+pub(super) mod vector;
 
 use std::marker::PhantomData;
 
@@ -32,6 +33,7 @@ use super::integrator::{
 use super::load::Wrench;
 use super::rod::{BaseCondition, NodeInertia, Rod};
 use super::rotation::{cay, cayley_quaternion, from_quaternion, quaternion};
+use super::signal::NodeWrenches;
 use super::strain::StrainRule;
 
 /// Steps between normalizations of the quaternions; each product changes their length by rounding only.
@@ -49,15 +51,14 @@ pub struct LaneIntegrator<'a> {
     step: usize,
     arch: Arch,
     slots: Slots,
-    tip: Place,
     state: Buffer,
     constants: Constants,
     /// Empty where the inertia is constant.
     spin: Buffer,
     exchange: Buffer,
     base: Option<HeldBase>,
-    /// The control just before this time node.
-    control: Wrench,
+    /// The control just before this time node, on nodes that move.
+    control: Vec<(usize, Wrench)>,
 }
 
 /// What a clamped or driven base is set to.
@@ -120,14 +121,14 @@ impl Slots {
 }
 
 /// The work of a step on the best vectors there are: two doubles where the processor offers no more.
-fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
+pub(super) fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
     match arch {
         Arch::Scalar => work.with_simd(Scalar128b),
         _ => arch.dispatch(work),
     }
 }
 
-struct CountLanes;
+pub(super) struct CountLanes;
 
 impl WithSimd for CountLanes {
     type Output = usize;
@@ -179,13 +180,12 @@ impl<'a> LaneIntegrator<'a> {
             step: 0,
             arch,
             slots,
-            tip: slots.place(rod.tip()),
             state: Buffer::zeros(slots.len() * STATE_ROWS),
             constants: Constants::new(rod, slots, time_step),
             spin: Buffer::zeros(slots.len() * spin_rows),
             exchange: Buffer::zeros(n_lanes * EXCHANGE_ROWS),
             base: None,
-            control: Wrench::default(),
+            control: Vec::new(),
         }
     }
 
@@ -205,7 +205,7 @@ impl<'a> LaneIntegrator<'a> {
     fn seat(&mut self, state: &State, step: usize) {
         let Self { rod, slots, .. } = *self;
         self.step = step;
-        self.control = Wrench::default();
+        self.control.clear();
         for slot in 0..slots.len() {
             let place = slots.place(slot);
             self.state[slots.index(place, STATE_ROWS, ROTATION)] = 1.0;
@@ -344,12 +344,14 @@ impl<'a> LaneIntegrator<'a> {
         let nodes = 0..self.rod.n_nodes();
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.time_step;
-        let momentum = |row: usize, force_row: usize, control: Vector3<f64>| {
+        let momentum = |row: usize, force_row: usize, part: fn(&Wrench) -> Vector3<f64>| {
             let mut momentum: Vec<_> = nodes
                 .clone()
                 .map(|q| self.of_node(q, row) * damping + self.of_node(q, force_row) * before)
                 .collect();
-            momentum[self.rod.tip()] += control * before;
+            for (node, wrench) in &self.control {
+                momentum[*node] += part(wrench) * before;
+            }
             momentum
         };
         State {
@@ -357,25 +359,24 @@ impl<'a> LaneIntegrator<'a> {
                 positions: nodes.clone().map(|q| self.position(q)).collect(),
                 rotations: nodes.clone().map(|q| self.rotation(q)).collect(),
             },
-            linear_momentum: momentum(LINEAR_MOMENTUM, FORCE, self.control.force),
-            angular_momentum: momentum(ANGULAR_MOMENTUM, MOMENT, self.control.moment),
+            linear_momentum: momentum(LINEAR_MOMENTUM, FORCE, |wrench| wrench.force),
+            angular_momentum: momentum(ANGULAR_MOMENTUM, MOMENT, |wrench| wrench.moment),
         }
     }
 
-    /// One step under a control wrench on the tip: `control[0]` just after this time node, `control[1]` just before
-    /// the next.
+    /// One step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
     ///
     /// # Errors
     /// [`StepError`] when a node would turn more than a quarter turn, when the base does, when an element collapses, or when
     /// something is not finite. The state is then no longer meaningful.
-    pub fn advance(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+    pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         match self.rod.strain_rule {
             StrainRule::Helical => self.advance_by::<Helical>(control),
             StrainRule::Trapezoidal => self.advance_by::<Trapezoidal>(control),
         }
     }
 
-    fn advance_by<R: Rule>(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+    fn advance_by<R: Rule>(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         match self.rod.model {
             RodModel::Standard => self.advance_with::<R, Standard>(control),
             RodModel::Dilatation => self.advance_with::<R, Dilatation>(control),
@@ -383,24 +384,17 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    fn advance_with<R: Rule, L: Law>(&mut self, control: [Wrench; 2]) -> Result<(), StepError> {
+    fn advance_with<R: Rule, L: Law>(
+        &mut self,
+        control: [NodeWrenches; 2],
+    ) -> Result<(), StepError> {
         let base = match &self.rod.base {
             BaseCondition::Driven(_) => {
                 approach_base(self.rod, &self.rotation(0), self.step, self.time_step)?
             }
             BaseCondition::Clamped | BaseCondition::Free => None,
         };
-        // Half a kick of the control before this time node and half of the one after it.
-        let kick = |before: Vector3<f64>, after: Vector3<f64>| (before + after) * 0.5;
-        let force = kick(self.control.force, control[0].force);
-        let moment = kick(self.control.moment, control[0].moment);
-        // Single numbers written where a vector is read next hold it up.
-        if force != Vector3::zeros() {
-            self.add(self.tip, FORCE, &force);
-        }
-        if moment != Vector3::zeros() {
-            self.add(self.tip, MOMENT, &moment);
-        }
+        self.add_control(control[0]);
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -458,9 +452,44 @@ impl<'a> LaneIntegrator<'a> {
             self.put_base();
         }
         self.step += 1;
-        self.control = control[1];
+        let first = self.rod.first_free_node();
+        let acting = control[1].iter().filter(|(node, _)| *node >= first);
+        self.control
+            .extend(acting.map(|(node, wrench)| (node, *wrench)));
         self.add_loads();
         Ok(())
+    }
+
+    /// Half a kick of the control before this time node and half of the one after it; the former is forgotten.
+    fn add_control(&mut self, after: NodeWrenches) {
+        let first = self.rod.first_free_node();
+        for (i, (node, wrench)) in after.iter().enumerate() {
+            // As a rule the same nodes as before, in the same order.
+            let before = match self.control.get(i) {
+                Some((same, _)) if *same == node => Some(i),
+                _ => self.control.iter().position(|(other, _)| *other == node),
+            };
+            if let Some(before) = before {
+                let sum = &mut self.control[before].1;
+                sum.force += wrench.force;
+                sum.moment += wrench.moment;
+            } else if node >= first {
+                self.control.push((node, *wrench));
+            }
+        }
+        let mut control = std::mem::take(&mut self.control);
+        for (node, wrench) in control.drain(..) {
+            let place = self.slots.place(node);
+            // Single numbers written where a vector is read next hold it up.
+            if wrench.force != Vector3::zeros() {
+                self.add(place, FORCE, &(wrench.force * 0.5));
+            }
+            if wrench.moment != Vector3::zeros() {
+                self.add(place, MOMENT, &(wrench.moment * 0.5));
+            }
+        }
+        // Its memory serves the next step.
+        self.control = control;
     }
 
     /// Where a driven base will be at the end of the step.
@@ -787,7 +816,12 @@ mod tests {
         let h = 0.003 * stable_step(rod);
         let initial = initial(rod, h, spin);
         let mut integrator = LaneIntegrator::on(arch, rod, h, &initial).unwrap();
-        let control = Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]);
+        let nodes = [rod.tip(), rod.tip() / 2];
+        let wrenches = [Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]); 2];
+        let control = NodeWrenches {
+            nodes: &nodes,
+            wrenches: &wrenches,
+        };
         for _ in 0..3 {
             integrator.advance([control; 2]).unwrap();
         }

@@ -5,6 +5,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+use nalgebra::Vector3;
 use pulp::Simd;
 
 /// One number per lane, as it lies in memory.
@@ -203,6 +204,21 @@ impl<S: Simd> Vec3<S> {
         }
     }
 
+    #[inline(always)]
+    pub fn of(x: Lanes<S>, y: Lanes<S>, z: Lanes<S>) -> Self {
+        Self { x, y, z }
+    }
+
+    /// The same vector in every lane.
+    #[inline(always)]
+    pub fn splat(simd: S, v: &Vector3<f64>) -> Self {
+        Self {
+            x: Lanes::splat(simd, v.x),
+            y: Lanes::splat(simd, v.y),
+            z: Lanes::splat(simd, v.z),
+        }
+    }
+
     /// From three consecutive rows.
     #[inline(always)]
     pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
@@ -224,6 +240,12 @@ impl<S: Simd> Vec3<S> {
     #[inline(always)]
     pub fn dot(self, other: Self) -> Lanes<S> {
         self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    /// `|v|`
+    #[inline(always)]
+    pub fn norm(self) -> Lanes<S> {
+        self.dot(self).sqrt()
     }
 
     /// Of the three components.
@@ -323,6 +345,239 @@ impl<S: Simd> Mul<f64> for Vec3<S> {
     #[inline(always)]
     fn mul(self, factor: f64) -> Self {
         self * Lanes::splat(self.x.simd, factor)
+    }
+}
+
+/// A 3×3 matrix per lane, row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Mat3<S: Simd> {
+    pub rows: [Vec3<S>; 3],
+}
+
+impl<S: Simd> Mat3<S> {
+    #[inline(always)]
+    pub fn zero(simd: S) -> Self {
+        Self {
+            rows: [Vec3::zero(simd); 3],
+        }
+    }
+
+    /// From nine consecutive rows, row by row.
+    #[inline(always)]
+    pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
+        Self {
+            rows: [
+                Vec3::load(simd, rows, at),
+                Vec3::load(simd, rows, at + 3),
+                Vec3::load(simd, rows, at + 6),
+            ],
+        }
+    }
+
+    #[inline(always)]
+    pub fn diagonal(d: Vec3<S>) -> Self {
+        let mut out = Self::zero(d.x.simd);
+        out.rows[0].x = d.x;
+        out.rows[1].y = d.y;
+        out.rows[2].z = d.z;
+        out
+    }
+
+    /// `d I`
+    #[inline(always)]
+    pub fn multiple(d: Lanes<S>) -> Self {
+        Self::diagonal(Vec3 { x: d, y: d, z: d })
+    }
+
+    /// `v̂`
+    #[inline(always)]
+    pub fn hat(v: Vec3<S>) -> Self {
+        let zero = Lanes::splat(v.x.simd, 0.0);
+        Self {
+            rows: [
+                Vec3::of(zero, -v.z, v.y),
+                Vec3::of(v.z, zero, -v.x),
+                Vec3::of(-v.y, v.x, zero),
+            ],
+        }
+    }
+
+    /// `a bᵀ`
+    #[inline(always)]
+    pub fn outer(a: Vec3<S>, b: Vec3<S>) -> Self {
+        Self {
+            rows: [b * a.x, b * a.y, b * a.z],
+        }
+    }
+
+    #[inline(always)]
+    pub fn transpose(self) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [
+                Vec3::of(a.x, b.x, c.x),
+                Vec3::of(a.y, b.y, c.y),
+                Vec3::of(a.z, b.z, c.z),
+            ],
+        }
+    }
+
+    #[inline(always)]
+    pub fn trace(self) -> Lanes<S> {
+        self.rows[0].x + self.rows[1].y + self.rows[2].z
+    }
+
+    /// `½ (M - Mᵀ)^∨`
+    #[inline(always)]
+    pub fn vee(self) -> Vec3<S> {
+        let [a, b, c] = self.rows;
+        let twice = Vec3 {
+            x: c.y - b.z,
+            y: a.z - c.x,
+            z: b.x - a.y,
+        };
+        twice * 0.5
+    }
+
+    /// `½ (M + Mᵀ)`
+    #[inline(always)]
+    pub fn symmetric(self) -> Self {
+        (self + self.transpose()) * 0.5
+    }
+
+    /// `M v`
+    #[inline(always)]
+    pub fn apply(self, v: Vec3<S>) -> Vec3<S> {
+        Vec3 {
+            x: self.rows[0].dot(v),
+            y: self.rows[1].dot(v),
+            z: self.rows[2].dot(v),
+        }
+    }
+
+    /// `Mᵀ v`
+    #[inline(always)]
+    pub fn apply_transposed(self, v: Vec3<S>) -> Vec3<S> {
+        self.rows[0] * v.x + self.rows[1] * v.y + self.rows[2] * v.z
+    }
+
+    /// `M N`
+    #[inline(always)]
+    pub fn product(self, other: Self) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [
+                other.apply_transposed(a),
+                other.apply_transposed(b),
+                other.apply_transposed(c),
+            ],
+        }
+    }
+
+    /// `Mᵀ N`
+    #[inline(always)]
+    pub fn transposed_product(self, other: Self) -> Self {
+        self.transpose().product(other)
+    }
+
+    /// `M Nᵀ`
+    #[inline(always)]
+    pub fn product_transposed(self, other: Self) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [other.apply(a), other.apply(b), other.apply(c)],
+        }
+    }
+
+    /// `M v̂`
+    #[inline(always)]
+    pub fn product_hat(self, v: Vec3<S>) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [a.cross(v), b.cross(v), c.cross(v)],
+        }
+    }
+
+    /// `v̂ M`
+    #[inline(always)]
+    pub fn hat_product(v: Vec3<S>, m: Self) -> Self {
+        let [a, b, c] = m.rows;
+        Self {
+            rows: [c * v.y - b * v.z, a * v.z - c * v.x, b * v.x - a * v.y],
+        }
+    }
+
+    /// `diag(d) M`
+    #[inline(always)]
+    pub fn scale_rows(self, d: Vec3<S>) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [a * d.x, b * d.y, c * d.z],
+        }
+    }
+
+    /// `M⁻¹`, by cofactors.
+    #[inline(always)]
+    pub fn inverse(self) -> Self {
+        let [a, b, c] = self.rows;
+        let columns = [b.cross(c), c.cross(a), a.cross(b)];
+        let inverse = Lanes::splat(a.x.simd, 1.0) / a.dot(columns[0]);
+        Self { rows: columns }.transpose() * inverse
+    }
+}
+
+impl<S: Simd> Add for Mat3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.rows, other.rows);
+        Self {
+            rows: [a + d, b + e, c + f],
+        }
+    }
+}
+
+impl<S: Simd> Sub for Mat3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.rows, other.rows);
+        Self {
+            rows: [a - d, b - e, c - f],
+        }
+    }
+}
+
+impl<S: Simd> Neg for Mat3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        let [a, b, c] = self.rows;
+        Self { rows: [-a, -b, -c] }
+    }
+}
+
+impl<S: Simd> Mul<Lanes<S>> for Mat3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, factor: Lanes<S>) -> Self {
+        let [a, b, c] = self.rows;
+        Self {
+            rows: [a * factor, b * factor, c * factor],
+        }
+    }
+}
+
+impl<S: Simd> Mul<f64> for Mat3<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, factor: f64) -> Self {
+        self * Lanes::splat(self.rows[0].x.simd, factor)
     }
 }
 

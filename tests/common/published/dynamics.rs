@@ -3,8 +3,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Load, LoadFrame, Rod, RodParameters, SectionProfile, State,
-    StrainRule, Wrench,
+    BaseCondition, Energy, Integrator, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
+    SectionProfile, State, StrainRule,
 };
 
 use super::{Triple, largest, table};
@@ -19,7 +19,7 @@ pub fn states(rod: &Rod, time_step: f64, times: &[f64]) -> Vec<State> {
             let step = (t / time_step).round() as usize;
             assert!((step as f64 * time_step - t).abs() < 1e-9 * (1.0 + t));
             while integrator.step() < step {
-                integrator.advance([Wrench::default(); 2]).unwrap();
+                integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             }
             integrator.state().clone()
         })

@@ -1,0 +1,161 @@
+//! The part of the objective that depends on the states: least squares, sampled over the horizon.
+
+use nalgebra::{DMatrix, SVector, Vector3};
+
+use super::path::{Posture, RowCurvature, RowGradient, along, at, element_form};
+use super::problem::OptimalControlProblem;
+use crate::mechanics::strain::IntervalStress;
+use crate::mechanics::{Rod, StrainRule};
+
+/// `½ r²` and the gradient of `r`.
+#[derive(Clone, Debug)]
+pub struct CostRow {
+    /// `r`, weights multiplied in.
+    pub residual: f64,
+    /// `δr`
+    pub gradient: RowGradient,
+}
+
+/// Time nodes at which costs over states are sampled, and the time that each stands for, s: the trapezoidal rule over a
+/// subset of the time nodes as even as possible, both ends included.
+#[must_use]
+pub fn sample_times(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
+    let objective = &problem.objective;
+    if objective.energy == 0.0 && objective.tracking.is_empty() {
+        return Vec::new();
+    }
+    let n = problem.grid.n_steps;
+    let intervals = objective.samples.clamp(1, n);
+    let node = |i: usize| (2 * i * n + intervals) / (2 * intervals);
+    let nodes: Vec<usize> = (0..=intervals).map(node).collect();
+    durations(&nodes, problem.grid.step)
+}
+
+/// Ascending time nodes with the time that each stands for by the trapezoidal rule, s.
+#[must_use]
+pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
+    let last = nodes.len().saturating_sub(1);
+    nodes
+        .iter()
+        .enumerate()
+        .map(|(i, &k)| {
+            let before = nodes[i.saturating_sub(1)];
+            let after = nodes[(i + 1).min(last)];
+            (k, 0.5 * (after - before) as f64 * step)
+        })
+        .collect()
+}
+
+/// The residuals at one sample that stands for `duration` seconds.
+#[must_use]
+pub fn cost_rows(
+    problem: &OptimalControlProblem,
+    posture: &Posture,
+    k: usize,
+    duration: f64,
+) -> Vec<CostRow> {
+    let mut rows = Vec::new();
+    let t = problem.grid.time(k);
+    for tracking in &problem.objective.tracking {
+        let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
+        let distance = posture.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
+        rows.extend((0..3).map(|axis| CostRow {
+            residual: factor * distance[axis],
+            gradient: at(
+                k,
+                along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
+            ),
+        }));
+    }
+    if problem.objective.energy > 0.0 {
+        for q in 0..problem.rod.n_elements() {
+            energy_rows(problem, posture, k, q, duration, &mut rows);
+        }
+    }
+    rows
+}
+
+/// Weight of the elastic energy at a sample, 1/J.
+fn energy_weight(problem: &OptimalControlProblem, duration: f64) -> f64 {
+    problem.objective.energy * duration / problem.rod.scales.moment
+}
+
+/// Square roots of the energy of one element: `½ Σ r²` is its weighted energy.
+fn energy_rows(
+    problem: &OptimalControlProblem,
+    posture: &Posture,
+    k: usize,
+    q: usize,
+    duration: f64,
+    rows: &mut Vec<CostRow>,
+) {
+    let rod = &problem.rod;
+    let element = &rod.elements[q];
+    let (x, r) = (
+        posture.trajectory.positions_at(k),
+        posture.trajectory.rotations_at(k),
+    );
+    let pose = Rod::element_pose(q, x, r);
+    let (strain, slope) = rod.strain_rule.strain_derivative(element.length, &pose);
+    let weight = energy_weight(problem, duration) * element.length;
+    let mut add = |from: usize, stiffness: &Vector3<f64>, strain: &Vector3<f64>, weight: f64| {
+        for axis in 0..3 {
+            let factor = (weight * stiffness[axis]).sqrt();
+            let w: SVector<f64, 9> = slope.row(from + axis).transpose() * factor;
+            rows.push(CostRow {
+                residual: factor * strain[axis],
+                gradient: at(k, element_form(q, &w)),
+            });
+        }
+    };
+    // Both ends carry the same strain under the helical rule.
+    let ends = match rod.strain_rule {
+        StrainRule::Helical => 1,
+        StrainRule::Trapezoidal => 2,
+    };
+    for end in 0..ends {
+        let linear = strain.linear[end] - element.rest.linear[end];
+        add(
+            3 * end,
+            &element.linear_stiffness,
+            &linear,
+            weight / ends as f64,
+        );
+    }
+    let angular = strain.curvature - element.rest.curvature;
+    add(6, &element.angular_stiffness, &angular, weight);
+}
+
+/// `Σ r ∇²r` at one sample: only the energy's residuals are bent.
+#[must_use]
+pub fn cost_curvature(
+    problem: &OptimalControlProblem,
+    posture: &Posture,
+    k: usize,
+    duration: f64,
+) -> Vec<RowCurvature> {
+    if !(problem.objective.energy > 0.0) {
+        return Vec::new();
+    }
+    let rod = &problem.rod;
+    let weight = energy_weight(problem, duration);
+    let (x, r) = (
+        posture.trajectory.positions_at(k),
+        posture.trajectory.rotations_at(k),
+    );
+    (0..rod.n_elements())
+        .map(|q| {
+            let element = &rod.elements[q];
+            let pose = Rod::element_pose(q, x, r);
+            let strain = rod.strain_rule.strain(element.length, &pose);
+            let stress: IntervalStress = element.interval_stress([&strain, &strain], [weight, 0.0]);
+            let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
+            RowCurvature {
+                forms: (0..9)
+                    .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
+                    .collect(),
+                matrix: DMatrix::from_fn(9, 9, |i, j| 0.5 * (own[(i, j)] + own[(j, i)])),
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,789 @@
+//! Inequalities on the states: clearance of obstacles, limits of strain and speed, sets around goals.
+//!
+//! Every constraint is a family of scalar rows `h ≤ 0`, one per item (a point of the arm, an element, a node) and time node,
+//! scaled by the rod's length and time so that 1 is large. Rows are functions of the configurations at one time node, or for speeds at
+//! two.
+
+use faer::Mat;
+use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
+
+use super::obstacle::Shape;
+use crate::mechanics::curvature::OwnCurvature;
+use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
+use crate::mechanics::strain::{IntervalStress, log_second_derivative};
+use crate::mechanics::{FormTerm, Rod, StateForm, Trajectory};
+use crate::sqp::Softness;
+
+/// What is limited.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PathLimit {
+    /// Points of the center line, with the arm's radius around them, stay `margin` clear of an obstacle.
+    Clearance {
+        /// The obstacle.
+        shape: Shape,
+        /// Clearance, m.
+        margin: f64,
+        /// Points per element: its first node and others on the chord to the next, evenly spaced.
+        points: usize,
+    },
+    /// Length of an element over that at rest.
+    Stretch {
+        /// Least.
+        least: f64,
+        /// Largest.
+        largest: f64,
+    },
+    /// Magnitude of an element's bending curvature, 1/m.
+    Curvature {
+        /// Largest.
+        largest: f64,
+    },
+    /// Magnitude of an element's twist, 1/m.
+    Twist {
+        /// Largest.
+        largest: f64,
+    },
+    /// Speed of a node, m/s: its mean over the step that ends at the time node.
+    Speed {
+        /// The node.
+        node: usize,
+        /// Largest.
+        largest: f64,
+    },
+    /// Distance of a node from a point, m.
+    Distance {
+        /// The node.
+        node: usize,
+        /// The point, m.
+        from: Vector3<f64>,
+        /// Largest.
+        largest: f64,
+    },
+    /// Angle between a node's orientation and a given one, rad.
+    Angle {
+        /// The node.
+        node: usize,
+        /// The orientation, body to space.
+        from: Matrix3<f64>,
+        /// Largest.
+        largest: f64,
+    },
+}
+
+/// A limit, where and how strictly it holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathConstraint {
+    /// Name in reports.
+    pub name: String,
+    /// What is limited.
+    pub limit: PathLimit,
+    /// The time nodes at which it must hold, ascending.
+    pub time_nodes: Vec<usize>,
+    /// Hard, or at a price per scaled violation and second.
+    pub enforcement: PathEnforcement,
+}
+
+/// Whether a limit may be violated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PathEnforcement {
+    /// Never.
+    Hard,
+    /// At a price: `∫ linear h⁺ + ½ quadratic h⁺² dt`, summed over the items.
+    Soft {
+        /// Exact: a linear price above the multiplier keeps the limit.
+        linear: f64,
+        /// Price of the square.
+        quadratic: f64,
+    },
+}
+
+impl PathEnforcement {
+    /// Price of a row whose violation lasts for `duration`, s.
+    #[must_use]
+    pub fn softness(&self, duration: f64) -> Softness {
+        match *self {
+            Self::Hard => Softness::Hard,
+            Self::Soft { linear, quadratic } => Softness::Soft {
+                linear: linear * duration,
+                quadratic: quadratic * duration,
+            },
+        }
+    }
+}
+
+/// What the rows are evaluated on.
+#[derive(Clone, Copy, Debug)]
+pub struct Posture<'a> {
+    /// The rod.
+    pub rod: &'a Rod,
+    /// Radius of the arm at every node, m; empty for none.
+    pub radii: &'a [f64],
+    /// Configurations at every time node.
+    pub trajectory: &'a Trajectory,
+    /// The time step, s.
+    pub step: f64,
+}
+
+/// First derivative of a row: a sum of forms at one or two time nodes.
+pub type RowGradient = Vec<StateForm>;
+
+/// Second derivative of a row: `Σ_ij matrix_ij form_i form_j`.
+#[derive(Clone, Debug)]
+pub struct RowCurvature {
+    /// Linear forms of the states.
+    pub forms: Vec<RowGradient>,
+    /// Symmetric.
+    pub matrix: DMatrix<f64>,
+}
+
+impl RowCurvature {
+    /// The same over components of nodes, where all forms are of one time node.
+    #[must_use]
+    pub fn at_one_time(&self) -> Option<OwnCurvature> {
+        let forms: Vec<&StateForm> = (self.forms.iter())
+            .map(|gradient| match gradient.as_slice() {
+                [form] => Some(form),
+                _ => None,
+            })
+            .collect::<Option<_>>()?;
+        let time_node = forms.first()?.time_node;
+        let mut rows: Vec<(usize, usize)> = (forms.iter())
+            .flat_map(|form| form.terms.iter().map(|term| (term.node, term.component)))
+            .collect();
+        rows.sort_unstable();
+        rows.dedup();
+        let mut parts = DMatrix::zeros(forms.len(), rows.len());
+        for (i, form) in forms.iter().enumerate() {
+            for term in &form.terms {
+                if let Ok(j) = rows.binary_search(&(term.node, term.component)) {
+                    parts[(i, j)] += term.coefficient;
+                }
+            }
+        }
+        let matrix = parts.transpose() * &self.matrix * &parts;
+        Some(OwnCurvature {
+            time_node,
+            matrix: Mat::from_fn(rows.len(), rows.len(), |i, j| matrix[(i, j)]),
+            rows,
+        })
+    }
+}
+
+fn term(node: usize, component: usize, coefficient: f64) -> FormTerm {
+    FormTerm {
+        node,
+        component,
+        coefficient,
+    }
+}
+
+pub(super) fn at(time_node: usize, terms: Vec<FormTerm>) -> RowGradient {
+    vec![StateForm { time_node, terms }]
+}
+
+/// `direction · δx` of a node, or `direction · ζ` with `from = 3`.
+pub(super) fn along(
+    node: usize,
+    from: usize,
+    direction: &Vector3<f64>,
+) -> impl Iterator<Item = FormTerm> + use<> {
+    let direction = *direction;
+    (0..3).map(move |axis| term(node, from + axis, direction[axis]))
+}
+
+/// `w·(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element.
+pub(super) fn element_form(q: usize, w: &SVector<f64, 9>) -> Vec<FormTerm> {
+    let part = |i: usize| -> Vector3<f64> { w.fixed_rows::<3>(3 * i).into() };
+    let dx = part(0);
+    along(q, 0, &-dx)
+        .chain(along(q + 1, 0, &dx))
+        .chain(along(q, 3, &part(1)))
+        .chain(along(q + 1, 3, &part(2)))
+        .collect()
+}
+
+/// `(I - u uᵀ)/norm`, the second derivative of a norm; zero at 0, where it has none.
+fn norm_curvature(v: &Vector3<f64>) -> Matrix3<f64> {
+    let norm = v.norm();
+    if norm > 0.0 {
+        let u = v / norm;
+        (Matrix3::identity() - u * u.transpose()) / norm
+    } else {
+        Matrix3::zeros()
+    }
+}
+
+/// `v/|v|`, or zero.
+fn unit(v: &Vector3<f64>) -> Vector3<f64> {
+    v.try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+}
+
+fn dynamic(matrix: &Matrix3<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)])
+}
+
+/// Depth, over the radius, to which a chord between two points may dip into an obstacle that both only touch.
+const CHORD_DIP: f64 = 2e-3;
+/// Points per element, at most: a box without margin has edges of radius zero.
+const MOST_POINTS: usize = 8;
+
+impl PathLimit {
+    /// Points per element such that chords of length `chord` over this number dip into a body of the given radius (the arm's
+    /// own and the margin included) by less than 0.2 % of it: `s²/(8 radius)` for points a distance `s` apart; at most 8.
+    #[must_use]
+    pub fn points_per_element(chord: f64, radius: f64) -> usize {
+        let needed = chord / (radius * (8.0 * CHORD_DIP).sqrt());
+        if needed.is_nan() {
+            return 1;
+        }
+        (needed.ceil() as usize).clamp(1, MOST_POINTS)
+    }
+
+    /// Rows per time node.
+    #[must_use]
+    pub fn n_items(&self, rod: &Rod) -> usize {
+        match self {
+            Self::Clearance { points, .. } => points * rod.n_elements() + 1,
+            Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
+            Self::Curvature { .. } => rod.n_elements(),
+            Self::Speed { .. } | Self::Distance { .. } | Self::Angle { .. } => 1,
+        }
+    }
+
+    /// The node, or first node of the element, that an item is about.
+    #[must_use]
+    pub fn node(&self, item: usize) -> usize {
+        match self {
+            Self::Clearance { points, .. } => item / points,
+            Self::Stretch { .. } | Self::Twist { .. } => item / 2,
+            Self::Curvature { .. } => item,
+            Self::Speed { node, .. } | Self::Distance { node, .. } | Self::Angle { node, .. } => {
+                *node
+            }
+        }
+    }
+
+    /// Unit of what is limited.
+    #[must_use]
+    pub fn unit(&self) -> &'static str {
+        match self {
+            Self::Clearance { .. } | Self::Distance { .. } => "m",
+            Self::Stretch { .. } => "",
+            Self::Curvature { .. } | Self::Twist { .. } => "1/m",
+            Self::Speed { .. } => "m/s",
+            Self::Angle { .. } => "rad",
+        }
+    }
+
+    /// What one unit of a scaled row is worth in [`Self::unit`].
+    #[must_use]
+    pub fn scale(&self, rod: &Rod) -> f64 {
+        let scales = &rod.scales;
+        match self {
+            Self::Clearance { .. } | Self::Distance { .. } => scales.length,
+            Self::Stretch { .. } | Self::Angle { .. } => 1.0,
+            Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
+            Self::Speed { .. } => scales.length / scales.time,
+        }
+    }
+
+    /// A point of the center line: element, fraction of the chord, and the arm's radius there.
+    fn point(points: usize, item: usize, posture: &Posture) -> (usize, f64, f64) {
+        let (q, i) = (item / points, item % points);
+        let s = i as f64 / points as f64;
+        let radius = |node: usize| posture.radii.get(node).copied().unwrap_or(0.0);
+        let last = posture.rod.n_elements();
+        let radius = if q < last {
+            radius(q) + s * (radius(q + 1) - radius(q))
+        } else {
+            radius(q)
+        };
+        (q, s, radius)
+    }
+
+    fn point_position(posture: &Posture, k: usize, q: usize, s: f64) -> Vector3<f64> {
+        let x = posture.trajectory.positions_at(k);
+        if s > 0.0 {
+            x[q] + (x[q + 1] - x[q]) * s
+        } else {
+            x[q]
+        }
+    }
+
+    /// Mean velocity of a node over the step that ends at `k`, m/s; zero at the start.
+    fn velocity(posture: &Posture, k: usize, node: usize) -> Vector3<f64> {
+        if k == 0 {
+            return Vector3::zeros();
+        }
+        let x = |k: usize| posture.trajectory.positions_at(k)[node];
+        (x(k) - x(k - 1)) / posture.step
+    }
+
+    fn curvature_vector(posture: &Posture, k: usize, q: usize) -> Vector3<f64> {
+        let (x, r) = (
+            posture.trajectory.positions_at(k),
+            posture.trajectory.rotations_at(k),
+        );
+        let pose = Rod::element_pose(q, x, r);
+        let rod = posture.rod;
+        rod.strain_rule
+            .strain(rod.elements[q].length, &pose)
+            .curvature
+    }
+
+    /// Scaled value of a row at time node `k`.
+    #[must_use]
+    pub fn value(&self, posture: &Posture, k: usize, item: usize) -> f64 {
+        let excess = match self {
+            Self::Clearance {
+                shape,
+                margin,
+                points,
+            } => {
+                let (q, s, radius) = Self::point(*points, item, posture);
+                let x = Self::point_position(posture, k, q, s);
+                radius + margin - shape.distance(&x).value
+            }
+            Self::Stretch { least, largest } => {
+                let q = item / 2;
+                let x = posture.trajectory.positions_at(k);
+                let stretch = (x[q + 1] - x[q]).norm() / posture.rod.rest_chords[q];
+                if item.is_multiple_of(2) {
+                    stretch - largest
+                } else {
+                    least - stretch
+                }
+            }
+            Self::Curvature { largest } => {
+                let kappa = Self::curvature_vector(posture, k, item);
+                kappa.xy().norm() - largest
+            }
+            Self::Twist { largest } => {
+                let kappa = Self::curvature_vector(posture, k, item / 2);
+                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
+                sign * kappa.z - largest
+            }
+            Self::Speed { node, largest } => Self::velocity(posture, k, *node).norm() - largest,
+            Self::Distance {
+                node,
+                from,
+                largest,
+            } => (posture.trajectory.positions_at(k)[*node] - from).norm() - largest,
+            Self::Angle {
+                node,
+                from,
+                largest,
+            } => {
+                let r = posture.trajectory.rotations_at(k)[*node];
+                log(&from.tr_mul(&r)).norm() - largest
+            }
+        };
+        excess / self.scale(posture.rod)
+    }
+
+    /// First derivative of a row.
+    #[must_use]
+    pub fn gradient(&self, posture: &Posture, k: usize, item: usize) -> RowGradient {
+        let inverse = 1.0 / self.scale(posture.rod);
+        match self {
+            Self::Clearance { shape, points, .. } => {
+                let (q, s, _) = Self::point(*points, item, posture);
+                let x = Self::point_position(posture, k, q, s);
+                let direction = -shape.distance(&x).gradient * inverse;
+                at(k, point_form(q, s, &direction))
+            }
+            Self::Stretch { .. } => {
+                let q = item / 2;
+                let x = posture.trajectory.positions_at(k);
+                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
+                let direction =
+                    unit(&(x[q + 1] - x[q])) * (sign * inverse / posture.rod.rest_chords[q]);
+                let terms = along(q, 0, &-direction).chain(along(q + 1, 0, &direction));
+                at(k, terms.collect())
+            }
+            Self::Curvature { .. } => {
+                let kappa = Self::curvature_vector(posture, k, item);
+                let n = unit(&Vector3::new(kappa.x, kappa.y, 0.0)) * inverse;
+                at(k, strain_form(posture, k, item, &n))
+            }
+            Self::Twist { .. } => {
+                let sign = if item.is_multiple_of(2) {
+                    inverse
+                } else {
+                    -inverse
+                };
+                at(k, strain_form(posture, k, item / 2, &(Vector3::z() * sign)))
+            }
+            Self::Speed { node, .. } => {
+                let n = unit(&Self::velocity(posture, k, *node)) * (inverse / posture.step);
+                velocity_form(k, *node, &n)
+            }
+            Self::Distance { node, from, .. } => {
+                let x = posture.trajectory.positions_at(k)[*node];
+                at(k, along(*node, 0, &(unit(&(x - from)) * inverse)).collect())
+            }
+            Self::Angle { node, from, .. } => {
+                let r = posture.trajectory.rotations_at(k)[*node];
+                let psi = log(&from.tr_mul(&r));
+                let c = InverseTangentCoefficients::at(psi.norm_squared());
+                // δψ = Sᵀ ζ.
+                let direction = log_tangent(&psi, &c) * (unit(&psi) * inverse);
+                at(k, along(*node, 3, &direction).collect())
+            }
+        }
+    }
+
+    /// Second derivative of a row.
+    #[must_use]
+    pub fn curvature(&self, posture: &Posture, k: usize, item: usize) -> RowCurvature {
+        let inverse = 1.0 / self.scale(posture.rod);
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        match self {
+            Self::Clearance { shape, points, .. } => {
+                let (q, s, _) = Self::point(*points, item, posture);
+                let x = Self::point_position(posture, k, q, s);
+                RowCurvature {
+                    forms: axes.map(|axis| at(k, point_form(q, s, &axis))).to_vec(),
+                    matrix: dynamic(&(shape.distance(&x).curvature * -inverse)),
+                }
+            }
+            Self::Stretch { .. } => {
+                let q = item / 2;
+                let x = posture.trajectory.positions_at(k);
+                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
+                let factor = sign * inverse / posture.rod.rest_chords[q];
+                let difference = |axis: &Vector3<f64>| {
+                    at(
+                        k,
+                        along(q, 0, &-axis).chain(along(q + 1, 0, axis)).collect(),
+                    )
+                };
+                RowCurvature {
+                    forms: axes.iter().map(difference).collect(),
+                    matrix: dynamic(&(norm_curvature(&(x[q + 1] - x[q])) * factor)),
+                }
+            }
+            Self::Curvature { .. } => {
+                let kappa = Self::curvature_vector(posture, k, item);
+                let bend = Vector3::new(kappa.x, kappa.y, 0.0);
+                let mut across = norm_curvature(&bend);
+                across[(2, 2)] = 0.0;
+                strain_curvature(
+                    posture,
+                    k,
+                    item,
+                    &(unit(&bend) * inverse),
+                    &(across * inverse),
+                )
+            }
+            Self::Twist { .. } => {
+                let sign = if item.is_multiple_of(2) {
+                    inverse
+                } else {
+                    -inverse
+                };
+                strain_curvature(
+                    posture,
+                    k,
+                    item / 2,
+                    &(Vector3::z() * sign),
+                    &Matrix3::zeros(),
+                )
+            }
+            Self::Speed { node, .. } => {
+                let v = Self::velocity(posture, k, *node);
+                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / posture.step)));
+                RowCurvature {
+                    forms: forms.to_vec(),
+                    matrix: dynamic(&(norm_curvature(&v) * inverse)),
+                }
+            }
+            Self::Distance { node, from, .. } => {
+                let x = posture.trajectory.positions_at(k)[*node];
+                RowCurvature {
+                    forms: axes
+                        .map(|axis| at(k, along(*node, 0, &axis).collect()))
+                        .to_vec(),
+                    matrix: dynamic(&(norm_curvature(&(x - from)) * inverse)),
+                }
+            }
+            Self::Angle { node, from, .. } => {
+                let r = posture.trajectory.rotations_at(k)[*node];
+                let psi = log(&from.tr_mul(&r));
+                let c = InverseTangentCoefficients::at(psi.norm_squared());
+                let s = log_tangent(&psi, &c);
+                let bent = s * norm_curvature(&psi) * s.transpose()
+                    + log_second_derivative(&psi, &unit(&psi));
+                RowCurvature {
+                    forms: axes
+                        .map(|axis| at(k, along(*node, 3, &axis).collect()))
+                        .to_vec(),
+                    matrix: dynamic(&(0.5 * (bent + bent.transpose()) * inverse)),
+                }
+            }
+        }
+    }
+}
+
+/// `direction · δ` of a point at the fraction `s` of the chord of element `q`.
+fn point_form(q: usize, s: f64, direction: &Vector3<f64>) -> Vec<FormTerm> {
+    if s > 0.0 {
+        along(q, 0, &(direction * (1.0 - s)))
+            .chain(along(q + 1, 0, &(direction * s)))
+            .collect()
+    } else {
+        along(q, 0, direction).collect()
+    }
+}
+
+/// `direction · (δx^k - δx^{k-1})`.
+fn velocity_form(k: usize, node: usize, direction: &Vector3<f64>) -> RowGradient {
+    let mut forms = at(k, along(node, 0, direction).collect());
+    if k > 0 {
+        forms.extend(at(k - 1, along(node, 0, &-direction).collect()));
+    }
+    forms
+}
+
+/// `n · δκ` of an element.
+fn strain_form(posture: &Posture, k: usize, q: usize, n: &Vector3<f64>) -> Vec<FormTerm> {
+    element_form(q, &(curvature_rows(posture, k, q).transpose() * n))
+}
+
+/// `∂κ/∂(dx, ζ_q, ζ_{q+1})` of an element.
+fn curvature_rows(posture: &Posture, k: usize, q: usize) -> SMatrix<f64, 3, 9> {
+    let (x, r) = (
+        posture.trajectory.positions_at(k),
+        posture.trajectory.rotations_at(k),
+    );
+    let rod = posture.rod;
+    let pose = Rod::element_pose(q, x, r);
+    let (_, derivative) = rod
+        .strain_rule
+        .strain_derivative(rod.elements[q].length, &pose);
+    derivative.fixed_rows::<3>(6).into_owned()
+}
+
+/// Second derivative of a function of the curvature `κ` of an element, with gradient `n` and second derivative `across` there.
+fn strain_curvature(
+    posture: &Posture,
+    k: usize,
+    q: usize,
+    n: &Vector3<f64>,
+    across: &Matrix3<f64>,
+) -> RowCurvature {
+    let (x, r) = (
+        posture.trajectory.positions_at(k),
+        posture.trajectory.rotations_at(k),
+    );
+    let rod = posture.rod;
+    let element = &rod.elements[q];
+    let pose = Rod::element_pose(q, x, r);
+    // A stress `n/l` does the work n·δκ.
+    let stress = IntervalStress {
+        linear: [Vector3::zeros(); 2],
+        angular: n / element.length,
+    };
+    let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
+    let rows = curvature_rows(posture, k, q);
+    let sum = 0.5 * (own + own.transpose()) + rows.transpose() * across * rows;
+    RowCurvature {
+        forms: (0..9)
+            .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
+            .collect(),
+        matrix: DMatrix::from_fn(9, 9, |i, j| sum[(i, j)]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::rotation::exp;
+    use crate::mechanics::{
+        Material, RodParameters, Section, SectionProfile, StrainRule, TrajectoryTangent,
+    };
+
+    fn rod(rule: StrainRule) -> Rod {
+        let section = Section::circle(&Material::isotropic(1e6, 0.5, 1e3), 0.05);
+        let parameters = RodParameters {
+            strain_rule: rule,
+            ..RodParameters::straight(1.0, 4, SectionProfile::Uniform(section))
+        };
+        Rod::new(&parameters).expect("a valid rod")
+    }
+
+    /// Numbers that look random, between -1 and 1.
+    fn numbers(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        }
+    }
+
+    fn trajectory(rod: &Rod) -> Trajectory {
+        let mut next = numbers(5);
+        let mut vector = |size: f64| Vector3::new(next(), next(), next()) * size;
+        let mut out = Trajectory::with_capacity(rod.n_nodes(), 3);
+        for _ in 0..3 {
+            let mut shape = rod.rest.clone();
+            for x in &mut shape.positions {
+                *x += vector(0.05 * rod.scales.length);
+            }
+            for r in &mut shape.rotations {
+                *r *= exp(&vector(0.6));
+            }
+            out.push(&shape);
+        }
+        out
+    }
+
+    fn direction(trajectory: &Trajectory, seed: u64) -> TrajectoryTangent {
+        let mut next = numbers(seed);
+        let mut vectors = |size: f64| -> Vec<Vector3<f64>> {
+            (trajectory.positions.iter())
+                .map(|_| Vector3::new(next(), next(), next()) * size)
+                .collect()
+        };
+        TrajectoryTangent {
+            positions: vectors(0.3),
+            rotations: vectors(1.0),
+        }
+    }
+
+    fn limits(rod: &Rod) -> Vec<PathLimit> {
+        let x = Vector3::new(0.03, -0.05, 0.4);
+        vec![
+            PathLimit::Clearance {
+                shape: Shape::Sphere {
+                    center: x,
+                    radius: 0.1,
+                },
+                margin: 0.01,
+                points: 3,
+            },
+            PathLimit::Clearance {
+                shape: Shape::Capsule {
+                    from: x,
+                    to: Vector3::new(0.5, 0.3, 0.1),
+                    radius: 0.1,
+                },
+                margin: 0.01,
+                points: 2,
+            },
+            PathLimit::Stretch {
+                least: 0.7,
+                largest: 1.3,
+            },
+            PathLimit::Curvature { largest: 2.0 },
+            PathLimit::Twist { largest: 2.0 },
+            PathLimit::Speed {
+                node: rod.tip(),
+                largest: 1.0,
+            },
+            PathLimit::Distance {
+                node: 2,
+                from: x,
+                largest: 0.1,
+            },
+            PathLimit::Angle {
+                node: 3,
+                from: exp(&Vector3::new(0.2, 0.1, -0.5)),
+                largest: 0.1,
+            },
+        ]
+    }
+
+    fn along(gradient: &RowGradient, direction: &TrajectoryTangent, n_nodes: usize) -> f64 {
+        let term = |k: usize, term: &FormTerm| {
+            let row = k * n_nodes + term.node;
+            let vector = if term.component < 3 {
+                direction.positions[row]
+            } else {
+                direction.rotations[row]
+            };
+            term.coefficient * vector[term.component % 3]
+        };
+        (gradient.iter())
+            .map(|form| {
+                form.terms
+                    .iter()
+                    .map(|t| term(form.time_node, t))
+                    .sum::<f64>()
+            })
+            .sum()
+    }
+
+    /// First and second derivatives of every limit's rows, along random directions, against differences of values and of first
+    /// derivatives along the same curve.
+    #[test]
+    fn derivatives_equal_differences() {
+        for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+            let rod = rod(rule);
+            let here = trajectory(&rod);
+            let n = rod.n_nodes();
+            let radii: Vec<f64> = (0..n).map(|q| 0.05 - 0.005 * q as f64).collect();
+            fn posture<'a>(
+                rod: &'a Rod,
+                radii: &'a [f64],
+                trajectory: &'a Trajectory,
+            ) -> Posture<'a> {
+                Posture {
+                    rod,
+                    radii,
+                    trajectory,
+                    step: 0.1,
+                }
+            }
+            let still = posture(&rod, &radii, &here);
+            let h = 1e-5;
+            for limit in limits(&rod) {
+                for item in 0..limit.n_items(&rod) {
+                    let d = direction(&here, 11 + item as u64);
+                    let moved = [h, -h].map(|s| here.retract(&d, s));
+                    let [ahead, behind] = moved
+                        .each_ref()
+                        .map(|t| limit.value(&posture(&rod, &radii, t), 2, item));
+                    let value = limit.value(&still, 2, item);
+                    let gradient = limit.gradient(&still, 2, item);
+                    let slope = along(&gradient, &d, n);
+                    let found = (ahead - behind) / (2.0 * h);
+                    assert!(
+                        (slope - found).abs() < 1e-7 * (1.0 + found.abs()),
+                        "{limit:?} {item}: {slope} and {found}"
+                    );
+                    let curvature = limit.curvature(&still, 2, item);
+                    let forms: Vec<f64> = curvature.forms.iter().map(|f| along(f, &d, n)).collect();
+                    let m = forms.len();
+                    let bend: f64 = (0..m * m)
+                        .map(|ij| {
+                            forms[ij / m] * curvature.matrix[(ij / m, ij % m)] * forms[ij % m]
+                        })
+                        .sum();
+                    let found = (ahead - 2.0 * value + behind) / (h * h);
+                    // Rounding of values of order one, twice over h².
+                    assert!(
+                        (bend - found).abs() < 2e-4 * (1.0 + found.abs()),
+                        "{limit:?} {item}: {bend} and {found}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// A chord between two points that touch a sphere dips into it by less than promised.
+    #[test]
+    fn chords_dip_little() {
+        for (chord, radius) in [(0.05, 0.15), (0.08, 0.11), (0.1, 10.0)] {
+            let points = PathLimit::points_per_element(chord, radius);
+            let s: f64 = chord / points as f64;
+            let dip = radius - (radius * radius - 0.25 * s * s).sqrt();
+            assert!(dip < 1.1 * CHORD_DIP * radius, "{points}");
+            assert!(points == 1 || chord / (points - 1) as f64 > s);
+        }
+        assert_eq!(PathLimit::points_per_element(0.1, f64::INFINITY), 1);
+        assert_eq!(PathLimit::points_per_element(0.1, 0.0), MOST_POINTS);
+    }
+}

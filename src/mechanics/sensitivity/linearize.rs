@@ -1,0 +1,619 @@
+//! The linearization of runs of time nodes, packed: in lanes where it can be, one time node a lane, and the
+//! [clear one](StepLinearization) for the rest.
+
+use std::marker::PhantomData;
+
+use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_loads};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::constitutive::RodModel;
+use crate::mechanics::curvature::{
+    InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, load_curvatures,
+};
+use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::integrator::StepError;
+use crate::mechanics::lanes::tangent::{
+    Blocks, Displacement, HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule,
+    TrapezoidalTangent, drift, inertia_curvature, put_pose,
+};
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
+use crate::mechanics::lanes::{CountLanes, dispatch};
+use crate::mechanics::linearization::{Motion, StepLinearization, load_derivatives};
+use crate::mechanics::strain::StrainRule;
+
+/// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
+/// on the instruction set nor on what is linearized in one call.
+///
+/// # Errors
+/// [`StepError`] of the first time node that cannot be linearized.
+pub(super) fn linearize(
+    arch: Arch,
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: Option<&Multipliers>,
+    first: usize,
+    steps: &mut [PackedStep],
+) -> Result<(), StepError> {
+    let n_lanes = dispatch(arch, CountLanes);
+    let mut lanes = is_possible(motion).then(|| Workspace::new(motion.rod.n_nodes(), n_lanes));
+    let run = |first: usize, steps: &mut [PackedStep], workspace: &mut Workspace, scope| {
+        let group = Group {
+            motion,
+            trajectory,
+            multipliers,
+            first,
+            steps,
+            workspace,
+            scope,
+        };
+        match motion.rod.strain_rule {
+            StrainRule::Helical => dispatch(arch, Ruled::<HelicalTangent>::new(group)),
+            StrainRule::Trapezoidal => dispatch(arch, Ruled::<TrapezoidalTangent>::new(group)),
+        }
+    };
+    // The interval before a time node is that after the one before.
+    let mut before = IntervalCurvature::default();
+    if let (Some(k), Some(multipliers)) = (first.checked_sub(1), multipliers) {
+        before = IntervalCurvature::at(motion, trajectory, multipliers, k);
+        if let Some(workspace) = &mut lanes {
+            let mut step = [PackedStep::default()];
+            if run(k, &mut step, workspace, Scope::Drifts).drifts & 1 == 1 {
+                before = workspace.intervals[0].clone();
+            }
+        }
+    }
+    for (steps, first) in steps.chunks_mut(n_lanes).zip((first..).step_by(n_lanes)) {
+        let done = (lanes.as_mut()).map_or(Regular::default(), |workspace| {
+            run(first, steps, workspace, Scope::All)
+        });
+        for (lane, (step, k)) in steps.iter_mut().zip(first..).enumerate() {
+            let has = |bits: u64| bits >> lane & 1 == 1;
+            let interval = (lanes.as_mut()).filter(|_| has(done.drifts));
+            let interval = interval.map(|workspace| &mut workspace.intervals[lane]);
+            if let (Some(next), true) = (interval, has(done.elements)) {
+                if let (Some(multipliers), Some(curvature)) = (multipliers, &mut step.curvature) {
+                    let loads = load_curvatures(motion, trajectory, multipliers, k);
+                    curvature.add_neighbors(motion.rod, &before, &loads, next);
+                    std::mem::swap(&mut before, next);
+                }
+                continue;
+            }
+            let linearization = StepLinearization::at(motion, trajectory, k)?;
+            let curvature = multipliers.map(|multipliers| {
+                let mut here =
+                    StepCurvature::at(motion, trajectory, &linearization, multipliers, k);
+                if let Some(workspace) = (lanes.as_ref()).filter(|_| has(done.drifts)) {
+                    here.interval = workspace.intervals[lane].clone();
+                }
+                let packed = PackedCurvature::new(motion.rod, &before, &here);
+                before = here.interval;
+                packed
+            });
+            *step = PackedStep::new(&linearization, curvature);
+        }
+    }
+    Ok(())
+}
+
+/// The lanes know the standard model with explicit steps and without internal damping.
+pub(super) fn is_possible(motion: &Motion) -> bool {
+    motion.rod.model == RodModel::Standard
+        && IntervalWeights::of(motion.rod, motion.grid.step).is_none()
+}
+
+/// What a group of time nodes needs, a number in each lane.
+pub(super) struct Workspace {
+    /// [`POSE_ROWS`] of every node, and those a step later.
+    pub poses: Buffer,
+    pub next: Buffer,
+    /// `λ` of every node times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends.
+    multipliers: Buffer,
+    /// Weights of the kicks.
+    weights: Buffer,
+    /// Results on their way to the time nodes.
+    out: Buffer,
+    /// Curvature of the interval after each of the time nodes.
+    intervals: Vec<IntervalCurvature>,
+}
+
+const MULTIPLIER_ROWS: usize = 12;
+
+impl Workspace {
+    pub fn new(n_nodes: usize, n_lanes: usize) -> Self {
+        Self {
+            poses: Buffer::zeros(n_nodes * POSE_ROWS * n_lanes),
+            next: Buffer::zeros(n_nodes * POSE_ROWS * n_lanes),
+            multipliers: Buffer::zeros(n_nodes * MULTIPLIER_ROWS * n_lanes),
+            weights: Buffer::zeros(n_lanes),
+            out: Buffer::zeros(81 * n_lanes),
+            intervals: vec![IntervalCurvature::default(); n_lanes],
+        }
+    }
+
+    /// The poses of time node `k` and of the next, to one lane; after the last there is no other.
+    pub fn put_poses(&mut self, trajectory: &Trajectory, k: usize, lane: usize, n_lanes: usize) {
+        let last = trajectory.n_times() - 1;
+        for (poses, k) in [(&mut self.poses, k), (&mut self.next, (k + 1).min(last))] {
+            let positions = trajectory.positions_at(k);
+            let rotations = trajectory.rotations_at(k);
+            for (node, rows) in poses.chunks_exact_mut(POSE_ROWS * n_lanes).enumerate() {
+                put_pose(rows, n_lanes, lane, &positions[node], &rotations[node]);
+            }
+        }
+    }
+}
+
+/// Time nodes that are linearized together, one in each lane; the last one also fills lanes that are left.
+struct Group<'a> {
+    motion: &'a Motion<'a>,
+    trajectory: &'a Trajectory,
+    multipliers: Option<&'a Multipliers<'a>>,
+    first: usize,
+    steps: &'a mut [PackedStep],
+    workspace: &'a mut Workspace,
+    scope: Scope,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Scope {
+    Drifts,
+    All,
+}
+
+/// A bit for every lane that could do it: where a node turns too far, or the ends of an element are near half a turn, it cannot.
+#[derive(Clone, Copy, Default)]
+struct Regular {
+    drifts: u64,
+    /// Zero where they were not asked for.
+    elements: u64,
+}
+
+/// A [`Group`] under a strain rule.
+struct Ruled<'a, R> {
+    group: Group<'a>,
+    rule: PhantomData<R>,
+}
+
+impl<'a, R> Ruled<'a, R> {
+    fn new(group: Group<'a>) -> Self {
+        Self {
+            group,
+            rule: PhantomData,
+        }
+    }
+}
+
+impl<R: TangentRule> WithSimd for Ruled<'_, R> {
+    type Output = Regular;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Regular {
+        let mut group = self.group;
+        group.gather(S::F64_LANES);
+        group.prepare();
+        let irregular = group.drifts(simd);
+        let drifts = group.zeros(irregular);
+        let mut elements = 0;
+        if group.scope == Scope::All {
+            let irregular = group.elements::<S, R>(simd);
+            elements = group.zeros(irregular);
+        }
+        Regular { drifts, elements }
+    }
+}
+
+impl Group<'_> {
+    /// Time node of a lane.
+    fn time_node(&self, lane: usize) -> usize {
+        self.first + lane.min(self.steps.len() - 1)
+    }
+
+    fn gather(&mut self, n_lanes: usize) {
+        let n_nodes = self.motion.rod.n_nodes();
+        let n_steps = self.motion.grid.n_steps;
+        for lane in 0..n_lanes {
+            let k = self.time_node(lane);
+            let workspace = &mut *self.workspace;
+            workspace.weights[lane] = self.motion.kick(k).weight;
+            workspace.put_poses(self.trajectory, k, lane, n_lanes);
+            let Some(multipliers) = self.multipliers else {
+                continue;
+            };
+            for node in 0..n_nodes {
+                let (linear, angular) = multipliers.at(self.motion, k, node);
+                let (_, arriving) = multipliers.arriving(self.motion, (k + 1).min(n_steps), node);
+                let weight = workspace.weights[lane];
+                let vectors = [linear * weight, angular * weight, angular, arriving];
+                for (i, value) in vectors.iter().flat_map(Vector3::iter).enumerate() {
+                    let row = node * MULTIPLIER_ROWS + i;
+                    workspace.multipliers[row * n_lanes + lane] = *value;
+                }
+            }
+        }
+    }
+
+    /// All but drifts and elements, which the lanes fill in.
+    fn prepare(&mut self) {
+        let Motion { rod, grid, .. } = *self.motion;
+        for (step, k) in self.steps.iter_mut().zip(self.first..) {
+            let kick = self.motion.kick(k);
+            step.decay = kick.decay;
+            step.weight = kick.weight;
+            step.loads = pack_loads(
+                &load_derivatives(self.motion, self.trajectory, k),
+                kick.weight,
+            );
+            step.first_free_node = rod.first_free_node();
+            step.element_drifts.clear();
+            step.stress_drift = None;
+            let n_drifts = if k < grid.n_steps { rod.n_nodes() } else { 0 };
+            step.drifts.resize(n_drifts, PackedDrift::default());
+            step.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
+            if self.multipliers.is_some() {
+                let curvature = step.curvature.get_or_insert_default();
+                curvature.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
+            } else {
+                step.curvature = None;
+            }
+        }
+        for (interval, k) in self.workspace.intervals.iter_mut().zip(self.first..) {
+            let n = if k < grid.n_steps { rod.n_nodes() } else { 0 };
+            interval.inertia.resize(n, InertiaCurvature::zeros());
+        }
+    }
+
+    /// A bit for every lane that is zero.
+    #[inline(always)]
+    fn zeros<S: Simd>(&mut self, counts: Lanes<S>) -> u64 {
+        let out = &mut self.workspace.out;
+        let rows: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
+        rows[0] = counts.value;
+        let mut bits = 0;
+        for (lane, count) in out[..S::F64_LANES].iter().enumerate() {
+            bits |= u64::from(*count == 0.0) << lane;
+        }
+        bits
+    }
+
+    /// Counts what is irregular, lane by lane.
+    #[inline(always)]
+    fn drifts<S: Simd>(&mut self, simd: S) -> Lanes<S> {
+        let Motion { rod, grid, .. } = *self.motion;
+        let Workspace {
+            poses,
+            next,
+            multipliers,
+            out,
+            intervals,
+            ..
+        } = &mut *self.workspace;
+        let (poses, next) = (rows::<S>(poses), rows::<S>(next));
+        let multipliers = rows::<S>(multipliers);
+        let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+        let mut irregular = zero;
+        for (node, inertia) in rod.nodes.iter().enumerate() {
+            let before = NodePose::<S>::load(simd, &poses[node * POSE_ROWS..]).rotation;
+            let after = NodePose::<S>::load(simd, &next[node * POSE_ROWS..]).rotation;
+            let drift = drift(&inertia.rotary, grid.step, before, after);
+            // Also where it is no number.
+            irregular = irregular
+                + drift.level.select_below(1.0 - ROUNDING, zero, one)
+                + (-drift.margin).select_below(-2.0 - ROUNDING, zero, one);
+            store(out, 0, drift.turn_transposed);
+            store(out, 9, drift.theta);
+            store(out, 18, drift.momentum);
+            let mobility = grid.step / inertia.mass;
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                if let Some(packed) = step.drifts.get_mut(node) {
+                    packed.mobility = mobility;
+                    packed.turn_transposed = matrix::<S>(out, 0, lane);
+                    packed.theta = matrix::<S>(out, 9, lane);
+                    packed.momentum = matrix::<S>(out, 18, lane);
+                }
+            }
+            if self.multipliers.is_some() {
+                let rows = &multipliers[node * MULTIPLIER_ROWS..];
+                let (leaving, arriving) = (Vec3::load(simd, rows, 6), Vec3::load(simd, rows, 9));
+                let turn = drift.turn_transposed.transpose();
+                let [own, mixed, far] =
+                    inertia_curvature(&inertia.rotary, grid.step, turn, leaving, arriving);
+                store(out, 0, own);
+                store(out, 9, mixed);
+                store(out, 18, far);
+                for (lane, interval) in intervals.iter_mut().enumerate() {
+                    let Some(target) = interval.inertia.get_mut(node) else {
+                        continue;
+                    };
+                    for i in 0..3 {
+                        for j in 0..3 {
+                            let at = |from: usize| out[(from + 3 * i + j) * S::F64_LANES + lane];
+                            target[(i, j)] = at(0);
+                            target[(i, 3 + j)] = at(9);
+                            target[(3 + j, i)] = at(9);
+                            target[(3 + i, 3 + j)] = at(18);
+                        }
+                    }
+                }
+            }
+        }
+        irregular
+    }
+
+    /// Counts what is irregular, lane by lane.
+    #[inline(always)]
+    fn elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+        let Workspace {
+            poses,
+            multipliers,
+            weights,
+            out,
+            ..
+        } = &mut *self.workspace;
+        let poses = rows::<S>(poses);
+        let multipliers = rows::<S>(multipliers);
+        let weight = Lanes {
+            simd,
+            value: rows::<S>(weights)[0],
+        };
+        let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+        let mut irregular = zero;
+        let curved = self.multipliers.is_some();
+        let mut found = [[[Mat3::zero(simd); 3]; 3]; 3];
+        for (q, element) in self.motion.rod.elements.iter().enumerate() {
+            let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
+            let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+            let dx = b.position - a.position;
+            let turns = [a.rotation, b.rotation];
+            let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
+            irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
+            let rows_a = &multipliers[q * MULTIPLIER_ROWS..];
+            let rows_b = &multipliers[(q + 1) * MULTIPLIER_ROWS..];
+            let covector = [
+                Vec3::load(simd, rows_a, 0) - Vec3::load(simd, rows_b, 0),
+                -Vec3::load(simd, rows_a, 3),
+                -Vec3::load(simd, rows_b, 3),
+            ];
+            let displacement = Displacement::along(covector, element.length);
+            let signs: &[f64] = if curved { &[0.0, 1.0, -1.0] } else { &[0.0] };
+            for (found, sign) in found.iter_mut().zip(signs) {
+                let (dx, [a, b]) = if *sign == 0.0 {
+                    (dx, turns)
+                } else {
+                    displacement.moved(dx, turns, *sign)
+                };
+                *found = R::stiffness(element, dx, a, b);
+            }
+            for (i, blocks) in found[0].iter().enumerate() {
+                for (j, block) in blocks.iter().enumerate() {
+                    store_block(out, i, j, *block * weight);
+                }
+            }
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                scatter::<S>(out, lane, &mut step.elements[q]);
+            }
+            if curved {
+                let curvature: Blocks<S> = displacement.curvature(&found);
+                // In the order ζ_a, dx, ζ_b.
+                const ORDER: [usize; 3] = [1, 0, 2];
+                for (i, from) in ORDER.into_iter().enumerate() {
+                    for (j, to) in ORDER.into_iter().enumerate() {
+                        store_block(out, i, j, curvature[from][to]);
+                    }
+                }
+                for (lane, step) in self.steps.iter_mut().enumerate() {
+                    if let Some(packed) = &mut step.curvature {
+                        scatter::<S>(out, lane, &mut packed.elements[q]);
+                    }
+                }
+            }
+        }
+        irregular
+    }
+}
+
+/// What rounding may make of a limit.
+pub(super) const ROUNDING: f64 = 1e-12;
+
+/// Nine rows from row `at` on.
+#[inline(always)]
+fn store<S: Simd>(out: &mut [f64], at: usize, m: Mat3<S>) {
+    let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
+    for (i, row) in m.rows.into_iter().enumerate() {
+        row.store(out, at + 3 * i);
+    }
+}
+
+/// Block `(i, j)` of a 9×9 matrix in 81 rows.
+#[inline(always)]
+fn store_block<S: Simd>(out: &mut [f64], i: usize, j: usize, m: Mat3<S>) {
+    let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
+    for (row, values) in m.rows.into_iter().enumerate() {
+        values.store(out, 9 * (3 * i + row) + 3 * j);
+    }
+}
+
+/// One lane of nine rows.
+#[inline(always)]
+fn matrix<S: Simd>(out: &[f64], at: usize, lane: usize) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| out[(at + 3 * i + j) * S::F64_LANES + lane]))
+}
+
+/// One lane of 81 rows.
+#[inline(always)]
+fn scatter<S: Simd>(out: &[f64], lane: usize, target: &mut [[f64; 9]; 9]) {
+    let rows = out.chunks_exact(S::F64_LANES);
+    for (target, row) in target.as_flattened_mut().iter_mut().zip(rows) {
+        *target = row[lane];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::residual::in_lanes;
+    use super::*;
+    use crate::mechanics::linearization::adjoint_sweep;
+    use crate::mechanics::rotation::exp;
+    use crate::mechanics::{
+        ControlSignal, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
+        State, StateForm, TimeGrid, stable_step,
+    };
+
+    /// Instruction sets that this machine has.
+    fn levels() -> Vec<Arch> {
+        let mut levels = vec![Arch::Scalar];
+        #[cfg(target_arch = "x86_64")]
+        {
+            use pulp::x86::{V3, V4};
+            levels.extend(V3::try_new().map(Arch::V3));
+            levels.extend(V4::try_new().map(Arch::V4));
+        }
+        levels
+    }
+
+    /// Largest difference relative to the largest number.
+    fn distance<'a>(
+        a: impl Iterator<Item = &'a f64>,
+        b: impl Iterator<Item = &'a f64> + Clone,
+    ) -> f64 {
+        let size = b.clone().fold(f64::MIN_POSITIVE, |m, x| m.max(x.abs()));
+        a.zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / size
+    }
+
+    /// The lanes' linearization is the clear one, along motions with elements bent by up to 2 rad and a time node at which one is
+    /// bent beyond what lanes take: matrices to rounding, curvatures to what a difference of stiffnesses leaves, 1e-10 of the
+    /// stiffness that is differenced and here a thousandth of that of the largest curvature. Instruction sets and the runs that
+    /// the time nodes are taken in change no bit.
+    #[test]
+    fn lanes_equal_the_clear_linearization() {
+        let material = Material::isotropic(1e6, 0.5, 1000.0);
+        for strain_rule in [StrainRule::Trapezoidal, StrainRule::Helical] {
+            let n = 6;
+            let rod = Rod::new(&RodParameters {
+                strain_rule,
+                rest_curvature: Vector3::new(0.3, -0.2, 0.5),
+                viscous_damping: 1.7,
+                loads: vec![Load {
+                    node: n,
+                    force: Vector3::new(0.2, -0.3, 0.1),
+                    moment: Vector3::zeros(),
+                    frame: LoadFrame::Body,
+                    profile: Vec::new(),
+                }],
+                ..RodParameters::straight(
+                    1.0,
+                    n,
+                    SectionProfile::Uniform(Section::circle(&material, 0.05)),
+                )
+            })
+            .unwrap();
+            let grid = TimeGrid {
+                step: 0.5 * stable_step(&rod),
+                n_steps: 20,
+            };
+            let initial = State::at_rest(rod.rest.clone());
+            // A jump of half a radian from one time node to the next is less than a quarter turn.
+            let bent = |sharply: bool| {
+                let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
+                for k in 0..=grid.n_steps {
+                    let mut shape = rod.rest.clone();
+                    let mut turn = exp(&Vector3::zeros());
+                    for q in 1..=n {
+                        let x = (q * 7 + k) as f64;
+                        let bend = match q % 4 {
+                            3 if sharply && k == 11 => 2.5,
+                            part => [0.02, 0.4, 1.1, 2.0][part] * (1.0 + 5e-4 * k as f64),
+                        };
+                        let axis = Vector3::new((q as f64).sin(), (2.0 * q as f64).cos(), 0.3);
+                        turn *= exp(&(axis.normalize() * bend));
+                        shape.rotations[q] = turn;
+                        let shift = Vector3::new(x.sin(), x.cos(), (2.0 * x).sin());
+                        shape.positions[q] += shift * 0.01;
+                    }
+                    trajectory.push(&shape);
+                }
+                trajectory
+            };
+            let trajectory = bent(true);
+            let motion = Motion {
+                rod: &rod,
+                grid,
+                initial: &initial,
+            };
+            let mut covector = crate::mechanics::linearization::StateTangent::zeros(n + 1);
+            covector.positions[n] = Vector3::new(1.0, -2.0, 0.5);
+            covector.angular[n] = Vector3::new(300.0, 200.0, -100.0);
+            let forms = [StateForm::of_covector(grid.n_steps, &covector)];
+            let adjoint = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+            let multipliers = Multipliers {
+                adjoint: &adjoint,
+                own: &[],
+            };
+            let run = |arch: Arch, share: usize| {
+                let mut steps: Vec<PackedStep> = Vec::new();
+                steps.resize_with(grid.n_steps + 1, PackedStep::default);
+                for (i, steps) in steps.chunks_mut(share).enumerate() {
+                    let first = i * share;
+                    linearize(arch, &motion, &trajectory, Some(&multipliers), first, steps)
+                        .unwrap();
+                }
+                steps
+            };
+            let reference = run(Arch::Scalar, 21);
+            for arch in levels() {
+                for share in [21, 8, 3] {
+                    assert!(run(arch, share) == reference, "{arch:?} {share}");
+                }
+            }
+            let control = ControlSignal::default();
+            assert!(in_lanes(Arch::Scalar, &motion, &trajectory, &control).is_none());
+            let mild = bent(false);
+            let reference_defects = in_lanes(Arch::Scalar, &motion, &mild, &control);
+            assert!(reference_defects.is_some());
+            for arch in levels() {
+                assert!(in_lanes(arch, &motion, &mild, &control) == reference_defects);
+            }
+            let mut before = IntervalCurvature::default();
+            for (k, step) in reference.iter().enumerate() {
+                let clear = StepLinearization::at(&motion, &trajectory, k).unwrap();
+                let here = StepCurvature::at(&motion, &trajectory, &clear, &multipliers, k);
+                let curvature = PackedCurvature::new(&rod, &before, &here);
+                before = here.interval;
+                let clear = PackedStep::new(&clear, Some(curvature));
+                let flat = |step: &PackedStep| -> [Vec<f64>; 4] {
+                    let drifts = |part: fn(&PackedDrift) -> [[f64; 3]; 3]| {
+                        (step.drifts.iter())
+                            .flat_map(|d| part(d).into_iter().flatten())
+                            .collect()
+                    };
+                    [
+                        step.elements.as_flattened().as_flattened().to_vec(),
+                        drifts(|d| d.turn_transposed),
+                        drifts(|d| d.theta),
+                        drifts(|d| d.momentum),
+                    ]
+                };
+                assert_eq!(step.loads, clear.loads);
+                for (found, clear) in flat(step).iter().zip(&flat(&clear)) {
+                    assert_eq!(found.len(), clear.len());
+                    let error = distance(found.iter(), clear.iter());
+                    assert!(error < 1e-13, "{strain_rule:?} {k}: {error:e}");
+                }
+                let (Some(found), Some(clear)) = (&step.curvature, &clear.curvature) else {
+                    panic!("no curvature");
+                };
+                let flat = |c: &PackedCurvature| c.elements.as_flattened().as_flattened().to_vec();
+                let error = distance(flat(found).iter(), flat(clear).iter());
+                assert!(error < 1e-8, "{strain_rule:?} {k}: {error:e}");
+                let flat = |c: &PackedCurvature| -> Vec<f64> {
+                    let couplings = c.couplings.as_flattened().as_flattened();
+                    couplings.as_flattened().to_vec()
+                };
+                let error = distance(flat(found).iter(), flat(clear).iter());
+                assert!(error < 1e-13, "{strain_rule:?} {k}: {error:e}");
+            }
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! Linearized steps, laid out for the kernels.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature, StepCurvature};
+use crate::mechanics::linearization::{
+    ElementDrift, LoadDerivative, StepLinearization, StressDrift,
+};
+use crate::mechanics::rod::Rod;
+use crate::mechanics::strain::ElementStiffness;
+
+/// A [`StepLinearization`] with the kick's weight multiplied in, laid out for the kernel.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct PackedStep {
+    pub decay: f64,
+    pub weight: f64,
+    /// `weight` times the stiffness, row by row.
+    pub elements: Vec<[[f64; 9]; 9]>,
+    /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
+    pub loads: Vec<(usize, [[f64; 3]; 6])>,
+    pub drifts: Vec<PackedDrift>,
+    pub element_drifts: Vec<PackedElementDrift>,
+    pub first_free_node: usize,
+    pub stress_drift: Option<PackedStressDrift>,
+    pub curvature: Option<PackedCurvature>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct PackedDrift {
+    pub mobility: f64,
+    pub turn_transposed: [[f64; 3]; 3],
+    pub theta: [[f64; 3]; 3],
+    pub momentum: [[f64; 3]; 3],
+}
+
+/// An [`ElementDrift`](super::linearization::ElementDrift), laid out for the kernel.
+#[derive(Debug, PartialEq)]
+pub(super) struct PackedElementDrift {
+    pub stretch: [[f64; 3]; 2],
+    pub turn: [[[f64; 3]; 2]; 2],
+    pub spin: [[[f64; 3]; 2]; 2],
+    pub reaction: Option<PackedReaction>,
+}
+
+#[derive(Debug, PartialEq)]
+pub(super) struct PackedReaction {
+    pub at: usize,
+    pub stiffness: [[f64; 3]; 3],
+    pub along: [f64; 3],
+    pub spin: [[f64; 3]; 2],
+}
+
+impl PackedElementDrift {
+    pub fn new(drift: &ElementDrift) -> Self {
+        let ends = |ends: &[Vector3<f64>; 2]| ends.map(Into::into);
+        Self {
+            stretch: ends(&drift.stretch),
+            turn: [ends(&drift.turn[0]), ends(&drift.turn[1])],
+            spin: [ends(&drift.spin[0]), ends(&drift.spin[1])],
+            reaction: drift.reaction.map(|reaction| PackedReaction {
+                at: reaction.at,
+                stiffness: rows(&reaction.stiffness, 1.0),
+                along: reaction.along.into(),
+                spin: ends(&reaction.spin),
+            }),
+        }
+    }
+}
+
+/// A [`StressDrift`], laid out for the kernel. With `z` the configuration at the start and `u` what the step adds to what it
+/// carries to the end, the stress takes `start z` from the momenta that the step is solved for, and `carried z + added u`
+/// from those that arrive.
+#[derive(Debug, PartialEq)]
+pub(super) struct PackedStressDrift {
+    pub start: Vec<[[f64; 9]; 9]>,
+    pub carried: Vec<[[f64; 9]; 9]>,
+    pub added: Vec<[[f64; 9]; 9]>,
+    /// Momenta that arrive per `u`: `m/h`, and `M Θ⁻¹`.
+    pub momenta: Vec<(f64, [[f64; 3]; 3])>,
+    /// Inverses of the pivots, the blocks of `L` below them, and those of `U` above its unit diagonal.
+    pub pivots: Vec<[[f64; 6]; 6]>,
+    pub below: Vec<[[f64; 6]; 6]>,
+    pub above: Vec<[[f64; 6]; 6]>,
+}
+
+impl PackedStressDrift {
+    pub fn new(step: &StepLinearization, stress: &StressDrift) -> Self {
+        // A matrix over the configuration that is carried to the end, over the one at the start.
+        let carry = |matrix: &ElementStiffness, q: usize| {
+            let mut out = *matrix;
+            for (end, at) in [(0, 3), (1, 6)] {
+                let turned = matrix.fixed_columns::<3>(at) * step.drifts[q + end].turn_transposed;
+                out.fixed_columns_mut::<3>(at).copy_from(&turned);
+            }
+            out
+        };
+        let both = |here: &[ElementStiffness], there: &[ElementStiffness]| {
+            (here.iter().zip(there).enumerate())
+                .map(|(q, (here, there))| square(&(here + carry(there, q))))
+                .collect()
+        };
+        let factors = stress.step.factors();
+        Self {
+            start: both(&stress.start_start, &stress.start_end),
+            carried: both(&stress.end_start, &stress.end_end),
+            added: stress.end_end.iter().map(square).collect(),
+            momenta: (step.drifts.iter().zip(&stress.spin_inertia))
+                .map(|(drift, spin)| (1.0 / drift.mobility, square(&(drift.momentum * spin))))
+                .collect(),
+            pivots: factors.diagonal.iter().map(square).collect(),
+            below: factors.below.iter().map(square).collect(),
+            above: factors.above.iter().map(square).collect(),
+        }
+    }
+}
+
+/// Row by row.
+fn square<const N: usize>(m: &SMatrix<f64, N, N>) -> [[f64; N]; N] {
+    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+}
+
+fn rows(m: &Matrix3<f64>, factor: f64) -> [[f64; 3]; 3] {
+    square(&(m * factor))
+}
+
+/// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
+pub(super) fn pack_loads(loads: &[LoadDerivative], weight: f64) -> Vec<(usize, [[f64; 3]; 6])> {
+    (loads.iter())
+        .map(|load| {
+            let force = rows(&load.force, weight);
+            let moment = rows(&load.moment, weight);
+            let both = std::array::from_fn(|i| if i < 3 { force[i] } else { moment[i - 3] });
+            (load.node, both)
+        })
+        .collect()
+}
+
+impl PackedStep {
+    pub fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
+        let weight = step.kick.weight;
+        Self {
+            decay: step.kick.decay,
+            weight,
+            elements: step
+                .elements
+                .iter()
+                .map(|k| square(&(k * weight)))
+                .collect(),
+            loads: pack_loads(&step.loads, weight),
+            drifts: step
+                .drifts
+                .iter()
+                .map(|drift| PackedDrift {
+                    mobility: drift.mobility,
+                    turn_transposed: rows(&drift.turn_transposed, 1.0),
+                    theta: rows(&drift.theta, 1.0),
+                    momentum: rows(&drift.momentum, 1.0),
+                })
+                .collect(),
+            element_drifts: step
+                .element_drifts
+                .iter()
+                .map(PackedElementDrift::new)
+                .collect(),
+            first_free_node: step.first_free_node,
+            stress_drift: (step.stress_drift.as_ref())
+                .map(|stress| PackedStressDrift::new(step, stress)),
+            curvature,
+        }
+    }
+}
+
+/// The second derivative `Q` at one time node, laid out for the kernel: `(Q z)_k = elements z_k + next ζ_{k+1} + last
+/// ζ_{k-1}`, and where a stress depends on both ends of an interval, the same with whole elements. The parts of loads and
+/// inertia at `k` itself are added to those of an element.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct PackedCurvature {
+    /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
+    pub elements: Vec<[[f64; 9]; 9]>,
+    /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
+    pub couplings: Vec<[[[f64; 3]; 3]; 2]>,
+    /// Couplings of an element with itself at `k - 1` and `k + 1`, in the order of `elements`; zero likewise, or absent.
+    pub stresses: Vec<[[[f64; 9]; 9]; 2]>,
+}
+
+/// A matrix over `(dx, ζ_a, ζ_b)` added to one in the order `ζ_a, dx, ζ_b`.
+fn add_reordered(target: &mut [[f64; 9]; 9], matrix: &SMatrix<f64, 9, 9>) {
+    const ORDER: [usize; 9] = [3, 4, 5, 0, 1, 2, 6, 7, 8];
+    for (row, i) in target.iter_mut().zip(ORDER) {
+        for (entry, j) in row.iter_mut().zip(ORDER) {
+            *entry += matrix[(i, j)];
+        }
+    }
+}
+
+impl PackedCurvature {
+    /// From the interval before a time node, and the terms of the time node.
+    pub fn new(rod: &Rod, last: &IntervalCurvature, step: &StepCurvature) -> Self {
+        let mut packed = Self {
+            elements: vec![[[0.0; 9]; 9]; rod.n_elements()],
+            ..Self::default()
+        };
+        for (packed, element) in packed.elements.iter_mut().zip(&step.elements) {
+            add_reordered(packed, element);
+        }
+        packed.add_neighbors(rod, last, &step.loads, &step.interval);
+        packed
+    }
+
+    /// All but the elements' own terms: loads, and the intervals before and after the time node.
+    pub fn add_neighbors(
+        &mut self,
+        rod: &Rod,
+        last: &IntervalCurvature,
+        loads: &[NodeCurvature],
+        next: &IntervalCurvature,
+    ) {
+        let Self {
+            elements,
+            couplings,
+            stresses,
+        } = self;
+        let stressed = !(last.stress.is_empty() && next.stress.is_empty());
+        stresses.clear();
+        stresses.resize(
+            if stressed { rod.n_elements() } else { 0 },
+            [[[0.0; 9]; 9]; 2],
+        );
+        for (q, stress) in last.stress.iter().enumerate() {
+            add_reordered(&mut elements[q], &stress.end);
+            add_reordered(&mut stresses[q][0], &stress.cross.transpose());
+        }
+        for (q, stress) in next.stress.iter().enumerate() {
+            add_reordered(&mut elements[q], &stress.start);
+            add_reordered(&mut stresses[q][1], &stress.cross);
+        }
+        let mut add = |node: usize, own: &dyn Fn(usize, usize) -> f64| {
+            // Node q is the far end of element q - 1; the base is the near end of the first.
+            let (element, at) = if node == 0 { (0, 0) } else { (node - 1, 6) };
+            for i in 0..3 {
+                for j in 0..3 {
+                    elements[element][at + i][at + j] += own(i, j);
+                }
+            }
+        };
+        for load in loads {
+            add(load.node, &|i, j| load.rotation[(i, j)]);
+        }
+        couplings.clear();
+        couplings.resize(rod.n_nodes(), [[[0.0; 3]; 3]; 2]);
+        for (node, inertia) in next.inertia.iter().enumerate() {
+            add(node, &|i, j| inertia[(i, j)]);
+            couplings[node][1] = rows(&inertia.fixed_view::<3, 3>(0, 3).into(), 1.0);
+        }
+        for (node, inertia) in last.inertia.iter().enumerate() {
+            add(node, &|i, j| inertia[(3 + i, 3 + j)]);
+            couplings[node][0] = rows(&inertia.fixed_view::<3, 3>(3, 0).into(), 1.0);
+        }
+    }
+}

@@ -1,0 +1,507 @@
+//! Forms, a tile at a time, backward: the transposes of the kernels that take columns forward.
+
+use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::packed::{PackedStep, PackedStressDrift};
+use super::tile::Columns;
+use super::{TILE, Task, step_flops};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
+use crate::mechanics::linearization::AdjointSweep;
+
+/// Covectors of [`TILE`] forms: row `node * 12 + component`, form fastest.
+pub(super) struct ReverseTile {
+    first_form: usize,
+    /// Where the sum of all forms goes backward, in the first place: what it meets.
+    pub sum: Option<AdjointSweep>,
+    /// Time node of the last form; later ones do not matter.
+    last: usize,
+    data: Buffer,
+    /// What the covectors of `ζ` and arriving `π` become, where elements couple the drifts of their ends.
+    increments: Buffer,
+    /// Values on sources and columns, form fastest.
+    pub values: Vec<f64>,
+    pub flops: u64,
+}
+
+impl ReverseTile {
+    pub fn new(task: &Task, first_form: usize) -> Self {
+        let end = (first_form + TILE).min(task.forms.len());
+        Self {
+            first_form,
+            sum: None,
+            last: task.forms[end - 1].time_node,
+            data: Buffer::zeros(task.node_size()),
+            increments: Buffer::zeros(task.increment_size()),
+            values: vec![0.0; task.n_all() * TILE],
+            flops: 0,
+        }
+    }
+
+    /// The sum of all forms, and there must be one.
+    pub fn of_sum(task: &Task) -> Self {
+        let n_times = task.motion.grid.n_steps + 1;
+        Self {
+            sum: Some(AdjointSweep::zeros(task.motion.rod.n_nodes() * n_times)),
+            last: task.forms[task.forms.len() - 1].time_node,
+            ..Self::new(task, 0)
+        }
+    }
+
+    /// One time node: the drift to the next, what acts after the kick, the kick, and the forms before it; at the end the
+    /// forms come first.
+    pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
+        if k > self.last {
+            return;
+        }
+        let at_end = step.drifts.is_empty();
+        if at_end {
+            self.join(step, k, task);
+        }
+        if k < self.last {
+            let (data, increments) = (&mut self.data, &mut self.increments);
+            if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+                arch.dispatch(CoupledDriftTransposed {
+                    step,
+                    data,
+                    increments,
+                });
+            } else {
+                arch.dispatch(DriftTransposed { step, data });
+            }
+        }
+        let first_row = k * task.motion.rod.n_nodes();
+        if let Some(sum) = &mut self.sum {
+            first_places(&self.data, 6, &mut sum.linear[first_row..]);
+            first_places(&self.data, 9, &mut sum.angular[first_row..]);
+        }
+        if k < self.last || at_end {
+            self.read(step, k, task);
+            arch.dispatch(KickTransposed {
+                step,
+                data: &mut self.data,
+            });
+            self.flops += step_flops(step, task.motion.rod.n_nodes());
+        }
+        if !at_end {
+            self.join(step, k, task);
+        }
+        if let Some(sum) = &mut self.sum {
+            first_places(&self.data, 6, &mut sum.arriving_linear[first_row..]);
+            first_places(&self.data, 9, &mut sum.arriving_angular[first_row..]);
+        }
+    }
+
+    /// The forms of this time node; held nodes have no tangent.
+    fn join(&mut self, step: &PackedStep, k: usize, task: &Task) {
+        for index in forms_at(task.forms, k) {
+            let place = match self.sum {
+                Some(_) => Some(0),
+                None => index
+                    .checked_sub(self.first_form)
+                    .filter(|place| *place < TILE),
+            };
+            let Some(place) = place else { continue };
+            for term in &task.forms[index].terms {
+                let row = term.node * NODE_COMPONENTS + term.component;
+                self.data[row * TILE + place] += term.coefficient;
+            }
+        }
+        self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
+    }
+
+    /// What the forms say about sources and control.
+    fn read(&mut self, step: &PackedStep, k: usize, task: &Task) {
+        let n_nodes = task.motion.rod.n_nodes();
+        let (data, values) = (&self.data, &mut self.values);
+        let mut add = |column: usize, node: usize, component: usize, factor: f64| {
+            let row = node * NODE_COMPONENTS + 6 + component;
+            let covectors = &data[row * TILE..][..TILE];
+            for (value, covector) in values[column * TILE..][..TILE].iter_mut().zip(covectors) {
+                *value += factor * covector;
+            }
+        };
+        for (column, sources) in task.sources.iter().enumerate() {
+            let (linear, angular) = sources.at(k, n_nodes);
+            for node in step.first_free_node..n_nodes {
+                for axis in 0..3 {
+                    add(column, node, axis, linear[node][axis]);
+                    add(column, node, 3 + axis, angular[node][axis]);
+                }
+            }
+        }
+        let n_sources = task.sources.len();
+        (task.columns).visit(k, &mut |column, node, component, weight| {
+            add(n_sources + column, node, component, step.weight * weight);
+        });
+    }
+}
+
+/// Three rows of every node, in the first place of a tile.
+fn first_places(data: &[f64], part: usize, vectors: &mut [Vector3<f64>]) {
+    for (node, vector) in data.chunks_exact(NODE_COMPONENTS * TILE).zip(vectors) {
+        *vector = Vector3::from_fn(|axis, _| node[(part + axis) * TILE]);
+    }
+}
+
+/// `(x, ζ) += Kᵀ λ`, then `λ ← decay λ`, for all forms of a tile.
+struct KickTransposed<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+}
+
+impl WithSimd for KickTransposed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let width = TILE / S::F64_LANES;
+        let size = NODE_COMPONENTS * width;
+        for (q, stiffness) in self.step.elements.iter().enumerate() {
+            let both = &mut data[q * size..(q + 2) * size];
+            let (a, b) = both.split_at_mut(size);
+            let mut at = 0;
+            while at + 2 <= width {
+                pull_element::<S, 2>(simd, stiffness, a, b, at, width);
+                at += 2;
+            }
+            if at < width {
+                pull_element::<S, 1>(simd, stiffness, a, b, at, width);
+            }
+        }
+        for (node, derivative) in &self.step.loads {
+            let node = &mut data[node * size..(node + 1) * size];
+            for at in 0..width {
+                for j in 0..3 {
+                    let mut sum = node[(3 + j) * width + at];
+                    for (i, row) in derivative.iter().enumerate() {
+                        let covector = node[(6 + i) * width + at];
+                        sum = simd.mul_add_e_f64s(simd.splat_f64s(row[j]), covector, sum);
+                    }
+                    node[(3 + j) * width + at] = sum;
+                }
+            }
+        }
+        let decay = simd.splat_f64s(self.step.decay);
+        for node in data.chunks_exact_mut(size) {
+            for value in &mut node[6 * width..] {
+                *value = simd.mul_f64s(*value, decay);
+            }
+        }
+        data[..self.step.first_free_node * size].fill(simd.splat_f64s(0.0));
+    }
+}
+
+#[inline(always)]
+fn pull_element<S: Simd, const V: usize>(
+    simd: S,
+    stiffness: &[[f64; 9]; 9],
+    a: &mut [S::f64s],
+    b: &mut [S::f64s],
+    at: usize,
+    width: usize,
+) {
+    let zero = simd.splat_f64s(0.0);
+    let mut input = [[zero; V]; 9];
+    for i in 0..3 {
+        for v in 0..V {
+            let (p, pi) = ((6 + i) * width + at + v, (9 + i) * width + at + v);
+            input[i][v] = simd.sub_f64s(a[p], b[p]);
+            input[3 + i][v] = simd.neg_f64s(a[pi]);
+            input[6 + i][v] = simd.neg_f64s(b[pi]);
+        }
+    }
+    for j in 0..9 {
+        let mut sum = [zero; V];
+        for (row, input) in stiffness.iter().zip(&input) {
+            let coefficient = simd.splat_f64s(row[j]);
+            for v in 0..V {
+                sum[v] = simd.mul_add_e_f64s(coefficient, input[v], sum[v]);
+            }
+        }
+        for (v, &sum) in sum.iter().enumerate() {
+            let row = |component: usize| component * width + at + v;
+            if j < 3 {
+                b[row(j)] = simd.add_f64s(b[row(j)], sum);
+                a[row(j)] = simd.sub_f64s(a[row(j)], sum);
+            } else if j < 6 {
+                a[row(j)] = simd.add_f64s(a[row(j)], sum);
+            } else {
+                b[row(j - 3)] = simd.add_f64s(b[row(j - 3)], sum);
+            }
+        }
+    }
+}
+
+/// `p += (h/m) x`, `π ← Mᵀ π + Θᵀ ζ`, `ζ ← F ζ`, for all forms of a tile.
+struct DriftTransposed<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+}
+
+impl WithSimd for DriftTransposed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let width = TILE / S::F64_LANES;
+        let zero = simd.splat_f64s(0.0);
+        let first = self.step.first_free_node;
+        for (node, drift) in self.step.drifts.iter().enumerate().skip(first) {
+            let rows = &mut data[node * NODE_COMPONENTS * width..][..NODE_COMPONENTS * width];
+            let mobility = simd.splat_f64s(drift.mobility);
+            for at in 0..width {
+                let mut zeta = [zero; 3];
+                let mut pi = [zero; 3];
+                for i in 0..3 {
+                    let (x, p) = (i * width + at, (6 + i) * width + at);
+                    rows[p] = simd.mul_add_e_f64s(mobility, rows[x], rows[p]);
+                    zeta[i] = rows[(3 + i) * width + at];
+                    pi[i] = rows[(9 + i) * width + at];
+                }
+                for j in 0..3 {
+                    let mut turned = zero;
+                    let mut momentum = zero;
+                    for i in 0..3 {
+                        let splat = |m: &[[f64; 3]; 3]| simd.splat_f64s(m[i][j]);
+                        let turn = splat(&drift.turn_transposed);
+                        turned = simd.mul_add_e_f64s(turn, zeta[i], turned);
+                        let theta = splat(&drift.theta);
+                        momentum = simd.mul_add_e_f64s(theta, zeta[i], momentum);
+                        momentum = simd.mul_add_e_f64s(splat(&drift.momentum), pi[i], momentum);
+                    }
+                    rows[(3 + j) * width + at] = turned;
+                    rows[(9 + j) * width + at] = momentum;
+                }
+            }
+        }
+    }
+}
+
+/// The transpose of the drift with elements that couple the drifts of their ends, or under the stress of the interval.
+struct CoupledDriftTransposed<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+    increments: &'a mut [f64],
+}
+
+impl WithSimd for CoupledDriftTransposed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let (increments, _) = S::as_mut_simd_f64s(self.increments);
+        let width = TILE / S::F64_LANES;
+        for at in 0..width {
+            let mut columns = Columns {
+                simd,
+                step: self.step,
+                data: &mut *data,
+                increments: &mut *increments,
+                width,
+                at,
+            };
+            match &self.step.stress_drift {
+                None => columns.drift_transposed(),
+                Some(stress) => columns.drift_under_transposed(stress),
+            }
+            columns.hold();
+        }
+    }
+}
+
+impl<S: Simd> Columns<'_, S> {
+    fn hold(&mut self) {
+        let zero = self.simd.splat_f64s(0.0);
+        for row in 0..self.step.first_free_node * NODE_COMPONENTS {
+            self.data[row * self.width + self.at] = zero;
+        }
+    }
+
+    /// `Mᵀ v`
+    #[inline(always)]
+    fn product_transposed<const N: usize>(
+        &self,
+        m: &[[f64; N]; N],
+        v: [S::f64s; N],
+    ) -> [S::f64s; N] {
+        let mut out = [self.simd.splat_f64s(0.0); N];
+        for (row, v) in m.iter().zip(v) {
+            for (out, m) in out.iter_mut().zip(row) {
+                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn set(&mut self, node: usize, part: usize, value: [S::f64s; 3]) {
+        for (i, value) in value.into_iter().enumerate() {
+            self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at] = value;
+        }
+    }
+
+    /// Adds a covector of `δx_b - δx_a` of element `q` to the nodes' rows from `part` on.
+    #[inline(always)]
+    fn stretch(&mut self, q: usize, part: usize, covector: [S::f64s; 3]) {
+        self.add(q, part, -1.0, covector);
+        self.add(q + 1, part, 1.0, covector);
+    }
+
+    /// The increments are the covectors of `turns` (at 0) and `spins` (at 3).
+    #[inline(always)]
+    fn drift_transposed(&mut self) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        let zero = self.simd.splat_f64s(0.0);
+        for node in 0..n {
+            let (turns, spins) = (self.rows(node, 3), self.rows(node, 9));
+            self.set_increment(node, 0, turns);
+            self.set_increment(node, 3, spins);
+        }
+        for at in [1, 0] {
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let Some(reaction) = element.reaction.as_ref().filter(|r| r.at == at) else {
+                    continue;
+                };
+                let (a, b) = (self.rows(q, 6), self.rows(q + 1, 6));
+                let pull = std::array::from_fn(|i| self.simd.sub_f64s(b[i], a[i]));
+                let change = self.product_transposed(&reaction.stiffness, pull);
+                self.stretch(q, 0, change);
+                let energy = self.dot(&reaction.along, pull, zero);
+                for end in 0..2 {
+                    self.add_increment(q + end, 0, &reaction.spin[end], energy);
+                }
+            }
+            for node in 0..first {
+                self.set_increment(node, 0, [zero; 3]);
+            }
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let mut de = zero;
+                for end in 0..2 {
+                    de = self.dot(&element.turn[at][end], self.increment(q + end, 0), de);
+                    de = self.dot(&element.spin[at][end], self.increment(q + end, 3), de);
+                }
+                let covector = std::array::from_fn(|i| {
+                    let stretch = self.simd.splat_f64s(element.stretch[at][i]);
+                    self.simd.mul_f64s(stretch, de)
+                });
+                self.stretch(q, 0, covector);
+            }
+            if at == 1 {
+                for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+                    let x = self.rows(node, 0);
+                    self.add(node, 6, drift.mobility, x);
+                }
+            }
+        }
+        for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+            let (turns, spins) = (self.increment(node, 0), self.increment(node, 3));
+            let from_turns = self.product_transposed(&drift.theta, turns);
+            self.set(node, 9, self.product_transposed(&drift.momentum, spins));
+            self.add(node, 9, 1.0, from_turns);
+            let zeta = self.product_transposed(&drift.turn_transposed, self.rows(node, 3));
+            self.set(node, 3, zeta);
+        }
+    }
+
+    /// The increments are the covectors of the arriving momenta.
+    #[inline(always)]
+    fn drift_under_transposed(&mut self, stress: &PackedStressDrift) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        for node in 0..n {
+            let (linear, angular) = (self.rows(node, 6), self.rows(node, 9));
+            self.set_increment(node, 0, linear);
+            self.set_increment(node, 3, angular);
+        }
+        // Covectors of what the step adds to the configuration, in the rows of the momenta; then the configuration at the start.
+        for node in first..n {
+            let (mass_rate, spin) = &stress.momenta[node];
+            let linear = self.rows(node, 6);
+            let turned = self.product_transposed(spin, self.rows(node, 9));
+            let (x, zeta) = (self.rows(node, 0), self.rows(node, 3));
+            self.set(node, 6, x);
+            self.add(node, 6, *mass_rate, linear);
+            self.set(node, 9, zeta);
+            self.add(node, 9, 1.0, turned);
+            let carried = self.product_transposed(&step.drifts[node].turn_transposed, zeta);
+            self.set(node, 3, carried);
+        }
+        for (q, (added, carried)) in stress.added.iter().zip(&stress.carried).enumerate() {
+            let pull = self.arriving_pull(q);
+            let change = self.product_transposed(added, pull);
+            self.add_element(q, 6, change);
+            let change = self.product_transposed(carried, pull);
+            self.add_element(q, 0, change);
+        }
+        // U and L, transposed, in this order.
+        for (i, above) in stress.above.iter().enumerate() {
+            let before = self.product_transposed(above, self.momenta(first + i));
+            self.subtract_momenta(first + i + 1, before);
+        }
+        for (i, pivot) in stress.pivots.iter().enumerate().rev() {
+            if let Some(below) = stress.below.get(i) {
+                let after = self.product_transposed(below, self.momenta(first + i + 1));
+                self.subtract_momenta(first + i, after);
+            }
+            let covector = self.product_transposed(pivot, self.momenta(first + i));
+            self.set_momenta(first + i, covector);
+        }
+        for node in 0..first {
+            self.set_momenta(node, [self.simd.splat_f64s(0.0); 6]);
+        }
+        for (q, start) in stress.start.iter().enumerate() {
+            let (p_a, p_b) = (self.rows(q, 6), self.rows(q + 1, 6));
+            let (pi_a, pi_b) = (self.rows(q, 9), self.rows(q + 1, 9));
+            let pull = self.pull([p_a, p_b], [pi_a, pi_b]);
+            let change = self.product_transposed(start, pull);
+            self.add_element(q, 0, change);
+        }
+    }
+
+    /// What the covectors of the momenta say about `(F, M_a, M_b)` of an element.
+    #[inline(always)]
+    fn pull(&self, p: [[S::f64s; 3]; 2], pi: [[S::f64s; 3]; 2]) -> [S::f64s; 9] {
+        let mut out = [self.simd.splat_f64s(0.0); 9];
+        for i in 0..3 {
+            out[i] = self.simd.sub_f64s(p[0][i], p[1][i]);
+            out[3 + i] = self.simd.neg_f64s(pi[0][i]);
+            out[6 + i] = self.simd.neg_f64s(pi[1][i]);
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn arriving_pull(&self, q: usize) -> [S::f64s; 9] {
+        let p = [self.increment(q, 0), self.increment(q + 1, 0)];
+        let pi = [self.increment(q, 3), self.increment(q + 1, 3)];
+        self.pull(p, pi)
+    }
+
+    /// Adds a covector of `(δx_b - δx_a, ζ_a, ζ_b)`, or of the same of the rows from `part` on.
+    #[inline(always)]
+    fn add_element(&mut self, q: usize, part: usize, covector: [S::f64s; 9]) {
+        self.stretch(q, part, [covector[0], covector[1], covector[2]]);
+        self.add(q, part + 3, 1.0, [covector[3], covector[4], covector[5]]);
+        self.add(
+            q + 1,
+            part + 3,
+            1.0,
+            [covector[6], covector[7], covector[8]],
+        );
+    }
+
+    #[inline(always)]
+    fn subtract_momenta(&mut self, node: usize, change: [S::f64s; 6]) {
+        let mut value = self.momenta(node);
+        for (value, change) in value.iter_mut().zip(change) {
+            *value = self.simd.sub_f64s(*value, change);
+        }
+        self.set_momenta(node, value);
+    }
+}

@@ -1,0 +1,607 @@
+//! Columns of the linearized motion, a tile at a time, forward.
+
+use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::packed::{PackedStep, PackedStressDrift};
+use super::reduction::Record;
+use super::{INCREMENT_ROWS, TILE, Task, step_flops};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
+
+/// [`TILE`] columns: row `node * 12 + component`, column fastest.
+pub(super) struct Tile<'a> {
+    first_column: usize,
+    data: Buffer,
+    /// Increments of `ζ` and arriving `π` of every node, where elements couple the drifts of their ends.
+    increments: Buffer,
+    /// Values of the forms, column fastest.
+    pub values: Vec<f64>,
+    pub record: Option<Record<'a>>,
+    pub flops: u64,
+}
+
+impl<'a> Tile<'a> {
+    pub fn new(task: &Task, first_column: usize, record: Option<Record<'a>>) -> Self {
+        Self {
+            first_column,
+            data: Buffer::zeros(task.node_size()),
+            increments: Buffer::zeros(task.increment_size()),
+            values: vec![0.0; task.forms.len() * TILE],
+            record,
+            flops: 0,
+        }
+    }
+
+    /// A run of time nodes from `first` on, with the record of its rows.
+    pub fn advance_all(&mut self, arch: Arch, steps: &[PackedStep], first: usize, task: &Task) {
+        let started = |k| self.first_column < task.n_started(k);
+        let started: Vec<bool> = (first..first + steps.len()).map(started).collect();
+        let any = started.contains(&true);
+        if let Some(record) = &mut self.record {
+            record.start(any);
+        }
+        if !any {
+            return;
+        }
+        if let Some(record) = &mut self.record {
+            record.keep(arch, &self.data, 0);
+        }
+        for ((step, k), started) in steps.iter().zip(first..).zip(started) {
+            if let Some(record) = &mut self.record {
+                record.keep_own(&self.data, k);
+            }
+            if started {
+                self.advance(arch, step, k, task);
+            }
+            if let (Some(record), Some(curvature)) = (&mut self.record, &step.curvature) {
+                record.keep(arch, &self.data, k - first + 1);
+                self.flops += record.multiply(arch, curvature, k - first);
+            }
+        }
+        if let Some(record) = &mut self.record {
+            record.carry(steps.len());
+        }
+    }
+
+    /// Sum of the first two columns.
+    pub fn sum(&self, node: usize, part: usize) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| {
+            let row = node * NODE_COMPONENTS + part + axis;
+            self.data[row * TILE] + self.data[row * TILE + 1]
+        })
+    }
+
+    /// Forms, kick, sources, drift: one time node.
+    pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
+        let last = step.drifts.is_empty();
+        if !last {
+            self.read_forms(k, task);
+        }
+        arch.dispatch(Kick {
+            step,
+            data: &mut self.data,
+        });
+        self.add_sources(step, k, task);
+        if last {
+            self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
+            self.read_forms(k, task);
+        } else if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+            arch.dispatch(CoupledDrift {
+                step,
+                data: &mut self.data,
+                increments: &mut self.increments,
+            });
+        } else {
+            arch.dispatch(Drift {
+                step,
+                data: &mut self.data,
+            });
+        }
+        self.flops += step_flops(step, task.motion.rod.n_nodes());
+    }
+
+    /// Changes of the momenta after the kick: right-hand sides, and the control.
+    fn add_sources(&mut self, step: &PackedStep, k: usize, task: &Task) {
+        let n_nodes = task.motion.rod.n_nodes();
+        let (first, n_sources) = (self.first_column, task.sources.len());
+        let data = &mut self.data;
+        let own = task.sources.iter().skip(first).take(TILE);
+        for (column, sources) in own.enumerate() {
+            let (linear, angular) = sources.at(k, n_nodes);
+            for node in step.first_free_node..n_nodes {
+                for axis in 0..3 {
+                    let row = node * NODE_COMPONENTS + 6 + axis;
+                    data[row * TILE + column] += linear[node][axis];
+                    data[(row + 3) * TILE + column] += angular[node][axis];
+                }
+            }
+        }
+        task.columns
+            .visit(k, &mut |column, node, component, weight| {
+                let column = column + n_sources;
+                if (first..first + TILE).contains(&column) {
+                    data[(node * NODE_COMPONENTS + 6 + component) * TILE + column - first] +=
+                        step.weight * weight;
+                }
+            });
+    }
+
+    fn read_forms(&mut self, k: usize, task: &Task) {
+        for index in forms_at(task.forms, k) {
+            let values = &mut self.values[index * TILE..][..TILE];
+            for term in &task.forms[index].terms {
+                let row = term.node * NODE_COMPONENTS + term.component;
+                for (value, component) in values.iter_mut().zip(&self.data[row * TILE..][..TILE]) {
+                    *value += term.coefficient * component;
+                }
+            }
+        }
+    }
+}
+
+/// `p ← decay p + weight δf` for all columns of a tile.
+struct Kick<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+}
+
+impl WithSimd for Kick<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let width = TILE / S::F64_LANES;
+        let n_nodes = data.len() / (NODE_COMPONENTS * width);
+        let decay = simd.splat_f64s(self.step.decay);
+        for node in 0..n_nodes {
+            let momenta = &mut data
+                [(node * NODE_COMPONENTS + 6) * width..(node + 1) * NODE_COMPONENTS * width];
+            for value in momenta {
+                *value = simd.mul_f64s(*value, decay);
+            }
+        }
+        for (q, stiffness) in self.step.elements.iter().enumerate() {
+            let both = &mut data[q * NODE_COMPONENTS * width..(q + 2) * NODE_COMPONENTS * width];
+            let (a, b) = both.split_at_mut(NODE_COMPONENTS * width);
+            // Two vectors at a time share each coefficient's broadcast.
+            let mut at = 0;
+            while at + 2 <= width {
+                kick_element::<S, 2>(simd, stiffness, a, b, at, width);
+                at += 2;
+            }
+            if at < width {
+                kick_element::<S, 1>(simd, stiffness, a, b, at, width);
+            }
+        }
+        for (node, derivative) in &self.step.loads {
+            let node =
+                &mut data[node * NODE_COMPONENTS * width..(node + 1) * NODE_COMPONENTS * width];
+            for at in 0..width {
+                let zeta = [
+                    node[3 * width + at],
+                    node[4 * width + at],
+                    node[5 * width + at],
+                ];
+                for (i, row) in derivative.iter().enumerate() {
+                    let mut sum = node[(6 + i) * width + at];
+                    for j in 0..3 {
+                        sum = simd.mul_add_e_f64s(simd.splat_f64s(row[j]), zeta[j], sum);
+                    }
+                    node[(6 + i) * width + at] = sum;
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn kick_element<S: Simd, const V: usize>(
+    simd: S,
+    stiffness: &[[f64; 9]; 9],
+    a: &mut [S::f64s],
+    b: &mut [S::f64s],
+    at: usize,
+    width: usize,
+) {
+    let zero = simd.splat_f64s(0.0);
+    let mut input = [[zero; V]; 9];
+    for i in 0..3 {
+        for v in 0..V {
+            input[i][v] = simd.sub_f64s(b[i * width + at + v], a[i * width + at + v]);
+            input[3 + i][v] = a[(3 + i) * width + at + v];
+            input[6 + i][v] = b[(3 + i) * width + at + v];
+        }
+    }
+    for (i, row) in stiffness.iter().enumerate() {
+        let mut sum = [zero; V];
+        for j in 0..9 {
+            let coefficient = simd.splat_f64s(row[j]);
+            for v in 0..V {
+                sum[v] = simd.mul_add_e_f64s(coefficient, input[j][v], sum[v]);
+            }
+        }
+        for (v, &sum) in sum.iter().enumerate() {
+            // Rows 0..3: the element pulls a with +F and b with -F; 3..6 and 6..9: moments -M_a on a, -M_b on b.
+            if i < 3 {
+                let row_a = (6 + i) * width + at + v;
+                a[row_a] = simd.add_f64s(a[row_a], sum);
+                b[row_a] = simd.sub_f64s(b[row_a], sum);
+            } else if i < 6 {
+                let row_a = (6 + i) * width + at + v;
+                a[row_a] = simd.sub_f64s(a[row_a], sum);
+            } else {
+                let row_b = (3 + i) * width + at + v;
+                b[row_b] = simd.sub_f64s(b[row_b], sum);
+            }
+        }
+    }
+}
+
+/// `x ← x + (h/m) p`, `ζ ← Fᵀ ζ + Θ g`, `π ← M g` for all columns of a tile; fixed nodes are kept at zero.
+struct Drift<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+}
+
+impl WithSimd for Drift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let width = TILE / S::F64_LANES;
+        let zero = simd.splat_f64s(0.0);
+        for value in &mut data[..self.step.first_free_node * NODE_COMPONENTS * width] {
+            *value = zero;
+        }
+        for (node, drift) in self
+            .step
+            .drifts
+            .iter()
+            .enumerate()
+            .skip(self.step.first_free_node)
+        {
+            let rows =
+                &mut data[node * NODE_COMPONENTS * width..(node + 1) * NODE_COMPONENTS * width];
+            let mobility = simd.splat_f64s(drift.mobility);
+            for at in 0..width {
+                for i in 0..3 {
+                    rows[i * width + at] = simd.mul_add_e_f64s(
+                        mobility,
+                        rows[(6 + i) * width + at],
+                        rows[i * width + at],
+                    );
+                }
+                let zeta = [
+                    rows[3 * width + at],
+                    rows[4 * width + at],
+                    rows[5 * width + at],
+                ];
+                let g = [
+                    rows[9 * width + at],
+                    rows[10 * width + at],
+                    rows[11 * width + at],
+                ];
+                for i in 0..3 {
+                    let mut turned = zero;
+                    let mut momentum = zero;
+                    for j in 0..3 {
+                        turned = simd.mul_add_e_f64s(
+                            simd.splat_f64s(drift.turn_transposed[i][j]),
+                            zeta[j],
+                            turned,
+                        );
+                        turned =
+                            simd.mul_add_e_f64s(simd.splat_f64s(drift.theta[i][j]), g[j], turned);
+                        momentum = simd.mul_add_e_f64s(
+                            simd.splat_f64s(drift.momentum[i][j]),
+                            g[j],
+                            momentum,
+                        );
+                    }
+                    rows[(3 + i) * width + at] = turned;
+                    rows[(9 + i) * width + at] = momentum;
+                }
+            }
+        }
+    }
+}
+
+/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, or under the stress of the interval, for
+/// all columns of a tile.
+struct CoupledDrift<'a> {
+    step: &'a PackedStep,
+    data: &'a mut [f64],
+    increments: &'a mut [f64],
+}
+
+impl WithSimd for CoupledDrift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (data, _) = S::as_mut_simd_f64s(self.data);
+        let (increments, _) = S::as_mut_simd_f64s(self.increments);
+        let width = TILE / S::F64_LANES;
+        for at in 0..width {
+            let mut columns = Columns {
+                simd,
+                step: self.step,
+                data: &mut *data,
+                increments: &mut *increments,
+                width,
+                at,
+            };
+            match &self.step.stress_drift {
+                None => columns.drift(),
+                Some(stress) => columns.drift_under(stress),
+            }
+        }
+    }
+}
+
+/// One vector of columns of a tile.
+pub(super) struct Columns<'a, S: Simd> {
+    pub simd: S,
+    pub step: &'a PackedStep,
+    pub data: &'a mut [S::f64s],
+    pub increments: &'a mut [S::f64s],
+    pub width: usize,
+    pub at: usize,
+}
+
+impl<S: Simd> Columns<'_, S> {
+    #[inline(always)]
+    fn drift(&mut self) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        let zero = self.simd.splat_f64s(0.0);
+        for node in 0..first {
+            for row in 0..NODE_COMPONENTS {
+                self.data[(node * NODE_COMPONENTS + row) * self.width + self.at] = zero;
+            }
+            self.set_increment(node, 0, [zero; 3]);
+            self.set_increment(node, 3, [zero; 3]);
+        }
+        for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+            let g = self.rows(node, 9);
+            let turn = self.product(&drift.theta, g);
+            let spin = self.product(&drift.momentum, g);
+            self.set_increment(node, 0, turn);
+            self.set_increment(node, 3, spin);
+        }
+        for at in 0..2 {
+            if at == 1 {
+                for (node, drift) in step.drifts.iter().enumerate().skip(first) {
+                    let p = self.rows(node, 6);
+                    self.add(node, 0, drift.mobility, p);
+                }
+            }
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let dx = self.dx(q);
+                let de = self.dot(&element.stretch[at], dx, zero);
+                for end in (0..2).filter(|end| q + end >= first) {
+                    self.add_increment(q + end, 0, &element.turn[at][end], de);
+                    self.add_increment(q + end, 3, &element.spin[at][end], de);
+                }
+            }
+            for (q, element) in step.element_drifts.iter().enumerate() {
+                let Some(reaction) = element.reaction.as_ref().filter(|r| r.at == at) else {
+                    continue;
+                };
+                let mut energy = zero;
+                for end in 0..2 {
+                    let turn = self.increment(q + end, 0);
+                    energy = self.dot(&reaction.spin[end], turn, energy);
+                }
+                let dx = self.dx(q);
+                let mut impulse = self.product(&reaction.stiffness, dx);
+                for (impulse, along) in impulse.iter_mut().zip(reaction.along) {
+                    let along = self.simd.splat_f64s(along);
+                    *impulse = self.simd.mul_add_e_f64s(along, energy, *impulse);
+                }
+                if q >= first {
+                    self.add(q, 6, -1.0, impulse);
+                }
+                self.add(q + 1, 6, 1.0, impulse);
+            }
+        }
+        for node in first..n {
+            let zeta = self.rows(node, 3);
+            let turned = self.product(&step.drifts[node].turn_transposed, zeta);
+            let turn = self.increment(node, 0);
+            let spin = self.increment(node, 3);
+            for i in 0..3 {
+                let row = (node * NODE_COMPONENTS + 3 + i) * self.width + self.at;
+                self.data[row] = self.simd.add_f64s(turned[i], turn[i]);
+                self.data[row + 6 * self.width] = spin[i];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn drift_under(&mut self, stress: &PackedStressDrift) {
+        let step = self.step;
+        let (first, n) = (step.first_free_node, step.drifts.len());
+        let zero = self.simd.splat_f64s(0.0);
+        for node in 0..first {
+            for row in 0..NODE_COMPONENTS {
+                self.data[(node * NODE_COMPONENTS + row) * self.width + self.at] = zero;
+            }
+        }
+        for node in 0..n {
+            self.set_increment(node, 0, [zero; 3]);
+            self.set_increment(node, 3, [zero; 3]);
+        }
+        for (q, (start, carried)) in stress.start.iter().zip(&stress.carried).enumerate() {
+            let here = self.element(q, 0);
+            let pull = self.product(start, here);
+            if q >= first {
+                self.add(q, 6, 1.0, [pull[0], pull[1], pull[2]]);
+                self.add(q, 9, -1.0, [pull[3], pull[4], pull[5]]);
+            }
+            self.add(q + 1, 6, -1.0, [pull[0], pull[1], pull[2]]);
+            self.add(q + 1, 9, -1.0, [pull[6], pull[7], pull[8]]);
+            let pull = self.product(carried, here);
+            self.add_pull(q, pull);
+        }
+        // The momenta become what the step adds to the configuration.
+        for (i, pivot) in stress.pivots.iter().enumerate() {
+            let mut right = self.momenta(first + i);
+            if i > 0 {
+                let before = self.product(&stress.below[i - 1], self.momenta(first + i - 1));
+                for (right, before) in right.iter_mut().zip(before) {
+                    *right = self.simd.sub_f64s(*right, before);
+                }
+            }
+            self.set_momenta(first + i, self.product(pivot, right));
+        }
+        for (i, above) in stress.above.iter().enumerate().rev() {
+            let after = self.product(above, self.momenta(first + i + 1));
+            let mut u = self.momenta(first + i);
+            for (u, after) in u.iter_mut().zip(after) {
+                *u = self.simd.sub_f64s(*u, after);
+            }
+            self.set_momenta(first + i, u);
+        }
+        for (q, added) in stress.added.iter().enumerate() {
+            let pull = self.product(added, self.element(q, 6));
+            self.add_pull(q, pull);
+        }
+        for node in first..n {
+            let (mass_rate, spin) = &stress.momenta[node];
+            let (moved, turned) = (self.rows(node, 6), self.rows(node, 9));
+            let carried = self.product(&step.drifts[node].turn_transposed, self.rows(node, 3));
+            let linear = self.increment(node, 0);
+            let angular = self.increment(node, 3);
+            let spin = self.product(spin, turned);
+            let mass_rate = self.simd.splat_f64s(*mass_rate);
+            self.add(node, 0, 1.0, moved);
+            for i in 0..3 {
+                let row = (node * NODE_COMPONENTS + 3 + i) * self.width + self.at;
+                self.data[row] = self.simd.add_f64s(carried[i], turned[i]);
+                self.data[row + 3 * self.width] =
+                    self.simd.mul_add_e_f64s(mass_rate, moved[i], linear[i]);
+                self.data[row + 6 * self.width] = self.simd.add_f64s(spin[i], angular[i]);
+            }
+        }
+    }
+
+    /// `(δx_b - δx_a, ζ_a, ζ_b)` of element `q`, or the same of the rows from `part` on.
+    #[inline(always)]
+    pub fn element(&self, q: usize, part: usize) -> [S::f64s; 9] {
+        let (a, b) = (self.rows(q, part), self.rows(q + 1, part));
+        let (turn_a, turn_b) = (self.rows(q, part + 3), self.rows(q + 1, part + 3));
+        let mut out = [self.simd.splat_f64s(0.0); 9];
+        for i in 0..3 {
+            out[i] = self.simd.sub_f64s(b[i], a[i]);
+            out[3 + i] = turn_a[i];
+            out[6 + i] = turn_b[i];
+        }
+        out
+    }
+
+    /// Takes the pull `(F, M_a, M_b)` of element `q` from the increments of its ends.
+    #[inline(always)]
+    fn add_pull(&mut self, q: usize, pull: [S::f64s; 9]) {
+        let signs = [
+            (q, 0, 1.0, 0),
+            (q, 3, -1.0, 3),
+            (q + 1, 0, -1.0, 0),
+            (q + 1, 3, -1.0, 6),
+        ];
+        for (node, part, sign, from) in signs {
+            let change = [pull[from], pull[from + 1], pull[from + 2]];
+            for (axis, change) in change.into_iter().enumerate() {
+                let row = (node * INCREMENT_ROWS + part + axis) * self.width + self.at;
+                let sign = self.simd.splat_f64s(sign);
+                self.increments[row] = self.simd.mul_add_e_f64s(sign, change, self.increments[row]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub fn momenta(&self, node: usize) -> [S::f64s; 6] {
+        let mut out = [self.simd.splat_f64s(0.0); 6];
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = self.data[(node * NODE_COMPONENTS + 6 + i) * self.width + self.at];
+        }
+        out
+    }
+
+    #[inline(always)]
+    pub fn set_momenta(&mut self, node: usize, value: [S::f64s; 6]) {
+        for (i, value) in value.into_iter().enumerate() {
+            self.data[(node * NODE_COMPONENTS + 6 + i) * self.width + self.at] = value;
+        }
+    }
+
+    #[inline(always)]
+    pub fn rows(&self, node: usize, part: usize) -> [S::f64s; 3] {
+        std::array::from_fn(|i| {
+            self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at]
+        })
+    }
+
+    #[inline(always)]
+    pub fn add(&mut self, node: usize, part: usize, factor: f64, change: [S::f64s; 3]) {
+        let factor = self.simd.splat_f64s(factor);
+        for (i, change) in change.into_iter().enumerate() {
+            let row = &mut self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at];
+            *row = self.simd.mul_add_e_f64s(factor, change, *row);
+        }
+    }
+
+    #[inline(always)]
+    pub fn increment(&self, node: usize, part: usize) -> [S::f64s; 3] {
+        std::array::from_fn(|i| {
+            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at]
+        })
+    }
+
+    #[inline(always)]
+    pub fn set_increment(&mut self, node: usize, part: usize, value: [S::f64s; 3]) {
+        for (i, value) in value.into_iter().enumerate() {
+            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at] = value;
+        }
+    }
+
+    #[inline(always)]
+    pub fn add_increment(&mut self, node: usize, part: usize, along: &[f64; 3], change: S::f64s) {
+        let mut value = self.increment(node, part);
+        for (value, along) in value.iter_mut().zip(along) {
+            let along = self.simd.splat_f64s(*along);
+            *value = self.simd.mul_add_e_f64s(along, change, *value);
+        }
+        self.set_increment(node, part, value);
+    }
+
+    /// `x_{q+1} - x_q`
+    #[inline(always)]
+    pub fn dx(&self, q: usize) -> [S::f64s; 3] {
+        let (a, b) = (self.rows(q, 0), self.rows(q + 1, 0));
+        std::array::from_fn(|i| self.simd.sub_f64s(b[i], a[i]))
+    }
+
+    #[inline(always)]
+    pub fn dot<const N: usize>(&self, a: &[f64; N], b: [S::f64s; N], start: S::f64s) -> S::f64s {
+        let mut sum = start;
+        for (a, b) in a.iter().zip(b) {
+            sum = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*a), b, sum);
+        }
+        sum
+    }
+
+    #[inline(always)]
+    pub fn product<const N: usize>(&self, m: &[[f64; N]; N], v: [S::f64s; N]) -> [S::f64s; N] {
+        let zero = self.simd.splat_f64s(0.0);
+        // Closures over this many are not inlined, and the vector instructions with them.
+        let mut out = [zero; N];
+        for (out, row) in out.iter_mut().zip(m) {
+            *out = self.dot(row, v, zero);
+        }
+        out
+    }
+}

@@ -1,0 +1,76 @@
+//! The way back into a ball.
+
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+
+use super::program::{ConvexSet, along};
+use super::residual::norm;
+
+/// Balls that share variables are visited this often at most.
+const SWEEPS: usize = 20;
+
+/// Variables moved into one ball after the other by the shortest way that keeps the direction of `M v`, until they are in
+/// all of them. Sets that are no balls are left alone.
+pub(super) fn into_balls<'s>(
+    mut v: Vec<f64>,
+    sets: impl Iterator<Item = &'s ConvexSet> + Clone,
+) -> Vec<f64> {
+    for _ in 0..SWEEPS {
+        let mut moved = false;
+        for set in sets.clone() {
+            if let ConvexSet::Ball { rows, radius } = set {
+                moved |= into_ball(&mut v, rows, *radius);
+            }
+        }
+        if !moved {
+            break;
+        }
+    }
+    v
+}
+
+/// `v + Mᵀ (M Mᵀ)⁻¹ (radius/|M v| - 1) M v`; whether it had to.
+fn into_ball(v: &mut [f64], rows: &[Vec<(usize, f64)>], radius: f64) -> bool {
+    let inside: Vec<f64> = rows.iter().map(|row| along(row, v)).collect();
+    let size = norm(&inside);
+    if !(size > radius * (1.0 + 4.0 * f64::EPSILON)) {
+        return false;
+    }
+    let product = |a: &[(usize, f64)], b: &[(usize, f64)]| -> f64 {
+        a.iter()
+            .flat_map(|&(i, x)| {
+                b.iter()
+                    .filter(move |(j, _)| *j == i)
+                    .map(move |(_, y)| x * y)
+            })
+            .sum()
+    };
+    let m = rows.len();
+    let gram = Mat::from_fn(m, m, |i, j| product(&rows[i], &rows[j]));
+    let excess = Mat::from_fn(m, 1, |i, _| inside[i] * (radius / size - 1.0));
+    let factor = gram.partial_piv_lu().solve(&excess);
+    for (i, row) in rows.iter().enumerate() {
+        for &(index, component) in row {
+            v[index] += component * factor[(i, 0)];
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball of differences: the difference ends on the sphere in its old direction, the mean of the two stays.
+    #[test]
+    fn difference_returns() {
+        let rows = (0..2).map(|i| vec![(i + 2, 1.0), (i, -1.0)]).collect();
+        let set = ConvexSet::Ball { rows, radius: 1.0 };
+        let v = into_balls(vec![0.0, 0.0, 3.0, 4.0], std::iter::once(&set));
+        let expected = [1.2, 1.6, 1.8, 2.4];
+        for (found, expected) in v.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-15);
+        }
+        assert!(set.violation(&v).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,391 @@
+//! What refining the grids says: errors in time and space with their observed orders, and constraints between nodes and samples.
+
+use nalgebra::Vector3;
+
+use super::limits::{Measure, Pose};
+use super::{CheckError, Solution, refined_grid, refined_signal};
+use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
+use crate::mechanics::stability::stable_step;
+use crate::mechanics::{
+    ControlSignal, Rod, RodError, RodParameters, State, Stepper, TimeScheme, Trajectory,
+};
+
+/// An error that was estimated by refining a grid twice.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ErrorEstimate {
+    /// Largest error of any shared node at any shared time, m: Richardson's, with the observed order, from 1 to 2.
+    pub error: f64,
+    /// Observed order `log2(|x_1 - x_2| / |x_2 - x_4|)` of the largest changes; absent where the second refinement was not made.
+    pub order: Option<f64>,
+}
+
+impl ErrorEstimate {
+    /// From the largest changes of the first and the second refinement.
+    fn of(first: f64, second: Option<f64>) -> Self {
+        let order = second.map(|second| (first / second).log2());
+        // A method of second order that does not show it on these grids is not trusted with the error of one.
+        let power = order.map_or(2.0, |order| if order < 2.0 { order.max(1.0) } else { 2.0 });
+        Self {
+            error: first / (1.0 - (-power).exp2()),
+            order,
+        }
+    }
+}
+
+/// Worst violation of a path constraint between its nodes and samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Between {
+    /// Name of the constraint.
+    pub name: String,
+    /// Excess over the limit in its own unit; negative inside.
+    pub excess: f64,
+    /// What it is compared with, in the same unit: radius of obstacle and arm together, or the limit itself.
+    pub reference: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Where, as a fraction of the arm's length.
+    pub along: f64,
+    /// When, s.
+    pub time: f64,
+}
+
+/// What refined replays say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refinement {
+    /// From the time step.
+    pub time: ErrorEstimate,
+    /// From the elements.
+    pub space: ErrorEstimate,
+    /// Of every hard path constraint.
+    pub between: Vec<Between>,
+}
+
+/// Node-steps of implicit replays (some microseconds each) up to which the second refinement in space is made.
+const MOST_IMPLICIT_NODE_STEPS: usize = 4_000_000;
+/// Part of the stable step that a refined rod may use.
+const STEP_FRACTION: f64 = 0.9;
+
+/// How many times the step must be divided for `rod` to be stable with it, at least `least`. Implicit steps have no linear limit, and
+/// the one under bending goes with the square root of an element's length: two halves of an element need no more than half the
+/// step.
+fn stable_factor(step: f64, rod: &Rod, least: usize) -> usize {
+    match rod.scheme {
+        TimeScheme::Explicit => {
+            ((step / (STEP_FRACTION * stable_step(rod))).ceil() as usize).max(least)
+        }
+        TimeScheme::Implicit => least,
+    }
+}
+
+/// The same rod with `factor` times the elements; loads stay on the same material points.
+fn divided_rod(parameters: &RodParameters, factor: usize) -> Result<Rod, RodError> {
+    let mut divided = parameters.clone();
+    divided.n_elements *= factor;
+    for load in &mut divided.loads {
+        load.node *= factor;
+    }
+    Rod::new(&divided)
+}
+
+/// One replay, in lockstep with others.
+struct Level<'a> {
+    stepper: Stepper<'a>,
+    signal: ControlSignal,
+    /// Steps per step of the solution.
+    factor: usize,
+    /// Nodes per node of the solution.
+    stride: usize,
+    which: &'static str,
+}
+
+impl<'a> Level<'a> {
+    fn new(
+        problem: &OptimalControlProblem,
+        solution: &Solution,
+        rod: &'a Rod,
+        start: State,
+        factor: usize,
+        which: &'static str,
+    ) -> Self {
+        let grid = refined_grid(problem.grid, factor);
+        Self {
+            stepper: Stepper::new(rod, grid.step, start),
+            signal: refined_signal(problem, &problem.control.refined(factor), rod, solution),
+            factor,
+            stride: rod.n_elements() / problem.rod.n_elements(),
+            which,
+        }
+    }
+
+    /// To the next time node of the solution; `observe` sees every step.
+    fn advance(&mut self, mut observe: impl FnMut(&Stepper)) -> Result<(), CheckError> {
+        for _ in 0..self.factor {
+            let k = self.stepper.step();
+            (self.stepper)
+                .advance([self.signal.at(k), self.signal.at(k + 1)])
+                .map_err(|source| CheckError::Replay {
+                    which: self.which,
+                    source,
+                })?;
+            observe(&self.stepper);
+        }
+        Ok(())
+    }
+
+    /// Positions of the solution's nodes.
+    fn positions(&self) -> Vec<Vector3<f64>> {
+        let state = self.stepper.state();
+        (state.configuration.positions.iter().copied())
+            .step_by(self.stride)
+            .collect()
+    }
+}
+
+/// Larger of `so_far` and the largest distance; NaN if any is.
+fn farthest(so_far: f64, a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    a.iter().zip(b).fold(so_far, |m, (a, b)| {
+        let distance = (a - b).norm();
+        if distance.is_nan() || m.is_nan() {
+            f64::NAN
+        } else {
+            m.max(distance)
+        }
+    })
+}
+
+/// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
+/// for all); nothing is stored but the latest states.
+///
+/// # Errors
+/// [`CheckError`] when a replay breaks down.
+pub fn refine(
+    problem: &OptimalControlProblem,
+    parameters: &RodParameters,
+    initial: &dyn Fn(&Rod) -> State,
+    solution: &Solution,
+) -> Result<Refinement, CheckError> {
+    let step = problem.grid.step;
+    let coarse = &problem.rod;
+    let level =
+        |rod, start, factor, which| Level::new(problem, solution, rod, start, factor, which);
+    let start = || problem.initial.clone();
+    let mut in_time = [1, 2, 4].map(|factor| level(coarse, start(), factor, "a shorter step"));
+
+    let node_steps = coarse.n_nodes() * problem.grid.n_steps;
+    let twice =
+        coarse.scheme == TimeScheme::Explicit || 16 * node_steps <= MOST_IMPLICIT_NODE_STEPS;
+    let finest_factor = if twice { 4 } else { 2 };
+    let doubled = divided_rod(parameters, 2)?;
+    let finest = divided_rod(parameters, finest_factor)?;
+    let factor = stable_factor(step, &finest, finest_factor);
+    let mut in_space = vec![
+        level(coarse, start(), factor, "the finest rod's step"),
+        level(&doubled, initial(&doubled), factor, "twice the elements"),
+    ];
+    if twice {
+        in_space.push(level(
+            &finest,
+            initial(&finest),
+            factor,
+            "four times the elements",
+        ));
+    }
+
+    let path = problem.path_constraints();
+    let mut watch = Watch::new(problem, &path, &finest, step / factor as f64);
+    let mut changes = [[0.0; 2]; 2];
+    for _ in 0..problem.grid.n_steps {
+        for level in &mut in_time {
+            level.advance(|_| ())?;
+        }
+        let last = in_space.len() - 1;
+        for (i, level) in in_space.iter_mut().enumerate() {
+            level.advance(|stepper| {
+                if i == last {
+                    watch.look(stepper);
+                }
+            })?;
+        }
+        for (levels, changes) in [&in_time[..], &in_space[..]].into_iter().zip(&mut changes) {
+            let positions: Vec<_> = levels.iter().map(Level::positions).collect();
+            for (pair, change) in positions.windows(2).zip(changes) {
+                *change = farthest(*change, &pair[0], &pair[1]);
+            }
+        }
+    }
+    let [in_time, in_space] = changes;
+    Ok(Refinement {
+        time: ErrorEstimate::of(in_time[0], Some(in_time[1])),
+        space: ErrorEstimate::of(in_space[0], twice.then_some(in_space[1])),
+        between: watch.worst,
+    })
+}
+
+/// Follows the hard path constraints on a finer rod and at every one of its steps.
+struct Watch<'a> {
+    rod: &'a Rod,
+    radii: Vec<f64>,
+    step: f64,
+    /// Each with its first and last time, s.
+    limits: Vec<(PathLimit, [f64; 2])>,
+    worst: Vec<Between>,
+    before: Pose,
+}
+
+impl<'a> Watch<'a> {
+    fn new(
+        problem: &OptimalControlProblem,
+        path: &[PathConstraint],
+        rod: &'a Rod,
+        step: f64,
+    ) -> Self {
+        let factor = rod.n_elements() / problem.rod.n_elements();
+        let radius = |q: usize| {
+            let (from, s) = (q / factor, (q % factor) as f64 / factor as f64);
+            let at = |q: usize| problem.radii.get(q).copied().unwrap_or(0.0);
+            at(from) + s * (at(from + 1) - at(from))
+        };
+        let radii: Vec<f64> = if problem.radii.is_empty() {
+            Vec::new()
+        } else {
+            let last = rod.n_elements();
+            let tip = problem.radii[problem.radii.len() - 1];
+            (0..=last)
+                .map(|q| if q == last { tip } else { radius(q) })
+                .collect()
+        };
+        let thickness = radii.iter().copied().fold(f64::INFINITY, f64::min);
+        let thickness = if thickness.is_finite() {
+            thickness
+        } else {
+            0.0
+        };
+        let mut limits = Vec::new();
+        let mut worst = Vec::new();
+        for constraint in path {
+            // Sets around goals are met at one instant; how far off they are is the error in time and space.
+            let reference = match &constraint.limit {
+                PathLimit::Distance { .. } | PathLimit::Angle { .. } => continue,
+                PathLimit::Clearance { shape, margin, .. } => {
+                    let radius = shape.least_radius() + thickness + margin;
+                    if radius.is_finite() && radius > 0.0 {
+                        radius
+                    } else {
+                        thickness.max(FLAT_REFERENCE * rod.scales.length)
+                    }
+                }
+                PathLimit::Stretch { .. } => 1.0,
+                PathLimit::Curvature { largest }
+                | PathLimit::Twist { largest }
+                | PathLimit::Speed { largest, .. } => *largest,
+            };
+            let nodes = &constraint.time_nodes;
+            let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
+                continue;
+            };
+            if constraint.enforcement != PathEnforcement::Hard {
+                continue;
+            }
+            let mut limit = constraint.limit.clone();
+            if let PathLimit::Speed { node, .. } = &mut limit {
+                *node *= factor;
+            }
+            limits.push((limit, [problem.grid.time(*first), problem.grid.time(*last)]));
+            worst.push(Between {
+                name: constraint.name.clone(),
+                excess: f64::NEG_INFINITY,
+                reference,
+                unit: constraint.limit.unit(),
+                along: 0.0,
+                time: 0.0,
+            });
+        }
+        Self {
+            rod,
+            radii,
+            step,
+            limits,
+            worst,
+            before: Pose {
+                x: Vec::new(),
+                r: Vec::new(),
+            },
+        }
+    }
+
+    fn look(&mut self, stepper: &Stepper) {
+        if self.limits.is_empty() {
+            return;
+        }
+        let state = stepper.state();
+        let here = Pose {
+            x: state.configuration.positions,
+            r: state.configuration.rotations,
+        };
+        let measure = Measure {
+            rod: self.rod,
+            radii: &self.radii,
+            step: self.step,
+        };
+        let t = stepper.time();
+        let before = (!self.before.x.is_empty()).then_some(&self.before);
+        // Times are whole multiples of different steps.
+        let slack = 0.5 * self.step;
+        for ((limit, [first, last]), worst) in self.limits.iter().zip(&mut self.worst) {
+            if !(*first - slack <= t && t <= *last + slack) {
+                continue;
+            }
+            for item in 0..limit.n_items(self.rod) {
+                let excess = measure.excess(limit, item, &here, before);
+                if !(excess <= worst.excess) {
+                    worst.excess = excess;
+                    worst.time = t;
+                    worst.along = limit.node(item) as f64 / self.rod.n_elements() as f64;
+                }
+            }
+        }
+        self.before = here;
+    }
+}
+
+/// Of the length: what penetration of a plane by a line without thickness is compared with.
+const FLAT_REFERENCE: f64 = 0.05;
+
+/// Extremes of the strains over a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PeakStrains {
+    /// Least length of an element over that at rest.
+    pub least_stretch: f64,
+    /// Largest.
+    pub largest_stretch: f64,
+    /// Largest bending curvature, 1/m.
+    pub curvature: f64,
+    /// Largest twist, 1/m.
+    pub twist: f64,
+}
+
+impl PeakStrains {
+    /// Over all elements and time nodes.
+    #[must_use]
+    pub fn of(rod: &Rod, trajectory: &Trajectory) -> Self {
+        let mut out = Self {
+            least_stretch: f64::INFINITY,
+            largest_stretch: 0.0,
+            curvature: 0.0,
+            twist: 0.0,
+        };
+        for k in 0..trajectory.n_times() {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            for (q, element) in rod.elements.iter().enumerate() {
+                let stretch = (x[q + 1] - x[q]).norm() / rod.rest_chords[q];
+                let pose = Rod::element_pose(q, x, r);
+                let kappa = rod.strain_rule.strain(element.length, &pose).curvature;
+                out.least_stretch = out.least_stretch.min(stretch);
+                out.largest_stretch = out.largest_stretch.max(stretch);
+                out.curvature = out.curvature.max(kappa.xy().norm());
+                out.twist = out.twist.max(kappa.z.abs());
+            }
+        }
+        out
+    }
+}

@@ -1,0 +1,543 @@
+//! Constraints and costs along the way: derivatives by three routes, and problems whose answers are known.
+
+mod common;
+
+use std::ops::ControlFlow;
+
+use common::{Dice, RULES, soft_arm};
+use nalgebra::Vector3;
+use softarm::control::{
+    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, PathRow, Shape, Tracking,
+    Transcription, first_point,
+};
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{Rod, RodParameters, State, StrainRule, TimeGrid};
+use softarm::sqp::{
+    LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
+    solve,
+};
+use softarm::verify::{
+    CheckLimits, ForwardCheck, PathMultiplier, Solution, SolutionMultipliers, forward_check, kkt,
+};
+
+const N_STEPS: usize = 120;
+
+fn limits(rod: &Rod) -> Vec<PathConstraint> {
+    let path = |name: &str, limit| PathConstraint {
+        name: name.into(),
+        limit,
+        time_nodes: (0..=N_STEPS).step_by(7).collect(),
+        enforcement: PathEnforcement::Hard,
+    };
+    let clearance = |shape| PathLimit::Clearance {
+        shape,
+        margin: 0.01,
+        points: 2,
+    };
+    vec![
+        path(
+            "ball",
+            clearance(Shape::Sphere {
+                center: Vector3::new(0.2, 0.1, 0.7),
+                radius: 0.1,
+            }),
+        ),
+        path(
+            "box",
+            clearance(Shape::Cuboid {
+                center: Vector3::new(-0.3, 0.1, 0.8),
+                rotation: exp(&Vector3::new(0.3, 0.2, -0.4)),
+                half_size: Vector3::new(0.1, 0.2, 0.1),
+            }),
+        ),
+        path(
+            "stretch",
+            PathLimit::Stretch {
+                least: 0.7,
+                largest: 1.3,
+            },
+        ),
+        path("curvature", PathLimit::Curvature { largest: 2.0 }),
+        path("twist", PathLimit::Twist { largest: 1.0 }),
+        path(
+            "speed",
+            PathLimit::Speed {
+                node: rod.tip(),
+                largest: 1.0,
+            },
+        ),
+    ]
+}
+
+/// Everything at once, on a small arm: a spline on two nodes, limits, a point on the way, a set at the end, a path, energy.
+fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
+    let rod = Rod::new(&RodParameters {
+        viscous_damping: 1.0,
+        ..soft_arm(rule, 4)
+    })
+    .unwrap();
+    let grid = TimeGrid {
+        step: 0.24 / N_STEPS as f64,
+        n_steps: N_STEPS,
+    };
+    let channel = |scale| Channel {
+        rate_bound: Some(Bound::Norm(100.0 * scale)),
+        ..Channel::new(scale, Some(Bound::Norm(50.0 * scale)))
+    };
+    let actuator = |node| Actuator {
+        node,
+        force: channel(rod.scales.force),
+        moment: channel(rod.scales.moment),
+    };
+    let target = Vector3::new(0.1, 0.03, 0.98);
+    let via = Goal {
+        name: "via".into(),
+        node: 2,
+        time_node: 70,
+        position: Some(Vector3::new(0.03, 0.0, 0.5)),
+        rotation: Some(exp(&Vector3::new(0.1, -0.2, 0.1))),
+        at_rest: false,
+        enforcement: Enforcement::Soft { weight: 3.0 },
+    };
+    let near = Goal {
+        enforcement: Enforcement::Within {
+            distance: 0.01,
+            angle: 0.1,
+        },
+        rotation: Some(exp(&Vector3::new(0.3, 0.1, -0.2))),
+        ..Goal::reach(&rod, grid, target)
+    };
+    OptimalControlProblem {
+        radii: (0..=4).map(|q| 0.05 - 0.005 * f64::from(q)).collect(),
+        initial: State::at_rest(rod.rest.clone()),
+        control: ControlGrid::new(Hold::Cubic, 4, N_STEPS, grid.step).unwrap(),
+        actuators: vec![actuator(rod.tip()), actuator(2)],
+        goals: vec![via, near],
+        path: limits(&rod),
+        objective: Objective {
+            effort: 1.0,
+            rate: 1e-3,
+            energy: 0.7,
+            tracking: vec![Tracking {
+                node: 3,
+                path: vec![
+                    (0.0, Vector3::new(0.0, 0.0, 0.7)),
+                    (0.2, Vector3::new(0.1, 0.0, 0.7)),
+                ],
+                weight: 20.0,
+            }],
+            samples: 30,
+        },
+        grid,
+        rod,
+    }
+}
+
+/// A point that obeys its equations, somewhere.
+fn rolled_out(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
+    let (start, _) = first_point(program.problem(), Guess::Rest, None).unwrap();
+    let change: Vec<f64> = start.variables.iter().map(|_| 0.7 * dice.roll()).collect();
+    program.restored_step(&start, &change).unwrap()
+}
+
+/// Random multipliers: of every goal, and of a few rows of every path constraint.
+fn random_multipliers(program: &Transcription, dice: &mut Dice) -> Multipliers {
+    let mut out = Multipliers::zeros(
+        program.goal_rows().len(),
+        program.n_path_rows(),
+        program.sets(),
+    );
+    for y in &mut out.constraints {
+        *y = 0.1 * dice.roll();
+    }
+    for (row, z) in out.inequalities.iter_mut().enumerate() {
+        if row % 5 == 0 {
+            *z = 0.02 * (1.0 + dice.roll());
+        }
+    }
+    out
+}
+
+fn with_change(point: &LiftedPoint, program: &Transcription, d: &[f64], s: f64) -> LiftedPoint {
+    let change: Vec<f64> = d.iter().map(|d| s * d).collect();
+    program.restored_step(point, &change).unwrap()
+}
+
+/// Gradient of the Lagrangian by the solver, and its exact Hessian.
+fn lagrangian(
+    program: &Transcription,
+    point: &LiftedPoint,
+    multipliers: &Multipliers,
+) -> (Vec<f64>, faer::Mat<f64>) {
+    let rows: Vec<usize> = (multipliers.inequalities.iter().enumerate())
+        .filter(|(_, z)| **z != 0.0)
+        .map(|(row, _)| row)
+        .collect();
+    let evaluation = program.evaluate(point).unwrap();
+    let request = LinearizationRequest {
+        multipliers: Some(multipliers),
+        rows: &rows,
+    };
+    let found = program.linearize(point, &evaluation, &request).unwrap();
+    assert_eq!(found.rows, rows);
+    let mut gradient = found.gradient.clone();
+    for (j, g) in gradient.iter_mut().enumerate() {
+        for (i, y) in multipliers.constraints.iter().enumerate() {
+            *g += y * found.jacobian[(i, j)];
+        }
+        for (i, &row) in rows.iter().enumerate() {
+            *g += multipliers.inequalities[row] * found.inequality_jacobian[(i, j)];
+        }
+    }
+    (gradient, found.gauss_newton + found.curvature.unwrap())
+}
+
+/// Gradient of the Lagrangian with every kind of constraint and cost: differences of roll-outs (fourth order, good to 1e-9), the
+/// solver, and the check (its norm); Hessian against differences of the gradient.
+#[test]
+fn gradient_and_hessian_by_independent_routes() {
+    for rule in RULES {
+        let problem = busy_problem(rule);
+        let program = Transcription::new(&problem, 1);
+        let mut dice = Dice(7);
+        let point = rolled_out(&program, &mut dice);
+        let multipliers = random_multipliers(&program, &mut dice);
+        let value = |point: &LiftedPoint| -> f64 {
+            let values = program.evaluate(point).unwrap();
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            values.objective
+                + dot(&values.constraints, &multipliers.constraints)
+                + dot(&values.inequalities, &multipliers.inequalities)
+        };
+        let (gradient, hessian) = lagrangian(&program, &point, &multipliers);
+        let n = gradient.len();
+        let largest = gradient.iter().fold(0.0f64, |m, g| m.max(g.abs()));
+        for j in 0..n {
+            let unit: Vec<f64> = (0..n).map(|i| f64::from(u8::from(i == j))).collect();
+            let at = |s: f64| value(&with_change(&point, &program, &unit, s * 1e-3));
+            let [p, m, pp, mm] = [1.0, -1.0, 2.0, -2.0].map(at);
+            let found = (8.0 * (p - m) - (pp - mm)) / 12e-3;
+            assert!(
+                (found - gradient[j]).abs() < 1e-8 * largest,
+                "{rule:?} {j}: {found} and {}",
+                gradient[j]
+            );
+        }
+        for seed in 0..3 {
+            let mut dice = Dice(100 + seed);
+            let d: Vec<f64> = (0..n).map(|_| dice.roll()).collect();
+            let at = |s: f64| {
+                let moved = with_change(&point, &program, &d, s * 1e-3);
+                lagrangian(&program, &moved, &multipliers).0
+            };
+            let [p, m, pp, mm] = [1.0, -1.0, 2.0, -2.0].map(at);
+            let (mut worst, mut size) = (0.0f64, 0.0f64);
+            for i in 0..n {
+                let found = (8.0 * (p[i] - m[i]) - (pp[i] - mm[i])) / 12e-3;
+                let bent: f64 = (0..n).map(|j| hessian[(i, j)] * d[j]).sum();
+                worst = worst.max((found - bent).abs());
+                size = size.max(found.abs());
+            }
+            // The sweep's own second derivatives are differences of first ones, good to 1e-9.
+            assert!(worst < 1e-6 * size, "{rule:?}: {worst} of {size}");
+        }
+        let path: Vec<PathMultiplier> = (multipliers.inequalities.iter().enumerate())
+            .filter(|(_, z)| **z != 0.0)
+            .map(|(row, &multiplier)| {
+                let PathRow {
+                    constraint,
+                    time,
+                    item,
+                } = program.path_row(row);
+                PathMultiplier {
+                    constraint,
+                    time_node: program.path()[constraint].time_nodes[time],
+                    item,
+                    multiplier,
+                }
+            })
+            .collect();
+        // Without bounds the check's stationarity is that of the gradient itself, over the same largest term.
+        let mut free = problem.clone();
+        for actuator in &mut free.actuators {
+            for channel in [&mut actuator.force, &mut actuator.moment] {
+                channel.bound = None;
+                channel.rate_bound = None;
+            }
+        }
+        let found = kkt::recompute(
+            &free,
+            &point.trajectory,
+            &problem.wrenches(&point.variables),
+            &SolutionMultipliers {
+                goals: &multipliers.constraints,
+                path: &path,
+                rates: &[],
+            },
+        );
+        let controls = problem.n_controls();
+        let norm = gradient[..controls]
+            .iter()
+            .fold(0.0f64, |m, g| m.max(g.abs()));
+        let own = found.residual.stationarity * found.scale;
+        assert!(
+            (own - norm).abs() < 1e-7 * norm,
+            "{rule:?}: {own} and {norm}"
+        );
+    }
+}
+
+/// A silicone arm of eight elements that reaches past a ball; the planar reach would go through it.
+fn reach_past(ball: Option<PathEnforcement>) -> (RodParameters, OptimalControlProblem) {
+    let parameters = RodParameters {
+        viscous_damping: 1.0,
+        ..soft_arm(StrainRule::Helical, 8)
+    };
+    let rod = Rod::new(&parameters).unwrap();
+    let n_steps = 400;
+    let grid = TimeGrid {
+        step: 0.8 / n_steps as f64,
+        n_steps,
+    };
+    let goal = Goal::reach(&rod, grid, Vector3::new(0.5, 0.0, 0.8));
+    let control = ControlGrid::new(Hold::Linear, 10, n_steps, grid.step).unwrap();
+    let bounds = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
+    let initial = State::at_rest(rod.rest.clone());
+    let mut problem =
+        OptimalControlProblem::least_effort(rod, grid, initial, control, bounds, goal);
+    problem.radii = vec![0.05; 9];
+    if let Some(enforcement) = ball {
+        problem.path.push(PathConstraint {
+            name: "ball".into(),
+            limit: PathLimit::Clearance {
+                shape: Shape::Sphere {
+                    center: Vector3::new(0.25, 0.08, 0.8),
+                    radius: 0.1,
+                },
+                margin: 0.0,
+                points: 3,
+            },
+            time_nodes: (0..=n_steps).collect(),
+            enforcement,
+        });
+    }
+    (parameters, problem)
+}
+
+fn solved(problem: &OptimalControlProblem) -> SqpOutcome<LiftedPoint> {
+    let program = Transcription::new(problem, 1);
+    let (start, _) = first_point(problem, Guess::StaticPath, None).unwrap();
+    solve(&program, start, &SqpSettings::default(), &mut |_| {
+        ControlFlow::Continue(())
+    })
+}
+
+fn checked(
+    parameters: &RodParameters,
+    problem: &OptimalControlProblem,
+    outcome: &SqpOutcome<LiftedPoint>,
+) -> ForwardCheck {
+    let program = Transcription::new(problem, 1);
+    let path: Vec<PathMultiplier> = (outcome.multipliers.inequalities.iter().enumerate())
+        .filter(|(_, z)| **z != 0.0)
+        .map(|(row, &multiplier)| {
+            let PathRow {
+                constraint,
+                time,
+                item,
+            } = program.path_row(row);
+            PathMultiplier {
+                constraint,
+                time_node: program.path()[constraint].time_nodes[time],
+                item,
+                multiplier,
+            }
+        })
+        .collect();
+    forward_check(
+        problem,
+        parameters,
+        &|rod| rod.at_rest_on_base(rod.rest.clone()),
+        &Solution {
+            trajectory: &outcome.point.trajectory,
+            coefficients: &problem.wrenches(&outcome.point.variables),
+            multipliers: SolutionMultipliers {
+                goals: &outcome.multipliers.constraints,
+                path: &path,
+                rates: &program.rate_normals(&outcome.multipliers.normals),
+            },
+        },
+        &CheckLimits::default(),
+    )
+    .unwrap()
+}
+
+fn deepest(problem: &OptimalControlProblem, outcome: &SqpOutcome<LiftedPoint>) -> f64 {
+    let program = Transcription::new(problem, 1);
+    let values = program.evaluate(&outcome.point).unwrap();
+    values.inequalities.iter().copied().fold(f64::MIN, f64::max)
+}
+
+/// The ball is touched and not entered, at the price of more effort; the check certifies it.
+#[test]
+fn obstacles_are_kept_clear_of() {
+    let (_, free) = reach_past(None);
+    let free = solved(&free);
+    let (parameters, problem) = reach_past(Some(PathEnforcement::Hard));
+    let outcome = solved(&problem);
+    assert_eq!(outcome.status, SqpStatus::Converged);
+    assert!(outcome.objective > 1.01 * free.objective);
+    let depth = deepest(&problem, &outcome);
+    assert!(depth.abs() < 1e-9, "{depth}");
+    let check = checked(&parameters, &problem, &outcome);
+    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
+    assert!(failed.is_empty(), "{failed:?}");
+    assert!((check.objective / outcome.objective - 1.0).abs() < 1e-10);
+
+    // Multipliers of the wrong sign or place, or a motion through the ball, are seen.
+    let mut wrong = outcome.clone();
+    for z in &mut wrong.multipliers.inequalities {
+        *z = -*z;
+    }
+    assert!(!checked(&parameters, &problem, &wrong).is_certified());
+    assert!(!checked(&parameters, &problem, &free).is_certified());
+}
+
+/// A linear price above the multipliers' sum per second keeps the limit exactly; a low one buys a violation, and the check knows both prices.
+#[test]
+fn soft_limits_are_exact_or_paid_for() {
+    let (_, hard) = reach_past(Some(PathEnforcement::Hard));
+    let hard_outcome = solved(&hard);
+    let soft = |linear: f64| {
+        let (parameters, problem) = reach_past(Some(PathEnforcement::Soft {
+            linear,
+            quadratic: 0.0,
+        }));
+        let outcome = solved(&problem);
+        assert_eq!(outcome.status, SqpStatus::Converged, "{linear}");
+        let check = checked(&parameters, &problem, &outcome);
+        let kkt = check.kkt.max();
+        assert!(kkt < 1e-6, "{linear}: {kkt}");
+        assert!((check.objective / outcome.objective - 1.0).abs() < 1e-9);
+        (deepest(&problem, &outcome), outcome.objective)
+    };
+    // A row stands for a step, so its price is that much of the price per second.
+    let step = hard.grid.step;
+    let largest = (hard_outcome.multipliers.inequalities.iter()).fold(0.0f64, |m, z| m.max(*z));
+    let (depth, objective) = soft(2.0 * largest / step);
+    assert!(depth < 1e-8, "{depth}");
+    assert!((objective / hard_outcome.objective - 1.0).abs() < 1e-6);
+    let (depth, cheaper) = soft(0.1 * largest / step);
+    assert!(depth > 1e-4, "{depth}");
+    assert!(cheaper < hard_outcome.objective);
+}
+
+/// Limits on speed, curvature and stretch that the free reach exceeds hold, with multipliers; and a set around the goal is
+/// entered no further than to its edge.
+#[test]
+fn strains_speeds_and_sets_hold() {
+    let (parameters, free) = reach_past(None);
+    let free_outcome = solved(&free);
+    let tip = free.rod.tip();
+    let curvature = |largest| PathLimit::Curvature { largest };
+    let speed = |largest| PathLimit::Speed { node: tip, largest };
+    let limits: [&dyn Fn(f64) -> PathLimit; 2] = [&curvature, &speed];
+    for limit in limits {
+        let limited = |largest: f64| {
+            let mut problem = free.clone();
+            problem.path.push(PathConstraint {
+                name: "limit".into(),
+                limit: limit(largest),
+                time_nodes: (0..=problem.grid.n_steps).collect(),
+                enforcement: PathEnforcement::Hard,
+            });
+            problem
+        };
+        // The largest value of the free reach, from how far it is above a limit of zero.
+        let unlimited = limited(0.0);
+        let unit = unlimited.path[0].limit.scale(&unlimited.rod);
+        let problem = limited(0.85 * deepest(&unlimited, &free_outcome) * unit);
+        let outcome = solved(&problem);
+        assert_eq!(outcome.status, SqpStatus::Converged);
+        assert!(deepest(&problem, &outcome).abs() < 1e-9);
+        assert!(outcome.objective > free_outcome.objective);
+        let check = checked(&parameters, &problem, &outcome);
+        assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
+    }
+    let mut problem = free.clone();
+    problem.goals[0].enforcement = Enforcement::Within {
+        distance: 0.05,
+        angle: 1.0,
+    };
+    let outcome = solved(&problem);
+    assert_eq!(outcome.status, SqpStatus::Converged);
+    assert!(outcome.objective < free_outcome.objective);
+    let end = outcome.point.trajectory.positions_at(problem.grid.n_steps)[tip];
+    let distance = (end - problem.goals[0].position.unwrap()).norm();
+    assert!((distance - 0.05).abs() < 1e-8, "{distance}");
+    let check = checked(&parameters, &problem, &outcome);
+    assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
+}
+
+/// Bounds on the rate of a control, as norms and per axis, hold with equality somewhere, and the check explains them.
+#[test]
+fn rates_are_bounded() {
+    let (parameters, free) = reach_past(None);
+    let free_outcome = solved(&free);
+    let fastest = |problem: &OptimalControlProblem, outcome: &SqpOutcome<LiftedPoint>| {
+        let u = problem.wrenches(&outcome.point.variables);
+        let gaps = problem.control.rate_gaps();
+        (u.windows(2).zip(gaps))
+            .map(|(u, gap)| (u[1].force - u[0].force) / gap)
+            .fold([0.0f64; 2], |[norm, axis], rate| {
+                [norm.max(rate.norm()), axis.max(rate.amax())]
+            })
+    };
+    let [norm, axis] = fastest(&free, &free_outcome);
+    for (bound, at) in [
+        (Bound::Norm(0.6 * norm), 0),
+        (Bound::PerAxis(Vector3::repeat(0.6 * axis)), 1),
+    ] {
+        let mut problem = free.clone();
+        problem.actuators[0].force.rate_bound = Some(bound);
+        let outcome = solved(&problem);
+        assert_eq!(outcome.status, SqpStatus::Converged, "{bound:?}");
+        assert!(outcome.objective > free_outcome.objective);
+        let found = fastest(&problem, &outcome)[at] / fastest(&free, &free_outcome)[at];
+        assert!((found - 0.6).abs() < 1e-6, "{found}");
+        let check = checked(&parameters, &problem, &outcome);
+        assert!(check.kkt.max() < 1e-6, "{bound:?}: {:?}", check.kkt);
+    }
+}
+
+/// The tip passes a point on its way, exactly at its time; a wrench in the middle of the arm helps to do with less effort.
+#[test]
+fn points_on_the_way_and_several_actuators() {
+    let (parameters, mut problem) = reach_past(None);
+    problem.goals.insert(
+        0,
+        Goal {
+            name: "via".into(),
+            time_node: 200,
+            position: Some(Vector3::new(0.1, 0.2, 0.9)),
+            at_rest: false,
+            ..problem.goals[0].clone()
+        },
+    );
+    let one = solved(&problem);
+    assert_eq!(one.status, SqpStatus::Converged);
+    let passed = one.point.trajectory.positions_at(200)[problem.rod.tip()];
+    assert!((passed - Vector3::new(0.1, 0.2, 0.9)).norm() < 1e-9);
+    let check = checked(&parameters, &problem, &one);
+    assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
+    problem.actuators.push(Actuator {
+        node: 4,
+        ..problem.actuators[0]
+    });
+    let two = solved(&problem);
+    assert_eq!(two.status, SqpStatus::Converged);
+    assert!(two.objective < one.objective);
+    let check = checked(&parameters, &problem, &two);
+    assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
+}
