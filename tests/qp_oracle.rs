@@ -390,6 +390,7 @@ fn solve_condensed(
         sets: program.sets(),
         elastic_weight,
         trust_radius,
+        row_tolerance: 1e-9,
         time_limit: f64::INFINITY,
     }
     .solve()

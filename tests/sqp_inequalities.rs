@@ -1252,6 +1252,7 @@ fn screening_changes_nothing() {
             };
             let settings = SqpSettings {
                 max_iterations,
+                row_accuracy: 0.0,
                 ..settings(HessianChoice::Exact)
             };
             let outcome = solve(&program, vec![0.0; N_COSINES], &settings, &mut |_| {

@@ -239,6 +239,7 @@ impl Scene {
                     model::Hessian::Sr1 => HessianChoice::Sr1,
                 },
                 deadline: solver.deadline_s.map(duration),
+                ..SqpSettings::default()
             },
             search: Search {
                 continuation: solver.continuation.as_ref().map(|stages| match *stages {

@@ -47,6 +47,8 @@ pub struct QuadraticProgram<'a> {
     pub elastic_weight: f64,
     /// Trust radius: `|δ| ≤ radius`, a cone of its own; infinite for none.
     pub trust_radius: f64,
+    /// A row outside the working set may be violated by this much of its terms.
+    pub row_tolerance: f64,
     /// Seconds that the solve may take.
     pub time_limit: f64,
 }
@@ -143,7 +145,7 @@ const LADDER: [Attempt; 4] = [
 const FEW_ROWS: usize = 32;
 /// First working set of many: so many of the highest peaks.
 const FIRST_PEAKS: usize = 8;
-/// A row outside the working set may be violated by this much of its terms.
+/// Least of [`QuadraticProgram::row_tolerance`] that is worth asking for.
 pub(super) const ROW_TOLERANCE: f64 = 1e-9;
 /// After so many rounds everything that is violated joins, not only its peaks.
 const PEAK_ROUNDS: usize = 8;
@@ -266,7 +268,7 @@ impl QuadraticProgram<'_> {
             .enumerate())
         .map(|(at, value)| (at, beyond(at, value)))
         .filter(|&(at, v)| {
-            v > ROW_TOLERANCE * offset[at].abs().max(1.0)
+            v > self.row_tolerance * offset[at].abs().max(1.0)
                 && softness[at] != Softness::FREE
                 && working.binary_search(&at).is_err()
         })
@@ -742,6 +744,7 @@ mod tests {
             sets: &[ConvexSet::ball([0, 1], 1.0)],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
         };
         let solution = qp.solve().expect("solvable");
@@ -772,6 +775,7 @@ mod tests {
             sets: &[set(0), set(1)],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
         };
         let solution = qp.solve().expect("solvable");
@@ -799,6 +803,7 @@ mod tests {
             }],
             elastic_weight: 100.0,
             trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
         };
         let solution = qp.solve().expect("always feasible");
@@ -822,6 +827,7 @@ mod tests {
             sets: &[],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
         };
         assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
@@ -865,6 +871,7 @@ mod tests {
                 sets: &[],
                 elastic_weight: 100.0,
                 trust_radius: f64::INFINITY,
+                row_tolerance: ROW_TOLERANCE,
                 time_limit: f64::INFINITY,
             };
             let all: Vec<usize> = (0..ROWS)
@@ -901,6 +908,7 @@ mod tests {
             ],
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
             time_limit: f64::INFINITY,
         };
         let Err(QpError::Status {

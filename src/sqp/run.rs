@@ -313,6 +313,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         rows
     }
 
+    /// How much a subproblem may violate rows that it has not seen.
+    fn row_tolerance(&self) -> f64 {
+        let off = (self.history.last()).map_or(1.0, |row| {
+            row.residual.stationarity.max(row.residual.feasibility)
+        });
+        (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
+    }
+
     fn note_rows(&mut self, linearization: &Linearization) {
         let rows = &linearization.rows;
         self.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
@@ -829,9 +837,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         values: &[f64],
     ) -> Result<bool, Breakdown> {
         let clock = Instant::now();
+        let tolerance = self.row_tolerance();
         let violated: Vec<(usize, f64)> = (values.iter().enumerate())
             .filter(|&(row, &h)| {
-                h > ROW_TOLERANCE
+                h > tolerance
                     && linearization.rows.binary_search(&row).is_err()
                     && self.program.softness(row) != Softness::FREE
             })
@@ -908,6 +917,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             variables: self.variables(),
             sets,
             elastic_weight,
+            row_tolerance: self.row_tolerance(),
             trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
             time_limit,
         }
@@ -1205,6 +1215,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         sets,
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
         time_limit: f64::INFINITY,
     };
     Ok(norm(&projection.solve()?.change))

@@ -17,6 +17,9 @@ pub struct SqpSettings {
     pub max_iterations: usize,
     /// Which Hessian.
     pub hessian: HessianChoice,
+    /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
+    /// that of all rows. Far from a solution not every one of them is worth a solve.
+    pub row_accuracy: f64,
     /// Time, at most.
     pub deadline: Option<Duration>,
 }
@@ -27,6 +30,7 @@ impl Default for SqpSettings {
             tolerance: 1e-6,
             max_iterations: 100,
             hessian: HessianChoice::Auto,
+            row_accuracy: 1e-2,
             deadline: None,
         }
     }
