@@ -1,0 +1,441 @@
+"""Full-space transcriptions: all states and all controls are variables, the step is a constraint; IPOPT and fatrop.
+
+CasADi is given every function of the nonlinear program ready-made: values, Jacobian and Hessian of one stage (or of one element and
+one node) are compiled, mapped over the stages, and their nonzeros summed into place by a constant sparse matrix. Left to itself it would
+color and differentiate the graph of all stages.
+"""
+
+import time
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+import rod as discrete
+from compiled import compiled
+
+
+class Assembly:
+    """Nonzeros of a sparse matrix, as sums of values that come in lists."""
+
+    def __init__(self, shape):
+        self.shape, self.rows, self.columns, self.values = shape, [], [], []
+        self.constants = sp.csc_matrix(shape)
+
+    def add(self, rows, columns, values):
+        """Entry i of the MX `values` belongs at (rows[i], columns[i])."""
+        rows, columns = np.asarray(rows).ravel(), np.asarray(columns).ravel()
+        assert values.numel() == rows.size == columns.size
+        self.rows.append(rows)
+        self.columns.append(columns)
+        self.values.append(ca.vec(values))
+
+    def add_constant(self, rows, columns, value):
+        value = np.broadcast_to(value, np.shape(rows)).astype(float)
+        self.constants = self.constants + sp.csc_matrix((value, (rows, columns)), self.shape)
+
+    def matrix(self):
+        """The sum as an MX of fixed sparsity; entries with row -1 are left out."""
+        rows = np.concatenate([np.empty(0, int), *self.rows])
+        columns = np.concatenate([np.empty(0, int), *self.columns])
+        used = np.flatnonzero((rows >= 0) & (columns >= 0))
+        keys = columns[used].astype(np.int64) * self.shape[0] + rows[used]
+        constant = self.constants.tocoo()
+        constant_keys = constant.col.astype(np.int64) * self.shape[0] + constant.row
+        pattern, where = np.unique(np.concatenate([keys, constant_keys]), return_inverse=True)
+        column_of, row_of = pattern // self.shape[0], pattern % self.shape[0]
+        starts = np.searchsorted(column_of, np.arange(self.shape[1] + 1))
+        sparsity = ca.Sparsity(*self.shape, starts.tolist(), row_of.tolist())
+        offset = np.zeros(pattern.size)
+        np.add.at(offset, where[keys.size :], constant.data)
+        total = ca.MX(ca.DM(offset))
+        if keys.size:
+            gather = sp.csc_matrix((np.ones(keys.size), (where[: keys.size], used)), (pattern.size, rows.size))
+            total = total + ca.mtimes(ca.DM(gather), ca.vertcat(*self.values))
+        return ca.MX(sparsity, total)
+
+
+class Kernel:
+    """A function of one vector z (and data d that it is not differentiated by), compiled with its derivatives, and mapped."""
+
+    def __init__(self, name, z, d, value):
+        y = ca.SX.sym("y", value.shape[0])
+        jacobian = ca.jacobian(value, z)
+        hessian = ca.hessian(ca.dot(y, value), z)[0]
+        self.jacobian_pattern = np.array(jacobian.sparsity().get_triplet())
+        self.hessian_pattern = np.array(hessian.sparsity().get_triplet())
+        self.compile_seconds = 0.0
+        self._functions = {}
+        for suffix, inputs, output in (
+            ("value", [z, d], value),
+            ("jacobian", [z, d], ca.vertcat(*jacobian.nz) if jacobian.nnz() else ca.SX(0, 1)),
+            ("hessian", [z, d, y], ca.vertcat(*hessian.nz) if hessian.nnz() else ca.SX(0, 1)),
+        ):
+            function, seconds = compiled(ca.Function(f"{name}_{suffix}", inputs, [output]))
+            self.compile_seconds += seconds
+            self._functions[suffix] = function
+
+    def __call__(self, what, n, *arguments):
+        """Columns: one evaluation each."""
+        return self._functions[what].map(n)(*arguments)
+
+
+class Program:
+    """min f(w), lower <= g(w) <= upper, gathered from kernels."""
+
+    def __init__(self, n_variables):
+        self.n = n_variables
+        self.rows = 0
+        self.w = ca.MX.sym("w", n_variables)
+        self.f_scale, self.multipliers = ca.MX.sym("lam_f"), None
+        self.terms, self.linear = [], []
+        self.lower, self.upper, self.start = [], [], np.zeros(n_variables)
+        self.names = {}
+        self.weights = np.zeros(n_variables)
+        """Of the objective, 1/2 sum weights w^2."""
+        self.compile_seconds = 0.0
+
+    def new_rows(self, n, lower=0.0, upper=0.0):
+        rows = np.arange(self.rows, self.rows + n)
+        self.rows += n
+        self.lower += [lower] * n
+        self.upper += [upper] * n
+        return rows
+
+    def add_kernel(self, kernel, variables, data, rows):
+        """g[rows[i, j]] += kernel_i(w[variables[:, j]], data[:, j]); a variable -1 is the constant 0, a row -1 is dropped."""
+        self.terms.append((kernel, np.asarray(variables), np.asarray(data, float), np.asarray(rows)))
+        self.compile_seconds += kernel.compile_seconds
+
+    def add_linear(self, rows, columns, value):
+        """g[rows[i]] += value w[columns[i]]."""
+        self.linear.append((np.asarray(rows), np.asarray(columns), value))
+
+    def _take(self, vector, index):
+        padded = ca.vertcat(vector, 0)
+        return ca.reshape(padded[np.where(index < 0, vector.shape[0], index).ravel("F").tolist()], *index.shape)
+
+    def functions(self, triangular):
+        """The five functions that the plugins ask CasADi for: IPOPT the upper triangle of the Hessian, fatrop the whole."""
+        w, y = self.w, ca.MX.sym("lam_g", self.rows)
+        p = ca.MX.sym("p", 0)
+        objective = ca.dot(ca.DM(self.weights) * w, w) / 2
+        constants = Assembly((self.rows, self.n))
+        for rows, columns, value in self.linear:
+            constants.add_constant(rows, columns, value)
+        values, jacobian = Assembly((self.rows, 1)), Assembly((self.rows, self.n))
+        jacobian.constants = constants.constants
+        hessian = Assembly((self.n, self.n))
+        weighted = np.flatnonzero(self.weights)
+        hessian.add(weighted, weighted, self.f_scale * ca.DM(self.weights[weighted]))
+        for kernel, variables, data, rows in self.terms:
+            n = variables.shape[1]
+            z, d = self._take(w, variables), ca.DM(data)
+            values.add(rows.ravel("F"), np.zeros(rows.size, int), kernel("value", n, z, d))
+            i, j = kernel.jacobian_pattern
+            jacobian.add(rows[i].ravel("F"), np.where(rows[i] < 0, -1, variables[j]).ravel("F"), kernel("jacobian", n, z, d))
+            i, j = kernel.hessian_pattern
+            at, on = variables[i], variables[j]
+            if triangular:
+                at = np.where(at <= on, at, -1)
+            hessian.add(at.ravel("F"), on.ravel("F"), kernel("hessian", n, z, d, self._take(y, rows)))
+        g = ca.mtimes(ca.DM(constants.constants), w) + ca.densify(values.matrix())
+        gradient = ca.DM(self.weights) * w
+        jacobian = jacobian.matrix()
+        out = {
+            "nlp_f": ca.Function("nlp_f", [w, p], [objective], ["x", "p"], ["f"]),
+            "nlp_g": ca.Function("nlp_g", [w, p], [g], ["x", "p"], ["g"]),
+            "nlp_jac_g": ca.Function("nlp_jac_g", [w, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        }
+        inputs, names = [w, p, self.f_scale, y], ["x", "p", "lam_f", "lam_g"]
+        slope = self.f_scale * gradient + ca.mtimes(jacobian.T, y)
+        outputs = ["f", "g", "grad_gamma_x", "grad_gamma_p"]
+        out["nlp_grad"] = ca.Function("nlp_grad", inputs, [objective, g, slope, ca.MX(0, 1)], names, outputs)
+        if triangular:
+            out["nlp_grad_f"] = ca.Function("nlp_grad_f", [w, p], [objective, gradient], ["x", "p"], ["f", "grad_f_x"])
+            out["nlp_hess_l"] = ca.Function("nlp_hess_l", inputs, [hessian.matrix()], names, ["triu_hess_gamma_x_x"])
+        else:
+            outputs = ["grad_gamma_x", "hess_gamma_x_x"]
+            out["nlp_grad_f"] = ca.Function("nlp_grad_f", [w, p], [gradient], ["x", "p"], ["grad_f_x"])
+            out["nlp_hess_l"] = ca.Function("nlp_hess_l", inputs, [slope, hessian.matrix()], names, outputs)
+        return {"x": w, "p": p, "f": objective, "g": g}, out
+
+    def solve(self, plugin, options):
+        """Dictionary: w, status, iterations, success, wall and CPU seconds of the solver, seconds to build."""
+        begin = time.perf_counter()
+        nlp, functions = self.functions(triangular=plugin == "ipopt")
+        solver = ca.nlpsol("solver", plugin, nlp, {"cache": functions, "print_time": False, **options})
+        build = time.perf_counter() - begin
+        wall, cpu = time.perf_counter(), time.process_time()
+        found = solver(x0=self.start, lbg=self.lower, ubg=self.upper)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        stats = solver.stats()
+        return {
+            "w": np.array(found["x"]).ravel(),
+            "success": bool(stats["success"]),
+            "status": stats.get("return_status", ""),
+            "iterations": int(stats.get("iter_count", -1)),
+            "wall_s": wall,
+            "cpu_s": cpu,
+            "build_s": build,
+            "compile_s": self.compile_seconds,
+        }
+
+
+def _ball_kernel():
+    u = ca.SX.sym("u", 3)
+    return Kernel("ball", u, ca.SX(0, 1), ca.dot(u, u))
+
+
+def _add_bounds(program, problem, controls):
+    """|force| and |moment| of every block; controls: [6, n] indices of scaled controls."""
+    for limit, scale, part in (
+        (problem.force_max, problem.force_scale, slice(0, 3)),
+        (problem.moment_max, problem.moment_scale, slice(3, 6)),
+    ):
+        if limit is not None:
+            n = controls.shape[1]
+            rows = program.new_rows(n, -np.inf, (limit / scale) ** 2)
+            program.add_kernel(_ball_kernel(), controls[part], np.zeros((0, n)), rows[None])
+
+
+STATE_SCALE = 1e-3
+
+
+def explicit(problem, held):
+    """States of 12 K numbers and the explicit step, with the controls as variables of their blocks, or `held`.
+
+    Stages in time order, in each the states before the controls, and in the constraints the step's before the others, which is what
+    fatrop asks for. It has no variables that belong to several stages: `held` makes the control a state on all but the first step of a
+    block. The first stage has no states at all, its configuration is given. Returns the program and `controls` [6, n_blocks]
+    (indices), `states` [12 K, N + 1] (-1 in the first column), and the keys N, nx, nu, ng.
+    """
+    rod, h, N, n_state = problem.rod, problem.step, problem.n_steps, 12 * problem.rod.n_elements
+    per = problem.steps_per_block
+    states, acting = np.full((n_state, N + 1), -1), np.full((6, N), -1)
+    nx, nu, controls, at = [], [], [], 0
+    for k in range(N + 1):
+        n_held = 6 if held and k < N and k % per else 0
+        n_new = 6 if k < N and k % per == 0 else 0
+        if k > 0:
+            states[:, k] = np.arange(at, at + n_state)
+            at += n_state
+        if n_held:
+            acting[:, k] = np.arange(at, at + 6)
+            at += 6
+        if n_new:
+            controls.append(np.arange(at, at + 6))
+            acting[:, k] = controls[-1]
+            at += 6
+        elif k < N and not held:
+            acting[:, k] = controls[-1]
+        nx.append((n_state if k > 0 else 0) + n_held)
+        nu.append(n_new)
+    controls = np.array(controls).T
+    program = Program(at)
+    z, u = ca.SX.sym("z", n_state), ca.SX.sym("u", 6)
+    step = discrete.step(rod, h)
+    scaled = problem.scales * u
+    tag = f"{rod.strain}_{rod.n_elements}"
+    initial = discrete.initial_state(rod, h)
+    first = Kernel(f"first_{tag}", u, ca.SX(0, 1), -STATE_SCALE * step(ca.DM(initial), scaled))
+    later = Kernel(f"step_{tag}", ca.vertcat(z, u), ca.SX(0, 1), -STATE_SCALE * step(z / STATE_SCALE, scaled))
+    end = Kernel(f"goal_{tag}", z, ca.SX(0, 1), discrete.goal(rod, h, problem.position, problem.orientation)(z / STATE_SCALE))
+    ng, rows, bounds = [0] * (N + 1), np.empty((n_state, N), int), {}
+    balls = [
+        (limit / scale, part)
+        for limit, scale, part in (
+            (problem.force_max, problem.force_scale, slice(0, 3)),
+            (problem.moment_max, problem.moment_scale, slice(3, 6)),
+        )
+        if limit is not None
+    ]
+    avoid = []
+    for k in range(N + 1):
+        if k < N:
+            rows[:, k] = program.new_rows(n_state)
+            program.add_linear(rows[:, k], states[:, k + 1], 1.0)
+            if held and (k + 1) % per and k + 1 < N:
+                same = program.new_rows(6)
+                program.add_linear(same, acting[:, k + 1], 1.0)
+                program.add_linear(same, acting[:, k], -1.0)
+        before = program.rows
+        if nu[k]:
+            for i, (limit, _) in enumerate(balls):
+                bounds.setdefault(i, []).append(program.new_rows(1, -np.inf, limit**2)[0])
+        if k > 0 and problem.sphere is not None:
+            avoid.append(program.new_rows(rod.n_elements, problem.sphere[3] ** 2, np.inf))
+        if k == N:
+            goals = program.new_rows(problem.n_goals)
+            program.add_kernel(end, states[:, N:], np.zeros((0, 1)), goals[:, None])
+        ng[k] = program.rows - before
+    program.add_kernel(first, acting[:, :1], np.zeros((0, 1)), rows[:, :1])
+    program.add_kernel(later, np.vstack([states[:, 1:N], acting[:, 1:]]), np.zeros((0, N - 1)), rows[:, 1:])
+    for i, (_, part) in enumerate(balls):
+        ball = _ball_kernel()
+        program.add_kernel(ball, controls[part], np.zeros((0, controls.shape[1])), np.array(bounds[i])[None])
+    if avoid:
+        _add_sphere(program, problem, states[: 6 * rod.n_elements, 1:], np.array(avoid).T)
+    program.start[states[:, 1:]] = STATE_SCALE * initial[:, None]
+    program.weights[controls] = h * per
+    return program, {"controls": controls, "states": states, "N": N, "nx": nx, "nu": nu, "ng": ng}
+
+
+def _add_sphere(program, problem, configurations, rows):
+    """|x - center|^2 of every node and time node; configurations [6 K, n], rows [K, n]."""
+    x = ca.SX.sym("x", 3)
+    difference = x / STATE_SCALE - ca.DM(problem.sphere[:3])
+    kernel = Kernel("distance", x, ca.SX(0, 1), ca.dot(difference, difference))
+    for q in range(problem.rod.n_elements):
+        places = configurations[6 * q : 6 * q + 3]
+        program.add_kernel(kernel, places, np.zeros((0, places.shape[1])), rows[q : q + 1])
+
+
+def solve_explicit(problem, plugin, max_iterations=1000, verbose=0):
+    """By "ipopt" or "fatrop"; adds `u` [n_blocks, 6] in N and N m to the answer."""
+    program, layout = explicit(problem, held=plugin == "fatrop")
+    if plugin == "ipopt":
+        options = {f"ipopt.{k}": v for k, v in ipopt_options(max_iterations, verbose).items()}
+    else:
+        options = {
+            "structure_detection": "manual",
+            **{key: layout[key] for key in ("N", "nx", "nu", "ng")},
+            "equality": [lower == upper for lower, upper in zip(program.lower, program.upper)],
+            "fatrop": {"tolerance": 1e-6, "max_iter": max_iterations, "print_level": verbose},
+        }
+    found = program.solve(plugin, options)
+    found["u"] = found["w"][layout["controls"]].T * problem.scales
+    return found
+
+
+EXTRA = {"mumps_permuting_scaling": 0, "mumps_scaling": 0, "mumps_pivot_order": 0}
+
+
+def ipopt_options(max_iterations, verbose):
+    return {
+        "print_level": verbose,
+        "sb": "yes",
+        "tol": 1e-6,
+        "constr_viol_tol": 1e-8,
+        "max_iter": max_iterations,
+        "linear_solver": "mumps",
+        **EXTRA,
+        "print_timing_statistics": "yes" if verbose else "no",
+    }
+
+
+ROW_WEIGHT = 2e-4
+
+
+def _interval_kernel(rod, h, weight):
+    """Of one node and interval: angular velocities J^-1 pi that leave its first time node, and minus those that arrive at the second."""
+    z = ca.SX.sym("z", 6)
+    relative = discrete.product(discrete.conjugate(discrete.quaternion(z[:3])), discrete.quaternion(z[3:]))
+    f = 2 * relative[1:] / relative[0]
+    inertia = ca.DM(rod.rotary) / rod.rotary[0]
+    straight, skew = inertia * f, ca.cross(f, inertia * f) / 2
+    scale = weight / (h * (1 + ca.dot(f, f) / 4))
+    leaving, arriving = scale * (straight + skew), scale * (straight - skew)
+    return Kernel(f"interval_{rod.rotary[2] / rod.rotary[0]:.0f}", z, ca.SX(0, 1), ca.vertcat(leaving / inertia, -arriving / inertia))
+
+
+def _element_kernel(rod, scale):
+    """Minus the changes of velocity that an element gives its two ends in the time `scale`.
+
+    Variables: displacement from the straight rod and rotation of both ends; data: the length lumped on each.
+    """
+    z, share = ca.SX.sym("z", 12), ca.SX.sym("share", 2)
+    qa, qb = discrete.quaternion(z[3:6]), discrete.quaternion(z[9:])
+    force, first, second = discrete.element_forces(rod, ca.DM([0, 0, rod.element_length]) + z[6:9] - z[:3], qa, qb)
+    rotary = ca.DM(rod.rotary)
+    value = [force / rod.mass / share[0], -first / rotary / share[0], -force / rod.mass / share[1], -second / rotary / share[1]]
+    return Kernel(f"element_{rod.strain}", z, share, scale * ca.vertcat(*value))
+
+
+def _orientation_kernel(rotation):
+    target = ca.DM(np.array(rotation) / np.linalg.norm(rotation))
+    z = ca.SX.sym("z", 3)
+    return Kernel("orientation", z, ca.SX(0, 1), discrete.logarithm(discrete.product(discrete.conjugate(target), discrete.quaternion(z))))
+
+
+def configurations(problem):
+    """The same program over configurations alone: discrete Euler-Lagrange equations between three time nodes, as DMOC states it.
+
+    Every force is that of one element at one time node and every inertia that of one node in one interval, so all derivatives are
+    those of two small kernels. Rows are velocities, m/s and rad/s. Returns the program and the indices `controls` [6, n_blocks].
+    """
+    rod, h, N, K = problem.rod, problem.step, problem.n_steps, problem.rod.n_elements
+    per, shares = problem.steps_per_block, rod.share
+    # Stages in time order, the controls of a block before its first stage; nodes 0..K, of which node 0 and time 0 are constants.
+    at, place, controls = 0, np.full((6, K + 1, N + 1), -1), np.empty((6, problem.n_blocks), int)
+    for k in range(N + 1):
+        if k < N and k % per == 0:
+            controls[:, k // per] = np.arange(at, at + 6)
+            at += 6
+        if k > 0:
+            place[:, 1:, k] = np.arange(at, at + 6 * K).reshape(K, 6).T
+            at += 6 * K
+    program = Program(at)
+    # Positions are displacements from the straight rod, so that constants are zeros.
+    rows = np.full((6, K + 1, N + 1), -1)
+    for k in range(N):
+        rows[:, 1:, k] = program.new_rows(6 * K).reshape(K, 6).T
+    n_goals = problem.n_goals
+    goals = program.new_rows(n_goals)
+    rows[:, K, N] = goals[-6:]
+
+    def linear(row, column, value):
+        used = (row >= 0) & (column >= 0)
+        program.add_linear(row[used], column[used], value)
+
+    for k in range(N):
+        for row_time, sign in ((k, 1), (k + 1, -1)):
+            linear(rows[:3, 1:, row_time], place[:3, 1:, k + 1], ROW_WEIGHT * sign / h)
+            linear(rows[:3, 1:, row_time], place[:3, 1:, k], -ROW_WEIGHT * sign / h)
+    nodes, times = np.meshgrid(np.arange(1, K + 1), np.arange(N), indexing="ij")
+    nodes, times = nodes.ravel(), times.ravel()
+    variables = np.vstack([place[3:, nodes, times], place[3:, nodes, times + 1]])
+    angular = np.vstack([rows[3:, nodes, times], rows[3:, nodes, times + 1]])
+    program.add_kernel(_interval_kernel(rod, h, ROW_WEIGHT), variables, np.zeros((0, nodes.size)), angular)
+    for first, last, weight in ((1, N, h), (N, N + 1, h / 2)):
+        elements, times = np.meshgrid(np.arange(K), np.arange(first, last), indexing="ij")
+        elements, times = elements.ravel(), times.ravel()
+        variables = np.vstack([place[:, elements, times], place[:, elements + 1, times]])
+        share = np.concatenate([[1.0], shares])
+        program.add_kernel(
+            _element_kernel(rod, ROW_WEIGHT * weight),
+            variables,
+            np.vstack([share[elements], share[elements + 1]]),
+            np.vstack([rows[:, elements, times], rows[:, elements + 1, times]]),
+        )
+    tip = np.concatenate([np.full(3, rod.mass), rod.rotary]) * shares[-1]
+    for k in range(N):
+        for row_time in (k, k + 1):
+            for i in range(6):
+                linear(rows[i : i + 1, K, row_time], controls[i : i + 1, k // per], -ROW_WEIGHT * h / 2 * problem.scales[i] / tip[i])
+    target = np.array(problem.position) - [0, 0, rod.length]
+    program.add_linear(goals[:3], place[:3, K, N], 1 / rod.length)
+    for row, value in zip(goals[:3], target / rod.length):
+        program.lower[row] = program.upper[row] = value
+    if problem.orientation is not None:
+        program.add_kernel(_orientation_kernel(problem.orientation), place[3:, K, N:], np.zeros((0, 1)), goals[3:6, None])
+    _add_bounds(program, problem, controls)
+    if problem.sphere is not None:
+        x, rest = ca.SX.sym("x", 3), ca.SX.sym("rest")
+        difference = x + ca.vertcat(0, 0, rest) - ca.DM(problem.sphere[:3])
+        kernel = Kernel("clearance", x, rest, ca.dot(difference, difference))
+        nodes, times = np.meshgrid(np.arange(1, K + 1), np.arange(1, N + 1), indexing="ij")
+        nodes, times = nodes.ravel(), times.ravel()
+        clear = program.new_rows(nodes.size, problem.sphere[3] ** 2, np.inf)
+        program.add_kernel(kernel, place[:3, nodes, times], rod.element_length * nodes[None], clear[None])
+    program.weights[controls] = h * per
+    return program, controls
+
+
+def solve_configurations(problem, max_iterations=1000, verbose=0):
+    """By IPOPT; adds `u` [n_blocks, 6] in N and N m to the answer."""
+    program, controls = configurations(problem)
+    options = {f"ipopt.{k}": v for k, v in ipopt_options(max_iterations, verbose).items()}
+    found = program.solve("ipopt", options)
+    found["u"] = found["w"][controls].T * problem.scales
+    return found
