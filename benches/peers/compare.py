@@ -63,7 +63,10 @@ def softarm(problem, binary, guess, limit):
         scene.write_text(problem.scene(guess))
         command = [binary, "solve", str(scene), "--json", "--quiet", "--threads", "1", "--out", str(out)]
         before, wall = os.times(), time.perf_counter()
-        run = subprocess.run(command, capture_output=True, text=True, timeout=limit)
+        try:
+            run = subprocess.run(command, capture_output=True, text=True, timeout=limit)
+        except subprocess.TimeoutExpired:
+            return {"success": False, "status": f"not in {limit:.0f} s", "iterations": -1, "wall_s": limit, "cpu_s": limit}
         wall, after = time.perf_counter() - wall, os.times()
         if run.returncode not in (0, 3, 4, 7):
             return {"success": False, "status": run.stderr.strip().splitlines()[-1], "iterations": 0, "wall_s": wall, "cpu_s": wall}
@@ -85,7 +88,7 @@ def softarm(problem, binary, guess, limit):
             "certify_s": phases["certify"],
             "objective": summary["objective"],
             "model_difference": float(max(positions, rotations)),
-            "verdict": summary["check"]["verdict"],
+            "verdict": (summary["check"] or {}).get("verdict"),
             "u": controls.tolist(),
         }
 
@@ -186,7 +189,7 @@ def main():
         (problem, name)
         for problem, found in results.items()
         for name, run in found.items()
-        if run.get("model_difference", 0) > SAME_MODEL or (run["success"] and run["goal"] > HIT)
+        if run["success"] and (run.get("model_difference", 0) > SAME_MODEL or run["goal"] > HIT)
     ]
     if differing:
         sys.exit(f"not the same problem, or goal missed: {differing}")

@@ -199,7 +199,11 @@ def _add_bounds(program, problem, controls):
             program.add_kernel(_ball_kernel(), controls[part], np.zeros((0, n)), rows[None])
 
 
-STATE_SCALE = 1e-3
+STATE_SCALE = 1e-4
+"""What a unit of a state (m, 1, m/s, rad/s) counts: it weighs defects of the dynamics against the goal in the filter.
+
+Measured with fatrop at K = 2, N = 100: 14 iterations at 1e-4 and 1e-6, 21 at 1e-2, no convergence in 40 at 1.
+"""
 
 
 def explicit(problem, held):
@@ -233,14 +237,14 @@ def explicit(problem, held):
         nu.append(n_new)
     controls = np.array(controls).T
     program = Program(at)
-    z, u = ca.SX.sym("z", n_state), ca.SX.sym("u", 6)
+    z, u, size = ca.SX.sym("z", n_state), ca.SX.sym("u", 6), ca.SX.sym("size")
     step = discrete.step(rod, h)
     scaled = problem.scales * u
     tag = f"{rod.strain}_{rod.n_elements}"
     initial = discrete.initial_state(rod, h)
-    first = Kernel(f"first_{tag}", u, ca.SX(0, 1), -STATE_SCALE * step(ca.DM(initial), scaled))
-    later = Kernel(f"step_{tag}", ca.vertcat(z, u), ca.SX(0, 1), -STATE_SCALE * step(z / STATE_SCALE, scaled))
-    end = Kernel(f"goal_{tag}", z, ca.SX(0, 1), discrete.goal(rod, h, problem.position, problem.orientation)(z / STATE_SCALE))
+    first = Kernel(f"first_{tag}", u, size, -size * step(ca.DM(initial), scaled))
+    later = Kernel(f"step_{tag}", ca.vertcat(z, u), size, -size * step(z / size, scaled))
+    end = Kernel(f"goal_{tag}", z, size, discrete.goal(rod, h, problem.position, problem.orientation)(z / size))
     ng, rows, bounds = [0] * (N + 1), np.empty((n_state, N), int), {}
     balls = [
         (limit / scale, part)
@@ -267,10 +271,10 @@ def explicit(problem, held):
             avoid.append(program.new_rows(rod.n_elements, problem.sphere[3] ** 2, np.inf))
         if k == N:
             goals = program.new_rows(problem.n_goals)
-            program.add_kernel(end, states[:, N:], np.zeros((0, 1)), goals[:, None])
+            program.add_kernel(end, states[:, N:], [[STATE_SCALE]], goals[:, None])
         ng[k] = program.rows - before
-    program.add_kernel(first, acting[:, :1], np.zeros((0, 1)), rows[:, :1])
-    program.add_kernel(later, np.vstack([states[:, 1:N], acting[:, 1:]]), np.zeros((0, N - 1)), rows[:, 1:])
+    program.add_kernel(first, acting[:, :1], [[STATE_SCALE]], rows[:, :1])
+    program.add_kernel(later, np.vstack([states[:, 1:N], acting[:, 1:]]), np.full((1, N - 1), STATE_SCALE), rows[:, 1:])
     for i, (_, part) in enumerate(balls):
         ball = _ball_kernel()
         program.add_kernel(ball, controls[part], np.zeros((0, controls.shape[1])), np.array(bounds[i])[None])
@@ -308,9 +312,6 @@ def solve_explicit(problem, plugin, max_iterations=1000, verbose=0):
     return found
 
 
-EXTRA = {"mumps_permuting_scaling": 0, "mumps_scaling": 0, "mumps_pivot_order": 0}
-
-
 def ipopt_options(max_iterations, verbose):
     return {
         "print_level": verbose,
@@ -319,12 +320,16 @@ def ipopt_options(max_iterations, verbose):
         "constr_viol_tol": 1e-8,
         "max_iter": max_iterations,
         "linear_solver": "mumps",
-        **EXTRA,
-        "print_timing_statistics": "yes" if verbose else "no",
+        # Measured at K = 4, N = 200: at most half the time of MUMPS's own choices.
+        "mumps_permuting_scaling": 0,
+        "mumps_scaling": 0,
+        "mumps_pivot_order": 0,
     }
 
 
 ROW_WEIGHT = 2e-4
+"""What a defect of 1 m/s or 1 rad/s counts beside the goal, in the filter; measured at K = 4, N = 200: 14
+iterations, 22 at 2e-3, and cuts of every step at 0.03 and 1."""
 
 
 def _interval_kernel(rod, h, weight):

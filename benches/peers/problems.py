@@ -114,7 +114,7 @@ rotary_kg_m = [10.0, 10.0, 10.0]
 
 def _all():
     pose = {"position": (0.4, 0.2, 0.8), "orientation": (0.94, -0.12, 0.3, 0.0)}
-    bounded = {"force_max": 1.5, "moment_max": 1.5}
+    bounded = {"force_max": 3.6, "moment_max": 7.0}
     yield soft("soft-reach-4", 4, 200, end=0.4, position=(0.3, 0.1, 0.9))
     yield soft("soft-reach-8", 8, 500)
     yield soft("soft-reach-12", 12, 500, end=0.9)
