@@ -8,7 +8,7 @@ use common::{Dice, RULES, soft_arm};
 use nalgebra::Vector3;
 use softarm::control::{
     Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, PathRow, Shape, Tracking,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking,
     Transcription, first_point,
 };
 use softarm::mechanics::rotation::exp;
@@ -18,7 +18,7 @@ use softarm::sqp::{
     solve,
 };
 use softarm::verify::{
-    CheckLimits, ForwardCheck, PathMultiplier, Solution, SolutionMultipliers, forward_check, kkt,
+    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt,
 };
 
 const N_STEPS: usize = 120;
@@ -242,22 +242,7 @@ fn gradient_and_hessian_by_independent_routes() {
             // The sweep's own second derivatives are differences of first ones, good to 1e-9.
             assert!(worst < 1e-6 * size, "{rule:?}: {worst} of {size}");
         }
-        let path: Vec<PathMultiplier> = (multipliers.inequalities.iter().enumerate())
-            .filter(|(_, z)| **z != 0.0)
-            .map(|(row, &multiplier)| {
-                let PathRow {
-                    constraint,
-                    time,
-                    item,
-                } = program.path_row(row);
-                PathMultiplier {
-                    constraint,
-                    time_node: program.path()[constraint].time_nodes[time],
-                    item,
-                    multiplier,
-                }
-            })
-            .collect();
+        let path = program.path_multipliers(&multipliers.inequalities);
         // Without bounds the check's stationarity is that of the gradient itself, over the same largest term.
         let mut free = problem.clone();
         for actuator in &mut free.actuators {
@@ -339,22 +324,7 @@ fn checked(
     outcome: &SqpOutcome<LiftedPoint>,
 ) -> ForwardCheck {
     let program = Transcription::new(problem, 1);
-    let path: Vec<PathMultiplier> = (outcome.multipliers.inequalities.iter().enumerate())
-        .filter(|(_, z)| **z != 0.0)
-        .map(|(row, &multiplier)| {
-            let PathRow {
-                constraint,
-                time,
-                item,
-            } = program.path_row(row);
-            PathMultiplier {
-                constraint,
-                time_node: program.path()[constraint].time_nodes[time],
-                item,
-                multiplier,
-            }
-        })
-        .collect();
+    let path = program.path_multipliers(&outcome.multipliers.inequalities);
     forward_check(
         problem,
         parameters,

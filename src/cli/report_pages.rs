@@ -1,6 +1,6 @@
 //! What the report page of a simulation and of a solve shows.
 
-use crate::control::{Bound, Goal, Hold, OptimalControlProblem};
+use crate::control::{Bound, Hold, OptimalControlProblem};
 use crate::mechanics::{BaseCondition, Rod, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
@@ -173,9 +173,7 @@ fn arm(scene: &Scene, rod: &Rod) -> ReportArm {
 
 /// What the tip should reach at the end.
 fn target(problem: &OptimalControlProblem) -> ReportTarget {
-    let at_end =
-        |goal: &&Goal| goal.node == problem.rod.tip() && goal.time_node == problem.grid.n_steps;
-    let goals = || problem.goals.iter().filter(at_end);
+    let goals = || problem.final_goals();
     ReportTarget {
         position: goals().find_map(|goal| goal.position).map(Into::into),
         directions: goals()

@@ -31,8 +31,7 @@ use crate::output::{
 use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
 use crate::verify::{
-    CheckError, CheckLimits, ForwardCheck, PathMultiplier, Solution, SolutionMultipliers,
-    forward_check,
+    CheckError, CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check,
 };
 
 /// How many constraints are named.
@@ -236,25 +235,9 @@ fn multiplier_record(
     outcome: &SqpOutcome<LiftedPoint>,
 ) -> MultiplierRecord {
     let multipliers = &outcome.multipliers;
-    let path = (multipliers.inequalities.iter().enumerate())
-        .filter(|(_, multiplier)| **multiplier != 0.0)
-        .map(|(row, &multiplier)| {
-            let PathRow {
-                constraint,
-                time,
-                item,
-            } = program.path_row(row);
-            PathMultiplier {
-                constraint,
-                time_node: program.path()[constraint].time_nodes[time],
-                item,
-                multiplier,
-            }
-        })
-        .collect();
     MultiplierRecord {
         goals: multipliers.constraints.clone(),
-        path,
+        path: program.path_multipliers(&multipliers.inequalities),
         rates: program.rate_normals(&multipliers.normals),
     }
 }

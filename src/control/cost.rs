@@ -1,8 +1,8 @@
 //! The part of the objective that depends on the states: least squares, sampled over the horizon.
 
-use nalgebra::{DMatrix, SVector, Vector3};
+use nalgebra::{SVector, Vector3};
 
-use super::path::{Posture, RowCurvature, RowGradient, along, at, element_form};
+use super::path::{Posture, RowCurvature, RowGradient, along, at, element_curvature, element_form};
 use super::problem::OptimalControlProblem;
 use crate::mechanics::strain::IntervalStress;
 use crate::mechanics::{Rod, StrainRule};
@@ -150,12 +150,7 @@ pub fn cost_curvature(
             let strain = rod.strain_rule.strain(element.length, &pose);
             let stress: IntervalStress = element.interval_stress([&strain, &strain], [weight, 0.0]);
             let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
-            RowCurvature {
-                forms: (0..9)
-                    .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
-                    .collect(),
-                matrix: DMatrix::from_fn(9, 9, |i, j| 0.5 * (own[(i, j)] + own[(j, i)])),
-            }
+            element_curvature(k, q, &own)
         })
         .collect()
 }

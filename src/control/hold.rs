@@ -25,16 +25,6 @@ impl Hold {
             Self::Cubic => 3,
         }
     }
-
-    /// Name in scene and result files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Constant => "constant",
-            Self::Linear => "linear",
-            Self::Cubic => "cubic",
-        }
-    }
 }
 
 /// The blocks of a control on a time grid, and how its coefficients act at the time nodes.
@@ -83,15 +73,6 @@ impl ControlGrid {
             hold: self.hold,
             edges: self.edges.iter().map(|edge| edge * factor).collect(),
             step: self.step / factor as f64,
-        }
-    }
-
-    /// The same coefficients over steps of another length, s.
-    #[must_use]
-    pub fn with_step(&self, step: f64) -> Self {
-        Self {
-            step,
-            ..self.clone()
         }
     }
 

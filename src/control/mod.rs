@@ -12,7 +12,7 @@ pub mod transcription;
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
 pub use obstacle::{Shape, SignedDistance};
-pub use path::{PathConstraint, PathEnforcement, PathLimit, Posture};
+pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Posture};
 pub use problem::{
     Actuator, Bound, Channel, Component, Enforcement, Goal, GoalPart, GoalRow, Objective,
     OptimalControlProblem, Tracking,

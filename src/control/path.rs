@@ -7,6 +7,7 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
+use super::cost::durations;
 use super::obstacle::Shape;
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
@@ -81,6 +82,36 @@ pub struct PathConstraint {
     pub time_nodes: Vec<usize>,
     /// Hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
+}
+
+impl PathConstraint {
+    /// The time nodes with the time that each stands for, s, by the trapezoidal rule; a single one stands for one second.
+    #[must_use]
+    pub fn lasting(&self, step: f64) -> Vec<(usize, f64)> {
+        match self.time_nodes.as_slice() {
+            [k] => vec![(*k, 1.0)],
+            nodes => durations(nodes, step),
+        }
+    }
+}
+
+/// The multiplier of one row of a path constraint.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PathMultiplier {
+    /// Index of the constraint.
+    pub constraint: usize,
+    /// Time node.
+    pub time_node: usize,
+    /// Item of the constraint.
+    pub item: usize,
+    /// Multiplier of the scaled row.
+    pub multiplier: f64,
+}
+
+/// Least of the arm's radii, m; 0 for a line without thickness.
+#[must_use]
+pub fn thinnest(radii: &[f64]) -> f64 {
+    radii.iter().copied().reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Whether a limit may be violated.
@@ -200,6 +231,28 @@ pub(super) fn element_form(q: usize, w: &SVector<f64, 9>) -> Vec<FormTerm> {
         .chain(along(q, 3, &part(1)))
         .chain(along(q + 1, 3, &part(2)))
         .collect()
+}
+
+/// The symmetric part of a matrix over `(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element, as a second derivative.
+pub(super) fn element_curvature(k: usize, q: usize, matrix: &SMatrix<f64, 9, 9>) -> RowCurvature {
+    RowCurvature {
+        forms: (0..9)
+            .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
+            .collect(),
+        matrix: DMatrix::from_fn(9, 9, |i, j| 0.5 * (matrix[(i, j)] + matrix[(j, i)])),
+    }
+}
+
+/// The components of `δx` of a node, or of `ζ` with `from = 3`.
+pub(super) fn vector_forms(k: usize, node: usize, from: usize) -> Vec<RowGradient> {
+    (0..3)
+        .map(|axis| at(k, vec![term(node, from + axis, 1.0)]))
+        .collect()
+}
+
+/// Of limits on both sides: 1 for the items of the upper, which are even, -1 for those of the lower.
+fn side(item: usize) -> f64 {
+    if item.is_multiple_of(2) { 1.0 } else { -1.0 }
 }
 
 /// `(I - u uᵀ)/norm`, the second derivative of a norm; zero at 0, where it has none.
@@ -348,7 +401,7 @@ impl PathLimit {
                 let q = item / 2;
                 let x = posture.trajectory.positions_at(k);
                 let stretch = (x[q + 1] - x[q]).norm() / posture.rod.rest_chords[q];
-                if item.is_multiple_of(2) {
+                if side(item) > 0.0 {
                     stretch - largest
                 } else {
                     least - stretch
@@ -360,8 +413,7 @@ impl PathLimit {
             }
             Self::Twist { largest } => {
                 let kappa = Self::curvature_vector(posture, k, item / 2);
-                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
-                sign * kappa.z - largest
+                side(item) * kappa.z - largest
             }
             Self::Speed { node, largest } => Self::velocity(posture, k, *node).norm() - largest,
             Self::Distance {
@@ -395,9 +447,8 @@ impl PathLimit {
             Self::Stretch { .. } => {
                 let q = item / 2;
                 let x = posture.trajectory.positions_at(k);
-                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
                 let direction =
-                    unit(&(x[q + 1] - x[q])) * (sign * inverse / posture.rod.rest_chords[q]);
+                    unit(&(x[q + 1] - x[q])) * (side(item) * inverse / posture.rod.rest_chords[q]);
                 let terms = along(q, 0, &-direction).chain(along(q + 1, 0, &direction));
                 at(k, terms.collect())
             }
@@ -406,14 +457,15 @@ impl PathLimit {
                 let n = unit(&Vector3::new(kappa.x, kappa.y, 0.0)) * inverse;
                 at(k, strain_form(posture, k, item, &n))
             }
-            Self::Twist { .. } => {
-                let sign = if item.is_multiple_of(2) {
-                    inverse
-                } else {
-                    -inverse
-                };
-                at(k, strain_form(posture, k, item / 2, &(Vector3::z() * sign)))
-            }
+            Self::Twist { .. } => at(
+                k,
+                strain_form(
+                    posture,
+                    k,
+                    item / 2,
+                    &(Vector3::z() * (side(item) * inverse)),
+                ),
+            ),
             Self::Speed { node, .. } => {
                 let n = unit(&Self::velocity(posture, k, *node)) * (inverse / posture.step);
                 velocity_form(k, *node, &n)
@@ -450,8 +502,7 @@ impl PathLimit {
             Self::Stretch { .. } => {
                 let q = item / 2;
                 let x = posture.trajectory.positions_at(k);
-                let sign = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
-                let factor = sign * inverse / posture.rod.rest_chords[q];
+                let factor = side(item) * inverse / posture.rod.rest_chords[q];
                 let difference = |axis: &Vector3<f64>| {
                     at(
                         k,
@@ -476,20 +527,13 @@ impl PathLimit {
                     &(across * inverse),
                 )
             }
-            Self::Twist { .. } => {
-                let sign = if item.is_multiple_of(2) {
-                    inverse
-                } else {
-                    -inverse
-                };
-                strain_curvature(
-                    posture,
-                    k,
-                    item / 2,
-                    &(Vector3::z() * sign),
-                    &Matrix3::zeros(),
-                )
-            }
+            Self::Twist { .. } => strain_curvature(
+                posture,
+                k,
+                item / 2,
+                &(Vector3::z() * (side(item) * inverse)),
+                &Matrix3::zeros(),
+            ),
             Self::Speed { node, .. } => {
                 let v = Self::velocity(posture, k, *node);
                 let forms = axes.map(|axis| velocity_form(k, *node, &(axis / posture.step)));
@@ -501,9 +545,7 @@ impl PathLimit {
             Self::Distance { node, from, .. } => {
                 let x = posture.trajectory.positions_at(k)[*node];
                 RowCurvature {
-                    forms: axes
-                        .map(|axis| at(k, along(*node, 0, &axis).collect()))
-                        .to_vec(),
+                    forms: vector_forms(k, *node, 0),
                     matrix: dynamic(&(norm_curvature(&(x - from)) * inverse)),
                 }
             }
@@ -515,9 +557,7 @@ impl PathLimit {
                 let bent = s * norm_curvature(&psi) * s.transpose()
                     + log_second_derivative(&psi, &unit(&psi));
                 RowCurvature {
-                    forms: axes
-                        .map(|axis| at(k, along(*node, 3, &axis).collect()))
-                        .to_vec(),
+                    forms: vector_forms(k, *node, 3),
                     matrix: dynamic(&(0.5 * (bent + bent.transpose()) * inverse)),
                 }
             }
@@ -586,13 +626,8 @@ fn strain_curvature(
     };
     let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
     let rows = curvature_rows(posture, k, q);
-    let sum = 0.5 * (own + own.transpose()) + rows.transpose() * across * rows;
-    RowCurvature {
-        forms: (0..9)
-            .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
-            .collect(),
-        matrix: DMatrix::from_fn(9, 9, |i, j| sum[(i, j)]),
-    }
+    let sum = own + rows.transpose() * across * rows;
+    element_curvature(k, q, &sum)
 }
 
 #[cfg(test)]

@@ -105,8 +105,8 @@ pub enum Enforcement {
 /// What a node must have reached at a time node.
 ///
 /// Scaled residuals: position over the rod's length, orientation as the rotation vector `log(R*ᵀ R)`, and with
-/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)): those of the terminal Legendre transform at the end
-/// of the horizon, and of the momenta that arrive at any earlier time node.
+/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)), both from the
+/// terminal Legendre transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
     /// Name in reports: its key in the scene.
@@ -119,7 +119,7 @@ pub struct Goal {
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Zero linear and angular velocity of the node.
+    /// Zero linear and angular velocity of the node; only of a goal at the end of the horizon.
     pub at_rest: bool,
     /// Hard, soft, or a set.
     pub enforcement: Enforcement,
@@ -313,6 +313,12 @@ impl OptimalControlProblem {
             }
         }
         rows
+    }
+
+    /// The goals of the tip at the end of the horizon.
+    pub fn final_goals(&self) -> impl Iterator<Item = &Goal> {
+        let (tip, last) = (self.rod.tip(), self.grid.n_steps);
+        (self.goals.iter()).filter(move |goal| goal.node == tip && goal.time_node == last)
     }
 
     /// What one unit of a scaled residual is worth in the part's own unit.

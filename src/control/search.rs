@@ -92,7 +92,7 @@ const DETOUR: f64 = 0.5;
 
 /// Solves a problem from one or several starts; the best attempt comes first. The result does not depend on the number of threads.
 ///
-/// `observer` sees the rows of a single start, or the last row of each of several, with the start's number, and may stop the solves.
+/// `observer` sees every row with the number of its start, and may stop that solve.
 ///
 /// # Errors
 /// [`GuessError`] when the first start cannot be made.
@@ -103,23 +103,12 @@ pub fn search(
     observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
 ) -> Result<Vec<Attempt>, GuessError> {
     let starts = search.starts.max(1);
-    let n_threads = search.n_threads.clamp(1, starts);
-    if n_threads == 1 {
-        let mut attempts = Vec::with_capacity(starts);
-        for start in 0..starts {
-            match attempt(problem, settings, search, start, search.n_threads, observer) {
-                Ok(found) => attempts.push(found),
-                Err(error) if start == 0 => return Err(error),
-                Err(_) => {}
-            }
-        }
-        attempts.sort_by(Attempt::rank);
-        return Ok(attempts);
-    }
+    let workers = search.n_threads.clamp(1, starts);
+    let threads_each = if starts == 1 { search.n_threads } else { 1 };
     let next = Mutex::new(0);
     let found = Mutex::new(Vec::with_capacity(starts));
     std::thread::scope(|scope| {
-        for _ in 0..n_threads {
+        for _ in 0..workers {
             scope.spawn(|| {
                 loop {
                     let start = {
@@ -130,7 +119,7 @@ pub fn search(
                     if start >= starts {
                         return;
                     }
-                    let result = attempt(problem, settings, search, start, 1, observer);
+                    let result = attempt(problem, settings, search, start, threads_each, observer);
                     if let Ok(mut found) = found.lock() {
                         found.push((start, result));
                     }

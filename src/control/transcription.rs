@@ -7,8 +7,10 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Vector3};
 
-use super::cost::{CostRow, cost_curvature, cost_rows, durations, sample_times};
-use super::path::{PathConstraint, Posture, RowCurvature, RowGradient, along, at};
+use super::cost::{CostRow, cost_curvature, cost_rows, sample_times};
+use super::path::{
+    PathConstraint, PathMultiplier, Posture, RowCurvature, RowGradient, along, at, vector_forms,
+};
 use super::problem::{Bound, Channel, Component, GoalPart, GoalRow, OptimalControlProblem};
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
 use crate::mechanics::linearization::{Defects, Motion, Sources};
@@ -104,14 +106,9 @@ impl<'a> Transcription<'a> {
             let rows = constraint.time_nodes.len() * constraint.limit.n_items(&problem.rod);
             path_starts.push(path_starts[path_starts.len() - 1] + rows);
         }
-        let path_durations = path
-            .iter()
-            .map(|constraint| match constraint.time_nodes.as_slice() {
-                [_] => vec![1.0],
-                nodes => (durations(nodes, problem.grid.step).into_iter())
-                    .map(|(_, duration)| duration)
-                    .collect(),
-            })
+        let path_durations = (path.iter())
+            .map(|constraint| constraint.lasting(problem.grid.step))
+            .map(|lasting| lasting.into_iter().map(|(_, duration)| duration).collect())
             .collect();
         Self {
             sets: convex_sets(problem, &components),
@@ -158,6 +155,27 @@ impl<'a> Transcription<'a> {
             time: within % n_times,
             item: within / n_times,
         }
+    }
+
+    /// The multipliers that are not zero, of those of all rows.
+    #[must_use]
+    pub fn path_multipliers(&self, inequalities: &[f64]) -> Vec<PathMultiplier> {
+        (inequalities.iter().enumerate())
+            .filter(|(_, multiplier)| **multiplier != 0.0)
+            .map(|(row, &multiplier)| {
+                let PathRow {
+                    constraint,
+                    time,
+                    item,
+                } = self.path_row(row);
+                PathMultiplier {
+                    constraint,
+                    time_node: self.path[constraint].time_nodes[time],
+                    item,
+                    multiplier,
+                }
+            })
+            .collect()
     }
 
     /// Number of rows of the path constraints.
@@ -264,7 +282,6 @@ impl<'a> Transcription<'a> {
 
     /// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
     fn goal_curvature(&self, trajectory: &Trajectory, multipliers: &[f64]) -> Vec<RowCurvature> {
-        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         let rows = self.goal_rows.iter().enumerate();
         rows.filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
             .map(|(first, row)| {
@@ -273,9 +290,7 @@ impl<'a> Transcription<'a> {
                 let second =
                     log_second_derivative(&rotation_error(self.problem, trajectory, row), &y);
                 RowCurvature {
-                    forms: axes
-                        .map(|axis| at(goal.time_node, along(goal.node, 3, &axis).collect()))
-                        .to_vec(),
+                    forms: vector_forms(goal.time_node, goal.node, 3),
                     matrix: DMatrix::from_fn(3, 3, |i, j| 0.5 * (second[(i, j)] + second[(j, i)])),
                 }
             })
@@ -333,28 +348,25 @@ impl<'a> Transcription<'a> {
         values
     }
 
-    fn path_gradient(&self, posture: &Posture, row: usize) -> RowGradient {
+    /// Constraint, time node and item of a row.
+    fn located(&self, row: usize) -> (&PathConstraint, usize, usize) {
         let PathRow {
             constraint,
             time,
             item,
         } = self.path_row(row);
         let constraint = &self.path[constraint];
-        constraint
-            .limit
-            .gradient(posture, constraint.time_nodes[time], item)
+        (constraint, constraint.time_nodes[time], item)
+    }
+
+    fn path_gradient(&self, posture: &Posture, row: usize) -> RowGradient {
+        let (constraint, k, item) = self.located(row);
+        constraint.limit.gradient(posture, k, item)
     }
 
     fn path_curvature(&self, posture: &Posture, row: usize) -> RowCurvature {
-        let PathRow {
-            constraint,
-            time,
-            item,
-        } = self.path_row(row);
-        let constraint = &self.path[constraint];
-        constraint
-            .limit
-            .curvature(posture, constraint.time_nodes[time], item)
+        let (constraint, k, item) = self.located(row);
+        constraint.limit.curvature(posture, k, item)
     }
 
     /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
@@ -537,17 +549,11 @@ impl LiftedProgram for Transcription<'_> {
             )));
         }
         if let Some(row) = inequalities.iter().position(|h| !h.is_finite()) {
-            let PathRow {
-                constraint,
-                time,
-                item,
-            } = self.path_row(row);
-            let constraint = &self.path[constraint];
+            let (constraint, k, item) = self.located(row);
             return Err(Failure(format!(
-                "{} is not finite at node {}, time node {}",
+                "{} is not finite at node {}, time node {k}",
                 constraint.name,
-                constraint.limit.node(item),
-                constraint.time_nodes[time]
+                constraint.limit.node(item)
             )));
         }
         // Impulses, relative to what the rod's own force scale delivers in its own time.

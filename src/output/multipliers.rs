@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::OutputError;
-use crate::verify::PathMultiplier;
+use crate::control::PathMultiplier;
 
 /// Multipliers of a solution, as in [`SolutionMultipliers`](crate::verify::SolutionMultipliers).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -8,6 +8,7 @@ use super::check::MOST_STEPS;
 use super::error::SceneError;
 use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
+use crate::control::path::thinnest;
 use crate::control::{
     Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, Goal, Guess, Hold,
     OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
@@ -307,8 +308,7 @@ impl Scene {
             })
         };
         let radii = self.display_radii();
-        let thinnest = radii.iter().copied().fold(f64::INFINITY, f64::min);
-        let thinnest = if thinnest.is_finite() { thinnest } else { 0.0 };
+        let thinnest = thinnest(&radii);
         let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
         let obstacles = self
             .obstacle

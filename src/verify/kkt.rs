@@ -10,13 +10,14 @@ use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use super::SolutionMultipliers;
 use super::dual;
 use super::interval::{self, Nine, Strained, nine};
 use super::limits::{Measure, Pose, add_state_cost};
-use super::{PathMultiplier, SolutionMultipliers};
-use crate::control::cost::{durations, sample_times};
+use crate::control::cost::sample_times;
 use crate::control::{
     Bound, Channel, GoalPart, OptimalControlProblem, PathConstraint, PathEnforcement,
+    PathMultiplier,
 };
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{
@@ -441,10 +442,7 @@ impl Conditions<'_> {
         }
         for (index, constraint) in self.path.iter().enumerate() {
             let scale = constraint.limit.scale(self.rod());
-            let lasting = match constraint.time_nodes.as_slice() {
-                [k] => vec![(*k, 1.0)],
-                nodes => durations(nodes, self.problem.grid.step),
-            };
+            let lasting = constraint.lasting(self.problem.grid.step);
             for (k, duration) in lasting {
                 let here = Pose::at(self.trajectory, k);
                 let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1));

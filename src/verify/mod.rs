@@ -13,7 +13,9 @@ use nalgebra::Vector3;
 
 use self::interval::Strained;
 use self::refinement::{Between, PeakStrains, refine};
-use crate::control::{ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem};
+use crate::control::{
+    ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem, PathMultiplier,
+};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
@@ -446,19 +448,6 @@ impl<'a> SolutionMultipliers<'a> {
     }
 }
 
-/// The multiplier of one row of a path constraint.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct PathMultiplier {
-    /// Index of the constraint.
-    pub constraint: usize,
-    /// Time node.
-    pub time_node: usize,
-    /// Item of the constraint.
-    pub item: usize,
-    /// Multiplier of the scaled row.
-    pub multiplier: f64,
-}
-
 /// Checks a solution. `parameters` describe the problem's rod, so that it can be built again with twice the elements;
 /// `initial` makes the initial state of any such rod.
 ///
@@ -570,9 +559,8 @@ fn last_goal<T>(
     problem: &OptimalControlProblem,
     part: impl Fn(&Goal) -> Option<T>,
 ) -> Option<(T, Enforcement)> {
-    let at_end =
-        |goal: &&Goal| goal.node == problem.rod.tip() && goal.time_node == problem.grid.n_steps;
-    (problem.goals.iter().filter(at_end))
+    problem
+        .final_goals()
         .find_map(|goal| part(goal).map(|found| (found, goal.enforcement)))
 }
 

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::limits::{Measure, Pose};
 use super::{CheckError, Solution, refined_grid, refined_signal};
+use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{
@@ -254,12 +255,7 @@ impl<'a> Watch<'a> {
                 .map(|q| if q == last { tip } else { radius(q) })
                 .collect()
         };
-        let thickness = radii.iter().copied().fold(f64::INFINITY, f64::min);
-        let thickness = if thickness.is_finite() {
-            thickness
-        } else {
-            0.0
-        };
+        let thickness = thinnest(&radii);
         let mut limits = Vec::new();
         let mut worst = Vec::new();
         for constraint in path {
