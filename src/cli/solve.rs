@@ -30,9 +30,7 @@ use crate::output::{
 };
 use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
-use crate::verify::{
-    CheckError, CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check,
-};
+use crate::verify::{ForwardCheck, Solution};
 
 /// How many constraints are named.
 const NAMED: usize = 5;
@@ -158,7 +156,7 @@ fn best(
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
             let mut solved = Solved::of(setup, &program, attempt);
-            match certify(setup, &solved.solution()) {
+            match setup.certify(&solved.solution()) {
                 Ok(check) => {
                     start.verdict = Some(check.verdict());
                     solved.check = Some(check);
@@ -209,7 +207,7 @@ impl Solved {
             .unwrap_or_default();
         Self {
             coefficients: setup.problem.wrenches(&outcome.point.variables),
-            multipliers: multiplier_record(program, outcome),
+            multipliers: MultiplierRecord::of(program, outcome),
             worst,
             check: None,
             attempt,
@@ -220,47 +218,9 @@ impl Solved {
         Solution {
             trajectory: &self.attempt.outcome.point.trajectory,
             coefficients: &self.coefficients,
-            multipliers: SolutionMultipliers {
-                goals: &self.multipliers.goals,
-                path: &self.multipliers.path,
-                rates: &self.multipliers.rates,
-            },
+            multipliers: self.multipliers.borrowed(),
         }
     }
-}
-
-/// The multipliers in terms of the problem.
-fn multiplier_record(
-    program: &Transcription,
-    outcome: &SqpOutcome<LiftedPoint>,
-) -> MultiplierRecord {
-    let multipliers = &outcome.multipliers;
-    MultiplierRecord {
-        goals: multipliers.constraints.clone(),
-        path: program.path_multipliers(&multipliers.inequalities),
-        rates: program.rate_normals(&multipliers.normals),
-    }
-}
-
-/// The check of a solution, with the limits that its scene asks for.
-pub(super) fn certify(
-    setup: &OptimalControl,
-    solution: &Solution,
-) -> Result<ForwardCheck, CheckError> {
-    forward_check(
-        &setup.problem,
-        &setup.parameters,
-        &|rod| {
-            // The finer rod's equilibrium exists wherever the coarse one's did; its rest shape is the fall-back.
-            (setup.resolved.starting_state(rod))
-                .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
-        },
-        solution,
-        &CheckLimits {
-            kkt: setup.settings.tolerance.max(CheckLimits::default().kkt),
-            ..CheckLimits::default()
-        },
-    )
 }
 
 fn announce(setup: &OptimalControl, console: &Console) {

@@ -7,14 +7,14 @@ use nalgebra::Matrix3;
 
 use super::console::Console;
 use super::error::CliError;
-use super::solve::{certify, check_outcome, show_check};
+use super::solve::{check_outcome, show_check};
 use super::{Global, Outcome, exit};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
 use crate::output::{ControlRow, MotionRecord, read_controls, read_multipliers};
 use crate::scene::Scene;
-use crate::verify::{Solution, SolutionMultipliers};
+use crate::verify::Solution;
 
 pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
@@ -38,18 +38,11 @@ pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outco
             multipliers.goals.len()
         )));
     }
-    let check = certify(
-        &setup,
-        &Solution {
-            trajectory: &trajectory,
-            coefficients: &coefficients,
-            multipliers: SolutionMultipliers {
-                goals: &multipliers.goals,
-                path: &multipliers.path,
-                rates: &multipliers.rates,
-            },
-        },
-    )?;
+    let check = setup.certify(&Solution {
+        trajectory: &trajectory,
+        coefficients: &coefficients,
+        multipliers: multipliers.borrowed(),
+    })?;
     show_check(&check, true, console);
     console.summary(&VerifySummary {
         schema_version: SCHEMA_VERSION,

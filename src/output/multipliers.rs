@@ -5,7 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::OutputError;
-use crate::control::PathMultiplier;
+use crate::control::{LiftedPoint, PathMultiplier, Transcription};
+use crate::sqp::SqpOutcome;
+use crate::verify::SolutionMultipliers;
 
 /// Multipliers of a solution, as in [`SolutionMultipliers`](crate::verify::SolutionMultipliers).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,6 +18,29 @@ pub struct MultiplierRecord {
     pub path: Vec<PathMultiplier>,
     /// Normals of the bounds on rates.
     pub rates: Vec<[f64; 6]>,
+}
+
+impl MultiplierRecord {
+    /// Those of an outcome, in terms of the problem.
+    #[must_use]
+    pub fn of(program: &Transcription, outcome: &SqpOutcome<LiftedPoint>) -> Self {
+        let multipliers = &outcome.multipliers;
+        Self {
+            goals: multipliers.constraints.clone(),
+            path: program.path_multipliers(&multipliers.inequalities),
+            rates: program.rate_normals(&multipliers.normals),
+        }
+    }
+
+    /// As the check takes them.
+    #[must_use]
+    pub fn borrowed(&self) -> SolutionMultipliers<'_> {
+        SolutionMultipliers {
+            goals: &self.goals,
+            path: &self.path,
+            rates: &self.rates,
+        }
+    }
 }
 
 /// Reads `multipliers.json`.

@@ -23,6 +23,7 @@ use crate::mechanics::{
     SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
 };
 use crate::sqp::{HessianChoice, SqpSettings};
+use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
 
 /// A forward simulation.
 #[derive(Clone, Debug)]
@@ -65,6 +66,29 @@ pub struct OptimalControl {
     pub search: Search,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
+}
+
+impl OptimalControl {
+    /// Checks a solution, with the limits that the scene asks for.
+    ///
+    /// # Errors
+    /// [`CheckError`] when a replay cannot be made.
+    pub fn certify(&self, solution: &Solution) -> Result<ForwardCheck, CheckError> {
+        forward_check(
+            &self.problem,
+            &self.parameters,
+            &|rod| {
+                // The finer rod's equilibrium exists wherever the coarse one's did; its rest shape is the fall-back.
+                (self.resolved.starting_state(rod))
+                    .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
+            },
+            solution,
+            &CheckLimits {
+                kkt: self.settings.tolerance.max(CheckLimits::default().kkt),
+                ..CheckLimits::default()
+            },
+        )
+    }
 }
 
 /// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.

@@ -1,0 +1,700 @@
+//! How often does the solver succeed, on arms and targets that nobody chose? Random reaches, solved, certified, counted.
+//!
+//! A problem is an arm of one of four kinds (silicone, a tapered one under gravity, a slender and stiff wire, the paper's), with
+//! damping from none to heavy, and a pose of its tip that a bounded static wrench holds: reachable by construction. The
+//! time to get there, the number of elements, blocks and the kind of hold are random as well. A third of the problems
+//! has an obstacle between the start and the target, clear of the arm's shape at both; in another third the bounds on the norms of force
+//! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
+//!
+//! Every problem is solved from the default start and certified; `--starts` more are tried from detours, to see whether the
+//! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
+//! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
+//!
+//! ```text
+//! cargo run --release --example reach_suite -- --seed 1 --count 200
+//! ```
+
+use std::error::Error;
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use clap::Parser;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use softarm::control::{Attempt, Search, Shape, Transcription, search};
+use softarm::mechanics::{Configuration, Wrench};
+use softarm::output::MultiplierRecord;
+use softarm::scene::{OptimalControl, Scene};
+use softarm::sqp::{SqpSettings, SqpStatus};
+use softarm::verify::Solution;
+
+#[derive(Parser)]
+struct Arguments {
+    /// Chooses the problems
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Number of problems
+    #[arg(long, default_value_t = 30)]
+    count: usize,
+    /// Starts that the default one is compared with; 1 compares with none
+    #[arg(long, default_value_t = 8)]
+    starts: usize,
+    /// Only this problem
+    #[arg(long)]
+    only: Option<usize>,
+    /// Problems solved at a time
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+    /// Writes the problems as scene files here
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments = Arguments::parse();
+    if let Some(directory) = &arguments.keep {
+        std::fs::create_dir_all(directory)?;
+    }
+    let indices: Vec<usize> = match arguments.only {
+        Some(index) => vec![index],
+        None => (0..arguments.count).collect(),
+    };
+    let next = AtomicUsize::new(0);
+    let found = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..arguments.threads.max(1) {
+            scope.spawn(|| {
+                while let Some(&index) = indices.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let result = run(index, &arguments);
+                    eprintln!("{}", result.line());
+                    if let Ok(mut found) = found.lock() {
+                        found.push(result);
+                    }
+                }
+            });
+        }
+    });
+    let mut results = found.into_inner().unwrap_or_default();
+    results.sort_by_key(|result| result.index);
+    println!("{}", report(&arguments, &results));
+    Ok(())
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Problems
+
+/// What is special about a problem.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Free,
+    Obstacle,
+    Bounded,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Free => "free",
+            Self::Obstacle => "obstacle",
+            Self::Bounded => "bounds",
+        }
+    }
+}
+
+/// The arm of a problem.
+struct Arm {
+    family: &'static str,
+    /// Sections of the scene.
+    toml: String,
+    length: f64,
+    /// Bending stiffness at the base, N m².
+    bending: f64,
+    /// Slowest period of a uniform cantilever like it, s.
+    period: f64,
+}
+
+/// Random numbers of one problem.
+struct Dice(fastrand::Rng);
+
+impl Dice {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.f64()
+    }
+
+    /// Evenly distributed in its logarithm.
+    fn scale(&mut self, low: f64, high: f64) -> f64 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    /// Evenly distributed in the unit ball.
+    fn ball(&mut self) -> Vector3<f64> {
+        loop {
+            let v = Vector3::from_fn(|_, _| self.between(-1.0, 1.0));
+            if v.norm_squared() <= 1.0 {
+                return v;
+            }
+        }
+    }
+}
+
+/// Period of the first bending mode of a cantilever, `2π l² / 3.516 √(m/B)`.
+fn cantilever_period(length: f64, bending: f64, mass_per_length: f64) -> f64 {
+    2.0 * PI * length * length / 3.516 * (mass_per_length / bending).sqrt()
+}
+
+fn round_arm(length: f64, radius: f64, youngs: f64, density: f64) -> (f64, f64) {
+    let bending = youngs * PI * radius.powi(4) / 4.0;
+    let mass = density * PI * radius * radius;
+    (bending, cantilever_period(length, bending, mass))
+}
+
+fn arm(dice: &mut Dice) -> Arm {
+    let family = ["silicone", "tapered", "wire", "paper"][dice.0.usize(0..4)];
+    let (mut toml, length, bending, period) = match family {
+        "silicone" => {
+            let length = dice.scale(0.3, 1.0);
+            let radius = length / dice.between(8.0, 20.0);
+            let (youngs, density) = (dice.scale(1e5, 3e6), dice.between(950.0, 1200.0));
+            let (bending, period) = round_arm(length, radius, youngs, density);
+            let toml = format!(
+                "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = {}\n\
+                 density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n[base]\ndirection = [0.0, 0.0, 1.0]\n",
+                dice.0.usize(8..=20),
+                dice.between(0.4, 0.5),
+            );
+            (toml, length, bending, period)
+        }
+        "tapered" => {
+            let length = dice.scale(0.3, 0.8);
+            let radius = length / dice.between(12.0, 20.0);
+            let (youngs, density) = (dice.scale(1e5, 1e6), dice.between(950.0, 1150.0));
+            let (bending, period) = round_arm(length, radius, youngs, density);
+            let down = Vector3::new(dice.between(-0.3, 0.3), dice.between(-0.3, 0.3), -1.0);
+            let toml = format!(
+                "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.5\n\
+                 density_kg_m3 = {density}\n[rod.section]\nradius_base_m = {radius}\nradius_tip_m = {}\n[base]\n\
+                 direction = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n",
+                dice.0.usize(10..=20),
+                radius * dice.between(0.4, 0.8),
+                list(&down),
+            );
+            (toml, length, bending, period)
+        }
+        "wire" => {
+            let length = dice.scale(0.3, 1.5);
+            let radius = length / dice.between(40.0, 80.0);
+            let (youngs, density) = (dice.scale(1e9, 2e11), dice.between(1500.0, 8000.0));
+            let (bending, period) = round_arm(length, radius, youngs, density);
+            let toml = format!(
+                "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.3\n\
+                 density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n",
+                dice.0.usize(6..=10),
+            );
+            (toml, length, bending, period)
+        }
+        _ => {
+            // Section 5.3 of the paper: 10 m, B = 500 N m², 1 kg/m.
+            let toml = format!(
+                "[rod]\nlength_m = 10.0\nelements = {}\ndisplay_radius_m = 0.3\n[rod.stiffness]\nea_n = 1e4\nga_n = 1e4\n\
+                 ei_n_m2 = 500.0\ngj_n_m2 = 500.0\n[rod.inertia]\nmass_kg_m = 1.0\nrotary_kg_m = [10.0, 10.0, 10.0]\n",
+                dice.0.usize(10..=20),
+            );
+            (toml, 10.0, 500.0, cantilever_period(10.0, 500.0, 1.0))
+        }
+    };
+    let damping = match dice.0.usize(0..4) {
+        0 => 0.0,
+        _ => dice.scale(0.1, 10.0) / period,
+    };
+    if damping > 0.0 {
+        let _ = write!(toml, "[damping]\nviscous_1_s = {damping}\n");
+    }
+    Arm {
+        family,
+        toml,
+        length,
+        bending,
+        period,
+    }
+}
+
+fn list(v: &Vector3<f64>) -> String {
+    format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z)
+}
+
+/// A problem and what it is made of.
+struct Problem {
+    family: &'static str,
+    kind: Kind,
+    setup: OptimalControl,
+    toml: String,
+}
+
+fn problem(index: usize, seed: u64) -> Result<Problem, Box<dyn Error>> {
+    let mixed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        ^ (index as u64).wrapping_mul(0xD1B5_4A32_D192_ED03);
+    let mut dice = Dice(fastrand::Rng::with_seed(mixed));
+    let kind = [Kind::Free, Kind::Obstacle, Kind::Bounded][index % 3];
+    // A wrench that the arm does not bear, or an obstacle that finds no place: another throw.
+    for _ in 0..100 {
+        if let Some(toml) = thrown(kind, &mut dice)? {
+            let (family, toml) = toml;
+            return Ok(Problem {
+                family,
+                kind,
+                setup: setup(&toml)?,
+                toml,
+            });
+        }
+    }
+    Err("no admissible problem in 100 throws".into())
+}
+
+fn setup(toml: &str) -> Result<OptimalControl, Box<dyn Error>> {
+    let (scene, source) = Scene::from_toml("suite", toml, &[])?;
+    Ok(scene.optimal_control(&source)?)
+}
+
+fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>, Box<dyn Error>> {
+    let arm = arm(dice);
+    let force_scale = arm.bending / (arm.length * arm.length);
+    let force = dice.ball() * (1.5 * force_scale);
+    let moment = dice.ball() * (1.0 * force_scale * arm.length);
+    let horizon = arm.period * dice.between(0.7, 2.0);
+    let mut toml = format!("{}[time]\nend_s = {horizon}\n", arm.toml);
+
+    let (scene, source) = Scene::from_toml("arm", &toml, &[])?;
+    let start = scene.simulation(&source)?.initial.configuration;
+    // Under the wrench, and at rest.
+    let initial = if toml.contains("[initial]") {
+        ""
+    } else {
+        "[initial]\nshape = \"equilibrium\"\n"
+    };
+    let loaded = format!(
+        "{toml}{initial}[[load]]\nnode = \"tip\"\nforce_n = {}\nmoment_n_m = {}\nframe = \"spatial\"\n",
+        list(&force),
+        list(&moment)
+    );
+    let Ok(held) = Scene::from_toml("held", &loaded, &[])
+        .and_then(|(scene, source)| scene.simulation(&source))
+    else {
+        return Ok(None);
+    };
+    let shape = held.initial.configuration;
+    let tip = shape.positions.len() - 1;
+
+    let _ = write!(
+        toml,
+        "[task]\nposition_m = {}\nat_rest = true\n",
+        list(&shape.positions[tip])
+    );
+    if dice.between(0.0, 1.0) < 0.4 {
+        let q = quaternion(&shape.rotations[tip]);
+        let _ = writeln!(
+            toml,
+            "orientation_wxyz = [{:?}, {:?}, {:?}, {:?}]",
+            q.w, q.i, q.j, q.k
+        );
+    }
+    let hold = ["constant", "constant", "linear", "cubic"][dice.0.usize(0..4)];
+    let _ = write!(
+        toml,
+        "[control]\nblocks = {}\nhold = \"{hold}\"\n",
+        dice.0.usize(8..=20)
+    );
+    match kind {
+        Kind::Free => {}
+        Kind::Obstacle => match obstacle(&scene, &arm, &start, &shape, dice) {
+            Some(obstacle) => toml.push_str(&obstacle),
+            None => return Ok(None),
+        },
+        Kind::Bounded => {
+            let part = dice.between(0.85, 0.95);
+            let free = setup(&toml)?;
+            let Some(attempt) = solve(&free, &one_start(&free), &free.settings) else {
+                return Ok(None);
+            };
+            if attempt.outcome.status != SqpStatus::Converged {
+                return Ok(None);
+            }
+            let largest = |of: fn(&Wrench) -> f64| {
+                (free
+                    .problem
+                    .wrenches(&attempt.outcome.point.variables)
+                    .iter())
+                .map(of)
+                .fold(0.0, f64::max)
+            };
+            let force_max = (part * largest(|u| u.force.norm())).max(1.1 * force.norm());
+            let moment_max = (part * largest(|u| u.moment.norm())).max(1.1 * moment.norm());
+            let _ = write!(
+                toml,
+                "force_max_n = {force_max}\nmoment_max_n_m = {moment_max}\n"
+            );
+        }
+    }
+    Ok(Some((arm.family, toml)))
+}
+
+fn quaternion(r: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*r))
+}
+
+/// A body near the way of the tip that clears the arm's first and last shapes.
+fn obstacle(
+    scene: &Scene,
+    arm: &Arm,
+    start: &Configuration,
+    end: &Configuration,
+    dice: &mut Dice,
+) -> Option<String> {
+    let radii = scene.display_radii();
+    let tip = start.positions.len() - 1;
+    let spacing = arm.length / tip as f64;
+    for _ in 0..50 {
+        let along = dice.between(0.3, 0.7);
+        // Of the tip's way, or of that of a node nearer to the base.
+        let node = dice.0.usize(tip.div_ceil(2)..=tip);
+        let center = start.positions[node].lerp(&end.positions[node], along)
+            + dice.ball() * (0.1 * arm.length);
+        let size = arm.length * dice.between(0.04, 0.12);
+        let (shape, toml) = match dice.0.usize(0..4) {
+            0 => {
+                let axis = dice.ball() * (0.3 * arm.length);
+                let (from, to) = (center - axis, center + axis);
+                let toml = format!(
+                    "[[obstacle]]\ncapsule = {{ from_m = {}, to_m = {}, radius_m = {size} }}\n",
+                    list(&from),
+                    list(&to)
+                );
+                (
+                    Shape::Capsule {
+                        from,
+                        to,
+                        radius: size,
+                    },
+                    toml,
+                )
+            }
+            1 => {
+                let half = Vector3::from_fn(|_, _| size * dice.between(0.5, 1.5));
+                let toml = format!(
+                    "[[obstacle]]\nbox = {{ center_m = {}, size_m = {} }}\n",
+                    list(&center),
+                    list(&(2.0 * half))
+                );
+                let rotation = Matrix3::identity();
+                (
+                    Shape::Cuboid {
+                        center,
+                        rotation,
+                        half_size: half,
+                    },
+                    toml,
+                )
+            }
+            _ => {
+                let toml = format!(
+                    "[[obstacle]]\nsphere = {{ center_m = {}, radius_m = {size} }}\n",
+                    list(&center)
+                );
+                (
+                    Shape::Sphere {
+                        center,
+                        radius: size,
+                    },
+                    toml,
+                )
+            }
+        };
+        let clear = |arm_shape: &Configuration| {
+            arm_shape.positions.iter().zip(&radii).all(|(x, radius)| {
+                shape.distance(x).value > radius + 0.02 * arm.length + 0.5 * spacing * 0.1
+            })
+        };
+        if clear(start) && clear(end) {
+            return Some(toml);
+        }
+    }
+    None
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Solving
+
+fn one_start(setup: &OptimalControl) -> Search {
+    Search {
+        n_threads: 1,
+        ..setup.search.clone()
+    }
+}
+
+/// The best attempt.
+fn solve(setup: &OptimalControl, plan: &Search, settings: &SqpSettings) -> Option<Attempt> {
+    let attempts = search(&setup.problem, settings, plan, &|_, _| {
+        ControlFlow::Continue(())
+    })
+    .ok()?;
+    attempts.into_iter().next()
+}
+
+/// What became of one problem.
+struct Outcome {
+    index: usize,
+    family: &'static str,
+    kind: &'static str,
+    size: String,
+    status: String,
+    /// Whether the solve converged and its check certifies the result.
+    certified: bool,
+    /// Whether it ended at a point that is locally infeasible, as did every other start.
+    infeasible: bool,
+    detail: String,
+    iterations: usize,
+    seconds: f64,
+    objective: f64,
+    /// Of the starts that converged.
+    best: Option<f64>,
+    /// At tolerance 1e-10: whether it converged, and the observed order.
+    tight: Option<(bool, Option<f64>)>,
+}
+
+impl Outcome {
+    fn near_best(&self) -> Option<bool> {
+        self.best
+            .map(|best| self.certified && self.objective <= best * 1.01)
+    }
+
+    fn line(&self) -> String {
+        let best = self.best.map_or_else(String::new, |best| {
+            format!(" best {best:.6e} ({:.3})", self.objective / best)
+        });
+        let tight = self.tight.map_or_else(String::new, |(converged, order)| {
+            format!(
+                " tight {} order {}",
+                if converged { "ok" } else { "FAILED" },
+                order.map_or("-".into(), |order| format!("{order:.2}"))
+            )
+        });
+        format!(
+            "{:4} {:8} {:8} {} {} {} it {:.2} s J {:.6e}{best}{tight} {}",
+            self.index,
+            self.family,
+            self.kind,
+            self.size,
+            if self.certified {
+                "certified"
+            } else {
+                &self.status
+            },
+            self.iterations,
+            self.seconds,
+            self.objective,
+            self.detail
+        )
+    }
+}
+
+fn run(index: usize, arguments: &Arguments) -> Outcome {
+    let mut outcome = Outcome {
+        index,
+        family: "?",
+        kind: "?",
+        size: String::new(),
+        status: String::new(),
+        certified: false,
+        infeasible: false,
+        detail: String::new(),
+        iterations: 0,
+        seconds: 0.0,
+        objective: f64::NAN,
+        best: None,
+        tight: None,
+    };
+    let problem = match problem(index, arguments.seed) {
+        Ok(problem) => problem,
+        Err(error) => {
+            outcome.status = "not made".into();
+            outcome.detail = error.to_string();
+            return outcome;
+        }
+    };
+    if let Some(directory) = &arguments.keep {
+        let path = directory.join(format!("{}-{index}.toml", arguments.seed));
+        if let Err(error) = std::fs::write(&path, &problem.toml) {
+            outcome.detail = format!("{}: {error}", path.display());
+        }
+    }
+    let setup = &problem.setup;
+    let ocp = &setup.problem;
+    outcome.family = problem.family;
+    outcome.kind = problem.kind.name();
+    outcome.size = format!(
+        "K {} N {} blocks {} {}{}",
+        ocp.rod.n_elements(),
+        ocp.grid.n_steps,
+        ocp.control.n_blocks(),
+        format!("{:?}", ocp.control.hold).to_lowercase(),
+        if ocp.goals[0].rotation.is_some() {
+            " pose"
+        } else {
+            ""
+        }
+    );
+
+    let clock = Instant::now();
+    let Some(attempt) = solve(setup, &one_start(setup), &setup.settings) else {
+        outcome.status = "no first point".into();
+        return outcome;
+    };
+    let verdict = certify(setup, &attempt);
+    outcome.seconds = clock.elapsed().as_secs_f64();
+    outcome.iterations = attempt.outcome.history.len() - 1;
+    outcome.objective = attempt.outcome.objective;
+    outcome.status = format!("{:?}", attempt.outcome.status);
+    let converged = attempt.outcome.status == SqpStatus::Converged;
+    match verdict {
+        Ok(failed) => {
+            outcome.certified = converged && failed.is_empty();
+            if !failed.is_empty() {
+                outcome.detail = failed.join("; ");
+            }
+        }
+        Err(error) => outcome.detail = error.to_string(),
+    }
+
+    if arguments.starts > 1 {
+        let plan = Search {
+            starts: arguments.starts,
+            seed: arguments.seed,
+            ..one_start(setup)
+        };
+        let attempts = search(ocp, &setup.settings, &plan, &|_, _| {
+            ControlFlow::Continue(())
+        });
+        let attempts = attempts.unwrap_or_default();
+        outcome.best = (attempts.iter())
+            .filter(|attempt| attempt.outcome.status == SqpStatus::Converged)
+            .map(|attempt| attempt.outcome.objective)
+            .reduce(f64::min);
+        outcome.infeasible = !attempts.is_empty()
+            && (attempts.iter())
+                .all(|attempt| attempt.outcome.status == SqpStatus::LocallyInfeasible);
+    }
+    if index.is_multiple_of(5) {
+        let settings = SqpSettings {
+            tolerance: 1e-10,
+            ..setup.settings.clone()
+        };
+        outcome.tight = solve(setup, &one_start(setup), &settings).map(|attempt| {
+            (
+                attempt.outcome.status == SqpStatus::Converged,
+                attempt.outcome.convergence.order,
+            )
+        });
+    }
+    outcome
+}
+
+/// What the check objects to.
+fn certify(setup: &OptimalControl, attempt: &Attempt) -> Result<Vec<String>, Box<dyn Error>> {
+    let program = Transcription::new(&setup.problem, 1);
+    let outcome = &attempt.outcome;
+    let check = setup.certify(&Solution {
+        trajectory: &outcome.point.trajectory,
+        coefficients: &setup.problem.wrenches(&outcome.point.variables),
+        multipliers: MultiplierRecord::of(&program, outcome).borrowed(),
+    })?;
+    Ok((check.items.iter())
+        .filter(|item| !item.holds())
+        .map(|item| {
+            format!(
+                "{} {:.2e} > {:.2e} {}",
+                item.name, item.value, item.limit, item.unit
+            )
+        })
+        .collect())
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// The report
+
+/// The value below which the part `p` of the sorted values lies.
+fn percentile(sorted: &[f64], p: f64) -> f64 {
+    match sorted.len() {
+        0 => f64::NAN,
+        n => sorted[((p * n as f64).ceil() as usize).clamp(1, n) - 1],
+    }
+}
+
+fn report(arguments: &Arguments, results: &[Outcome]) -> String {
+    let mut out = format!("## Seed {}, {} problems\n\n", arguments.seed, results.len());
+    out.push_str("| problems | number | certified | infeasible | iterations: median, 95 %, most | seconds: median, 95 %, most |");
+    out.push_str(" within 1 % of the best |\n|---|---|---|---|---|---|---|\n");
+    let mut groups: Vec<(&str, Vec<&Outcome>)> = vec![("all", results.iter().collect())];
+    for name in ["free", "obstacle", "bounds"] {
+        groups.push((name, results.iter().filter(|r| r.kind == name).collect()));
+    }
+    for name in ["silicone", "tapered", "wire", "paper"] {
+        groups.push((name, results.iter().filter(|r| r.family == name).collect()));
+    }
+    for (name, group) in groups {
+        let sorted = |of: fn(&Outcome) -> f64| {
+            let mut values: Vec<f64> = group
+                .iter()
+                .filter(|r| r.certified)
+                .map(|r| of(r))
+                .collect();
+            values.sort_by(f64::total_cmp);
+            values
+        };
+        let (iterations, seconds) = (sorted(|r| r.iterations as f64), sorted(|r| r.seconds));
+        let compared: Vec<bool> = group.iter().filter_map(|r| r.near_best()).collect();
+        let near = compared.iter().filter(|&&near| near).count();
+        let _ = writeln!(
+            out,
+            "| {name} | {} | {} | {} | {}, {}, {} | {:.2}, {:.2}, {:.2} | {near} of {} |",
+            group.len(),
+            group.iter().filter(|r| r.certified).count(),
+            group
+                .iter()
+                .filter(|r| !r.certified && r.infeasible)
+                .count(),
+            percentile(&iterations, 0.5),
+            percentile(&iterations, 0.95),
+            percentile(&iterations, 1.0),
+            percentile(&seconds, 0.5),
+            percentile(&seconds, 0.95),
+            percentile(&seconds, 1.0),
+            compared.len(),
+        );
+    }
+    let tight: Vec<_> = results.iter().filter_map(|r| r.tight).collect();
+    let orders = tight.iter().filter_map(|(_, order)| *order);
+    let _ = writeln!(
+        out,
+        "\nTo 1e-10: {} of {} converged, {} with an observed order of at least 1.5.",
+        tight.iter().filter(|(converged, _)| *converged).count(),
+        tight.len(),
+        orders.filter(|&order| order >= 1.5).count(),
+    );
+    let failures: Vec<_> = results
+        .iter()
+        .filter(|r| !r.certified && !r.infeasible)
+        .collect();
+    let _ = writeln!(
+        out,
+        "\n{} failures{}",
+        failures.len(),
+        if failures.is_empty() { "." } else { ":\n" }
+    );
+    for failure in failures {
+        let _ = writeln!(out, "- {}", failure.line());
+    }
+    out
+}
