@@ -1,5 +1,6 @@
 //! What the report page of a simulation and of a solve shows.
 
+use super::solve::findings;
 use crate::control::{Bound, Hold, OptimalControlProblem};
 use crate::mechanics::{BaseCondition, Rod, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
@@ -102,7 +103,14 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
             text,
             ok: certified,
         },
-        facts: solve_facts(summary),
+        facts: (solve_facts(summary).into_iter())
+            .chain(
+                page.check
+                    .iter()
+                    .flat_map(|check| findings(check))
+                    .map(|text| fact("check", text)),
+            )
+            .collect(),
         summary: serde_json::to_value(summary).unwrap_or_default(),
         arm: arm(page.scene, &problem.rod),
         motion: ReportMotion::thinned(page.record, FRAMES),

@@ -21,16 +21,19 @@ use crate::control::{
 };
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
-    BetweenSummary, CheckOutcome, EnergyAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION,
-    SolveSummary, StartSummary, StrainSummary,
+    BetweenSummary, CheckOutcome, EnergyAccount, GrowthSummary, MomentumAccount, NamedConstraint,
+    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SolveSummary, StartSummary, StrainSummary,
 };
 use crate::output::{
     ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
     write_controls,
 };
 use crate::scene::{OptimalControl, Scene};
-use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
-use crate::verify::{ForwardCheck, Solution};
+use crate::sqp::{
+    Evaluation, HessianKind, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop,
+};
+use crate::verify::growth::Growth;
+use crate::verify::{CheckError, ForwardCheck, Solution};
 
 /// How many constraints are named.
 const NAMED: usize = 5;
@@ -46,6 +49,9 @@ pub(super) struct SolveArguments {
     /// Start from the controls in the result directory of an earlier solve, of this scene or one like it
     #[arg(long, value_name = "DIR")]
     from: Option<PathBuf>,
+    /// Check as `verify` does: the curvature at the solution and the growth of disturbances too, which take longer than most solves
+    #[arg(long)]
+    deep: bool,
 }
 
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
@@ -81,7 +87,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         }
     })?;
     let clock = Instant::now();
-    let (solution, starts) = best(&setup, attempts, console);
+    let (solution, starts) = best(&setup, attempts, arguments.deep, console);
     let certify_time = clock.elapsed().as_secs_f64();
     let wall = started.elapsed().as_secs_f64();
     let summary = summarize(
@@ -132,6 +138,7 @@ fn earlier_controls(
 fn best(
     setup: &OptimalControl,
     attempts: Vec<Attempt>,
+    deep: bool,
     console: &Console,
 ) -> (Solved, Vec<StartSummary>) {
     let program = Transcription::new(&setup.problem, 1);
@@ -156,7 +163,7 @@ fn best(
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
             let mut solved = Solved::of(setup, &program, attempt);
-            match setup.certify(&solved.solution()) {
+            match certify(setup, &solved, deep) {
                 Ok(check) => {
                     start.verdict = Some(check.verdict());
                     solved.check = Some(check);
@@ -174,6 +181,23 @@ fn best(
         unreachable!("a search has at least one attempt")
     };
     (chosen, starts)
+}
+
+/// The check, with the second-order condition where it is asked for, or where the solver's last Hessian was not positive by itself:
+/// there it may have stopped at a saddle.
+fn certify(
+    setup: &OptimalControl,
+    solved: &Solved,
+    deep: bool,
+) -> Result<ForwardCheck, CheckError> {
+    let outcome = &solved.attempt.outcome;
+    let mut check = setup.certify(&solved.solution())?;
+    let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
+    let doubtful = last.is_some_and(|row| row.hessian != HessianKind::Exact);
+    if deep || (outcome.status == SqpStatus::Converged && check.is_certified() && doubtful) {
+        check.deepen(&setup.problem, &solved.solution())?;
+    }
+    Ok(check)
 }
 
 fn exit_code(status: &SqpStatus, check: Option<&ForwardCheck>) -> u8 {
@@ -332,13 +356,37 @@ pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
             twist_1_m: check.strains.twist,
         },
         kkt: check.kkt,
+        kkt_parts: check.kkt_parts.to_vec(),
         energy: EnergyAccount {
             work: check.energy.work,
             change: check.energy.change,
             dissipation: check.energy.dissipation,
             relative_residual: check.energy.relative(),
             halving_ratio: check.energy_ratio,
+            halving_ratio_largest: check.energy_halving,
         },
+        momentum: MomentumAccount {
+            linear_n_s: check.momentum.linear,
+            angular_n_m_s: check.momentum.angular,
+            over_rounding: check.momentum.over_rounding,
+            time_s: check.momentum.time,
+        },
+        second_order: check.second_order.as_ref().map(|found| SecondOrderSummary {
+            verdict: found.extremum().name(),
+            eigenvalue: found.eigenvalue,
+            error: found.error,
+            largest: found.largest,
+            dimension: found.dimension,
+            held: found.held,
+            products: found.products,
+        }),
+        growth: check.growth.as_ref().map(|growth| GrowthSummary {
+            amplification: growth.amplification,
+            disturbance: growth.disturbance,
+            tip_from_state_m: growth.tip_from_state,
+            tip_from_control_m: growth.tip_from_control,
+            sentence: growth.sentence(),
+        }),
         verdict: check.verdict(),
         failed: check
             .items
@@ -635,6 +683,37 @@ fn conclude(
     ));
 }
 
+/// What the check found beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the
+/// growth of disturbances.
+pub(super) fn findings(check: &ForwardCheck) -> Vec<String> {
+    let rows = (check.kkt_parts.iter())
+        .filter_map(|part| Some((part.name, part.worst.as_ref()?)))
+        .map(|(part, row)| {
+            let name = [row.name.as_str(), row.component].join(" ");
+            let value = format!("{:.2e} {}", row.value, row.unit);
+            format!(
+                "worst of {part}: {} of node {} at t = {:.5} s, {} ({:.1e} scaled)",
+                name.trim_end(),
+                row.node,
+                row.time_s,
+                value.trim_end(),
+                row.scaled
+            )
+        });
+    let second = check.second_order.as_ref().map(|found| {
+        format!(
+            "{}: smallest curvature {:.3e} +- {:.1e} in {} directions, {} held",
+            found.extremum().name(),
+            found.eigenvalue,
+            found.error,
+            found.dimension,
+            found.held
+        )
+    });
+    let growth = check.growth.as_ref().map(Growth::sentence);
+    rows.chain(second).chain(growth).collect()
+}
+
 /// Every criterion on its line, then the verdict.
 pub(super) fn show_check(check: &ForwardCheck, converged: bool, console: &Console) {
     for item in &check.items {
@@ -643,6 +722,9 @@ pub(super) fn show_check(check: &ForwardCheck, converged: bool, console: &Consol
             "  {mark} {:20} {:10.3e} <= {:9.2e} {}",
             item.name, item.value, item.limit, item.unit
         ));
+    }
+    for line in findings(check) {
+        console.say(&format!("  {line}"));
     }
     if converged {
         console.verdict(check.is_certified(), check.verdict());

@@ -38,11 +38,13 @@ pub(super) fn run(directory: &Path, global: &Global, console: &Console) -> Outco
             multipliers.goals.len()
         )));
     }
-    let check = setup.certify(&Solution {
+    let solution = Solution {
         trajectory: &trajectory,
         coefficients: &coefficients,
         multipliers: multipliers.borrowed(),
-    })?;
+    };
+    let mut check = setup.certify(&solution)?;
+    check.deepen(&setup.problem, &solution)?;
     show_check(&check, true, console);
     console.summary(&VerifySummary {
         schema_version: SCHEMA_VERSION,

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::sqp::{Convergence, KktResidual};
+use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -221,8 +222,16 @@ pub struct CheckOutcome {
     pub strains: StrainSummary,
     /// Recomputed optimality conditions.
     pub kkt: KktResidual,
+    /// The same by parts, with the worst row of each by name.
+    pub kkt_parts: Vec<KktPart>,
     /// Energy account of the replay.
     pub energy: EnergyAccount,
+    /// Momentum balance of the replay.
+    pub momentum: MomentumAccount,
+    /// Curvature of the Lagrangian; absent where it was not examined.
+    pub second_order: Option<SecondOrderSummary>,
+    /// Growth of small disturbances over the horizon; absent where it was not examined.
+    pub growth: Option<GrowthSummary>,
     /// `certified`, or `rejected`.
     pub verdict: &'static str,
     /// Names of the criteria that failed.
@@ -273,6 +282,56 @@ pub struct EnergyAccount {
     pub relative_residual: f64,
     /// The same with the step halved, over itself: about 1/4.
     pub halving_ratio: f64,
+    /// Largest residual on the way with the step halved, over the largest one; 0 where there is next to none.
+    pub halving_ratio_largest: f64,
+}
+
+/// By how much a motion misses the balance of momentum over its worst step.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct MomentumAccount {
+    /// Linear, N s.
+    pub linear_n_s: f64,
+    /// Angular about the origin, N m s.
+    pub angular_n_m_s: f64,
+    /// The larger of both, each over what rounding explains.
+    pub over_rounding: f64,
+    /// When, s.
+    pub time_s: f64,
+}
+
+/// Smallest curvature of the Lagrangian, in scaled controls, over the directions that active constraints leave free.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SecondOrderSummary {
+    /// `minimum`, `degenerate`, or `not a minimum`.
+    pub verdict: &'static str,
+    /// Smallest eigenvalue.
+    pub eigenvalue: f64,
+    /// Its error.
+    pub error: f64,
+    /// Largest eigenvalue that was found.
+    pub largest: f64,
+    /// Dimension of the subspace.
+    pub dimension: usize,
+    /// Independent gradients that are held.
+    pub held: usize,
+    /// Products of the Hessian with a direction.
+    pub products: usize,
+}
+
+/// What small disturbances become at the end of the horizon without feedback.
+#[derive(Clone, Debug, Serialize)]
+pub struct GrowthSummary {
+    /// Largest factor, in the norm of the energy.
+    pub amplification: f64,
+    /// Energy of a disturbance of one percent of the initial state.
+    #[serde(rename = "disturbance_J")]
+    pub disturbance: f64,
+    /// How far it moves the tip, at most.
+    pub tip_from_state_m: f64,
+    /// How far an error of one percent of the control's scale moves the tip, at most.
+    pub tip_from_control_m: f64,
+    /// In words.
+    pub sentence: String,
 }
 
 /// A constraint by name, with how far it is from holding.

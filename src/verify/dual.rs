@@ -210,15 +210,14 @@ impl Strain {
         let relative = pose.rotation_a.transpose() * pose.rotation_b;
         // A(η) = (I - η̂_a) A (I + η̂_b) to first order.
         let mut a = [[Dual::constant(0.0); 3]; 3];
-        let generators = [Vector3::x(), Vector3::y(), Vector3::z()]
-            .map(|e: Vector3<f64>| -> Matrix3<f64> { e.cross_matrix() });
         for (i, row) in a.iter_mut().enumerate() {
             for (j, entry) in row.iter_mut().enumerate() {
                 entry.value = relative[(i, j)];
-                for (axis, generator) in generators.iter().enumerate() {
-                    entry.slope[3 + axis] = -(generator * relative)[(i, j)];
-                    entry.slope[6 + axis] = (relative * generator)[(i, j)];
-                }
+                // Rows of ê_a A: -A_{a+2} in row a + 1, A_{a+1} in row a + 2, none in row a; likewise the columns of A ê_a.
+                entry.slope[3 + (i + 1) % 3] = -relative[((i + 2) % 3, j)];
+                entry.slope[3 + (i + 2) % 3] = relative[((i + 1) % 3, j)];
+                entry.slope[6 + (j + 1) % 3] = -relative[(i, (j + 2) % 3)];
+                entry.slope[6 + (j + 2) % 3] = relative[(i, (j + 1) % 3)];
             }
         }
         let (w, v) = quaternion(&a);

@@ -4,15 +4,24 @@
 //! grid and on finer ones ([`refinement`]), constraints are looked at between nodes and samples, and the energy is balanced.
 
 mod dual;
+pub mod growth;
 mod interval;
 pub mod kkt;
 mod limits;
+pub mod momentum;
+mod probe;
 pub mod refinement;
+pub mod second_order;
 
 use nalgebra::Vector3;
 
+use self::growth::Growth;
 use self::interval::Strained;
+use self::kkt::KktPart;
+use self::momentum::MomentumBalance;
+use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, refine};
+use self::second_order::SecondOrder;
 use crate::control::{
     ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem, PathMultiplier,
 };
@@ -36,6 +45,8 @@ pub struct CheckLimits {
     pub tip: f64,
     /// Energy residual over the energy that passed through.
     pub energy: f64,
+    /// Largest energy residual with the step halved over the largest one: 1/4 of second order, 1/2 of first.
+    pub energy_halving: f64,
     /// Violation of a path constraint between nodes and samples, over the radius of obstacle and arm, or over the limit.
     pub between: f64,
 }
@@ -48,6 +59,7 @@ impl Default for CheckLimits {
             refined: 0.02,
             tip: 1e-4,
             energy: 0.02,
+            energy_halving: 0.6,
             between: 0.01,
         }
     }
@@ -74,7 +86,9 @@ impl CheckItem {
     pub fn remedy(&self) -> &'static str {
         match self.name {
             "refined_space_m" => "use more rod.elements, or rod.strain = \"helical\"",
-            "refined_time_m" | "energy" => "use a shorter time.step_s",
+            "refined_time_m" | "energy" | "energy_halving" => "use a shorter time.step_s",
+            "momentum" => "the motion is not one of this rod: the files do not belong together",
+            "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" => {
                 "the files were changed, or the motion is so unstable that it cannot be replayed"
             }
@@ -99,6 +113,8 @@ impl CheckItem {
 pub struct ForwardCheck {
     /// Recomputed optimality conditions.
     pub kkt: KktResidual,
+    /// The same by parts, with the worst row of each.
+    pub kkt_parts: [KktPart; 5],
     /// Largest distance of any node at any time between the solution and its replay, m.
     pub same_grid: f64,
     /// Value of the objective, recomputed.
@@ -127,6 +143,14 @@ pub struct ForwardCheck {
     pub energy: EnergyBalance,
     /// Energy residual with the step halved over the residual itself: about 1/4.
     pub energy_ratio: f64,
+    /// The same of the largest residuals on the way, at common times.
+    pub energy_halving: f64,
+    /// Momentum balance of the replay.
+    pub momentum: MomentumBalance,
+    /// Curvature of the Lagrangian; absent until [`Self::deepen`].
+    pub second_order: Option<SecondOrder>,
+    /// Growth of small disturbances; absent until [`Self::deepen`].
+    pub growth: Option<Growth>,
     /// Largest violation of a bound, N or N m.
     pub bound_violation: f64,
     /// The replay on the same grid, with its states.
@@ -136,6 +160,30 @@ pub struct ForwardCheck {
 }
 
 impl ForwardCheck {
+    /// Adds what takes many replays: the second-order condition, with its criterion.
+    ///
+    /// # Errors
+    /// [`CheckError`] when a replay next to the solution breaks down.
+    pub fn deepen(
+        &mut self,
+        problem: &OptimalControlProblem,
+        solution: &Solution,
+    ) -> Result<(), CheckError> {
+        let probe = Probe::new(problem, solution);
+        let [responses, tip] = probe.responses()?;
+        let found = second_order::examine(&probe, &responses)?;
+        self.items.push(CheckItem {
+            name: "second_order",
+            value: -found.eigenvalue,
+            limit: found.error,
+            unit: "",
+            meaning: "minus the smallest curvature of the Lagrangian over what active constraints leave free: beyond its error, a saddle",
+        });
+        self.second_order = Some(found);
+        self.growth = Some(growth::examine(&probe, &tip)?);
+        Ok(())
+    }
+
     /// Whether every criterion holds.
     #[must_use]
     pub fn is_certified(&self) -> bool {
@@ -164,6 +212,8 @@ pub struct EnergyBalance {
     pub dissipation: f64,
     /// Largest of the work, the energies and the dissipation on the way: what the residual is compared with.
     pub throughput: f64,
+    /// Largest residual on the way.
+    pub largest_residual: f64,
 }
 
 impl EnergyBalance {
@@ -220,7 +270,7 @@ pub fn replay(
     control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let accounts = account(rod, grid, initial, control, &mut |state| {
+    let accounts = account(rod, grid, initial, control, 1, &mut |state| {
         trajectory.push(&state.configuration);
     })?;
     Ok(Replay {
@@ -229,12 +279,14 @@ pub fn replay(
     })
 }
 
-/// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty.
+/// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty. The largest
+/// residual of the energy is that of every `stride`th time node.
 fn account(
     rod: &Rod,
     grid: TimeGrid,
     initial: &State,
     control: &ControlSignal,
+    stride: usize,
     observe: &mut dyn FnMut(&State),
 ) -> Result<Replay, StepError> {
     let mut integrator = Integrator::new(rod, grid.step, initial.clone());
@@ -271,6 +323,9 @@ fn account(
             .max((energy.elastic - start.elastic).abs())
             .max((energy.potential - start.potential).abs())
             .max(balance.dissipation);
+        if (k + 1).is_multiple_of(stride) {
+            balance.largest_residual = kkt::worse(balance.largest_residual, balance.residual());
+        }
         energies.push(energy);
         observe(after);
     }
@@ -480,23 +535,32 @@ pub fn forward_check(
             grid,
             &problem.initial,
             &control,
+            // Under the model `consistent` two steps belong together.
+            2 * factor,
             &mut |state| {
                 if factor == 1 {
                     trajectory.push(&state.configuration);
                 }
             },
         )
-        .map(|accounts| Replay {
-            trajectory,
-            ..accounts
+        .map(|accounts| {
+            let momentum = (factor == 1)
+                .then(|| MomentumBalance::of(problem, &trajectory, &control))
+                .unwrap_or_default();
+            let replay = Replay {
+                trajectory,
+                ..accounts
+            };
+            (replay, momentum)
         })
         .map_err(|source| CheckError::Replay { which, source })
     };
-    let same = run(1, "same grid")?;
-    let half = run(2, "half the step")?;
+    let (same, momentum) = run(1, "same grid")?;
+    let (half, _) = run(2, "half the step")?;
     let refinement = refine(problem, parameters, initial, solution)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
+        kkt_parts: conditions.parts,
         objective: conditions.objective,
         same_grid: largest_distance(solution.trajectory, &same.trajectory),
         refined_time: refinement.time.error,
@@ -511,6 +575,10 @@ pub fn forward_check(
         tip_spin: 0.0,
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
+        energy_halving: halving(&same.balance, &half.balance),
+        momentum,
+        second_order: None,
+        growth: None,
         bound_violation: conditions.bound_violation,
         replay: same,
         items: Vec::new(),
@@ -518,6 +586,17 @@ pub fn forward_check(
     measure_tip(problem, &mut check);
     check.items = items(problem, &check, limits);
     Ok(check)
+}
+
+/// Largest residual with the step halved over the largest one, or 0 where that one is next to nothing.
+fn halving(same: &EnergyBalance, half: &EnergyBalance) -> f64 {
+    // Below this, rounding of stiff elements.
+    const NOTHING: f64 = 1e-6;
+    if same.largest_residual <= NOTHING * same.throughput {
+        0.0
+    } else {
+        half.largest_residual / same.largest_residual
+    }
 }
 
 /// The controls on a finer grid, and on the nodes of a rod with a whole multiple of the elements.
@@ -645,10 +724,24 @@ fn items(
             "",
             "work in minus change of energy minus dissipation, over the energy that passed through",
         ),
+        item(
+            "energy_halving",
+            check.energy_halving,
+            limits.energy_halving,
+            "",
+            "largest such residual with the step halved over itself: 1/4 of a method of second order",
+        ),
+        item(
+            "momentum",
+            check.momentum.over_rounding,
+            1.0,
+            "",
+            "impulse in minus change of linear and angular momentum over any step, over what rounding explains",
+        ),
     ];
     if !problem.rod.model.has_potential() {
         // There is no energy to balance.
-        items.retain(|item| item.name != "energy");
+        items.retain(|item| !item.name.starts_with("energy"));
     }
     if let Some(between) = (check.between.iter())
         .map(|between| between.excess.max(0.0) / between.reference)

@@ -1,0 +1,354 @@
+//! Adjoint equations of the two-level form, with second derivatives of the energy by differences along the adjoint.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::motion::{
+    Conditions, chord, energy_gradient, j_d, kick, momentum_after, momentum_before,
+};
+use super::outcome::Outcome;
+use super::stresses::StressLink;
+use crate::control::GoalPart;
+use crate::mechanics::rotation::exp;
+use crate::mechanics::{RodModel, Wrench};
+use crate::verify::{dual, interval};
+
+impl Conditions<'_> {
+    /// Adjoint equations backward in time: derivative of an outcome along the wrench on every actuated node at every time node,
+    /// in the order of the signal. Multipliers of goals enter here only where they are about momenta.
+    pub(in crate::verify) fn control_gradient(
+        &self,
+        outcome: &Outcome,
+        goals: &[f64],
+    ) -> Vec<Wrench> {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let (first, count) = (rod.first_free_node(), rod.n_nodes());
+        let zeros = vec![Vector3::zeros(); count];
+        // Covectors of x and η at the node under way, from everything later than its own kick.
+        let (mut cx, mut ceta) = (zeros.clone(), zeros.clone());
+        // Multipliers of the kick at k, and at k + 1.
+        let (mut lx, mut lr) = (zeros.clone(), zeros.clone());
+        for (row, y) in self.problem.goal_rows().iter().zip(goals) {
+            let node = self.problem.goals[row.goal].node;
+            let weight = y / self.problem.goal_scale(row.part);
+            match row.part {
+                GoalPart::Velocity => lx[node][row.axis] += weight / rod.nodes[node].mass,
+                GoalPart::AngularVelocity => {
+                    lr[node][row.axis] += weight / rod.nodes[node].rotary[row.axis];
+                }
+                GoalPart::Position | GoalPart::Orientation => {}
+            }
+        }
+        let nodes = &self.control.nodes;
+        let mut out = vec![Wrench::default(); (n + 1) * nodes.len()];
+        for k in (0..=n).rev() {
+            let (decay, weight, impulse) = kick(rod, h, k, n);
+            for q in first..count {
+                cx[q] += outcome.x[k * count + q];
+                ceta[q] += outcome.eta[k * count + q];
+            }
+            for (i, &node) in nodes.iter().enumerate() {
+                out[k * nodes.len() + i] = Wrench {
+                    force: weight * lx[node],
+                    moment: weight * lr[node],
+                };
+            }
+            self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
+            if k == 0 {
+                break;
+            }
+            // The row at k - 1 holds +momentum of the interval (k-1, k); the one at k holds -decay times it. Its
+            // multiplier follows from the derivative along the configuration at k, which is zero in all.
+            let next_x: Vec<_> = lx.iter().map(|l| decay * l).collect();
+            let next_r: Vec<_> = lr.iter().map(|l| decay * l).collect();
+            let [leaving, arriving] = self.interval_inertia(k - 1);
+            let [left, arrived] = self.inertia_nodes(k - 1);
+            let reaction = self.reaction_node(k - 1);
+            let thinned = rod.model != RodModel::Standard;
+            // Covectors of the configuration at k - 1, as far as this interval makes them.
+            let (mut earlier_x, mut earlier_eta) = (zeros.clone(), zeros.clone());
+            if thinned && arrived == k {
+                self.add_dilatation_covectors(k - 1, k, None, Some(&next_r), &mut cx);
+            }
+            if reaction == Some(k) {
+                let pull = lx.iter().map(|l| impulse * l).collect::<Vec<_>>();
+                let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
+                self.add_reaction_covectors(k - 1, k, &pull, &mut cx, etas);
+            }
+            let stressed = interval::weights(rod, h).map(|weights| {
+                let link = StressLink::new(self, weights, k);
+                let own = -0.5 * h * impulse;
+                link.add_end(own, &lx, &lr, [&mut cx, &mut ceta]);
+                link.add_start_of_end(own, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
+                (link, -0.5 * h * kick(rod, h, k - 1, n).2)
+            });
+            let solve_x = |cx: &[Vector3<f64>], lx: &mut [Vector3<f64>]| {
+                for q in first..count {
+                    // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
+                    lx[q] = cx[q] * (h / rod.nodes[q].mass) + next_x[q];
+                }
+            };
+            // The multipliers of the rotational rows enter those of x where the inertia follows the end of the interval.
+            let x_first = !(thinned && left == k);
+            if x_first && stressed.is_none() {
+                solve_x(&cx, &mut lx);
+            }
+            if reaction == Some(k - 1) {
+                let impulse = kick(rod, h, k - 1, n).2;
+                let pull = lx.iter().map(|l| impulse * l).collect::<Vec<_>>();
+                let etas: [&mut [_]; 2] = [&mut earlier_eta, &mut ceta];
+                self.add_reaction_covectors(k - 1, k - 1, &pull, &mut earlier_x, etas);
+            }
+            let spins: Vec<_> = (0..count)
+                .map(|q| Spin::new(&self.turn(k - 1, q), &leaving[q], &arriving[q], h))
+                .collect();
+            let rhs: Vec<_> = (0..count)
+                .map(|q| ceta[q] + spins[q].end_arriving.tr_mul(&next_r[q]))
+                .collect();
+            if let Some((link, factor)) = &stressed {
+                let rhs_x: Vec<_> = (0..count)
+                    .map(|q| cx[q] + next_x[q] * (rod.nodes[q].mass / h))
+                    .collect();
+                link.solve(h, *factor, &spins, [&rhs_x, &rhs], [&mut lx, &mut lr]);
+                link.add_start(*factor, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
+            } else {
+                for q in first..count {
+                    lr[q] = (spins[q].end_leaving.transpose().lu())
+                        .solve(&rhs[q])
+                        .unwrap_or_else(|| Vector3::repeat(f64::NAN));
+                }
+            }
+            for q in first..count {
+                earlier_eta[q] += spins[q].start_arriving.tr_mul(&next_r[q])
+                    - spins[q].start_leaving.tr_mul(&lr[q]);
+            }
+            if thinned {
+                let target = if left == k { &mut cx } else { &mut earlier_x };
+                self.add_dilatation_covectors(k - 1, left, Some(&lr), None, target);
+                if arrived == k - 1 {
+                    self.add_dilatation_covectors(
+                        k - 1,
+                        k - 1,
+                        None,
+                        Some(&next_r),
+                        &mut earlier_x,
+                    );
+                }
+            }
+            if !x_first {
+                solve_x(&cx, &mut lx);
+            }
+            for q in first..count {
+                earlier_x[q] += (lx[q] - next_x[q]) * (rod.nodes[q].mass / h);
+            }
+            (cx, ceta) = (earlier_x, earlier_eta);
+        }
+        out
+    }
+
+    /// Covectors of the positions at `node` through the inertia of the interval from `k` on, of `arriving·π - leaving·g`.
+    pub(in crate::verify) fn add_dilatation_covectors(
+        &self,
+        k: usize,
+        node: usize,
+        leaving: Option<&[Vector3<f64>]>,
+        arriving: Option<&[Vector3<f64>]>,
+        cx: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        for (q, shares) in rod.element_inertia.iter().enumerate() {
+            let mut sum = 0.0;
+            for (end, share) in shares.iter().enumerate() {
+                let (f, share) = (self.turn(k, q + end), j_d(&share.rotary));
+                if q + end < rod.first_free_node() {
+                    continue;
+                }
+                sum += arriving.map_or(0.0, |l| l[q + end].dot(&momentum_before(&f, &share, h)))
+                    - leaving.map_or(0.0, |l| l[q + end].dot(&momentum_after(&f, &share, h)));
+            }
+            // ∂(1/e)/∂dx = -dx/(e |dx|²)
+            let (e, dx) = chord(rod, q, self.trajectory.positions_at(node));
+            let change = dx * (-sum / (e * dx.norm_squared()));
+            cx[q] -= change;
+            cx[q + 1] += change;
+        }
+    }
+
+    /// Covectors of the kinetic reaction at `node` of the interval from `k` on, for a covector `pull` of the impulses: of the
+    /// positions there, and of the rotations at the start and the end of the interval.
+    pub(in crate::verify) fn add_reaction_covectors(
+        &self,
+        k: usize,
+        node: usize,
+        pull: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: [&mut [Vector3<f64>]; 2],
+    ) {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        let [start, end] = ceta;
+        for q in 0..rod.n_elements() {
+            let (e, dx) = chord(rod, q, self.trajectory.positions_at(node));
+            // The multiplier of a node that is held is zero.
+            let along = pull[q + 1] - pull[q];
+            let square = dx.norm_squared();
+            let spin = h * self.element_spin(k, q) / (e * square);
+            // r = -h T dx/(e |dx|²), and e grows with |dx|.
+            let change = (dx * (3.0 * dx.dot(&along) / square) - along) * spin;
+            cx[q] -= change;
+            cx[q + 1] += change;
+            let weight = -h * dx.dot(&along) / (e * square);
+            for i in 0..2 {
+                let share = j_d(&rod.element_inertia[q][i].rotary);
+                let f = self.turn(k, q + i);
+                let slope = |change: Matrix3<f64>| -(change * share).trace() / (h * h);
+                for axis in 0..3 {
+                    let generator = Vector3::ith(axis, 1.0).cross_matrix();
+                    start[q + i][axis] += weight * slope(-generator * f);
+                    end[q + i][axis] += weight * slope(f * generator);
+                }
+            }
+        }
+    }
+
+    /// Adds the covectors of `weight (λx·force + λr·moment)` at time node `k`.
+    pub(in crate::verify) fn add_force_covectors(
+        &self,
+        k: usize,
+        weight: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod();
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        // A step along λ that strains the elements by about 1e-5.
+        let l = rod.elements[0].length;
+        let largest = lx
+            .iter()
+            .map(|v| v.norm() / l)
+            .chain(lr.iter().map(Vector3::norm))
+            .fold(0.0, f64::max);
+        if largest == 0.0 {
+            return;
+        }
+        let t = self.problem.grid.time(k);
+        for load in &rod.loads {
+            let (force, moment) = load.wrench_derivative(t, &r[load.node]);
+            ceta[load.node] +=
+                weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
+        }
+        if !rod.model.has_potential() {
+            self.add_stress_covectors(k, weight, lx, lr, cx, ceta);
+            return;
+        }
+        let step = 1e-5 / largest;
+        let moved = |sign: f64| {
+            let positions: Vec<_> = x
+                .iter()
+                .zip(lx)
+                .map(|(x, v)| x + v * (sign * step))
+                .collect();
+            let rotations: Vec<_> = r
+                .iter()
+                .zip(lr)
+                .map(|(r, v)| r * exp(&(v * (sign * step))))
+                .collect();
+            energy_gradient(rod, &positions, &rotations)
+        };
+        let (plus, minus) = (moved(1.0), moved(-1.0));
+        for q in rod.first_free_node()..rod.n_nodes() {
+            cx[q] -= weight * (plus.x[q] - minus.x[q]) / (2.0 * step);
+            // E_b E_λ U = E_λ E_b U + E_{b×λ} U: the fields do not commute. The mean of both sides is the gradient itself to 1e-10.
+            let here = 0.5 * (plus.eta[q] + minus.eta[q]);
+            let second = (plus.eta[q] - minus.eta[q]) / (2.0 * step) + lr[q].cross(&here);
+            ceta[q] -= weight * second;
+        }
+    }
+
+    /// The elastic part of [`Self::add_force_covectors`] where the stress has no potential: differences of the multipliers'
+    /// work along every direction of every element.
+    pub(in crate::verify) fn add_stress_covectors(
+        &self,
+        k: usize,
+        weight: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        cx: &mut [Vector3<f64>],
+        ceta: &mut [Vector3<f64>],
+    ) {
+        const STEP: f64 = 1e-4;
+        let rod = self.rod();
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        for (q, element) in rod.elements.iter().enumerate() {
+            let work = |shift: Vector3<f64>, turn: [Vector3<f64>; 2]| {
+                let pose = crate::mechanics::strain::ElementPose {
+                    dx: x[q + 1] - x[q] + shift,
+                    rotation_a: &(r[q] * exp(&turn[0])),
+                    rotation_b: &(r[q + 1] * exp(&turn[1])),
+                };
+                let [force, a, b] = dual::gradient(element, rod.strain_rule, &pose);
+                -weight * (force.dot(&(lx[q + 1] - lx[q])) + a.dot(&lr[q]) + b.dot(&lr[q + 1]))
+            };
+            let slope = |along: &dyn Fn(f64) -> f64| {
+                let central = |step: f64| (along(step) - along(-step)) / (2.0 * step);
+                (4.0 * central(STEP) - central(2.0 * STEP)) / 3.0
+            };
+            let zero = Vector3::zeros();
+            for axis in 0..3 {
+                let unit = |size: f64| Vector3::ith(axis, size);
+                let stretch =
+                    slope(&|s| work(unit(s * element.length), [zero; 2])) / element.length;
+                cx[q + 1][axis] += stretch;
+                cx[q][axis] -= stretch;
+                ceta[q][axis] += slope(&|s| work(zero, [unit(s), zero]));
+                ceta[q + 1][axis] += slope(&|s| work(zero, [zero, unit(s)]));
+            }
+        }
+    }
+}
+
+/// Derivatives of a node's momenta over one interval along its rotations where the interval starts and ends.
+pub(in crate::verify) struct Spin {
+    pub(in crate::verify) start_leaving: Matrix3<f64>,
+    pub(in crate::verify) start_arriving: Matrix3<f64>,
+    pub(in crate::verify) end_leaving: Matrix3<f64>,
+    pub(in crate::verify) end_arriving: Matrix3<f64>,
+}
+
+impl Spin {
+    pub(in crate::verify) fn new(
+        f: &Matrix3<f64>,
+        leaving: &Matrix3<f64>,
+        arriving: &Matrix3<f64>,
+        h: f64,
+    ) -> Self {
+        // η_k moves F by F η̂, η_{k-1} by -η̂ F.
+        let end = |axis: Vector3<f64>| f * axis.cross_matrix();
+        let start = |axis: Vector3<f64>| -axis.cross_matrix() * f;
+        let before = |change: Matrix3<f64>| momentum_before(&change, arriving, h);
+        let after = |change: Matrix3<f64>| momentum_after(&change, leaving, h);
+        Self {
+            start_leaving: columns(|axis| after(start(axis))),
+            start_arriving: columns(|axis| before(start(axis))),
+            end_leaving: columns(|axis| after(end(axis))),
+            end_arriving: columns(|axis| before(end(axis))),
+        }
+    }
+}
+
+pub(in crate::verify) fn columns(column: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_columns(&[
+        column(Vector3::x()),
+        column(Vector3::y()),
+        column(Vector3::z()),
+    ])
+}

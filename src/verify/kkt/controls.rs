@@ -1,0 +1,308 @@
+//! What the controls say: their cost, the gradient of the Lagrangian, bounds and their normals.
+
+use nalgebra::Vector3;
+
+use super::rows::{Place, Worst, largest_axis, per};
+use crate::control::{Bound, OptimalControlProblem};
+use crate::mechanics::Wrench;
+
+/// Of one coefficient of one actuator, scaled: force and moment.
+pub(in crate::verify) type Pair = [Vector3<f64>; 2];
+
+fn parts(wrench: &Wrench) -> Pair {
+    [wrench.force, wrench.moment]
+}
+
+/// `(scale, unit)` of both channels of actuator `a`.
+fn channels(problem: &OptimalControlProblem, a: usize) -> [(f64, &'static str, &'static str); 2] {
+    let actuator = &problem.actuators[a];
+    [
+        (actuator.force.scale, "force", "N"),
+        (actuator.moment.scale, "moment", "N m"),
+    ]
+}
+
+/// Gradient along the scaled coefficients, all actuators of each, of what pulls on the wrenches at the time nodes with `pulled`.
+pub(in crate::verify) fn pull_back(
+    problem: &OptimalControlProblem,
+    pulled: &[Wrench],
+) -> Vec<Pair> {
+    let n = problem.actuators.len();
+    let mut out = vec![[Vector3::zeros(); 2]; problem.control.n_coefficients() * n];
+    for (i, wrench) in pulled.iter().enumerate() {
+        let (k, a) = (i / n, i % n);
+        let scales = channels(problem, a).map(|(scale, ..)| scale);
+        for (j, weight) in problem.control.weights(k) {
+            for (channel, part) in parts(wrench).iter().enumerate() {
+                out[j * n + a][channel] += part * (weight * scales[channel]);
+            }
+        }
+    }
+    out
+}
+
+/// Cost of effort and rate, and its gradient along the scaled coefficients.
+pub(in crate::verify) fn control_cost(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+) -> (f64, Vec<Pair>) {
+    let n = problem.actuators.len();
+    let (effort, rate) = (
+        problem.control.effort_matrix(),
+        problem.control.rate_matrix(),
+    );
+    let mut cost = 0.0;
+    let mut gradient = vec![[Vector3::zeros(); 2]; coefficients.len()];
+    let count = problem.control.n_coefficients();
+    for a in 0..n {
+        for (channel, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+            let at = |j: usize| parts(&coefficients[j * n + a])[channel] / scale;
+            for i in 0..count {
+                let mut sum = Vector3::zeros();
+                for j in 0..count {
+                    let weight = problem.objective.effort * effort[(i, j)]
+                        + problem.objective.rate * rate[(i, j)];
+                    sum += at(j) * weight;
+                }
+                cost += 0.5 * sum.dot(&at(i));
+                gradient[i * n + a][channel] = sum;
+            }
+        }
+    }
+    (cost, gradient)
+}
+
+/// A bound that acts on the scaled coefficients: `rows` are its normals where it is active, over (coefficient and actuator, channel,
+/// axis), and `curvature` the second derivative of `multiplier × bound` over three of them.
+pub(in crate::verify) struct ActiveBound {
+    /// Of the coefficients; of a rate, that of the later one, from which the earlier one is subtracted.
+    pub(in crate::verify) at: usize,
+    pub(in crate::verify) earlier: Option<usize>,
+    pub(in crate::verify) channel: usize,
+    pub(in crate::verify) normals: Vec<Vector3<f64>>,
+    pub(in crate::verify) curvature: nalgebra::Matrix3<f64>,
+}
+
+/// Optimality conditions of the controls.
+#[derive(Default)]
+pub(in crate::verify) struct ControlConditions {
+    pub(super) cost: f64,
+    pub(super) stationarity: Worst,
+    pub(super) complementarity: Worst,
+    pub(super) bounds: Worst,
+    /// Largest violation of a bound in its own unit.
+    pub(super) violation: f64,
+    /// Size of the largest term of the gradient.
+    pub(in crate::verify) largest: f64,
+    /// The bounds that pull.
+    pub(in crate::verify) active: Vec<ActiveBound>,
+}
+
+/// Multipliers below this part of the gradient's largest term do not hold anything: their bounds are free in the second-order
+/// condition, which makes it stronger.
+pub(in crate::verify) const ACTIVE: f64 = 1e-5;
+
+impl ControlConditions {
+    pub(in crate::verify) fn of(
+        problem: &OptimalControlProblem,
+        coefficients: &[Wrench],
+        pulled: &[Wrench],
+        rates: &[[f64; 6]],
+    ) -> Self {
+        let mut out = Self::default();
+        let n = problem.actuators.len();
+        let mut gradient = pull_back(problem, pulled);
+        out.note(&gradient);
+        let (cost, slope) = control_cost(problem, coefficients);
+        out.cost = cost;
+        out.note(&slope);
+        for (gradient, slope) in gradient.iter_mut().zip(&slope) {
+            for (g, s) in gradient.iter_mut().zip(slope) {
+                *g += s;
+            }
+        }
+        let times = problem.control.coefficient_times();
+        let gaps = problem.control.rate_gaps();
+        for a in 0..n {
+            for (c, (scale, name, unit)) in channels(problem, a).into_iter().enumerate() {
+                let channel = [&problem.actuators[a].force, &problem.actuators[a].moment][c];
+                let node = problem.actuators[a].node;
+                let place = |time: f64, what: &str, component, value: f64, unit: String| Place {
+                    name: format!("{name}{what}"),
+                    node,
+                    time,
+                    component,
+                    value,
+                    unit,
+                };
+                let at = |j: usize| parts(&coefficients[j * n + a])[c];
+                for (j, gap) in gaps.iter().enumerate() {
+                    let normal = (rates.get(j * n + a)).map_or_else(Vector3::zeros, |z| {
+                        Vector3::from_column_slice(&z[3 * c..3 * c + 3])
+                    });
+                    gradient[j * n + a][c] -= normal;
+                    gradient[(j + 1) * n + a][c] += normal;
+                    out.largest = out.largest.max(normal.amax());
+                    let change = (at(j + 1) - at(j)) / scale;
+                    let time = 0.5 * (times[j] + times[j + 1]);
+                    let slack = rate_slack(&channel.rate_bound, gap / scale, &change, &normal);
+                    (out.complementarity)
+                        .note(slack, || place(time, " rate", "", slack, String::new()));
+                    let Some(bound) = channel.rate_bound else {
+                        continue;
+                    };
+                    let violation = bound.violation(&(change * (scale / gap)));
+                    out.violation = super::worse(out.violation, violation);
+                    out.bounds.note(violation * gap / scale, || {
+                        place(
+                            time,
+                            " rate",
+                            largest_axis(&change),
+                            violation,
+                            format!("{unit}/s"),
+                        )
+                    });
+                    out.active.push(ActiveBound {
+                        at: (j + 1) * n + a,
+                        earlier: Some(j * n + a),
+                        channel: c,
+                        ..normals_of(&bound, &change, &normal)
+                    });
+                }
+                for (j, time) in times.iter().enumerate() {
+                    let (g, u) = (gradient[j * n + a][c], at(j));
+                    let (rest, gap, normal) = normal_cone(&channel.bound, &g, &u, scale);
+                    out.stationarity.note(rest.amax(), || {
+                        let value = rest.amax() / scale;
+                        place(*time, "", largest_axis(&rest), value, per(unit))
+                    });
+                    (out.complementarity).note(gap, || place(*time, "", "", gap, String::new()));
+                    let Some(bound) = channel.bound else {
+                        continue;
+                    };
+                    let violation = bound.violation(&u);
+                    out.violation = super::worse(out.violation, violation);
+                    out.bounds.note(violation / scale, || {
+                        place(*time, "", largest_axis(&u), violation, unit.into())
+                    });
+                    out.active.push(ActiveBound {
+                        at: j * n + a,
+                        earlier: None,
+                        channel: c,
+                        ..normals_of(&bound, &(u / scale), &normal)
+                    });
+                }
+            }
+        }
+        let least = ACTIVE * out.largest;
+        for bound in &mut out.active {
+            bound.normals.retain(|normal| normal.norm() > least);
+            for normal in &mut bound.normals {
+                normal.normalize_mut();
+            }
+        }
+        out.active.retain(|bound| !bound.normals.is_empty());
+        out
+    }
+
+    fn note(&mut self, terms: &[Pair]) {
+        (self.largest) = terms
+            .iter()
+            .flatten()
+            .fold(self.largest, |m, t| m.max(t.amax()));
+    }
+}
+
+/// The multipliers of a bound at the scaled vector `u`, as vectors along its normals, and `|normal| ∂²|u|`.
+fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveBound {
+    let mut out = ActiveBound {
+        at: 0,
+        earlier: None,
+        channel: 0,
+        normals: Vec::new(),
+        curvature: nalgebra::Matrix3::zeros(),
+    };
+    match bound {
+        Bound::Norm(_) => {
+            let size = u.norm();
+            if size > 0.0 {
+                let along = u / size;
+                let tangent = nalgebra::Matrix3::identity() - along * along.transpose();
+                out.curvature = tangent * (normal.norm() / size);
+            }
+            out.normals.push(*normal);
+        }
+        Bound::PerAxis(_) => {
+            let axes = (0..3).map(|i| Vector3::ith(i, normal[i]));
+            out.normals.extend(axes);
+        }
+    }
+    out
+}
+
+/// Of a bound on the rate from one coefficient to the next: `|z| limit = z·change` exactly when the change is at the limit and the
+/// normal points outward. `gap` is the time between the coefficients over the channel's scale.
+fn rate_slack(
+    bound: &Option<Bound>,
+    gap: f64,
+    change: &Vector3<f64>,
+    normal: &Vector3<f64>,
+) -> f64 {
+    match bound {
+        None => normal.norm(),
+        Some(Bound::Norm(limit)) => (normal.norm() * (limit * gap) - normal.dot(change)).abs(),
+        Some(Bound::PerAxis(limits)) => (0..3)
+            .map(|i| (normal[i].abs() * (limits[i] * gap) - normal[i] * change[i]).abs())
+            .fold(0.0, super::worse),
+    }
+}
+
+/// What of `-g` the bound's normal at `u` cannot explain, the product of slack and normal, and the normal.
+///
+/// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
+fn normal_cone(
+    bound: &Option<Bound>,
+    g: &Vector3<f64>,
+    u: &Vector3<f64>,
+    scale: f64,
+) -> (Vector3<f64>, f64, Vector3<f64>) {
+    // Within this of the limit a normal may act; the product with the slack is reported either way.
+    const NEAR: f64 = 1e-3;
+    let zero = Vector3::zeros();
+    match bound {
+        None => (*g, 0.0, zero),
+        Some(Bound::Norm(limit)) => {
+            if *limit <= 0.0 {
+                return (zero, 0.0, zero);
+            }
+            let norm = u.norm();
+            if norm < limit * (1.0 - NEAR) {
+                return (*g, 0.0, zero);
+            }
+            let outward = u / norm;
+            let size = (-g.dot(&outward)).max(0.0);
+            (
+                g + outward * size,
+                size * (limit - norm).abs() / scale,
+                outward * size,
+            )
+        }
+        Some(Bound::PerAxis(limits)) => {
+            let (mut rest, mut gap, mut normal) = (zero, 0.0, zero);
+            for i in 0..3 {
+                if limits[i] <= 0.0 {
+                    continue;
+                }
+                let slack = limits[i] - u[i].abs();
+                let pushing_out = -g[i] * u[i].signum() > 0.0;
+                if slack < NEAR * limits[i] && pushing_out {
+                    gap = super::worse(gap, g[i].abs() * slack.abs() / scale);
+                    normal[i] = -g[i];
+                } else {
+                    rest[i] = g[i];
+                }
+            }
+            (rest, gap, normal)
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! The optimality conditions, recomputed from a trajectory, the controls and the target's multipliers.
+//!
+//! Nothing here is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
+//! form (81) with `J_d`, and the adjoint equations are those of the two-level form, with second derivatives of the
+//! energy by central differences along the adjoint itself. Stresses of [implicit steps and Kelvin-Voigt
+//! damping](crate::mechanics::implicit) come from differentiated strains.
+
+mod adjoint;
+pub(super) mod controls;
+pub(super) mod motion;
+pub(super) mod outcome;
+mod rows;
+mod stresses;
+
+use faer::Mat;
+
+pub use self::rows::{KktPart, NamedRow};
+
+use self::controls::ControlConditions;
+use self::motion::Conditions;
+use self::rows::{AXES, Place, Worst};
+use super::SolutionMultipliers;
+use crate::control::OptimalControlProblem;
+use crate::mechanics::{Trajectory, Wrench};
+use crate::sqp::KktResidual;
+
+/// The recomputed conditions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecomputedKkt {
+    /// Scaled as the solver's own.
+    pub residual: KktResidual,
+    /// The same by parts: stationarity, equalities, inequalities (distance from their cones), signs of multipliers (distance from the dual
+    /// cones) and complementarity.
+    pub parts: [KktPart; 5],
+    /// Largest violation of a bound, N or N m, or of a rate's, N/s or N m/s.
+    pub bound_violation: f64,
+    /// Value of the objective.
+    pub objective: f64,
+    /// Largest term of the Lagrangian's gradient: what stationarity, signs and complementarity are relative to.
+    pub scale: f64,
+}
+
+/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and its multipliers.
+#[must_use]
+pub fn recompute(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+    multipliers: &SolutionMultipliers,
+) -> RecomputedKkt {
+    let control = problem.signal(&problem.control, coefficients);
+    let path = problem.path_constraints();
+    let conditions = Conditions {
+        problem,
+        trajectory,
+        control: &control,
+        path: &path,
+    };
+    let defects = conditions.defects();
+    let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
+    // A soft goal is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
+    let mut equalities = Worst::default();
+    let mut soft_cost = 0.0;
+    for ((r, y), row) in (residuals.iter().zip(multipliers.goals)).zip(&problem.goal_rows()) {
+        let soft = problem.soft_weight(row).map_or(0.0, |weight| {
+            soft_cost += 0.5 * y * y / weight;
+            y / weight
+        });
+        let goal = &problem.goals[row.goal];
+        equalities.note((r - soft).abs(), || Place {
+            name: format!("{}.{}", goal.name, row.part.name()),
+            node: goal.node,
+            time: problem.grid.time(goal.time_node),
+            component: AXES[row.axis],
+            value: (r - soft) * problem.goal_scale(row.part),
+            unit: row.part.unit().into(),
+        });
+    }
+    let mut base = Worst::default();
+    let motion = defects.sum + conditions.base_defects(&mut base);
+    let goals = equalities.scaled;
+    let equalities = KktPart {
+        scaled: worse(goals, motion),
+        ..equalities.or(defects.worst).or(base).part("equalities")
+    };
+    let on_path = conditions.path_conditions(multipliers.path);
+    let (outcome, state_cost) = conditions.outcome(multipliers);
+    let pulled = conditions.control_gradient(&outcome, multipliers.goals);
+
+    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
+    // As the solver: a problem whose terms all vanish is judged against one unit of effort.
+    let largest_of = |m: &Mat<f64>| (0..m.nrows()).map(|i| m[(i, i)]).fold(0.0, f64::max);
+    let unit = 1e-6
+        * (problem.objective.effort * largest_of(&problem.control.effort_matrix())
+            + problem.objective.rate * largest_of(&problem.control.rate_matrix()));
+    let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
+    let stationarity = controls.stationarity.or(on_path.stationarity).over(scale);
+    let signs = on_path.signs.over(scale);
+    let inequalities = controls.bounds.or(on_path.violation);
+    let complementarity = (controls.complementarity.or(on_path.complementarity)).over(scale);
+    RecomputedKkt {
+        residual: KktResidual {
+            stationarity: stationarity.scaled,
+            feasibility: worse(equalities.scaled, inequalities.scaled),
+            complementarity: worse(signs.scaled, complementarity.scaled),
+        },
+        parts: [
+            stationarity.part("stationarity"),
+            equalities,
+            inequalities.part("inequalities"),
+            signs.part("signs"),
+            complementarity.part("complementarity"),
+        ],
+        bound_violation: controls.violation,
+        objective: controls.cost + soft_cost + state_cost + on_path.cost,
+        scale,
+    }
+}
+
+/// Larger of the two; NaN if either is.
+pub(in crate::verify) fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() {
+        f64::NAN
+    } else {
+        a.max(b)
+    }
+}

@@ -1,0 +1,396 @@
+//! What a trajectory says by itself: momenta, forces, defects of the equations of motion, residuals of the goals.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::rows::{Place, Worst, largest_axis};
+use crate::control::{GoalPart, OptimalControlProblem, PathConstraint};
+use crate::mechanics::rotation::log;
+use crate::mechanics::{BaseCondition, ControlSignal, Rod, RodModel, TimeScheme, Trajectory};
+use crate::verify::dual;
+use crate::verify::interval::{self, Nine, Strained};
+use crate::verify::limits::Measure;
+
+/// `∂U/∂x` and `∂U/∂η` of all nodes; under [`TimeScheme::Implicit`], elastic energy is that of the intervals and not in `U`.
+#[derive(Clone)]
+pub(in crate::verify) struct Gradient {
+    pub(in crate::verify) x: Vec<Vector3<f64>>,
+    pub(in crate::verify) eta: Vec<Vector3<f64>>,
+}
+
+pub(in crate::verify) fn energy_gradient(
+    rod: &Rod,
+    x: &[Vector3<f64>],
+    r: &[Matrix3<f64>],
+) -> Gradient {
+    let mut out = Gradient {
+        x: vec![Vector3::zeros(); x.len()],
+        eta: vec![Vector3::zeros(); x.len()],
+    };
+    let explicit = (rod.elements.iter().enumerate()).filter(|_| rod.scheme == TimeScheme::Explicit);
+    for (q, element) in explicit {
+        let [force, moment_a, moment_b] =
+            dual::gradient(element, rod.strain_rule, &Rod::element_pose(q, x, r));
+        out.x[q] -= force;
+        out.x[q + 1] += force;
+        out.eta[q] += moment_a;
+        out.eta[q + 1] += moment_b;
+    }
+    for (q, node) in rod.nodes.iter().enumerate() {
+        out.x[q] -= node.mass * rod.gravity;
+    }
+    out
+}
+
+/// `vee` of a skew matrix.
+pub(in crate::verify) fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)])
+}
+
+/// `½ tr(J) I - J`
+pub(in crate::verify) fn j_d(rotary: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&(Vector3::repeat(0.5 * rotary.sum()) - rotary))
+}
+
+/// `(F J_d - J_d Fᵀ)^∨ / h`: momentum after the kick, frame of the earlier node.
+pub(in crate::verify) fn momentum_after(
+    f: &Matrix3<f64>,
+    j_d: &Matrix3<f64>,
+    h: f64,
+) -> Vector3<f64> {
+    axial(&(f * j_d - j_d * f.transpose())) / h
+}
+
+/// `(J_d F - Fᵀ J_d)^∨ / h`: the same momentum, frame of the later node.
+pub(in crate::verify) fn momentum_before(
+    f: &Matrix3<f64>,
+    j_d: &Matrix3<f64>,
+    h: f64,
+) -> Vector3<f64> {
+    axial(&(j_d * f - f.transpose() * j_d)) / h
+}
+
+/// Decay and weight of the force at time node `k`, as in the integrator's documentation, and the weight of impulses.
+pub(in crate::verify) fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f64, f64) {
+    let a = 0.5 * h * rod.viscous_damping;
+    if k == 0 {
+        (1.0 / (1.0 + a), 0.5 * h / (1.0 + a), 1.0 / (1.0 + a))
+    } else if k == n {
+        (1.0 - a, 0.5 * h, 1.0)
+    } else {
+        ((1.0 - a) / (1.0 + a), h / (1.0 + a), 1.0 / (1.0 + a))
+    }
+}
+
+/// Length of the chord of element `q` over that at rest, and the chord.
+pub(in crate::verify) fn chord(rod: &Rod, q: usize, x: &[Vector3<f64>]) -> (f64, Vector3<f64>) {
+    let rest = (rod.rest.positions[q + 1] - rod.rest.positions[q]).norm();
+    let chord = x[q + 1] - x[q];
+    (chord.norm() / rest, chord)
+}
+
+/// Inertia of the nodes at the positions `x`: the rod's own shares over the dilatation.
+pub(in crate::verify) fn rotary(rod: &Rod, x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let mut out: Vec<_> = rod.nodes.iter().map(|node| node.rotary).collect();
+    if rod.model != RodModel::Standard {
+        for (q, shares) in rod.element_inertia.iter().enumerate() {
+            let (e, _) = chord(rod, q, x);
+            for (end, share) in shares.iter().enumerate() {
+                out[q + end] += share.rotary / e - share.rotary;
+            }
+        }
+    }
+    out
+}
+
+/// `tr((I - F) J_d)/h²`: rotational kinetic energy of a step.
+pub(in crate::verify) fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
+    ((Matrix3::identity() - f) * j_d).trace() / (h * h)
+}
+
+/// By how much a trajectory misses the equations of motion.
+pub(in crate::verify) struct Defects {
+    /// Of the scaled defects.
+    pub(in crate::verify) sum: f64,
+    pub(super) worst: Worst,
+    /// Momenta of every node at the end: linear, and angular in the body frame.
+    pub(in crate::verify) p_end: Vec<Vector3<f64>>,
+    pub(in crate::verify) pi_end: Vec<Vector3<f64>>,
+}
+
+/// A problem on a trajectory that need not solve it.
+pub(in crate::verify) struct Conditions<'a> {
+    pub(in crate::verify) problem: &'a OptimalControlProblem,
+    pub(in crate::verify) trajectory: &'a Trajectory,
+    pub(in crate::verify) control: &'a ControlSignal,
+    pub(in crate::verify) path: &'a [PathConstraint],
+}
+
+impl Conditions<'_> {
+    pub(in crate::verify) fn rod(&self) -> &Rod {
+        &self.problem.rod
+    }
+
+    pub(in crate::verify) fn turn(&self, k: usize, q: usize) -> Matrix3<f64> {
+        self.trajectory.rotations_at(k)[q].transpose() * self.trajectory.rotations_at(k + 1)[q]
+    }
+
+    /// Time nodes whose dilatation the interval from `k` on uses: for the momentum that leaves, and that arrives.
+    pub(in crate::verify) fn inertia_nodes(&self, k: usize) -> [usize; 2] {
+        match self.rod().model {
+            RodModel::Standard => [k, k],
+            RodModel::Dilatation => [k, k + 1],
+            // Even intervals use their start, odd ones their end.
+            RodModel::Consistent => [k + k % 2; 2],
+        }
+    }
+
+    /// `J_d` of every node over the interval from `k` on, leaving and arriving.
+    pub(in crate::verify) fn interval_inertia(&self, k: usize) -> [Vec<Matrix3<f64>>; 2] {
+        self.inertia_nodes(k).map(|k| {
+            rotary(self.rod(), self.trajectory.positions_at(k))
+                .iter()
+                .map(j_d)
+                .collect()
+        })
+    }
+
+    /// Time node at which the interval from `k` on has its kinetic reaction.
+    pub(in crate::verify) fn reaction_node(&self, k: usize) -> Option<usize> {
+        (self.rod().model == RodModel::Consistent).then_some(k + k % 2)
+    }
+
+    /// Rotational energy of element `q` at rest length over the interval from `k` on.
+    pub(in crate::verify) fn element_spin(&self, k: usize, q: usize) -> f64 {
+        (0..2)
+            .map(|end| {
+                let share = j_d(&self.rod().element_inertia[q][end].rotary);
+                spin_energy(&self.turn(k, q + end), &share, self.problem.grid.step)
+            })
+            .sum()
+    }
+
+    /// Impulse of the kinetic reaction on node `q` at time node `k`, from the intervals on both sides.
+    pub(in crate::verify) fn reaction(&self, k: usize, q: usize) -> Vector3<f64> {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        let mut sum = Vector3::zeros();
+        let intervals = [
+            k.checked_sub(1),
+            (k < self.problem.grid.n_steps).then_some(k),
+        ];
+        for interval in intervals.into_iter().flatten() {
+            if self.reaction_node(interval) != Some(k) {
+                continue;
+            }
+            let mut add = |element: usize, sign: f64| {
+                let (e, dx) = chord(rod, element, self.trajectory.positions_at(k));
+                // h ∂(T/e)/∂dx
+                let spin = self.element_spin(interval, element);
+                sum -= dx * (sign * h * spin / (e * dx.norm_squared()));
+            };
+            if q > 0 {
+                add(q - 1, 1.0);
+            }
+            if q < rod.tip() {
+                add(q, -1.0);
+            }
+        }
+        sum
+    }
+
+    /// Strains of all elements at time node `k`.
+    pub(in crate::verify) fn strains(&self, k: usize) -> Vec<Strained> {
+        interval::strains(
+            self.rod(),
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        )
+    }
+
+    /// Stresses of all elements between two time nodes.
+    pub(in crate::verify) fn stresses(
+        &self,
+        weights: [f64; 2],
+        start: &[Strained],
+        end: &[Strained],
+    ) -> Vec<Nine> {
+        (self.rod().elements.iter().zip(start.iter().zip(end)))
+            .map(|(element, (start, end))| interval::stress(element, weights, &start.0, &end.0))
+            .collect()
+    }
+
+    pub(in crate::verify) fn velocity_momentum(&self, k: usize, q: usize) -> Vector3<f64> {
+        let change = self.trajectory.positions_at(k + 1)[q] - self.trajectory.positions_at(k)[q];
+        change * (self.rod().nodes[q].mass / self.problem.grid.step)
+    }
+
+    /// Force and moment on a node at `k`: minus the energy's gradient, loads, control.
+    pub(in crate::verify) fn applied(
+        &self,
+        k: usize,
+        q: usize,
+        gradient: &Gradient,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let mut force = -gradient.x[q];
+        let mut moment = -gradient.eta[q];
+        let t = self.problem.grid.time(k);
+        for load in self.rod().loads.iter().filter(|load| load.node == q) {
+            let wrench = load.wrench(t, &self.trajectory.rotations_at(k)[q]);
+            force += wrench.force;
+            moment += wrench.moment;
+        }
+        let control = self.control.at(k);
+        for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
+            if *node == q {
+                force += wrench.force;
+                moment += wrench.moment;
+            }
+        }
+        (force, moment)
+    }
+
+    /// Sum of the distances of node 0 from where the base is held or driven, scaled; `worst` is shown each.
+    pub(super) fn base_defects(&self, worst: &mut Worst) -> f64 {
+        let rod = self.rod();
+        if rod.base == BaseCondition::Free {
+            return 0.0;
+        }
+        let start = &self.problem.initial.configuration;
+        (0..=self.problem.grid.n_steps)
+            .map(|k| {
+                let (x, r) = rod
+                    .driven_base(self.problem.grid.time(k))
+                    .map_or((start.positions[0], start.rotations[0]), |base| {
+                        (base.position, base.rotation)
+                    });
+                let moved = self.trajectory.positions_at(k)[0] - x;
+                let turned = log(&r.tr_mul(&self.trajectory.rotations_at(k)[0]));
+                let time = self.problem.grid.time(k);
+                let scaled = [moved.norm() / rod.scales.length, turned.norm()];
+                let of = |name: &str, off: Vector3<f64>, unit: &str| Place {
+                    name: name.into(),
+                    node: 0,
+                    time,
+                    component: largest_axis(&off),
+                    value: off.norm(),
+                    unit: unit.into(),
+                };
+                worst.note(scaled[0], || of("base (position)", moved, "m"));
+                worst.note(scaled[1], || of("base (orientation)", turned, "rad"));
+                scaled[0] + scaled[1]
+            })
+            .sum()
+    }
+
+    /// Of the equations of motion.
+    pub(in crate::verify) fn defects(&self) -> Defects {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let scales = &rod.scales;
+        let (mut sum, mut worst) = (0.0, Worst::default());
+        let mut p_end = vec![Vector3::zeros(); rod.n_nodes()];
+        let mut pi_end = p_end.clone();
+        let weights = interval::weights(rod, h);
+        let mut strains = weights.map(|_| self.strains(0));
+        let mut stresses = vec![Nine::zeros(); rod.n_elements()];
+        for k in 0..=n {
+            let gradient = energy_gradient(
+                rod,
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let (decay, weight, impulse) = kick(rod, h, k, n);
+            let leaving = (k < n).then(|| self.interval_inertia(k));
+            let arriving = (k > 0).then(|| self.interval_inertia(k - 1));
+            // What the stresses of the intervals on both sides do here.
+            let mut pulls = vec![Vector3::zeros(); rod.n_nodes()];
+            let mut twists = pulls.clone();
+            if let Some((weights, here)) = weights.zip(strains.take()) {
+                let next = (k < n).then(|| self.strains(k + 1));
+                let after = next.as_ref().map_or_else(
+                    || vec![Nine::zeros(); rod.n_elements()],
+                    |next| self.stresses(weights, &here, next),
+                );
+                for (q, (_, b)) in here.iter().enumerate() {
+                    let pull = b.tr_mul(&(stresses[q] + after[q]));
+                    interval::add_to_nodes(q, -0.5 * h, &pull, &mut pulls, &mut twists);
+                }
+                (strains, stresses) = (next, after);
+            }
+            for q in rod.first_free_node()..rod.n_nodes() {
+                let (before, before_angular) = match &arriving {
+                    None => (
+                        self.problem.initial.linear_momentum[q],
+                        self.problem.initial.angular_momentum[q],
+                    ),
+                    Some([_, j_d]) => (
+                        self.velocity_momentum(k - 1, q),
+                        momentum_before(&self.turn(k - 1, q), &j_d[q], h),
+                    ),
+                };
+                let (force, moment) = self.applied(k, q, &gradient);
+                let after =
+                    decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
+                let after_angular = decay * before_angular + weight * moment + impulse * twists[q];
+                let Some([j_d, _]) = &leaving else {
+                    (p_end[q], pi_end[q]) = (after, after_angular);
+                    continue;
+                };
+                let linear = self.velocity_momentum(k, q) - after;
+                let angular = momentum_after(&self.turn(k, q), &j_d[q], h) - after_angular;
+                let rows = [
+                    (linear, scales.force, "equation of motion (77)", "N s"),
+                    (angular, scales.moment, "equation of motion (81)", "N m s"),
+                ];
+                for (off, scale, name, unit) in rows {
+                    let scaled = off.norm() / (scale * scales.time);
+                    sum += scaled;
+                    worst.note(scaled, || Place {
+                        name: name.into(),
+                        node: q,
+                        time: self.problem.grid.time(k),
+                        component: largest_axis(&off),
+                        value: off.norm(),
+                        unit: unit.into(),
+                    });
+                }
+            }
+        }
+        Defects {
+            sum,
+            worst,
+            p_end,
+            pi_end,
+        }
+    }
+
+    /// Scaled residuals of the goals.
+    pub(in crate::verify) fn residuals(&self, p: &[Vector3<f64>], pi: &[Vector3<f64>]) -> Vec<f64> {
+        let rod = self.rod();
+        (self.problem.goal_rows().iter())
+            .map(|row| {
+                let goal = &self.problem.goals[row.goal];
+                let (node, k) = (goal.node, goal.time_node);
+                let x = self.trajectory.positions_at(k)[node];
+                let r = self.trajectory.rotations_at(k)[node];
+                let vector: Vector3<f64> = match row.part {
+                    GoalPart::Position => goal.position.map_or_else(Vector3::zeros, |t| x - t),
+                    GoalPart::Orientation => goal
+                        .rotation
+                        .map_or_else(Vector3::zeros, |t| log(&(t.transpose() * r))),
+                    GoalPart::Velocity => p[node] / rod.nodes[node].mass,
+                    GoalPart::AngularVelocity => pi[node].component_div(&rod.nodes[node].rotary),
+                };
+                vector[row.axis] / self.problem.goal_scale(row.part)
+            })
+            .collect()
+    }
+
+    pub(in crate::verify) fn measure(&self) -> Measure<'_> {
+        Measure {
+            rod: self.rod(),
+            radii: &self.problem.radii,
+            step: self.problem.grid.step,
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! The part of the Lagrangian over states, and what the rows of path constraints say.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::motion::Conditions;
+use super::rows::{Place, Worst, per};
+use crate::control::cost::sample_times;
+use crate::control::{GoalPart, PathEnforcement, PathMultiplier};
+use crate::mechanics::rotation::{exp, log};
+use crate::verify::SolutionMultipliers;
+use crate::verify::limits::{Pose, add_state_cost};
+
+/// Covectors of a configuration at every time node: of positions and of body rotations, time-major.
+pub(in crate::verify) struct Outcome {
+    pub(in crate::verify) x: Vec<Vector3<f64>>,
+    pub(in crate::verify) eta: Vec<Vector3<f64>>,
+}
+
+impl Conditions<'_> {
+    /// Covectors of `J + Σ y c + Σ z h` over the configurations at every time node, and the part of `J` over states.
+    pub(in crate::verify) fn outcome(&self, multipliers: &SolutionMultipliers) -> (Outcome, f64) {
+        let n = self.rod().n_nodes();
+        let zeros = vec![Vector3::zeros(); n * self.trajectory.n_times()];
+        let mut out = Outcome {
+            x: zeros.clone(),
+            eta: zeros,
+        };
+        for (row, y) in (self.problem.goal_rows().iter()).zip(multipliers.goals) {
+            let goal = &self.problem.goals[row.goal];
+            let (at, weight) = (
+                goal.time_node * n + goal.node,
+                y / self.problem.goal_scale(row.part),
+            );
+            match row.part {
+                GoalPart::Position => out.x[at][row.axis] += weight,
+                GoalPart::Orientation => {
+                    if let Some(target) = goal.rotation {
+                        let r = self.trajectory.rotations_at(goal.time_node)[goal.node];
+                        out.eta[at] += log_gradient(&(target.transpose() * r), row.axis) * weight;
+                    }
+                }
+                GoalPart::Velocity | GoalPart::AngularVelocity => {}
+            }
+        }
+        let measure = self.measure();
+        for PathMultiplier {
+            constraint,
+            time_node: k,
+            item,
+            multiplier,
+        } in multipliers.path
+        {
+            let limit = &self.path[*constraint].limit;
+            let weight = multiplier / limit.scale(self.rod());
+            let here = Pose::at(self.trajectory, *k);
+            let before = Pose::at(self.trajectory, k.saturating_sub(1));
+            let mut add = |k: usize, along_before: bool| {
+                let range = k * n..(k + 1) * n;
+                measure.add_slope(
+                    limit,
+                    *item,
+                    [&before, &here],
+                    along_before,
+                    weight,
+                    [&mut out.x[range.clone()], &mut out.eta[range]],
+                );
+            };
+            add(*k, false);
+            if *k > 0 {
+                add(k - 1, true);
+            }
+        }
+        let mut cost = 0.0;
+        for (k, duration) in sample_times(self.problem) {
+            let range = k * n..(k + 1) * n;
+            cost += add_state_cost(
+                self.problem,
+                &Pose::at(self.trajectory, k),
+                self.problem.grid.time(k),
+                duration,
+                [&mut out.x[range.clone()], &mut out.eta[range]],
+            );
+        }
+        (out, cost)
+    }
+
+    /// Of all rows of the path constraints: the largest scaled violation of a hard one, the cost of soft ones, and how far
+    /// multipliers are from what goes with their rows: signs, slack times multiplier, prices.
+    pub(super) fn path_conditions(&self, multipliers: &[PathMultiplier]) -> PathConditions {
+        let mut out = PathConditions::default();
+        let measure = self.measure();
+        let mut given = std::collections::HashMap::new();
+        for m in multipliers {
+            given.insert((m.constraint, m.time_node, m.item), m.multiplier);
+        }
+        for (index, constraint) in self.path.iter().enumerate() {
+            let scale = constraint.limit.scale(self.rod());
+            let lasting = constraint.lasting(self.problem.grid.step);
+            for (k, duration) in lasting {
+                let here = Pose::at(self.trajectory, k);
+                let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1));
+                for item in 0..constraint.limit.n_items(self.rod()) {
+                    let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
+                    let h = excess / scale;
+                    let z = given.remove(&(index, k, item)).unwrap_or(0.0);
+                    let place = |value: f64, unit: String| Place {
+                        name: constraint.name.clone(),
+                        node: constraint.limit.node(item),
+                        time: self.problem.grid.time(k),
+                        component: "",
+                        value,
+                        unit,
+                    };
+                    let row = PathValue {
+                        h,
+                        z,
+                        scale,
+                        unit: constraint.limit.unit(),
+                    };
+                    out.add(constraint.enforcement, duration, &row, &place);
+                }
+            }
+        }
+        if !given.is_empty() {
+            // A multiplier of a row that does not exist explains nothing.
+            out.complementarity.note(f64::NAN, || Place {
+                name: "multiplier of a row that does not exist".into(),
+                node: 0,
+                time: 0.0,
+                component: "",
+                value: f64::NAN,
+                unit: String::new(),
+            });
+        }
+        out
+    }
+}
+
+/// Gradient of one component of `log A` along body rotations of `A`, by central differences.
+pub(in crate::verify) fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
+    let h = 1e-5;
+    Vector3::from_fn(|i, _| {
+        let mut turn = Vector3::zeros();
+        turn[i] = h;
+        (log(&(a * exp(&turn)))[axis] - log(&(a * exp(&-turn)))[axis]) / (2.0 * h)
+    })
+}
+
+/// A row of a path constraint with its multiplier, both scaled.
+pub(super) struct PathValue {
+    h: f64,
+    z: f64,
+    /// What one unit of `h` is worth in `unit`.
+    scale: f64,
+    unit: &'static str,
+}
+
+/// What the rows of path constraints say together.
+#[derive(Default)]
+pub(super) struct PathConditions {
+    pub(super) violation: Worst,
+    pub(super) cost: f64,
+    /// Of multipliers that no price explains.
+    pub(super) stationarity: Worst,
+    /// Of multipliers with the wrong sign.
+    pub(super) signs: Worst,
+    pub(super) complementarity: Worst,
+}
+
+/// Within this of its limit, a soft row is at it.
+pub(in crate::verify) const AT_LIMIT: f64 = 1e-7;
+
+impl PathConditions {
+    fn add(
+        &mut self,
+        enforcement: PathEnforcement,
+        duration: f64,
+        row: &PathValue,
+        place: &dyn Fn(f64, String) -> Place,
+    ) {
+        let &PathValue { h, z, scale, unit } = row;
+        let priced = |z: f64| place(z / scale, per(unit));
+        match enforcement {
+            PathEnforcement::Hard => {
+                (self.violation).note(h, || place(h * scale, unit.into()));
+                self.signs.note(-z, || priced(z));
+                if !(z < 0.0) {
+                    let gap = (z * h).abs();
+                    self.complementarity.note(gap, || place(gap, String::new()));
+                }
+            }
+            PathEnforcement::Soft { linear, quadratic } => {
+                let (linear, quadratic) = (linear * duration, quadratic * duration);
+                let over = h.max(0.0);
+                self.cost += linear * over + 0.5 * quadratic * over * over;
+                let price = linear + quadratic * over;
+                // Beyond the limit the multiplier is the price, before it nothing, at it anything between.
+                let (least, most) = if h > AT_LIMIT {
+                    (price, price)
+                } else if h < -AT_LIMIT {
+                    (0.0, 0.0)
+                } else {
+                    (0.0, price)
+                };
+                let off = (least - z).max(z - most).max(0.0);
+                if h < -AT_LIMIT {
+                    let gap = off * h.abs();
+                    self.complementarity.note(gap, || place(gap, String::new()));
+                } else {
+                    self.stationarity.note(off, || priced(off));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! Conditions by name: the four parts of the optimality conditions, each with the row where it is worst.
+
+use nalgebra::Vector3;
+
+/// A row of the conditions: what it is about, where, when, and how far off.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct NamedRow {
+    /// Scene key of a constraint, or what else the row is about.
+    pub name: String,
+    /// Node of the rod.
+    pub node: usize,
+    /// When, s.
+    pub time_s: f64,
+    /// `x`, `y` or `z`; empty for scalars. Of a vector that is judged as a whole, the largest.
+    pub component: &'static str,
+    /// How far off, in `unit`.
+    pub value: f64,
+    /// SI; the objective counts as a pure number.
+    pub unit: String,
+    /// How far off, scaled.
+    pub scaled: f64,
+}
+
+/// One part of the conditions.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct KktPart {
+    /// `stationarity`, `equalities`, `inequalities`, `signs` or `complementarity`.
+    pub name: &'static str,
+    /// What is judged: the worst row, but for the equations of motion, whose scaled defects add up.
+    pub scaled: f64,
+    /// The worst row; absent where every row holds exactly.
+    pub worst: Option<NamedRow>,
+}
+
+/// Where a row is: everything of a [`NamedRow`] but its scaled value.
+pub(super) struct Place {
+    pub(super) name: String,
+    pub(super) node: usize,
+    pub(super) time: f64,
+    pub(super) component: &'static str,
+    pub(super) value: f64,
+    pub(super) unit: String,
+}
+
+/// Keeps the worst of the rows it is shown; NaN is worse than any number.
+#[derive(Clone, Default)]
+pub(super) struct Worst {
+    pub(super) scaled: f64,
+    pub(super) row: Option<NamedRow>,
+}
+
+impl Worst {
+    pub(super) fn note(&mut self, scaled: f64, place: impl FnOnce() -> Place) {
+        if self.scaled.is_nan() || !(scaled > self.scaled || scaled.is_nan()) {
+            return;
+        }
+        self.scaled = scaled;
+        let Place {
+            name,
+            node,
+            time,
+            component,
+            value,
+            unit,
+        } = place();
+        self.row = Some(NamedRow {
+            name,
+            node,
+            time_s: time,
+            component,
+            value,
+            unit,
+            scaled,
+        });
+    }
+
+    /// The worse of both.
+    pub(super) fn or(self, other: Self) -> Self {
+        if self.scaled.is_nan() || self.scaled >= other.scaled {
+            self
+        } else {
+            other
+        }
+    }
+
+    /// With scaled values over `scale`.
+    pub(super) fn over(mut self, scale: f64) -> Self {
+        self.scaled /= scale;
+        if let Some(row) = &mut self.row {
+            row.scaled /= scale;
+        }
+        self
+    }
+
+    pub(super) fn part(self, name: &'static str) -> KktPart {
+        KktPart {
+            name,
+            scaled: self.scaled,
+            worst: self.row,
+        }
+    }
+}
+
+/// Name of an axis.
+pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// Name of a vector's largest component.
+pub(super) fn largest_axis(v: &Vector3<f64>) -> &'static str {
+    AXES[v.iamax()]
+}
+
+/// Unit of what one objective costs per `unit`.
+pub(super) fn per(unit: &str) -> String {
+    match unit {
+        "" => String::new(),
+        _ => format!("1/({unit})"),
+    }
+}

@@ -1,0 +1,172 @@
+//! Stresses that depend on both ends of a time step, in the adjoint equations.
+
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+use faer::sparse::{SparseColMat, Triplet};
+use nalgebra::{SMatrix, Vector3};
+
+use super::adjoint::Spin;
+use super::motion::Conditions;
+use crate::verify::interval::{self, Nine, Strained, nine};
+
+/// The stresses of the interval that ends at time node `k`, for the adjoint: of the functions `λ_{k-1}·B_{k-1}ᵀσ` and
+/// `λ_k·B_kᵀσ`, the covectors of the configurations at both ends.
+pub(super) struct StressLink<'a> {
+    pub(super) conditions: &'a Conditions<'a>,
+    pub(super) weights: [f64; 2],
+    pub(super) k: usize,
+    pub(super) start: Vec<Strained>,
+    pub(super) end: Vec<Strained>,
+    pub(super) stresses: Vec<Nine>,
+}
+
+impl<'a> StressLink<'a> {
+    pub(super) fn new(conditions: &'a Conditions<'a>, weights: [f64; 2], k: usize) -> Self {
+        let (start, end) = (conditions.strains(k - 1), conditions.strains(k));
+        Self {
+            conditions,
+            weights,
+            k,
+            stresses: conditions.stresses(weights, &start, &end),
+            start,
+            end,
+        }
+    }
+
+    /// Of `λ·Bᵀσ`, along the configuration at the time node `at` that `B` belongs to; `weight` is that of its strain in `σ`.
+    pub(super) fn add_own(
+        &self,
+        at: usize,
+        strained: &[Strained],
+        weight: f64,
+        [lx, lr]: [&[Vector3<f64>]; 2],
+        factor: f64,
+        [x, eta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        let (rod, trajectory) = (self.conditions.rod(), self.conditions.trajectory);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let w = element_part(lx, lr, q);
+            let pose = interval::pose(trajectory.positions_at(at), trajectory.rotations_at(at), q);
+            let (_, b) = &strained[q];
+            let rule = rod.strain_rule;
+            let bent = interval::bent(element.length, rule, &pose, b, &self.stresses[q], &w);
+            let stiffness = interval::stiffness(element);
+            let stretched = b.tr_mul(&stiffness.component_mul(&(b * w))) * weight;
+            interval::add_to_nodes(q, factor, &(bent + stretched), x, eta);
+        }
+    }
+
+    /// Of `λ_k·B_kᵀσ`, along the configuration at `k`.
+    pub(super) fn add_end(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        to: [&mut [Vector3<f64>]; 2],
+    ) {
+        self.add_own(self.k, &self.end, self.weights[1], [lx, lr], factor, to);
+    }
+
+    /// Of `λ_k·B_kᵀσ`, along the configuration at `k - 1`.
+    pub(super) fn add_start_of_end(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        [x, eta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        for (q, element) in self.conditions.rod().elements.iter().enumerate() {
+            let work = self.end[q].1 * element_part(lx, lr, q) * self.weights[0];
+            let stress = interval::stiffness(element).component_mul(&work);
+            interval::add_to_nodes(q, factor, &self.start[q].1.tr_mul(&stress), x, eta);
+        }
+    }
+
+    /// Of `λ_{k-1}·B_{k-1}ᵀσ`, along the configuration at `k - 1`.
+    pub(super) fn add_start(
+        &self,
+        factor: f64,
+        lx: &[Vector3<f64>],
+        lr: &[Vector3<f64>],
+        to: [&mut [Vector3<f64>]; 2],
+    ) {
+        self.add_own(
+            self.k - 1,
+            &self.start,
+            self.weights[0],
+            [lx, lr],
+            factor,
+            to,
+        );
+    }
+
+    /// The multipliers at `k - 1`, from the equations along the configuration at `k` of all free nodes together: the momenta
+    /// that leave `k - 1`, and `λ_{k-1}·B_{k-1}ᵀσ`.
+    pub(super) fn solve(
+        &self,
+        h: f64,
+        factor: f64,
+        spins: &[Spin],
+        [rhs_x, rhs_eta]: [&[Vector3<f64>]; 2],
+        [lx, lr]: [&mut [Vector3<f64>]; 2],
+    ) {
+        let rod = self.conditions.rod();
+        let (first, count) = (rod.first_free_node(), rod.n_nodes());
+        let mut entries = Vec::with_capacity(108 * (count - first));
+        let mut add = |row, column, value| entries.push(Triplet::new(row, column, value));
+        for q in first..count {
+            let at = 6 * (q - first);
+            for i in 0..3 {
+                add(at + i, at + i, rod.nodes[q].mass / h);
+                for j in 0..3 {
+                    add(at + 3 + i, at + 3 + j, spins[q].end_leaving[(j, i)]);
+                }
+            }
+        }
+        for (q, element) in rod.elements.iter().enumerate() {
+            let stressed = SMatrix::from_diagonal(&interval::stiffness(element)) * self.start[q].1;
+            let link = self.end[q].1.tr_mul(&stressed) * (-factor * self.weights[1]);
+            // Row or column of the whole, of the element, and sign: an element knows x_b - x_a, η_a, η_b.
+            let parts = [
+                (6 * q, 0, -1.0),
+                (6 * q + 6, 0, 1.0),
+                (6 * q + 3, 3, 1.0),
+                (6 * q + 9, 6, 1.0),
+            ];
+            let free = || parts.iter().filter(|(at, ..)| *at >= 6 * first);
+            for &(row, i, sign) in free() {
+                for &(column, j, other) in free() {
+                    for (a, b) in (0..9).map(|entry| (entry / 3, entry % 3)) {
+                        let value = sign * other * link[(i + a, j + b)];
+                        add(row + a - 6 * first, column + b - 6 * first, value);
+                    }
+                }
+            }
+        }
+        let n = 6 * (count - first);
+        let right = Mat::from_fn(n, 1, |row, _| {
+            let (q, i) = (first + row / 6, row % 6);
+            if i < 3 {
+                rhs_x[q][i]
+            } else {
+                rhs_eta[q][i - 3]
+            }
+        });
+        let solution = (SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &entries).ok())
+            .and_then(|matrix| matrix.sp_lu().ok())
+            .map_or_else(
+                || Mat::full(n, 1, f64::NAN),
+                |factors| factors.solve(&right),
+            );
+        for q in first..count {
+            let part =
+                |from: usize| Vector3::from_fn(|i, _| solution[(6 * (q - first) + from + i, 0)]);
+            (lx[q], lr[q]) = (part(0), part(3));
+        }
+    }
+}
+
+/// `(λx_b - λx_a, λr_a, λr_b)` of element `q`.
+pub(super) fn element_part(lx: &[Vector3<f64>], lr: &[Vector3<f64>], q: usize) -> Nine {
+    nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1])
+}

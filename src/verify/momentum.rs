@@ -1,0 +1,188 @@
+//! Momentum balance of a motion: exact for the integrator, so anything beyond rounding is a mistake.
+//!
+//! At every time node `k`, with the momenta of the intervals before and after it and the impulse of all that acts from outside,
+//!
+//! ```text
+//! Σ p_after - decay Σ p_before = weight Σ f_external + impulse on node 0
+//! Σ (x × p + R π)_after - decay Σ (x × p + R π)_before = the same for moments about the origin, x and R those at k
+//! ```
+//!
+//! over the free nodes. Elastic and viscous stresses come in pairs and cancel, but for what the first element does to a node 0
+//! that is held: minus the base's reaction. Momenta are the velocities' own, `m Δx/h` and `(F J_d - J_d Fᵀ)^∨/h`.
+
+use nalgebra::Vector3;
+
+use super::dual;
+use super::interval;
+use super::kkt::motion::{Conditions, Gradient, kick, momentum_after, momentum_before};
+use crate::control::OptimalControlProblem;
+use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory};
+
+/// By how much a motion misses the balance of momentum over its worst step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MomentumBalance {
+    /// N s
+    pub linear: f64,
+    /// N m s, about the origin.
+    pub angular: f64,
+    /// The larger of both, each over what rounding explains.
+    pub over_rounding: f64,
+    /// When, s.
+    pub time: f64,
+}
+
+/// Roundings of a sum of a few terms, each known to a few units in the last place.
+const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
+
+impl MomentumBalance {
+    /// Of a motion under a control.
+    #[must_use]
+    pub fn of(
+        problem: &OptimalControlProblem,
+        trajectory: &Trajectory,
+        control: &ControlSignal,
+    ) -> Self {
+        let conditions = Conditions {
+            problem,
+            trajectory,
+            control,
+            path: &[],
+        };
+        let mut out = Self::default();
+        for k in 0..problem.grid.n_steps {
+            let [linear, angular] = conditions.momentum_missing(k);
+            let bounds = conditions.momentum_rounding(k);
+            let over = [linear.norm() / bounds[0], angular.norm() / bounds[1]];
+            let worst = super::kkt::worse(over[0], over[1]);
+            out.linear = super::kkt::worse(out.linear, linear.norm());
+            out.angular = super::kkt::worse(out.angular, angular.norm());
+            if !(worst <= out.over_rounding) {
+                out.over_rounding = worst;
+                out.time = problem.grid.time(k);
+            }
+            if worst.is_nan() {
+                break;
+            }
+        }
+        out
+    }
+}
+
+impl Conditions<'_> {
+    /// What the balances at time node `k` lack: linear, and angular about the origin.
+    fn momentum_missing(&self, k: usize) -> [Vector3<f64>; 2] {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        let (decay, weight, impulse) = kick(rod, h, k, n);
+        let outside = Gradient {
+            x: rod
+                .nodes
+                .iter()
+                .map(|node| -node.mass * rod.gravity)
+                .collect(),
+            eta: vec![Vector3::zeros(); rod.n_nodes()],
+        };
+        let [leaving, _] = self.interval_inertia(k);
+        let arriving = (k > 0).then(|| self.interval_inertia(k - 1));
+        let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
+        let mut add = |q: usize, push: Vector3<f64>, twist: Vector3<f64>| {
+            linear += push;
+            angular += x[q].cross(&push) + r[q] * twist;
+        };
+        for q in rod.first_free_node()..rod.n_nodes() {
+            let (before, before_angular) = match &arriving {
+                None => (
+                    self.problem.initial.linear_momentum[q],
+                    self.problem.initial.angular_momentum[q],
+                ),
+                Some([_, j_d]) => (
+                    self.velocity_momentum(k - 1, q),
+                    momentum_before(&self.turn(k - 1, q), &j_d[q], h),
+                ),
+            };
+            let (force, moment) = self.applied(k, q, &outside);
+            let after = self.velocity_momentum(k, q);
+            let after_angular = momentum_after(&self.turn(k, q), &leaving[q], h);
+            add(
+                q,
+                after - before * decay - force * weight,
+                after_angular - before_angular * decay - moment * weight,
+            );
+        }
+        if rod.first_free_node() > 0 {
+            let (push, twist) = self.on_base(k, weight, impulse);
+            add(0, push, twist);
+        }
+        [linear, angular]
+    }
+
+    /// Impulse of the first element on node 0 at time node `k`: force, and moment in the body frame.
+    fn on_base(&self, k: usize, weight: f64, impulse: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let rod = self.rod();
+        let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
+        let element = &rod.elements[0];
+        let mut push = impulse * self.reaction(k, 0);
+        let mut twist = Vector3::zeros();
+        if rod.scheme == TimeScheme::Explicit {
+            let pose = Rod::element_pose(
+                0,
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let [force, moment, _] = dual::gradient(element, rod.strain_rule, &pose);
+            push += weight * force;
+            twist -= weight * moment;
+        }
+        if let Some(weights) = interval::weights(rod, h) {
+            let strained = |k: usize| {
+                let (x, r) = (
+                    self.trajectory.positions_at(k),
+                    self.trajectory.rotations_at(k),
+                );
+                dual::strain(element.length, rod.strain_rule, &interval::pose(x, r, 0))
+            };
+            let (here, b) = strained(k);
+            let mut stress = interval::Nine::zeros();
+            if k > 0 {
+                stress += interval::stress(element, weights, &strained(k - 1).0, &here);
+            }
+            if k < n {
+                stress += interval::stress(element, weights, &here, &strained(k + 1).0);
+            }
+            let pull = b.tr_mul(&stress) * (0.5 * h * impulse);
+            push += pull.fixed_rows::<3>(0);
+            twist -= pull.fixed_rows::<3>(3);
+        }
+        (push, twist)
+    }
+
+    /// What rounding of the configurations, and of the strains made of them, does to the balances.
+    fn momentum_rounding(&self, k: usize) -> [f64; 2] {
+        let rod = self.rod();
+        let h = self.problem.grid.step;
+        let far = (self.trajectory.positions_at(k).iter())
+            .map(Vector3::norm)
+            .fold(rod.scales.length, f64::max);
+        let momentum: f64 = rod.nodes.iter().map(|node| node.mass * far / h).sum();
+        let spin: f64 = rod.nodes.iter().map(|node| node.rotary.amax() / h).sum();
+        let stiffest = (rod.elements.iter())
+            .map(|e| {
+                let rate = 1.0 + rod.internal_damping / h;
+                let [linear, angular] = [&e.linear_stiffness, &e.angular_stiffness];
+                (
+                    linear.amax() * rate * far / e.length,
+                    angular.amax() * rate / e.length,
+                )
+            })
+            .fold((0.0f64, 0.0f64), |m, e| (m.0.max(e.0), m.1.max(e.1)));
+        let linear = momentum + h * stiffest.0;
+        [
+            ROUNDINGS * linear,
+            ROUNDINGS * (linear * far + spin + h * stiffest.1),
+        ]
+    }
+}

@@ -1,0 +1,246 @@
+//! The second-order condition: curvature of the Lagrangian over the directions that the active constraints leave free.
+//!
+//! In the scaled coefficients `v` of the controls, with the motion a function of them, `∇²L` must be positive on the null space of the
+//! gradients of all that is held: hard goals, and rows of the path, rates and bounds with a multiplier. Active norm bounds add the
+//! curvature of their own ball, `|z| (I - û ûᵀ)/|u|`. Rows without a multiplier hold nothing here, which can only lower the result.
+//!
+//! Products of `∇²L` with a direction are central differences of the recomputed gradient ([`kkt`](super::kkt)); the smallest
+//! eigenvalue comes from Lanczos' method with full reorthogonalization, stopped when its residual is a small part of it.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::CheckError;
+use super::probe::Probe;
+
+/// What the curvature says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extremum {
+    /// Positive beyond its error: a strict local minimum.
+    Minimum,
+    /// Zero within its error.
+    Degenerate,
+    /// Negative beyond its error: a saddle, or a maximum, of the objective over what the constraints allow.
+    NotAMinimum,
+}
+
+impl Extremum {
+    /// In words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Minimum => "minimum",
+            Self::Degenerate => "degenerate",
+            Self::NotAMinimum => "not a minimum",
+        }
+    }
+}
+
+/// Smallest curvature of the Lagrangian over the critical subspace.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SecondOrder {
+    /// Smallest eigenvalue found: objective per squared scaled control.
+    pub eigenvalue: f64,
+    /// Some eigenvalue is within this of it: residual of the eigenpair, asymmetry of the products, and their truncation. That none is
+    /// below rests on Lanczos' method having found the end of the spectrum.
+    pub error: f64,
+    /// Largest eigenvalue found.
+    pub largest: f64,
+    /// Dimension of the critical subspace.
+    pub dimension: usize,
+    /// Number of independent gradients that are held.
+    pub held: usize,
+    /// Products of the Hessian with a direction.
+    pub products: usize,
+}
+
+impl SecondOrder {
+    /// What it says.
+    #[must_use]
+    pub fn extremum(&self) -> Extremum {
+        if self.eigenvalue > self.error || self.dimension == 0 {
+            Extremum::Minimum
+        } else if self.eigenvalue < -self.error || !self.eigenvalue.is_finite() {
+            Extremum::NotAMinimum
+        } else {
+            Extremum::Degenerate
+        }
+    }
+}
+
+/// Part of the eigenvalue to which its residual is brought.
+const RESIDUAL: f64 = 0.02;
+/// Products before the residual is believed.
+const FEWEST: usize = 8;
+/// Products, at most.
+const MOST: usize = 80;
+/// Singular values of the held gradients, over their largest, below which they count as dependent: the error of the differences that
+/// they are made of.
+const DEPENDENT: f64 = 1e-6;
+/// Relative noise of the recomputed gradient.
+const NOISE: f64 = 1e-10;
+
+/// Examines the curvature around a solution. `responses` are those of [`Probe::responses`].
+pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondOrder, CheckError> {
+    let n = probe.variables.len();
+    let normals = held_normals(probe, responses);
+    let held = normals.ncols();
+    let dimension = n - held;
+    let mut out = SecondOrder {
+        eigenvalue: 0.0,
+        error: 0.0,
+        largest: 0.0,
+        dimension,
+        held,
+        products: 0,
+    };
+    if dimension == 0 {
+        return Ok(out);
+    }
+    let project = |v: &DVector<f64>| v - &normals * normals.tr_mul(v);
+    let curvature = own_curvature(probe);
+    let product = |d: &DVector<f64>, step: f64| -> Result<DVector<f64>, CheckError> {
+        let plus = DVector::from_vec(probe.gradient(d.as_slice(), step)?);
+        let minus = DVector::from_vec(probe.gradient(d.as_slice(), -step)?);
+        Ok(project(&((plus - minus) / (2.0 * step) + &curvature * d)))
+    };
+
+    let mut basis = DMatrix::zeros(n, 0);
+    let mut images = DMatrix::zeros(n, 0);
+    let mut seed = 1;
+    let mut next = fresh(n, &mut seed, &project, &basis);
+    // Truncation goes with the square of the step, noise with its inverse: h³ = noise / (2 third derivatives), the latter from the
+    // change of the first product with its step.
+    let mut step = 1e-3;
+    let (near, far) = (product(&next, step)?, product(&next, 2.0 * step)?);
+    let third = (far - &near).norm() / (3.0 * step * step);
+    if third > 0.0 {
+        let noise = NOISE * probe.scale;
+        step = (0.5 * noise / third).cbrt().clamp(1e-5, 1e-2);
+    }
+    let pair = loop {
+        let image = product(&next, step)?;
+        let j = basis.ncols();
+        basis = basis.insert_column(j, 0.0);
+        images = images.insert_column(j, 0.0);
+        basis.set_column(j, &next);
+        images.set_column(j, &image);
+        let small = basis.tr_mul(&images);
+        let eigen = (0.5 * (&small + small.transpose())).symmetric_eigen();
+        let least = eigen.eigenvalues.imin();
+        let theta = eigen.eigenvalues[least];
+        let weights = eigen.eigenvectors.column(least);
+        let vector = &basis * weights;
+        let residual = (&images * weights - &vector * theta).norm();
+        out.eigenvalue = theta;
+        out.largest = eigen.eigenvalues.max();
+        let asymmetry = 0.5 * (&small - small.transpose()).norm();
+        let done = j + 1 >= dimension.min(FEWEST) && residual <= RESIDUAL * theta.abs();
+        if done || j + 1 == dimension.min(MOST) || !theta.is_finite() {
+            out.error = residual + asymmetry;
+            out.products = j + 1;
+            break vector;
+        }
+        next = orthogonal(&image, &basis).unwrap_or_else(|| fresh(n, &mut seed, &project, &basis));
+    };
+    let (near, far) = (product(&pair, step)?, product(&pair, 2.0 * step)?);
+    out.error += (pair.dot(&(far - near)) / 3.0).abs() + NOISE * probe.scale / step;
+    Ok(out)
+}
+
+/// What is left of `v` beside the basis, normalized; `None` if it is nothing but rounding.
+fn orthogonal(v: &DVector<f64>, basis: &DMatrix<f64>) -> Option<DVector<f64>> {
+    let mut rest = v.clone();
+    for _ in 0..2 {
+        rest -= basis * basis.tr_mul(&rest);
+    }
+    let size = rest.norm();
+    (size > 1e-10 * v.norm()).then(|| rest / size)
+}
+
+/// A pseudo-random direction of the critical subspace beside the basis.
+fn fresh(
+    n: usize,
+    seed: &mut u64,
+    project: &impl Fn(&DVector<f64>) -> DVector<f64>,
+    basis: &DMatrix<f64>,
+) -> DVector<f64> {
+    loop {
+        let random = DVector::from_fn(n, |_, _| {
+            // xorshift64*
+            *seed ^= *seed >> 12;
+            *seed ^= *seed << 25;
+            *seed ^= *seed >> 27;
+            let bits = seed.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11;
+            bits as f64 / (1u64 << 52) as f64 - 1.0
+        });
+        let kept = project(&random);
+        if let Some(direction) = orthogonal(&kept, basis) {
+            return direction;
+        }
+    }
+}
+
+/// Orthonormal basis of the gradients of all that is held.
+fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = probe.variables.len();
+    let goals = probe.problem.goal_rows();
+    let mut columns: Vec<DVector<f64>> = Vec::new();
+    for (i, row) in responses.row_iter().enumerate() {
+        let soft = (goals.get(i)).is_some_and(|row| probe.problem.soft_weight(row).is_some());
+        if !soft {
+            columns.push(row.transpose());
+        }
+    }
+    for bound in &probe.bounds {
+        for normal in &bound.normals {
+            let mut column = DVector::zeros(n);
+            for (at, sign) in ends(bound.at, bound.earlier) {
+                for axis in 0..3 {
+                    if let Some(i) = probe.variable(at, bound.channel, axis) {
+                        column[i] += sign * normal[axis];
+                    }
+                }
+            }
+            columns.push(column);
+        }
+    }
+    columns.retain(|column| column.norm() > 0.0);
+    for column in &mut columns {
+        column.normalize_mut();
+    }
+    if columns.is_empty() {
+        return DMatrix::zeros(n, 0);
+    }
+    let svd = DMatrix::from_columns(&columns).svd(true, false);
+    let largest = svd.singular_values.max();
+    let kept: Vec<usize> = (0..svd.singular_values.len())
+        .filter(|&i| svd.singular_values[i] > DEPENDENT * largest)
+        .collect();
+    svd.u
+        .map_or_else(|| DMatrix::zeros(n, 0), |u| u.select_columns(&kept))
+}
+
+/// Coefficients of a bound with their signs.
+fn ends(at: usize, earlier: Option<usize>) -> impl Iterator<Item = (usize, f64)> {
+    std::iter::once((at, 1.0)).chain(earlier.map(|earlier| (earlier, -1.0)))
+}
+
+/// Sum of the curvatures of the active norm bounds.
+fn own_curvature(probe: &Probe) -> DMatrix<f64> {
+    let n = probe.variables.len();
+    let mut out = DMatrix::zeros(n, n);
+    for bound in &probe.bounds {
+        let entries: Vec<_> = ends(bound.at, bound.earlier)
+            .flat_map(|(at, sign)| (0..3).map(move |axis| (at, sign, axis)))
+            .filter_map(|(at, sign, axis)| {
+                Some((probe.variable(at, bound.channel, axis)?, sign, axis))
+            })
+            .collect();
+        for &(i, sign, a) in &entries {
+            for &(j, other, b) in &entries {
+                out[(i, j)] += sign * other * bound.curvature[(a, b)];
+            }
+        }
+    }
+    out
+}
