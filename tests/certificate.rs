@@ -1,0 +1,449 @@
+//! The certificate beyond its figures of accuracy: worst rows by name, kind of extremum, momentum, growth of disturbances.
+
+mod common;
+
+use std::ops::ControlFlow;
+
+use common::{Dice, bases, busy_arm, methods, random_state, soft_arm};
+use nalgebra::{DMatrix, DVector, Vector3};
+use softarm::control::{
+    Bound, Channel, ControlGrid, Goal, Guess, Hold, LiftedPoint, OptimalControlProblem,
+    PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Shape, Transcription, first_point,
+};
+use softarm::mechanics::stability::stable_step;
+use softarm::mechanics::{
+    ControlSignal, Rod, RodParameters, State, StrainRule, TimeGrid, TimeScheme, Wrench,
+};
+use softarm::sqp::{
+    LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus, solve,
+};
+use softarm::verify::kkt::{self, NamedRow};
+use softarm::verify::momentum::MomentumBalance;
+use softarm::verify::second_order::Extremum;
+use softarm::verify::{
+    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
+};
+
+/// A problem, what its rod is built from, and a solution.
+struct Solved {
+    parameters: RodParameters,
+    problem: OptimalControlProblem,
+    outcome: SqpOutcome<LiftedPoint>,
+    path: Vec<PathMultiplier>,
+    rates: Vec<[f64; 6]>,
+}
+
+impl Solved {
+    #[track_caller]
+    fn of(parameters: RodParameters, problem: OptimalControlProblem) -> Self {
+        let program = Transcription::new(&problem, 1);
+        let (start, _) = first_point(&problem, Guess::StaticPath, None).unwrap();
+        let outcome = solve(&program, start, &SqpSettings::default(), &mut |_| {
+            ControlFlow::Continue(())
+        });
+        assert_eq!(
+            outcome.status,
+            SqpStatus::Converged,
+            "{:?}",
+            outcome.residual
+        );
+        Self {
+            path: program.path_multipliers(&outcome.multipliers.inequalities),
+            rates: program.rate_normals(&outcome.multipliers.normals),
+            parameters,
+            problem,
+            outcome,
+        }
+    }
+
+    fn multipliers(&self) -> SolutionMultipliers<'_> {
+        SolutionMultipliers {
+            goals: &self.outcome.multipliers.constraints,
+            path: &self.path,
+            rates: &self.rates,
+        }
+    }
+
+    fn wrenches(&self) -> Vec<Wrench> {
+        self.problem.wrenches(&self.outcome.point.variables)
+    }
+
+    fn deep_check(&self) -> ForwardCheck {
+        let solution = Solution {
+            trajectory: &self.outcome.point.trajectory,
+            coefficients: &self.wrenches(),
+            multipliers: self.multipliers(),
+        };
+        let mut check = forward_check(
+            &self.problem,
+            &self.parameters,
+            &|rod| rod.at_rest_on_base(rod.rest.clone()),
+            &solution,
+            &CheckLimits::default(),
+        )
+        .unwrap();
+        check.deepen(&self.problem, &solution).unwrap();
+        check
+    }
+
+    /// Worst row of a part of the conditions, with other controls or multipliers.
+    fn worst(
+        &self,
+        part: &str,
+        wrenches: &[Wrench],
+        multipliers: &SolutionMultipliers,
+    ) -> (f64, Option<NamedRow>) {
+        let found = kkt::recompute(
+            &self.problem,
+            &self.outcome.point.trajectory,
+            wrenches,
+            multipliers,
+        );
+        let part = found.parts.iter().find(|p| p.name == part).unwrap();
+        (part.scaled, part.worst.clone())
+    }
+}
+
+/// Four elements whose tip stops at a point to their side after 0.3 s.
+fn reach() -> (RodParameters, OptimalControlProblem) {
+    let parameters = RodParameters {
+        viscous_damping: 1.0,
+        ..soft_arm(StrainRule::Helical, 4)
+    };
+    let rod = Rod::new(&parameters).unwrap();
+    let grid = TimeGrid {
+        step: 2e-3,
+        n_steps: 150,
+    };
+    let goal = Goal::reach(&rod, grid, Vector3::new(0.1, 0.03, 0.985));
+    let control = ControlGrid::new(Hold::Constant, 5, 150, grid.step).unwrap();
+    let channels = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
+    let initial = State::at_rest(rod.rest.clone());
+    let problem = OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
+    (parameters, problem)
+}
+
+/// Second differences of the Lagrangian's values along all pairs of directions: a route to its Hessian that knows no gradient.
+fn hessian_of_values(solved: &Solved) -> DMatrix<f64> {
+    let program = Transcription::new(&solved.problem, 1);
+    let point = &solved.outcome.point;
+    let y = &solved.outcome.multipliers.constraints;
+    let n = point.variables.len();
+    let value = |change: &[f64]| -> f64 {
+        let moved = program.restored_step(point, change).unwrap();
+        let values = program.evaluate(&moved).unwrap();
+        let pulled: f64 = values.constraints.iter().zip(y).map(|(c, y)| c * y).sum();
+        values.objective + pulled
+    };
+    let step = 1e-2;
+    DMatrix::from_fn(n, n, |i, j| {
+        if j > i {
+            return 0.0;
+        }
+        let at = |a: f64, b: f64| {
+            let mut change = vec![0.0; n];
+            change[i] += a * step;
+            change[j] += b * step;
+            value(&change)
+        };
+        let differences = |s: f64| (at(s, s) - at(s, -s) - at(-s, s) + at(-s, -s)) / (4.0 * s * s);
+        (4.0 * differences(1.0) - differences(2.0)) / (3.0 * step * step)
+    })
+}
+
+/// Smallest curvature of a small reach against the dense eigenvalues of a Hessian that is made of values alone, on the null space of the
+/// solver's Jacobian: within its own error, to which the residual of the iteration contributes most.
+#[test]
+fn curvature_is_that_of_the_values() {
+    let (parameters, problem) = reach();
+    let solved = Solved::of(parameters, problem);
+    let lower = hessian_of_values(&solved);
+    let n = lower.nrows();
+    let hessian = DMatrix::from_fn(n, n, |i, j| lower[(i.max(j), i.min(j))]);
+    let program = Transcription::new(&solved.problem, 1);
+    let evaluation = program.evaluate(&solved.outcome.point).unwrap();
+    let linearization = program
+        .linearize(
+            &solved.outcome.point,
+            &evaluation,
+            &LinearizationRequest::default(),
+        )
+        .unwrap();
+    let rows = linearization.jacobian.nrows();
+    let gram = DMatrix::from_fn(n, n, |i, j| {
+        (0..rows)
+            .map(|r| linearization.jacobian[(r, i)] * linearization.jacobian[(r, j)])
+            .sum::<f64>()
+    });
+    let eigen = gram.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let free: Vec<usize> = (0..n)
+        .filter(|&i| eigen.eigenvalues[i] < 1e-12 * largest)
+        .collect();
+    let null = eigen.eigenvectors.select_columns(&free);
+    let reduced = null.transpose() * hessian * &null;
+    let expected = reduced.symmetric_eigenvalues();
+
+    let check = solved.deep_check();
+    let found = check.second_order.as_ref().unwrap();
+    println!(
+        "{found:?}, expected {} to {}",
+        expected.min(),
+        expected.max()
+    );
+    assert_eq!(found.dimension, free.len());
+    // Differences of fourth order of values that are good to 1e-13 of an objective of order 1e-2.
+    assert!((found.eigenvalue - expected.min()).abs() < found.error + 1e-6);
+    assert!(found.error < 0.03 * found.eigenvalue);
+    assert_eq!(found.extremum(), Extremum::Minimum);
+    assert!(check.is_certified(), "{:?}", check.items);
+}
+
+/// A ball in the arm's own plane: by symmetry the solver stays in the plane and stops where its conditions of first order hold, but
+/// the way around the ball on either side costs less. The check says that this is no minimum.
+#[test]
+fn saddles_are_not_certified() {
+    let (parameters, problem) = past_a_ball(0.0);
+    let solved = Solved::of(parameters, problem);
+    for wrench in solved.wrenches() {
+        assert!(wrench.force.y.abs() < 1e-9);
+    }
+    let check = solved.deep_check();
+    let found = check.second_order.as_ref().unwrap();
+    println!("{found:?} {:?}", check.kkt);
+    assert!(check.kkt.max() < 1e-6);
+    assert_eq!(found.extremum(), Extremum::NotAMinimum);
+    let failed: Vec<_> = (check.items.iter().filter(|item| !item.holds()))
+        .map(|item| item.name)
+        .collect();
+    assert!(failed.contains(&"second_order"), "{failed:?}");
+
+    // A millimeter off the plane, the solver finds the way around: a minimum, for less.
+    let (parameters, problem) = past_a_ball(1e-3);
+    let around = Solved::of(parameters, problem);
+    assert!(around.outcome.objective < 0.99 * solved.outcome.objective);
+    let check = around.deep_check();
+    let found = check.second_order.as_ref().unwrap();
+    println!("{found:?} {:?} {}", check.kkt, around.outcome.objective);
+    assert_eq!(found.extremum(), Extremum::Minimum);
+    assert!(check.is_certified(), "{:?}", check.items);
+}
+
+/// A silicone arm of eight elements that reaches past a ball, whose center is `aside` of the plane of the reach.
+fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
+    let parameters = RodParameters {
+        viscous_damping: 1.0,
+        ..soft_arm(StrainRule::Helical, 8)
+    };
+    let rod = Rod::new(&parameters).unwrap();
+    let n_steps = 400;
+    let grid = TimeGrid {
+        step: 0.8 / n_steps as f64,
+        n_steps,
+    };
+    let goal = Goal::reach(&rod, grid, Vector3::new(0.5, 0.0, 0.8));
+    let control = ControlGrid::new(Hold::Linear, 10, n_steps, grid.step).unwrap();
+    let channels = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
+    let initial = State::at_rest(rod.rest.clone());
+    let mut problem =
+        OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
+    problem.radii = vec![0.02; 9];
+    problem.path.push(PathConstraint {
+        name: "ball".into(),
+        limit: PathLimit::Clearance {
+            shape: Shape::Sphere {
+                center: Vector3::new(0.25, aside, 1.0),
+                radius: 0.05,
+            },
+            margin: 0.0,
+            points: 3,
+        },
+        time_nodes: (0..=n_steps).collect(),
+        enforcement: PathEnforcement::Hard,
+    });
+    (parameters, problem)
+}
+
+/// Every part of the conditions fails by itself, and names what was broken: a control off by a thousandth, a target moved by a
+/// millimeter, a bound exceeded, a multiplier of the wrong sign, one of an obstacle that is not touched.
+#[test]
+fn worst_rows_are_named() {
+    let (parameters, mut problem) = reach();
+    problem.actuators[0].force.bound = Some(Bound::Norm(1e3));
+    problem.path.push(PathConstraint {
+        name: "wall".into(),
+        limit: PathLimit::Clearance {
+            shape: Shape::HalfSpace {
+                point: Vector3::new(0.0, 0.0, -1.0),
+                normal: Vector3::z(),
+            },
+            margin: 0.0,
+            points: 1,
+        },
+        time_nodes: (0..=150).collect(),
+        enforcement: PathEnforcement::Hard,
+    });
+    let mut solved = Solved::of(parameters, problem);
+    let wrenches = solved.wrenches();
+    let parts = [
+        "stationarity",
+        "equalities",
+        "inequalities",
+        "signs",
+        "complementarity",
+    ];
+    for part in parts {
+        let (scaled, _) = solved.worst(part, &wrenches, &solved.multipliers());
+        assert!(scaled < 1e-7, "{part}: {scaled}");
+    }
+
+    let mut other = wrenches.clone();
+    other[2].moment *= 1.001;
+    let (scaled, row) = solved.worst("stationarity", &other, &solved.multipliers());
+    let row = row.unwrap();
+    let scale = solved.problem.rod.scales.moment;
+    // The effort's own share: duration of a block times the change, over the scale twice.
+    let change = 0.06 * 0.001 * wrenches[2].moment.amax() / (scale * scale);
+    println!("{row:?}, {change}");
+    assert!(scaled > 1e-6);
+    assert_eq!(
+        (row.name.as_str(), row.node, row.unit.as_str()),
+        ("moment", 4, "1/(N m)")
+    );
+    assert!((row.time_s - 0.15).abs() < 1e-12);
+    assert!((row.value / change - 1.0).abs() < 1e-3);
+
+    other.clone_from(&wrenches);
+    other[3].force = Vector3::new(0.0, 1005.0, 0.0);
+    let (_, row) = solved.worst("inequalities", &other, &solved.multipliers());
+    let row = row.unwrap();
+    assert_eq!(
+        (row.name.as_str(), row.component, row.unit.as_str()),
+        ("force", "y", "N")
+    );
+    assert!((row.value - 5.0).abs() < 1e-9 && (row.time_s - 0.21).abs() < 1e-12);
+
+    solved.path.push(PathMultiplier {
+        constraint: 0,
+        time_node: 30,
+        item: 2,
+        multiplier: -0.5,
+    });
+    let (_, row) = solved.worst("signs", &wrenches, &solved.multipliers());
+    let row = row.unwrap();
+    assert_eq!((row.name.as_str(), row.node), ("wall", 2));
+    assert!((row.time_s - 0.06).abs() < 1e-12 && (row.value + 0.5).abs() < 1e-12);
+
+    solved.path[0].multiplier = 0.5;
+    let (_, row) = solved.worst("complementarity", &wrenches, &solved.multipliers());
+    let row = row.unwrap();
+    // Node 2 stands 1.5 m above the wall or a little less.
+    println!("{row:?}");
+    assert_eq!((row.name.as_str(), row.node), ("wall", 2));
+    assert!((row.value - 0.75).abs() < 0.02);
+
+    if let Some(position) = &mut solved.problem.goals[0].position {
+        position.y += 1e-3;
+    }
+    let (_, row) = solved.worst("equalities", &wrenches, &solved.multipliers());
+    let row = row.unwrap();
+    assert_eq!((row.name.as_str(), row.component), ("task.position_m", "y"));
+    assert!((row.value + 1e-3).abs() < 1e-9 && (row.time_s - 0.3).abs() < 1e-12);
+}
+
+/// Momentum of a busy arm under a wrench that acts and moves at its tip is that of the impulses, by every method and on every base, to
+/// what rounding explains; one node a micrometer from its way is seen, and so is another gravity.
+#[test]
+fn momentum_balances_to_rounding() {
+    let mut dice = Dice(7);
+    for method in methods() {
+        for base in bases() {
+            let parameters = RodParameters {
+                base,
+                ..busy_arm(method.rule, 5)
+            };
+            let rod = method.rod(parameters);
+            let step = if method.scheme == TimeScheme::Explicit {
+                0.3 * stable_step(&rod)
+            } else {
+                1e-3
+            };
+            let grid = TimeGrid { step, n_steps: 60 };
+            let initial = random_state(&rod, 0.02, 0.1, &mut dice);
+            let control = ControlGrid::new(Hold::Linear, 4, 60, step).unwrap();
+            let channels = [1.0, 0.1].map(|scale| Channel::new(scale, None));
+            let goal = Goal::reach(&rod, grid, Vector3::zeros());
+            let mut problem =
+                OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
+            let wrenches: Vec<Wrench> = (0..5)
+                .map(|_| Wrench {
+                    force: dice.vector(0.3),
+                    moment: dice.vector(0.03),
+                })
+                .collect();
+            let signal: ControlSignal = problem.signal(&problem.control, &wrenches);
+            let mut motion = replay(&problem.rod, grid, &problem.initial, &signal)
+                .unwrap()
+                .trajectory;
+            let balance = MomentumBalance::of(&problem, &motion, &signal);
+            println!("{method:?} {:?}: {balance:?}", problem.rod.base);
+            assert!(balance.over_rounding <= 1.0);
+
+            let kept = problem.rod.gravity;
+            problem.rod.gravity *= 1.0 + 1e-6;
+            let other = MomentumBalance::of(&problem, &motion, &signal);
+            assert!(other.over_rounding > 10.0, "{other:?}");
+            problem.rod.gravity = kept;
+            motion.positions[30 * 6 + 3].x += 1e-6;
+            let other = MomentumBalance::of(&problem, &motion, &signal);
+            assert!(other.over_rounding > 1e3, "{other:?}");
+        }
+    }
+}
+
+/// Undamped small motions conserve their energy, so disturbances of an arm at rest neither grow nor decay, but for the energy's own
+/// oscillation under explicit steps, `(hω)²/4` where the step resolves a wave by `1/(hω)`; damping can only take from it. What the control
+/// does to the tip is what the solver's own linearization says.
+#[test]
+fn disturbances_of_a_resting_arm_do_not_grow() {
+    for damping in [0.0, 3.0] {
+        let (mut parameters, mut problem) = reach();
+        parameters.viscous_damping = damping;
+        let rod = Rod::new(&parameters).unwrap();
+        let factor = 10;
+        let step = problem.grid.step / factor as f64;
+        let resolved = step / stable_step(&rod);
+        let n_steps = problem.grid.n_steps * factor;
+        problem.grid = TimeGrid { step, n_steps };
+        problem.control = ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap();
+        problem.goals[0].position = Some(rod.rest.positions[rod.tip()]);
+        problem.goals[0].time_node = n_steps;
+        problem.rod = rod;
+        let solved = Solved::of(parameters, problem);
+        let check = solved.deep_check();
+        let growth = check.growth.unwrap();
+        println!("{growth:?} {}", growth.sentence());
+        // Twice the step over the stable one is hω of the fastest wave.
+        let error = (2.0 * resolved).powi(2) / 4.0 + 1e-3;
+        if damping == 0.0 {
+            assert!((growth.amplification - 1.0).abs() < error);
+        } else {
+            // What is not moving yet loses nothing, what always moves c per second.
+            let least = (-damping * solved.problem.grid.end()).exp();
+            assert!(growth.amplification > least && growth.amplification < 1.0);
+        }
+
+        let program = Transcription::new(&solved.problem, 1);
+        let point = &solved.outcome.point;
+        let evaluation = program.evaluate(point).unwrap();
+        let linearization = program
+            .linearize(point, &evaluation, &LinearizationRequest::default())
+            .unwrap();
+        let sums = DVector::from_fn(3, |axis, _| {
+            (0..linearization.jacobian.ncols())
+                .map(|j| 0.01 * linearization.jacobian[(axis, j)].abs())
+                .sum::<f64>()
+        });
+        assert!((growth.tip_from_control / sums.norm() - 1.0).abs() < 1e-6);
+    }
+}
