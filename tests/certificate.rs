@@ -123,80 +123,114 @@ fn reach() -> (RodParameters, OptimalControlProblem) {
     (parameters, problem)
 }
 
-/// Second differences of the Lagrangian's values along all pairs of directions: a route to its Hessian that knows no gradient.
-fn hessian_of_values(solved: &Solved) -> DMatrix<f64> {
+/// Curvature of the Lagrangian along the columns of `free`, by second differences of its values where the controls are moved along a
+/// column and then brought back to what holds them: a route that knows no gradient and no curvature of a bound.
+fn hessian_of_values(
+    solved: &Solved,
+    free: &DMatrix<f64>,
+    retract: &dyn Fn(&mut [f64]),
+) -> DMatrix<f64> {
     let program = Transcription::new(&solved.problem, 1);
     let point = &solved.outcome.point;
     let y = &solved.outcome.multipliers.constraints;
-    let n = point.variables.len();
-    let value = |change: &[f64]| -> f64 {
-        let moved = program.restored_step(point, change).unwrap();
+    let start = &point.variables;
+    let value = |move_: DVector<f64>| -> f64 {
+        let change = free * move_;
+        let mut variables: Vec<f64> = start.iter().zip(&change).map(|(v, d)| v + d).collect();
+        retract(&mut variables);
+        let change: Vec<f64> = variables.iter().zip(start).map(|(v, w)| v - w).collect();
+        let moved = program.restored_step(point, &change).unwrap();
         let values = program.evaluate(&moved).unwrap();
         let pulled: f64 = values.constraints.iter().zip(y).map(|(c, y)| c * y).sum();
         values.objective + pulled
     };
+    let m = free.ncols();
     let step = 1e-2;
-    DMatrix::from_fn(n, n, |i, j| {
+    let lower = DMatrix::from_fn(m, m, |i, j| {
         if j > i {
             return 0.0;
         }
         let at = |a: f64, b: f64| {
-            let mut change = vec![0.0; n];
+            let mut change = DVector::zeros(m);
             change[i] += a * step;
             change[j] += b * step;
-            value(&change)
+            value(change)
         };
         let differences = |s: f64| (at(s, s) - at(s, -s) - at(-s, s) + at(-s, -s)) / (4.0 * s * s);
         (4.0 * differences(1.0) - differences(2.0)) / (3.0 * step * step)
-    })
+    });
+    DMatrix::from_fn(m, m, |i, j| lower[(i.max(j), i.min(j))])
 }
 
-/// Smallest curvature of a small reach against the dense eigenvalues of a Hessian that is made of values alone, on the null space of the
-/// solver's Jacobian: within its own error, to which the residual of the iteration contributes most.
-#[test]
-fn curvature_is_that_of_the_values() {
-    let (parameters, problem) = reach();
-    let solved = Solved::of(parameters, problem);
-    let lower = hessian_of_values(&solved);
-    let n = lower.nrows();
-    let hessian = DMatrix::from_fn(n, n, |i, j| lower[(i.max(j), i.min(j))]);
-    let program = Transcription::new(&solved.problem, 1);
-    let evaluation = program.evaluate(&solved.outcome.point).unwrap();
-    let linearization = program
-        .linearize(
-            &solved.outcome.point,
-            &evaluation,
-            &LinearizationRequest::default(),
-        )
-        .unwrap();
-    let rows = linearization.jacobian.nrows();
-    let gram = DMatrix::from_fn(n, n, |i, j| {
-        (0..rows)
-            .map(|r| linearization.jacobian[(r, i)] * linearization.jacobian[(r, j)])
-            .sum::<f64>()
-    });
-    let eigen = gram.symmetric_eigen();
+/// Orthonormal basis of what all rows vanish on.
+fn null_space(rows: &DMatrix<f64>) -> DMatrix<f64> {
+    let eigen = rows.tr_mul(rows).symmetric_eigen();
     let largest = eigen.eigenvalues.max();
-    let free: Vec<usize> = (0..n)
+    let free: Vec<usize> = (0..rows.ncols())
         .filter(|&i| eigen.eigenvalues[i] < 1e-12 * largest)
         .collect();
-    let null = eigen.eigenvectors.select_columns(&free);
-    let reduced = null.transpose() * hessian * &null;
-    let expected = reduced.symmetric_eigenvalues();
+    eigen.eigenvectors.select_columns(&free)
+}
 
-    let check = solved.deep_check();
-    let found = check.second_order.as_ref().unwrap();
-    println!(
-        "{found:?}, expected {} to {}",
-        expected.min(),
-        expected.max()
-    );
-    assert_eq!(found.dimension, free.len());
-    // Differences of fourth order of values that are good to 1e-13 of an objective of order 1e-2.
-    assert!((found.eigenvalue - expected.min()).abs() < found.error + 1e-6);
-    assert!(found.error < 0.03 * found.eigenvalue);
-    assert_eq!(found.extremum(), Extremum::Minimum);
-    assert!(check.is_certified(), "{:?}", check.items);
+/// Smallest curvature of a small reach, without bounds and with forces on the edge of theirs, against the dense eigenvalues of a Hessian
+/// that is made of values alone, on the null space of the solver's Jacobian and the spheres' normals.
+#[test]
+fn curvature_is_that_of_the_values() {
+    for limit in [None, Some(0.3)] {
+        let (parameters, mut problem) = reach();
+        let size = problem.actuators[0].force.scale;
+        problem.actuators[0].force.bound = limit.map(|limit| Bound::Norm(limit * size));
+        let solved = Solved::of(parameters, problem);
+        let variables = &solved.outcome.point.variables;
+        let n = variables.len();
+        let force = |v: &[f64], j: usize| Vector3::from_column_slice(&v[6 * j..6 * j + 3]);
+        let on_edge: Vec<usize> = (0..5)
+            .filter(|&j| limit.is_some_and(|l| (force(variables, j).norm() / l - 1.0).abs() < 1e-6))
+            .collect();
+        assert_eq!(on_edge.is_empty(), limit.is_none(), "{variables:?}");
+
+        let program = Transcription::new(&solved.problem, 1);
+        let evaluation = program.evaluate(&solved.outcome.point).unwrap();
+        let linearization = program
+            .linearize(
+                &solved.outcome.point,
+                &evaluation,
+                &LinearizationRequest::default(),
+            )
+            .unwrap();
+        let goals = linearization.jacobian.nrows();
+        let rows = DMatrix::from_fn(goals + on_edge.len(), n, |i, j| {
+            if i < goals {
+                return linearization.jacobian[(i, j)];
+            }
+            let normal = force(variables, on_edge[i - goals]);
+            let at = j.wrapping_sub(6 * on_edge[i - goals]);
+            normal.get(at).copied().unwrap_or(0.0)
+        });
+        let free = null_space(&rows);
+        let reduced = hessian_of_values(&solved, &free, &|v| {
+            for &j in &on_edge {
+                let there = force(v, j);
+                let back = there * (force(variables, j).norm() / there.norm());
+                v[6 * j..6 * j + 3].copy_from_slice(back.as_slice());
+            }
+        });
+        let expected = reduced.symmetric_eigenvalues();
+
+        let check = solved.deep_check();
+        let found = check.second_order.as_ref().unwrap();
+        println!(
+            "{on_edge:?} {found:?}, expected {} to {}",
+            expected.min(),
+            expected.max()
+        );
+        assert_eq!(found.dimension, free.ncols());
+        // Differences of fourth order of values that are good to 1e-13 of an objective of order 1e-2.
+        assert!((found.eigenvalue - expected.min()).abs() < found.error + 1e-6);
+        assert!(found.error < 0.03 * found.eigenvalue);
+        assert_eq!(found.extremum(), Extremum::Minimum);
+        assert!(check.is_certified(), "{:?}", check.items);
+    }
 }
 
 /// A ball in the arm's own plane: by symmetry the solver stays in the plane and stops where its conditions of first order hold, but

@@ -248,6 +248,8 @@ fn solve_and_verify() {
             "check.refined_time_m",
             "check.refined_space_m",
             "check.verdict",
+            "check.kkt_parts.0.worst.time_s",
+            "check.momentum.over_rounding",
             "worst_constraints",
             "qp_backend",
             "hessian",
@@ -270,6 +272,15 @@ fn solve_and_verify() {
     assert_eq!(verified["command"], "verify");
     assert_eq!(verified["check"]["verdict"], "certified");
     assert_eq!(verified["check"]["kkt"], summary["check"]["kkt"]);
+    assert_eq!(
+        verified["check"]["kkt_parts"],
+        summary["check"]["kkt_parts"]
+    );
+    assert_eq!(verified["check"]["second_order"]["verdict"], "minimum");
+    let growth = verified["check"]["growth"]["amplification"]
+        .as_f64()
+        .unwrap();
+    assert!(growth > 0.5 && growth < 2.0, "{growth}");
 
     let path = desk.path("run/controls.csv");
     let controls = std::fs::read_to_string(&path).unwrap();
@@ -551,6 +562,211 @@ fn unreachable_target_is_infeasible() {
     let worst = summary["worst_constraints"][0]["name"].as_str().unwrap();
     assert!(worst.starts_with("task.position_m"), "{worst}");
     assert_eq!(names(&desk.path("run")), SOLVE_FILES);
+    // The prices of what cannot be met pull back: their signs are those of the residuals.
+    for row in summary["worst_constraints"].as_array().unwrap() {
+        let of = |key: &str| row[key].as_f64().unwrap();
+        assert!(of("amount") * of("multiplier") > 0.0, "{row}");
+        assert_eq!((of("node"), of("time_s")), (4.0, 0.3));
+    }
+}
+
+/// A ball in the plane of the reach: the solver stops at a saddle, and neither `solve` nor `verify` certifies it.
+#[test]
+fn saddles_are_rejected() {
+    let desk = Desk::new();
+    let scene = (SCENE.replace("elements = 4", "elements = 8"))
+        .replace("end_s = 0.3", "end_s = 0.8")
+        .replace("[0.1, 0.03, 0.985]", "[0.5, 0.0, 0.8]")
+        .replace("at_rest = false", "at_rest = true")
+        .replace("blocks = 5", "blocks = 10");
+    let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.25, 0.0, 1.03], radius_m = 0.05 }\n";
+    desk.write("saddle.toml", &format!("{scene}{ball}"));
+    for verb in ["check", "solve"] {
+            desk.run(&[verb, "wrong.toml", "--json"]).refused(words);
+        }
+    };
+    wrong(
+        "radius_m",
+        "raduis_m",
+        &["raduis_m", "radius_m", "wrong.toml:9"],
+    );
+    wrong(
+        "length_m = 1.0",
+        "length_m = -1.0",
+        &["rod.length_m", "wrong.toml:2", "positive"],
+    );
+    wrong(
+        "end_s = 0.3",
+        "end_s = nan",
+        &["time.end_s", "wrong.toml:13"],
+    );
+    wrong(
+        "end_s = 0.3",
+        "end_s = 0.3\nstep_s = 0.1",
+        &["time.step_s", "stable", "auto"],
+    );
+    wrong(
+        "[0.1, 0.03, 0.985]",
+        "[5.0, 0.0, 0.0]",
+        &["task.position_m", "reach"],
+    );
+    wrong(
+        "blocks = 5",
+        "blocks = 0",
+        &["control.blocks", "wrong.toml:18"],
+    );
+    wrong(
+        "blocks = 5",
+        "blocks = 5000",
+        &["control.blocks", "5000 blocks"],
+    );
+    wrong(
+        "[damping]",
+        "[rod.stiffness]\nea_n = 1\nga_n = 1\nei_n_m2 = 1\ngj_n_m2 = 1\n[damping]",
+        &["rod.stiffness", "rod.material"],
+    );
+    assert_eq!(names(desk.folder.path()), ["scene.toml", "wrong.toml"]);
+}
+
+/// Steps that a scene may have, but not without a word: implicit ones above the limit of a bent arm, and ones in which viscous
+/// damping takes more than the momentum there is. `check` and `simulate` name the key, the figures and a step that serves,
+/// the last number they say; with that step they are silent.
+#[test]
+fn doubtful_steps_are_warned_of() {
+    let desk = Desk::new();
+    let (scene, _) = SCENE.split_once("[task]").unwrap();
+    desk.write("swing.toml", &scene.replace("0.3", "0.04"));
+    let said = |settings: &[&str]| {
+        let settings = settings.iter().flat_map(|setting| ["--set", setting]);
+        let [check, simulate] = ["check", "simulate"].map(|verb| {
+            let arguments: Vec<_> = [verb, "swing.toml"]
+                .into_iter()
+                .chain(settings.clone())
+                .collect();
+            let stderr = desk.run(&arguments).exits(DONE).stderr;
+            let warnings = stderr.lines().filter(|line| line.starts_with("warning"));
+            warnings.map(String::from).collect::<Vec<_>>()
+        });
+        assert_eq!(check, simulate);
+        check.join("\n")
+    };
+    let implicit = "time.integrator=\"implicit\"";
+    let heavy = "damping.viscous_1_s=1e4";
+    for (setting, step, words) in [
+        (
+            implicit,
+            "2e-2",
+            ["time.step_s: 2.000e-2 s", "implicit", "bent", "auto"],
+        ),
+        (
+            heavy,
+            "5e-4",
+            [
+                "damping.viscous_1_s: 1.000e4 1/s",
+                "5.000e-4 s",
+                "5.000;",
+                "sign",
+            ],
+        ),
+    ] {
+        let warning = said(&[setting, &format!("time.step_s={step}")]);
+        for word in words {
+            assert!(warning.contains(word), "no `{word}` in: {warning}");
+        }
+        let mut words = warning.rsplit([' ', ',']);
+        let limit = words.find_map(|word| word.parse::<f64>().ok()).unwrap();
+        assert!(limit < step.parse().unwrap(), "{warning}");
+        assert_eq!(
+            said(&[setting, &format!("time.step_s={}", 0.99 * limit)]),
+            ""
+        );
+    }
+    assert_eq!(said(&[implicit]), "");
+}
+
+/// Things that are not scenes at all.
+#[test]
+fn non_scenes_are_refused() {
+    let desk = Desk::new();
+    std::fs::create_dir(desk.path("folder")).unwrap();
+    desk.run(&["check", "folder"])
+        .refused(&["folder", "directory"]);
+    desk.write("empty.toml", "");
+    desk.run(&["check", "empty.toml"]).refused(&["empty"]);
+    desk.run(&["check", "missing.toml"])
+        .refused(&["missing.toml"]);
+    let mut state = 1u64;
+    let noise: Vec<u8> = (0..10_000_000)
+        .map(|_| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 56) as u8
+        })
+        .collect();
+    std::fs::write(desk.path("noise.toml"), noise).unwrap();
+    desk.run(&["check", "noise.toml"]).refused(&["noise.toml"]);
+}
+
+/// A target that the bounded control cannot reach: code 4, the residual by its scene key, and the files.
+#[test]
+fn unreachable_target_is_infeasible() {
+    let desk = Desk::new();
+    let run = desk
+        .run(&[
+            "solve",
+            "scene.toml",
+            "--out",
+            "run",
+            "--json",
+            "--set",
+            "control.force_max_n=0.01",
+            "--set",
+            "control.moment_max_n_m=0.001",
+        ])
+        .exits(INFEASIBLE);
+    assert!(run.stderr.contains("task.position_m"));
+    let summary = run.summary();
+    assert_eq!(summary["status"], "locally-infeasible");
+    let worst = summary["worst_constraints"][0]["name"].as_str().unwrap();
+    assert!(worst.starts_with("task.position_m"), "{worst}");
+    assert_eq!(names(&desk.path("run")), SOLVE_FILES);
+    // The prices of what cannot be met pull back: their signs are those of the residuals.
+    for row in summary["worst_constraints"].as_array().unwrap() {
+        let of = |key: &str| row[key].as_f64().unwrap();
+        assert!(of("amount") * of("multiplier") > 0.0, "{row}");
+        assert_eq!((of("node"), of("time_s")), (4.0, 0.3));
+    }
+}
+
+/// A ball in the plane of the reach: the solver stops at a saddle, and neither `solve` nor `verify` certifies it.
+#[test]
+fn saddles_are_rejected() {
+    let desk = Desk::new();
+    let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.08, 0.0, 0.9], radius_m = 0.02 }\n";
+    desk.write(
+        "saddle.toml",
+        &format!(
+            "{}{ball}",
+            SCENE.replace("0.1, 0.03, 0.985", "0.15, 0.0, 0.97")
+        ),
+    );
+    for verb in [
+        ["solve", "saddle.toml", "--out", "run"],
+        ["verify", "run", "--json", "--quiet"],
+    ] {
+        let run = desk.run(&verb).exits(REJECTED);
+        if verb[0] == "verify" {
+            let summary = run.summary();
+            assert_eq!(
+                summary["check"]["failed"],
+                serde_json::json!(["second_order"])
+            );
+            assert_eq!(summary["check"]["second_order"]["verdict"], "not a minimum");
+        } else {
+            assert!(run.stderr.contains("not a minimum"), "{}", run.stderr);
+        }
+    }
 }
 
 /// No time: code 6; one iteration: code 3; either way the best point is written.

@@ -147,7 +147,7 @@ impl Conditions<'_> {
     }
 
     /// Covectors of the positions at `node` through the inertia of the interval from `k` on, of `arriving·π - leaving·g`.
-    pub(in crate::verify) fn add_dilatation_covectors(
+    fn add_dilatation_covectors(
         &self,
         k: usize,
         node: usize,
@@ -177,7 +177,7 @@ impl Conditions<'_> {
 
     /// Covectors of the kinetic reaction at `node` of the interval from `k` on, for a covector `pull` of the impulses: of the
     /// positions there, and of the rotations at the start and the end of the interval.
-    pub(in crate::verify) fn add_reaction_covectors(
+    fn add_reaction_covectors(
         &self,
         k: usize,
         node: usize,
@@ -213,7 +213,7 @@ impl Conditions<'_> {
     }
 
     /// Adds the covectors of `weight (λx·force + λr·moment)` at time node `k`.
-    pub(in crate::verify) fn add_force_covectors(
+    fn add_force_covectors(
         &self,
         k: usize,
         weight: f64,
@@ -273,7 +273,7 @@ impl Conditions<'_> {
 
     /// The elastic part of [`Self::add_force_covectors`] where the stress has no potential: differences of the multipliers'
     /// work along every direction of every element.
-    pub(in crate::verify) fn add_stress_covectors(
+    fn add_stress_covectors(
         &self,
         k: usize,
         weight: f64,
@@ -317,20 +317,15 @@ impl Conditions<'_> {
 }
 
 /// Derivatives of a node's momenta over one interval along its rotations where the interval starts and ends.
-pub(in crate::verify) struct Spin {
-    pub(in crate::verify) start_leaving: Matrix3<f64>,
-    pub(in crate::verify) start_arriving: Matrix3<f64>,
-    pub(in crate::verify) end_leaving: Matrix3<f64>,
-    pub(in crate::verify) end_arriving: Matrix3<f64>,
+pub(super) struct Spin {
+    start_leaving: Matrix3<f64>,
+    start_arriving: Matrix3<f64>,
+    pub(super) end_leaving: Matrix3<f64>,
+    end_arriving: Matrix3<f64>,
 }
 
 impl Spin {
-    pub(in crate::verify) fn new(
-        f: &Matrix3<f64>,
-        leaving: &Matrix3<f64>,
-        arriving: &Matrix3<f64>,
-        h: f64,
-    ) -> Self {
+    fn new(f: &Matrix3<f64>, leaving: &Matrix3<f64>, arriving: &Matrix3<f64>, h: f64) -> Self {
         // η_k moves F by F η̂, η_{k-1} by -η̂ F.
         let end = |axis: Vector3<f64>| f * axis.cross_matrix();
         let start = |axis: Vector3<f64>| -axis.cross_matrix() * f;
@@ -345,7 +340,7 @@ impl Spin {
     }
 }
 
-pub(in crate::verify) fn columns(column: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Matrix3<f64> {
+fn columns(column: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[
         column(Vector3::x()),
         column(Vector3::y()),

@@ -1,6 +1,6 @@
 //! What the controls say: their cost, the gradient of the Lagrangian, bounds and their normals.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::rows::{Place, Worst, largest_axis, per};
 use crate::control::{Bound, OptimalControlProblem};
@@ -80,7 +80,7 @@ pub(in crate::verify) struct ActiveBound {
     pub(in crate::verify) earlier: Option<usize>,
     pub(in crate::verify) channel: usize,
     pub(in crate::verify) normals: Vec<Vector3<f64>>,
-    pub(in crate::verify) curvature: nalgebra::Matrix3<f64>,
+    pub(in crate::verify) curvature: Matrix3<f64>,
 }
 
 /// Optimality conditions of the controls.
@@ -220,14 +220,14 @@ fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveB
         earlier: None,
         channel: 0,
         normals: Vec::new(),
-        curvature: nalgebra::Matrix3::zeros(),
+        curvature: Matrix3::zeros(),
     };
     match bound {
         Bound::Norm(_) => {
             let size = u.norm();
             if size > 0.0 {
                 let along = u / size;
-                let tangent = nalgebra::Matrix3::identity() - along * along.transpose();
+                let tangent = Matrix3::identity() - along * along.transpose();
                 out.curvature = tangent * (normal.norm() / size);
             }
             out.normals.push(*normal);

@@ -42,7 +42,7 @@ pub(in crate::verify) fn energy_gradient(
 }
 
 /// `vee` of a skew matrix.
-pub(in crate::verify) fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
+fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)])
 }
 
@@ -103,7 +103,7 @@ pub(in crate::verify) fn rotary(rod: &Rod, x: &[Vector3<f64>]) -> Vec<Vector3<f6
 }
 
 /// `tr((I - F) J_d)/h²`: rotational kinetic energy of a step.
-pub(in crate::verify) fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
+fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
     ((Matrix3::identity() - f) * j_d).trace() / (h * h)
 }
 

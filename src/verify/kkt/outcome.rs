@@ -137,7 +137,7 @@ impl Conditions<'_> {
 }
 
 /// Gradient of one component of `log A` along body rotations of `A`, by central differences.
-pub(in crate::verify) fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
+fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
     let h = 1e-5;
     Vector3::from_fn(|i, _| {
         let mut turn = Vector3::zeros();

@@ -12,12 +12,12 @@ use crate::verify::interval::{self, Nine, Strained, nine};
 /// The stresses of the interval that ends at time node `k`, for the adjoint: of the functions `λ_{k-1}·B_{k-1}ᵀσ` and
 /// `λ_k·B_kᵀσ`, the covectors of the configurations at both ends.
 pub(super) struct StressLink<'a> {
-    pub(super) conditions: &'a Conditions<'a>,
-    pub(super) weights: [f64; 2],
-    pub(super) k: usize,
-    pub(super) start: Vec<Strained>,
-    pub(super) end: Vec<Strained>,
-    pub(super) stresses: Vec<Nine>,
+    conditions: &'a Conditions<'a>,
+    weights: [f64; 2],
+    k: usize,
+    start: Vec<Strained>,
+    end: Vec<Strained>,
+    stresses: Vec<Nine>,
 }
 
 impl<'a> StressLink<'a> {
@@ -34,7 +34,7 @@ impl<'a> StressLink<'a> {
     }
 
     /// Of `λ·Bᵀσ`, along the configuration at the time node `at` that `B` belongs to; `weight` is that of its strain in `σ`.
-    pub(super) fn add_own(
+    fn add_own(
         &self,
         at: usize,
         strained: &[Strained],
@@ -167,6 +167,6 @@ impl<'a> StressLink<'a> {
 }
 
 /// `(λx_b - λx_a, λr_a, λr_b)` of element `q`.
-pub(super) fn element_part(lx: &[Vector3<f64>], lr: &[Vector3<f64>], q: usize) -> Nine {
+fn element_part(lx: &[Vector3<f64>], lr: &[Vector3<f64>], q: usize) -> Nine {
     nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1])
 }
