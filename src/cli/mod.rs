@@ -79,10 +79,7 @@ enum Command {
     /// Optimal control: force and moment sequences, checked by forward simulation
     Solve(solve::SolveArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
-    Verify {
-        /// Result directory of a solve
-        directory: PathBuf,
-    },
+    Verify(verify::VerifyArguments),
     /// List the built-in scenes, or print one, commented
     Example {
         /// Name of a built-in scene
@@ -155,7 +152,7 @@ pub fn run() -> ExitCode {
             simulate::run(arguments, *resume, &cli.global, &console)
         }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
-        Command::Verify { directory } => verify::run(directory, &cli.global, &console),
+        Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
         Command::Schema => schema::run(&console),
         Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),

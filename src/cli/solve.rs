@@ -49,7 +49,7 @@ pub(super) struct SolveArguments {
     /// Start from the controls in the result directory of an earlier solve, of this scene or one like it
     #[arg(long, value_name = "DIR")]
     from: Option<PathBuf>,
-    /// Check as `verify` does: the curvature at the solution and the growth of disturbances too, which take longer than most solves
+    /// Check as `verify` does: the second-order condition and the growth of disturbances too, which take longer than most solves
     #[arg(long)]
     deep: bool,
 }
