@@ -172,22 +172,33 @@ fn null_space(rows: &DMatrix<f64>) -> DMatrix<f64> {
     eigen.eigenvectors.select_columns(&free)
 }
 
-/// Smallest curvature of a small reach, without bounds and with forces on the edge of theirs, against the dense eigenvalues of a Hessian
+/// Smallest curvature of a small reach, without bounds and with forces and moments on the edge of theirs, against the dense eigenvalues of a Hessian
 /// that is made of values alone, on the null space of the solver's Jacobian and the spheres' normals.
 #[test]
 fn curvature_is_that_of_the_values() {
-    for limit in [None, Some(0.3)] {
+    for limits in [None, Some([0.36, 0.55])] {
         let (parameters, mut problem) = reach();
-        let size = problem.actuators[0].force.scale;
-        problem.actuators[0].force.bound = limit.map(|limit| Bound::Norm(limit * size));
+        if let Some(limits) = limits {
+            problem.goals[0].at_rest = false;
+            let actuator = &mut problem.actuators[0];
+            for (channel, limit) in [&mut actuator.force, &mut actuator.moment]
+                .into_iter()
+                .zip(limits)
+            {
+                channel.bound = Some(Bound::Norm(limit * channel.scale));
+            }
+        }
         let solved = Solved::of(parameters, problem);
         let variables = &solved.outcome.point.variables;
         let n = variables.len();
-        let force = |v: &[f64], j: usize| Vector3::from_column_slice(&v[6 * j..6 * j + 3]);
-        let on_edge: Vec<usize> = (0..5)
-            .filter(|&j| limit.is_some_and(|l| (force(variables, j).norm() / l - 1.0).abs() < 1e-6))
+        // Forces and moments, in turn.
+        let vector = |v: &[f64], i: usize| Vector3::from_column_slice(&v[3 * i..3 * i + 3]);
+        let on_edge: Vec<usize> = (0..n / 3)
+            .filter(|&i| {
+                limits.is_some_and(|l| (vector(variables, i).norm() / l[i % 2] - 1.0).abs() < 1e-6)
+            })
             .collect();
-        assert_eq!(on_edge.is_empty(), limit.is_none(), "{variables:?}");
+        assert_eq!(on_edge.is_empty(), limits.is_none(), "{variables:?}");
 
         let program = Transcription::new(&solved.problem, 1);
         let evaluation = program.evaluate(&solved.outcome.point).unwrap();
@@ -203,16 +214,16 @@ fn curvature_is_that_of_the_values() {
             if i < goals {
                 return linearization.jacobian[(i, j)];
             }
-            let normal = force(variables, on_edge[i - goals]);
-            let at = j.wrapping_sub(6 * on_edge[i - goals]);
+            let normal = vector(variables, on_edge[i - goals]);
+            let at = j.wrapping_sub(3 * on_edge[i - goals]);
             normal.get(at).copied().unwrap_or(0.0)
         });
         let free = null_space(&rows);
         let reduced = hessian_of_values(&solved, &free, &|v| {
-            for &j in &on_edge {
-                let there = force(v, j);
-                let back = there * (force(variables, j).norm() / there.norm());
-                v[6 * j..6 * j + 3].copy_from_slice(back.as_slice());
+            for &i in &on_edge {
+                let there = vector(v, i);
+                let back = there * (vector(variables, i).norm() / there.norm());
+                v[3 * i..3 * i + 3].copy_from_slice(back.as_slice());
             }
         });
         let expected = reduced.symmetric_eigenvalues();
@@ -227,6 +238,8 @@ fn curvature_is_that_of_the_values() {
         assert_eq!(found.dimension, free.ncols());
         // Differences of fourth order of values that are good to 1e-13 of an objective of order 1e-2.
         assert!((found.eigenvalue - expected.min()).abs() < found.error + 1e-6);
+        // The other end of the spectrum converges first.
+        assert!((found.largest / expected.max() - 1.0).abs() < 1e-4);
         assert!(found.error < 0.03 * found.eigenvalue);
         assert_eq!(found.extremum(), Extremum::Minimum);
         assert!(check.is_certified(), "{:?}", check.items);

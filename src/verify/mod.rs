@@ -543,20 +543,15 @@ pub fn forward_check(
                 }
             },
         )
-        .map(|accounts| {
-            let momentum = (factor == 1)
-                .then(|| MomentumBalance::of(problem, &trajectory, &control))
-                .unwrap_or_default();
-            let replay = Replay {
-                trajectory,
-                ..accounts
-            };
-            (replay, momentum)
+        .map(|accounts| Replay {
+            trajectory,
+            ..accounts
         })
         .map_err(|source| CheckError::Replay { which, source })
     };
-    let (same, momentum) = run(1, "same grid")?;
-    let (half, _) = run(2, "half the step")?;
+    let same = run(1, "same grid")?;
+    let half = run(2, "half the step")?;
+    let control = problem.signal(&problem.control, solution.coefficients);
     let refinement = refine(problem, parameters, initial, solution)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
@@ -576,7 +571,7 @@ pub fn forward_check(
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
         energy_halving: halving(&same.balance, &half.balance),
-        momentum,
+        momentum: MomentumBalance::of(problem, &same.trajectory, &control),
         second_order: None,
         growth: None,
         bound_violation: conditions.bound_violation,
