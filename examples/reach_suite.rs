@@ -49,6 +49,12 @@ struct Arguments {
     /// Problems solved at a time
     #[arg(long, default_value_t = 2)]
     threads: usize,
+    /// Problems of this kind only: free, obstacle or bounds
+    #[arg(long)]
+    kind: Option<String>,
+    /// Changes a key of every scene, as in solver.guess=slow
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
     /// Writes the problems as scene files here
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
@@ -61,7 +67,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let indices: Vec<usize> = match arguments.only {
         Some(index) => vec![index],
-        None => (0..arguments.count).collect(),
+        None => (0..arguments.count)
+            .filter(|index| {
+                (arguments.kind.as_deref()).is_none_or(|kind| kind == KINDS[index % 3].name())
+            })
+            .collect(),
     };
     let next = AtomicUsize::new(0);
     let found = Mutex::new(Vec::new());
@@ -94,6 +104,9 @@ enum Kind {
     Obstacle,
     Bounded,
 }
+
+/// Kinds in turn.
+const KINDS: [Kind; 3] = [Kind::Free, Kind::Obstacle, Kind::Bounded];
 
 impl Kind {
     fn name(self) -> &'static str {
@@ -163,7 +176,7 @@ fn arm(dice: &mut Dice) -> Arm {
             let toml = format!(
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = {}\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n[base]\ndirection = [0.0, 0.0, 1.0]\n",
-                dice.0.usize(8..=20),
+                dice.0.usize(6..=14),
                 dice.between(0.4, 0.5),
             );
             (toml, length, bending, period)
@@ -178,7 +191,7 @@ fn arm(dice: &mut Dice) -> Arm {
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.5\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_base_m = {radius}\nradius_tip_m = {}\n[base]\n\
                  direction = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n",
-                dice.0.usize(10..=20),
+                dice.0.usize(8..=14),
                 radius * dice.between(0.4, 0.8),
                 list(&down),
             );
@@ -186,13 +199,13 @@ fn arm(dice: &mut Dice) -> Arm {
         }
         "wire" => {
             let length = dice.scale(0.3, 1.5);
-            let radius = length / dice.between(40.0, 80.0);
+            let radius = length / dice.between(20.0, 40.0);
             let (youngs, density) = (dice.scale(1e9, 2e11), dice.between(1500.0, 8000.0));
             let (bending, period) = round_arm(length, radius, youngs, density);
             let toml = format!(
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.3\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n",
-                dice.0.usize(6..=10),
+                dice.0.usize(8..=10),
             );
             (toml, length, bending, period)
         }
@@ -201,7 +214,7 @@ fn arm(dice: &mut Dice) -> Arm {
             let toml = format!(
                 "[rod]\nlength_m = 10.0\nelements = {}\ndisplay_radius_m = 0.3\n[rod.stiffness]\nea_n = 1e4\nga_n = 1e4\n\
                  ei_n_m2 = 500.0\ngj_n_m2 = 500.0\n[rod.inertia]\nmass_kg_m = 1.0\nrotary_kg_m = [10.0, 10.0, 10.0]\n",
-                dice.0.usize(10..=20),
+                dice.0.usize(8..=14),
             );
             (toml, 10.0, 500.0, cantilever_period(10.0, 500.0, 1.0))
         }
@@ -234,11 +247,11 @@ struct Problem {
     toml: String,
 }
 
-fn problem(index: usize, seed: u64) -> Result<Problem, Box<dyn Error>> {
-    let mixed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+fn problem(index: usize, arguments: &Arguments) -> Result<Problem, Box<dyn Error>> {
+    let mixed = arguments.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ (index as u64).wrapping_mul(0xD1B5_4A32_D192_ED03);
     let mut dice = Dice(fastrand::Rng::with_seed(mixed));
-    let kind = [Kind::Free, Kind::Obstacle, Kind::Bounded][index % 3];
+    let kind = KINDS[index % 3];
     // A wrench that the arm does not bear, or an obstacle that finds no place: another throw.
     for _ in 0..100 {
         if let Some(toml) = thrown(kind, &mut dice)? {
@@ -246,7 +259,7 @@ fn problem(index: usize, seed: u64) -> Result<Problem, Box<dyn Error>> {
             return Ok(Problem {
                 family,
                 kind,
-                setup: setup(&toml)?,
+                setup: setup(&toml, &arguments.set)?,
                 toml,
             });
         }
@@ -254,8 +267,8 @@ fn problem(index: usize, seed: u64) -> Result<Problem, Box<dyn Error>> {
     Err("no admissible problem in 100 throws".into())
 }
 
-fn setup(toml: &str) -> Result<OptimalControl, Box<dyn Error>> {
-    let (scene, source) = Scene::from_toml("suite", toml, &[])?;
+fn setup(toml: &str, overrides: &[String]) -> Result<OptimalControl, Box<dyn Error>> {
+    let (scene, source) = Scene::from_toml("suite", toml, overrides)?;
     Ok(scene.optimal_control(&source)?)
 }
 
@@ -305,7 +318,7 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
     let _ = write!(
         toml,
         "[control]\nblocks = {}\nhold = \"{hold}\"\n",
-        dice.0.usize(8..=20)
+        dice.0.usize(8..=16)
     );
     match kind {
         Kind::Free => {}
@@ -315,7 +328,7 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
         },
         Kind::Bounded => {
             let part = dice.between(0.85, 0.95);
-            let free = setup(&toml)?;
+            let free = setup(&toml, &[])?;
             let Some(attempt) = solve(&free, &one_start(&free), &free.settings) else {
                 return Ok(None);
             };
@@ -338,6 +351,7 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
             );
         }
     }
+    let _ = writeln!(toml, "# {:.2} periods", horizon / arm.period);
     Ok(Some((arm.family, toml)))
 }
 
@@ -355,7 +369,6 @@ fn obstacle(
 ) -> Option<String> {
     let radii = scene.display_radii();
     let tip = start.positions.len() - 1;
-    let spacing = arm.length / tip as f64;
     for _ in 0..50 {
         let along = dice.between(0.3, 0.7);
         // Of the tip's way, or of that of a node nearer to the base.
@@ -365,7 +378,7 @@ fn obstacle(
         let size = arm.length * dice.between(0.04, 0.12);
         let (shape, toml) = match dice.0.usize(0..4) {
             0 => {
-                let axis = dice.ball() * (0.3 * arm.length);
+                let axis = dice.ball() * (0.2 * arm.length);
                 let (from, to) = (center - axis, center + axis);
                 let toml = format!(
                     "[[obstacle]]\ncapsule = {{ from_m = {}, to_m = {}, radius_m = {size} }}\n",
@@ -413,12 +426,15 @@ fn obstacle(
             }
         };
         let clear = |arm_shape: &Configuration| {
-            arm_shape.positions.iter().zip(&radii).all(|(x, radius)| {
-                shape.distance(x).value > radius + 0.02 * arm.length + 0.5 * spacing * 0.1
-            })
+            arm_shape
+                .positions
+                .iter()
+                .zip(&radii)
+                .all(|(x, radius)| shape.distance(x).value > radius + 0.03 * arm.length)
         };
         if clear(start) && clear(end) {
-            return Some(toml);
+            // Room for what the discretization is off by.
+            return Some(format!("{toml}margin_m = {}\n", 0.01 * arm.length));
         }
     }
     None
@@ -516,7 +532,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
         best: None,
         tight: None,
     };
-    let problem = match problem(index, arguments.seed) {
+    let problem = match problem(index, arguments) {
         Ok(problem) => problem,
         Err(error) => {
             outcome.status = "not made".into();
@@ -535,7 +551,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     outcome.family = problem.family;
     outcome.kind = problem.kind.name();
     outcome.size = format!(
-        "K {} N {} blocks {} {}{}",
+        "K {} N {} blocks {} {}{} {}",
         ocp.rod.n_elements(),
         ocp.grid.n_steps,
         ocp.control.n_blocks(),
@@ -544,7 +560,8 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
             " pose"
         } else {
             ""
-        }
+        },
+        problem.toml.lines().last().unwrap_or_default()
     );
 
     let clock = Instant::now();
@@ -554,7 +571,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     };
     let verdict = certify(setup, &attempt);
     outcome.seconds = clock.elapsed().as_secs_f64();
-    outcome.iterations = attempt.outcome.history.len() - 1;
+    outcome.iterations = attempt.iterations();
     outcome.objective = attempt.outcome.objective;
     outcome.status = format!("{:?}", attempt.outcome.status);
     let converged = attempt.outcome.status == SqpStatus::Converged;

@@ -12,10 +12,10 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use softarm::control::{Guess, Transcription, first_point};
+use softarm::control::{Attempt, Guess, first_point, search};
 use softarm::mechanics::{Trajectory, Wrench};
 use softarm::scene::Scene;
-use softarm::sqp::{self, SqpStatus};
+use softarm::sqp::SqpStatus;
 
 /// A soft arm that hangs under its own weight and moves its tip aside.
 const SCENE: &str = r#"
@@ -103,11 +103,12 @@ fn compute(name: &str, text: &str, overrides: &[String]) -> Result<Computed, Box
 
     let (uncontrolled, _) = first_point(problem, Guess::Rest, None)?;
 
-    let (start, _) = first_point(problem, setup.search.guess, None)?;
-    let program = Transcription::new(problem, 2);
-    let outcome = sqp::solve(&program, start, &setup.settings, &mut |_| {
+    let attempts = search(problem, &setup.settings, &setup.search, &|_, _| {
         ControlFlow::Continue(())
-    });
+    })?;
+    let Some(Attempt { outcome, .. }) = attempts.into_iter().next() else {
+        return Err(format!("{name}: no attempt").into());
+    };
     if outcome.status != SqpStatus::Converged {
         return Err(format!("{name}: {:?}", outcome.status).into());
     }

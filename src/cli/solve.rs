@@ -155,7 +155,7 @@ fn best(
             from: attempt.from,
             status: status_words(&attempt.outcome.status, &[]).0,
             objective: attempt.outcome.objective,
-            iterations: attempt.outcome.history.len().saturating_sub(1),
+            iterations: attempt.iterations(),
             verdict: None,
         };
         // Worse than a certified one, or not converged while another is: nothing to check.
@@ -297,7 +297,7 @@ fn summarize(
         scene: scene_name(&arguments.scene.scene),
         status,
         message,
-        iterations: outcome.history.len().saturating_sub(1),
+        iterations: solution.attempt.iterations(),
         objective: outcome.objective,
         wall_s: wall,
         iteration_s: median_iteration(&outcome.history),
@@ -318,6 +318,7 @@ fn summarize(
         qp_backend: "condensed",
         hessian: setup.settings.hessian.name(),
         guess: solution.attempt.from,
+        abandoned: solution.attempt.abandoned.clone(),
         starts,
         model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::problem::{Actuator, Bound, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
-use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
 
 /// How the first point is made.
@@ -43,10 +43,9 @@ pub enum GuessError {
     Step(#[from] StepError),
 }
 
-/// Static shapes between the start and the last goal.
-const WAYPOINTS: usize = 12;
-/// Stiffness of the springs that hold the tip at a waypoint, in units of EI/L³ and EI/L.
-const SPRING: f64 = 1e3;
+/// Stiffness of the springs that pull the tip to a goal, in units of EI/L³ and EI/L, one after the other: soft ones first let
+/// the arm bend toward the goal, where stiff ones would press it together before it gives way.
+const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
 
 /// Makes the first point, on the way through `detour` (m, halfway to the tip's first goal) where one is given; a static path
 /// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it.
@@ -101,10 +100,10 @@ struct Leg {
     rotation: Option<Matrix3<f64>>,
 }
 
-/// Shapes on the way from goal to goal, the same number on every leg.
+/// Shapes at the ends of the legs, the one at the start first. Between two of them strains go over into each other: the arm bends, and
+/// nothing is pressed or pulled as on a straight way of the tip.
 struct StaticPath {
     waypoints: Vec<Waypoint>,
-    per_leg: usize,
     /// When each leg ends, as a fraction of the horizon.
     ends: Vec<f64>,
 }
@@ -176,26 +175,22 @@ impl StaticPath {
                 shape: shape.clone(),
                 hold: Wrench::default(),
             }],
-            per_leg: WAYPOINTS.div_ceil(legs.len().max(1)),
             ends: Vec::new(),
         };
         for leg in legs {
-            let (x, r) = (shape.positions[tip], shape.rotations[tip]);
-            let turn = (leg.rotation).map(|rotation| log(&(r.transpose() * rotation)));
-            for i in 1..=path.per_leg {
-                let s = i as f64 / path.per_leg as f64;
-                let spring = TipSpring {
-                    position: leg
-                        .position
-                        .map(|to| (x + (to - x) * s, SPRING * scales.force / scales.length)),
-                    rotation: turn.map(|turn| (r * exp(&(turn * s)), SPRING * scales.moment)),
+            let mut spring = TipSpring::default();
+            for stiffness in SPRINGS {
+                spring = TipSpring {
+                    position: (leg.position)
+                        .map(|to| (to, stiffness * scales.force / scales.length)),
+                    rotation: leg.rotation.map(|to| (to, stiffness * scales.moment)),
                 };
                 shape = static_equilibrium(rod, &shape, 0.0, &spring)?;
-                path.waypoints.push(Waypoint {
-                    hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
-                    shape: shape.clone(),
-                });
             }
+            path.waypoints.push(Waypoint {
+                hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
+                shape: shape.clone(),
+            });
             path.ends.push(leg.end);
         }
         Ok(path)
@@ -236,37 +231,21 @@ impl StaticPath {
     /// The waypoint before a time (a fraction of the horizon), the next one, and the fraction of the way: at rest at every goal.
     fn segment(&self, t: f64) -> (&Waypoint, &Waypoint, f64) {
         let leg = self.ends.partition_point(|&end| end <= t);
-        let last = self.waypoints.len() - 1;
-        let along = match self.ends.get(leg) {
-            None => last as f64,
-            Some(end) => {
-                let begin = leg.checked_sub(1).map_or(0.0, |before| self.ends[before]);
-                (leg as f64 + smooth((t - begin) / (end - begin))) * self.per_leg as f64
-            }
+        let last = &self.waypoints[self.waypoints.len() - 1];
+        let Some(end) = self.ends.get(leg) else {
+            return (last, last, 0.0);
         };
-        let index = (along as usize).min(last.saturating_sub(1));
-        let next = (index + 1).min(last);
-        let fraction = along - index as f64;
-        (&self.waypoints[index], &self.waypoints[next], fraction)
+        let begin = leg.checked_sub(1).map_or(0.0, |before| self.ends[before]);
+        let along = smooth((t - begin) / (end - begin));
+        (&self.waypoints[leg], &self.waypoints[leg + 1], along)
     }
 
     fn shape(&self, t: f64) -> Configuration {
         let (from, to, fraction) = self.segment(t);
-        let (from, to) = (&from.shape, &to.shape);
-        Configuration {
-            positions: from
-                .positions
-                .iter()
-                .zip(&to.positions)
-                .map(|(a, b)| a + (b - a) * fraction)
-                .collect(),
-            rotations: from
-                .rotations
-                .iter()
-                .zip(&to.rotations)
-                .map(|(a, b)| a * exp(&(log(&(a.transpose() * b)) * fraction)))
-                .collect(),
+        if fraction == 0.0 {
+            return from.shape.clone(); // to the last bit, as the first configuration is given
         }
+        between(&from.shape, &to.shape, fraction)
     }
 
     fn hold(&self, t: f64) -> Wrench {

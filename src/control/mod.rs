@@ -17,5 +17,5 @@ pub use problem::{
     Actuator, Bound, Channel, Component, Enforcement, Goal, GoalPart, GoalRow, Objective,
     OptimalControlProblem, Tracking,
 };
-pub use search::{Attempt, Continuation, Search, search};
+pub use search::{Abandoned, Attempt, Continuation, Search, search};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 use std::sync::Mutex;
+use std::time::Instant;
 
 use nalgebra::Vector3;
 
@@ -30,8 +31,8 @@ pub enum Continuation {
 /// Where solves start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
-    /// How the first point is made.
-    pub guess: Guess,
+    /// How the first point is made; `None` tries one after the other until a solve converges.
+    pub guess: Option<Guess>,
     /// Coefficients to start from instead, those of all actuators together: a solution found before.
     pub previous: Option<Vec<Wrench>>,
     /// Easier problems first.
@@ -49,7 +50,7 @@ impl Search {
     #[must_use]
     pub fn from_guess(guess: Guess, n_threads: usize) -> Self {
         Self {
-            guess,
+            guess: Some(guess),
             previous: None,
             continuation: None,
             starts: 1,
@@ -57,6 +58,17 @@ impl Search {
             n_threads,
         }
     }
+}
+
+/// A solve that was given up for another first point.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Abandoned {
+    /// Where it started.
+    pub from: &'static str,
+    /// Whether it ended at a point that is infeasible to first order.
+    pub infeasible: bool,
+    /// Iterations it took.
+    pub iterations: usize,
 }
 
 /// One solve.
@@ -68,9 +80,18 @@ pub struct Attempt {
     pub from: &'static str,
     /// How it ended.
     pub outcome: SqpOutcome<LiftedPoint>,
+    /// What was tried before it.
+    pub abandoned: Vec<Abandoned>,
 }
 
 impl Attempt {
+    /// Iterations, those of abandoned solves with them.
+    #[must_use]
+    pub fn iterations(&self) -> usize {
+        let before: usize = self.abandoned.iter().map(|tried| tried.iterations).sum();
+        before + iterations(&self.outcome)
+    }
+
     /// Converged ones first, then by objective, or else by infeasibility; equal ones in the order of their starts.
     fn rank(&self, other: &Self) -> std::cmp::Ordering {
         let converged = |attempt: &Self| attempt.outcome.status == SqpStatus::Converged;
@@ -87,6 +108,10 @@ impl Attempt {
     }
 }
 
+/// Iterations after which another first point is tried, where there is one left.
+const PATIENCE: usize = 50;
+/// Detours that are tried around obstacles before a single start gives up.
+const DETOURS: usize = 3;
 /// Distance of a detour from the middle of the way, in rod lengths, at most.
 const DETOUR: f64 = 0.5;
 
@@ -139,6 +164,44 @@ pub fn search(
     Ok(attempts)
 }
 
+fn iterations(outcome: &SqpOutcome<LiftedPoint>) -> usize {
+    outcome.history.len().saturating_sub(1)
+}
+
+/// Where one solve starts.
+#[derive(Clone, Copy)]
+enum First<'a> {
+    Previous(&'a [Wrench]),
+    Guess(Guess),
+    /// Static shapes by a detour of this number.
+    Detour(usize),
+}
+
+/// First points in the order in which they are tried.
+fn first_points<'a>(
+    problem: &OptimalControlProblem,
+    search: &'a Search,
+    start: usize,
+) -> Vec<First<'a>> {
+    if start > 0 {
+        return vec![First::Detour(start)];
+    }
+    if let Some(previous) = &search.previous {
+        return vec![First::Previous(previous)];
+    }
+    if let Some(guess) = search.guess {
+        return vec![First::Guess(guess)];
+    }
+    // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.
+    let mut firsts = vec![First::Guess(Guess::Rest)];
+    if !problem.path.is_empty() && search.starts <= 1 {
+        // On one side of an obstacle; the shapes straight on the way may lie in the middle of it.
+        firsts.extend((1..=DETOURS).map(First::Detour));
+    }
+    firsts.push(First::Guess(Guess::StaticPath));
+    firsts
+}
+
 fn attempt(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -147,11 +210,76 @@ fn attempt(
     n_threads: usize,
     observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
 ) -> Result<Attempt, GuessError> {
+    let began = Instant::now();
+    let firsts = first_points(problem, search, start);
+    let mut best: Option<Attempt> = None;
+    for (i, &first) in firsts.iter().enumerate() {
+        let mut settings = settings.clone();
+        if i + 1 < firsts.len() {
+            settings.max_iterations = settings.max_iterations.min(PATIENCE);
+        }
+        settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
+        let (from, outcome) = match staged(problem, &settings, search, first, n_threads, &|row| {
+            observer(start, row)
+        }) {
+            Ok(found) => found,
+            Err(error) if best.is_none() && i + 1 == firsts.len() => return Err(error),
+            Err(_) => continue,
+        };
+        let found = Attempt {
+            start,
+            from,
+            outcome,
+            abandoned: Vec::new(),
+        };
+        let ended = matches!(
+            found.outcome.status,
+            SqpStatus::Converged | SqpStatus::Stopped(_)
+        );
+        best = Some(match best {
+            None => found,
+            Some(earlier) => {
+                let (mut kept, dropped) = if ended || found.rank(&earlier).is_lt() {
+                    (found, earlier)
+                } else {
+                    (earlier, found)
+                };
+                kept.abandoned.extend(dropped.abandoned);
+                kept.abandoned.push(Abandoned {
+                    from: dropped.from,
+                    infeasible: dropped.outcome.status == SqpStatus::LocallyInfeasible,
+                    iterations: iterations(&dropped.outcome),
+                });
+                kept
+            }
+        });
+        if ended {
+            break;
+        }
+    }
+    match best {
+        Some(best) => Ok(best),
+        None => unreachable!("the last first point is solved from, or its error returned"),
+    }
+}
+
+/// One solve, with its easier problems first.
+fn staged(
+    problem: &OptimalControlProblem,
+    settings: &SqpSettings,
+    search: &Search,
+    first: First,
+    n_threads: usize,
+    observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
+) -> Result<(&'static str, SqpOutcome<LiftedPoint>), GuessError> {
     let stages = match search.continuation {
         Some(Continuation::Target { stages } | Continuation::Load { stages }) => stages.max(1),
         None => 1,
     };
-    let mut warm: Option<Vec<Wrench>> = search.previous.clone().filter(|_| start == 0);
+    let mut warm: Option<Vec<Wrench>> = match first {
+        First::Previous(previous) => Some(previous.to_vec()),
+        First::Guess(_) | First::Detour(_) => None,
+    };
     let mut from = "previous";
     for stage in 1..=stages {
         let easier;
@@ -162,17 +290,18 @@ fn attempt(
             }
             _ => problem,
         };
-        let first = match warm.as_ref().and_then(|warm| simulated(here, warm).ok()) {
+        let point = match warm.as_ref().and_then(|warm| simulated(here, warm).ok()) {
             Some(point) => point,
             None => {
-                let detour = (start > 0).then(|| detour(here, search.seed, start));
-                let guess = if start > 0 {
-                    Guess::StaticPath
-                } else {
-                    search.guess
+                let (guess, detour) = match first {
+                    First::Guess(guess) => (guess, None),
+                    First::Detour(number) => {
+                        (Guess::StaticPath, Some(detour(here, search.seed, number)))
+                    }
+                    First::Previous(_) => (Guess::StaticPath, None),
                 };
                 let (point, used) = first_point(here, guess, detour.as_ref())?;
-                from = if start > 0 && used == Guess::StaticPath {
+                from = if detour.is_some() && used == Guess::StaticPath {
                     "detour"
                 } else {
                     used.name()
@@ -181,14 +310,10 @@ fn attempt(
             }
         };
         let program = Transcription::new(here, n_threads);
-        let outcome = solve(&program, first, settings, &mut |row| observer(start, row));
+        let outcome = solve(&program, point, settings, &mut |row| observer(row));
         let stopped = matches!(outcome.status, SqpStatus::Stopped(_));
         if stage == stages || stopped {
-            return Ok(Attempt {
-                start,
-                from,
-                outcome,
-            });
+            return Ok((from, outcome));
         }
         // A stage that failed says nothing about the next.
         warm = (outcome.status == SqpStatus::Converged)

@@ -29,6 +29,8 @@ use crate::sqp::{
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
+/// Rotation of a node below which a step may stretch the rod, by the square of it.
+const SMALL_TURN: f64 = 1e-3;
 /// Rows of path constraints nearer than this (in rod lengths, radians, ...) enter the subproblem from the start.
 const SCREENING_MARGIN: f64 = 0.05;
 
@@ -699,7 +701,14 @@ impl LiftedProgram for Transcription<'_> {
                 .zip(&direction.variables)
                 .map(|(v, d)| v + step_length * d)
                 .collect(),
-            trajectory: point.trajectory.retract(&direction.trajectory, step_length),
+            // Far moves keep the stiff strains; near ones have no need to, and round less.
+            trajectory: if direction.trajectory.largest_rotation() > SMALL_TURN {
+                point
+                    .trajectory
+                    .retract_strains(&direction.trajectory, step_length)
+            } else {
+                point.trajectory.retract(&direction.trajectory, step_length)
+            },
         }
     }
 

@@ -24,6 +24,7 @@ pub mod signal;
 pub mod stability;
 pub mod stepper;
 pub mod strain;
+pub mod strain_coordinates;
 
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};

@@ -1,5 +1,6 @@
 //! The summary objects that scripts read: `summary.json`, and what `--json` prints.
 
+use crate::control::Abandoned;
 use serde::Serialize;
 
 use crate::sqp::{Convergence, KktResidual};
@@ -411,6 +412,8 @@ pub struct SolveSummary {
     pub hessian: &'static str,
     /// Which start was used.
     pub guess: &'static str,
+    /// Solves from other first points that were given up before; `iterations` has theirs as well.
+    pub abandoned: Vec<Abandoned>,
     /// How every start fared.
     pub starts: Vec<StartSummary>,
     /// Rod model.

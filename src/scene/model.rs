@@ -608,7 +608,8 @@ pub struct Obstacle {
     /// The price of coming closer. Absent: never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the clearance is kept, positive. Absent: at every time step.
+    /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
+    /// 400 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
@@ -705,7 +706,8 @@ pub struct Limit {
     /// The price of a violation. Absent: never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the limit is kept, positive. Absent: at every time step.
+    /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
+    /// 400 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
@@ -866,8 +868,11 @@ pub enum Hessian {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
-    /// From static shapes on the way to the task.
+    /// From rest, then, with path constraints, from static shapes by detours, and last from those on the way to the task, until a solve
+    /// converges.
     #[default]
+    Auto,
+    /// From static shapes on the way to the task.
     Static,
     /// From the motion under the forces that would hold these shapes.
     Slow,

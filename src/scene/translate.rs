@@ -93,6 +93,9 @@ impl OptimalControl {
 
 /// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
 const MOST_VARIABLES: usize = 2000;
+/// Times at which a path constraint is kept where its scene names no rate: what an arm does in between is of higher order in the
+/// spacing, and the check looks at it.
+const MOST_SAMPLES: usize = 400;
 /// Penetration of an obstacle at the start that counts as touching, in rod lengths.
 const START_TOLERANCE: f64 = 1e-9;
 /// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
@@ -271,14 +274,13 @@ impl Scene {
                     model::Continuation::Target(stages) => Continuation::Target { stages },
                     model::Continuation::Load(stages) => Continuation::Load { stages },
                 }),
-                ..Search::from_guess(
-                    match solver.guess {
-                        model::Guess::Static => Guess::StaticPath,
-                        model::Guess::Slow => Guess::Slow,
-                        model::Guess::Rest => Guess::Rest,
-                    },
-                    1,
-                )
+                guess: match solver.guess {
+                    model::Guess::Auto => None,
+                    model::Guess::Static => Some(Guess::StaticPath),
+                    model::Guess::Slow => Some(Guess::Slow),
+                    model::Guess::Rest => Some(Guess::Rest),
+                },
+                ..Search::from_guess(Guess::StaticPath, 1)
             },
             resolved,
         })
@@ -316,9 +318,10 @@ impl Scene {
 
     fn path_constraints(&self, rod: &Rod, grid: &TimeGrid) -> Vec<PathConstraint> {
         let time_nodes = |rate: Option<f64>| -> Vec<usize> {
-            let stride = rate.map_or(1, |rate| {
-                ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps)
-            });
+            let stride = rate.map_or_else(
+                || grid.n_steps.div_ceil(MOST_SAMPLES).max(1),
+                |rate| ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps),
+            );
             let mut nodes: Vec<usize> = (0..=grid.n_steps).step_by(stride).collect();
             if nodes[nodes.len() - 1] != grid.n_steps {
                 nodes.push(grid.n_steps);

@@ -5,7 +5,7 @@
 
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
-use super::residual::{Multipliers, norm};
+use super::residual::Multipliers;
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
 const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
@@ -15,13 +15,9 @@ const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
 const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4, too wide for stiff rods
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
-/// A lifted step is tried when it is this much shorter than the charts allow, and kept when it is no less feasible than
-/// the point it leaves or than this: a stiff rod that is moved linearly through a large rotation is stretched, and its
-/// defects are then worse than what restored states cost.
-const LIFTED_MARGIN: f64 = 8.0;
-/// Longer steps of the (scaled) variables are not worth the attempt.
-const LIFTED_LENGTH: f64 = 0.3;
-const LIFTED_INFEASIBILITY: f64 = 0.1;
+/// A lifted step is tried when its turns are within what the charts allow, and kept when it is no less feasible than the point it
+/// leaves or than this: beyond, its defects are worse than what restored states cost.
+const LIFTED_INFEASIBILITY: f64 = 1.0;
 /// Infeasibility at which only optimality is left to be gained.
 pub(super) const FEASIBLE: f64 = 1e-8;
 /// Of the objective, relatively.
@@ -185,9 +181,7 @@ impl Filter {
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Accepted<P>>> {
         let slope = from.first_order(program, change);
-        if norm(change) <= LIFTED_LENGTH
-            && let Some(accepted) = self.try_lifted(program, from, change, slope)
-        {
+        if let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
         }
         let trial = Self::restored(program, from, change, 0).ok_or(None)?;
@@ -228,7 +222,7 @@ impl Filter {
         let direction = program
             .expand(from.point, &from.evaluation.defects, change)
             .ok()?;
-        if program.longest_step(&direction) < LIFTED_MARGIN {
+        if program.longest_step(&direction) < 1.0 {
             return None;
         }
         let trial = program.retract(from.point, &direction, 1.0);

@@ -147,6 +147,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     departed: Option<(Vec<f64>, Linearization)>,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
+    /// Whether states were computed anew for want of any other progress.
+    is_settled: bool,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
@@ -225,6 +227,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             quasi_newton: None,
             departed: None,
             rounding: 0.0,
+            is_settled: false,
             history: Vec::new(),
             phases: PhaseTimes::default(),
             failed_subproblem: None,
@@ -376,6 +379,33 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// Defects that rounding leaves; 0 as long as no states have been computed.
+    /// KKT residual of the point before.
+    pub(super) fn last_residual(&self) -> Option<KktResidual> {
+        self.history.last().map(|row| row.residual)
+    }
+
+    /// Computes the states from the variables, once; whether it did.
+    pub(super) fn settle(&mut self) -> bool {
+        if self.is_settled {
+            return false;
+        }
+        self.is_settled = true;
+        let stay = vec![0.0; self.variables().len()];
+        let Ok(point) = self.program.restored_step(&self.point, &stay) else {
+            return false;
+        };
+        let Ok(evaluation) = self.program.evaluate(&point) else {
+            return false;
+        };
+        self.arrive(Accepted {
+            point,
+            evaluation,
+            restored: true,
+            corrections: 0,
+        });
+        true
+    }
+
     pub(super) fn rounding(&self) -> f64 {
         self.rounding
     }

@@ -218,11 +218,22 @@ pub fn solve<P: LiftedProgram>(
             Err(failure) => return run.end(SqpStatus::Failed(failure.0)),
         };
         let residual = run.residual(&linearization);
+        let before = run.last_residual();
         run.record(iteration, residual);
-        if residual.max() <= STOP_PART * settings.tolerance
-            && residual.feasibility <= settings.feasibility_tolerance(run.rounding())
-        {
-            return run.finish(SqpStatus::Converged, observer);
+        // Two points in a row as good as this, the second no better: what is left is rounding, once states are computed anew.
+        let stagnates = before.is_some_and(|before| {
+            before.max() <= STOP_PART * settings.tolerance
+                && residual.feasibility > 0.5 * before.feasibility
+        });
+        let is_exact = residual.feasibility <= settings.feasibility_tolerance(run.rounding());
+        if residual.max() <= STOP_PART * settings.tolerance && (is_exact || stagnates) {
+            if is_exact || iteration == settings.max_iterations || !run.settle() {
+                return run.finish(SqpStatus::Converged, observer);
+            }
+            if let ControlFlow::Break(stop) = run.show(observer) {
+                return run.end(SqpStatus::Stopped(stop));
+            }
+            continue;
         }
         if iteration == settings.max_iterations {
             let status = if residual.max() <= settings.tolerance {
