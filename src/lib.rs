@@ -15,6 +15,7 @@
 
 pub mod cli;
 pub mod control;
+pub mod derivatives;
 pub mod mechanics;
 pub mod output;
 pub mod paper;

@@ -2,6 +2,7 @@
 
 use super::exit;
 use crate::control::GuessError;
+use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
 use crate::output::OutputError;
 use crate::paper::PaperError;
@@ -26,6 +27,9 @@ pub(super) enum CliError {
     /// The forward check broke down.
     #[error("error: the check could not be made: {0}")]
     Check(#[from] CheckError),
+    /// No point at which derivatives could be checked.
+    #[error("error: {0}")]
+    Derivative(#[from] DerivativeError),
     /// An experiment of the paper could not be run.
     #[error("{0}")]
     Paper(#[from] PaperError),
@@ -44,6 +48,7 @@ impl CliError {
             Self::Step(_)
             | Self::Guess(_)
             | Self::Check(_)
+            | Self::Derivative(_)
             | Self::Paper(PaperError::Step { .. }) => exit::NUMERICAL,
         }
     }

@@ -2,6 +2,7 @@
 
 mod check;
 mod console;
+mod derivatives;
 mod error;
 mod example;
 mod paper;
@@ -42,7 +43,7 @@ struct Cli {
 
 const EXIT_CODES: &str = "Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
 4 locally infeasible · 5 numerical failure · 6 stopped by a deadline or Ctrl-C · 7 solved, but the check rejects it \
-(paper: a printed number is not reproduced)";
+(derivatives: one is wrong; paper: a printed number is not reproduced)";
 
 /// Options of every verb.
 #[derive(Clone, Debug, Args)]
@@ -59,7 +60,7 @@ struct Global {
     /// Threads to compute with (changes the time, not the result)
     #[arg(long, global = true, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     threads: u16,
-    /// Seed of everything random: the detours of several starts
+    /// Seed of everything random: the detours of several starts, the point where derivatives are checked
     #[arg(long, global = true, value_name = "N", default_value_t = 0)]
     seed: u64,
 }
@@ -80,6 +81,8 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
+    /// Check every analytic derivative of a scene, with a verdict
+    Derivatives(SceneArgument),
     /// List the built-in scenes, or print one, commented
     Example {
         /// Name of a built-in scene
@@ -153,6 +156,7 @@ pub fn run() -> ExitCode {
         }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
         Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
+        Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
         Command::Schema => schema::run(&console),
         Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),

@@ -218,7 +218,7 @@ impl<'a> Transcription<'a> {
         if any { out } else { Vec::new() }
     }
 
-    fn motion(&self) -> Motion<'_> {
+    pub(crate) fn motion(&self) -> Motion<'_> {
         Motion {
             rod: &self.problem.rod,
             grid: self.problem.grid,
@@ -226,7 +226,7 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    fn posture<'b>(&'b self, trajectory: &'b Trajectory) -> Posture<'b> {
+    pub(crate) fn posture<'b>(&'b self, trajectory: &'b Trajectory) -> Posture<'b> {
         Posture {
             rod: &self.problem.rod,
             radii: &self.problem.radii,
@@ -252,7 +252,7 @@ impl<'a> Transcription<'a> {
     }
 
     /// Derivative of one scaled residual.
-    fn goal_gradient(&self, trajectory: &Trajectory, row: &GoalRow) -> RowGradient {
+    pub(crate) fn goal_gradient(&self, trajectory: &Trajectory, row: &GoalRow) -> RowGradient {
         let problem = self.problem;
         let goal = &problem.goals[row.goal];
         let (k, node) = (goal.time_node, goal.node);
@@ -733,6 +733,44 @@ impl LiftedProgram for Transcription<'_> {
 }
 
 impl Transcription<'_> {
+    /// Total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep. Normals of
+    /// the sets and prices of soft rows do not enter.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    pub fn lagrangian_gradient(
+        &self,
+        point: &LiftedPoint,
+        multipliers: &Multipliers,
+    ) -> Result<Vec<f64>, Failure> {
+        let (_, mut gradient) = self.control_cost(&point.variables);
+        let costs = self.state_costs(&point.trajectory);
+        let outcome = self.outcome(point, &costs, multipliers);
+        let motion = self.motion();
+        let sweep = adjoint(&motion, &point.trajectory, &outcome).map_err(describe)?;
+        let columns = Columns {
+            problem: self.problem,
+            components: &self.components,
+        };
+        for k in 0..=motion.grid.n_steps {
+            columns.visit(k, &mut |column, node, component, weight| {
+                let wrench = sweep.wrench(&motion, k, node);
+                let slope = if component < 3 {
+                    wrench.force[component]
+                } else {
+                    wrench.moment[component - 3]
+                };
+                gradient[column] += weight * slope;
+            });
+        }
+        for (variable, y) in self.soft_variables.iter().zip(&multipliers.constraints) {
+            if let Some(variable) = *variable {
+                gradient[variable] -= y;
+            }
+        }
+        Ok(gradient)
+    }
+
     /// The derivative of `J + yᵀ c + zᵀ h` over the states alone.
     fn outcome(
         &self,

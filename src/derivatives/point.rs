@@ -1,0 +1,84 @@
+//! Where derivatives are checked: a bent, twisted and moving arm, and controls within their bounds.
+
+use fastrand::Rng;
+use nalgebra::Vector3;
+
+use crate::control::OptimalControlProblem;
+use crate::mechanics::rotation::{InverseTangentCoefficients, exp, log_tangent};
+use crate::mechanics::{Rod, State};
+use crate::sqp::ConvexSet;
+
+/// Angle by which the arm is bent from end to end, rad.
+const BEND: f64 = 1.5;
+/// Speeds over the rod's length and time.
+const SPEED: f64 = 0.3;
+/// Stretch and shear: those of this many of the rod's force scales.
+const FORCES: f64 = 10.0;
+/// Largest stretch and shear.
+const STRETCH: f64 = 0.01;
+
+/// Between -1 and 1.
+pub fn number(rng: &mut Rng) -> f64 {
+    2.0 * rng.f64() - 1.0
+}
+
+/// Each component between `-size` and `size`.
+pub fn vector(rng: &mut Rng, size: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| number(rng) * size)
+}
+
+/// A state in general position, of which `size` is 1 or less: strains as of a bending by an angle of order one and of forces of the
+/// rod's own scale, velocities of the order of its length over its time. A driven base is where its motion starts.
+pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
+    let mut state = rod.at_rest_on_base(rod.rest.clone());
+    let scales = &rod.scales;
+    let bend = vector(rng, size * BEND / scales.length);
+    let configuration = &mut state.configuration;
+    for (q, element) in rod.elements.iter().enumerate() {
+        let axial = element.linear_stiffness.z;
+        let stretch = (FORCES * scales.force / axial).min(STRETCH) * size;
+        let kappa = element.rest.curvature + bend + vector(rng, 0.3 * size * BEND / scales.length);
+        let v = element.rest.linear[0] + vector(rng, stretch);
+        let psi = kappa * element.length;
+        let c = InverseTangentCoefficients::at(psi.norm_squared());
+        let chord = log_tangent(&psi, &c)
+            .try_inverse()
+            .map_or(v, |inverse| inverse * v);
+        let (x, r) = (configuration.positions[q], configuration.rotations[q]);
+        configuration.positions[q + 1] = x + r * chord * element.length;
+        configuration.rotations[q + 1] = r * exp(&psi);
+    }
+    let rotary = rod.rotary_at(&configuration.positions);
+    let (speed, spin) = (
+        vector(rng, size * SPEED * scales.length / scales.time),
+        vector(rng, size * SPEED / scales.time),
+    );
+    for q in rod.first_free_node()..rod.n_nodes() {
+        let along = q as f64 / rod.n_elements() as f64;
+        let jitter = Vector3::repeat(1.0) + vector(rng, 0.3);
+        state.linear_momentum[q] = speed.component_mul(&jitter) * (along * rod.nodes[q].mass);
+        state.angular_momentum[q] = (spin.component_mul(&jitter) * along).component_mul(&rotary[q]);
+    }
+    state
+}
+
+/// Scaled control coefficients of half their scale at most, drawn towards zero until they are inside all of `sets`; variables of
+/// soft goals are small.
+pub fn random_variables(
+    problem: &OptimalControlProblem,
+    sets: &[ConvexSet],
+    rng: &mut Rng,
+) -> Vec<f64> {
+    let mut variables: Vec<f64> = (0..problem.n_variables())
+        .map(|_| 0.5 * number(rng))
+        .collect();
+    for _ in 0..60 {
+        if sets.iter().all(|set| set.violation(&variables) <= 0.0) {
+            break;
+        }
+        for v in &mut variables {
+            *v *= 0.5;
+        }
+    }
+    variables
+}
