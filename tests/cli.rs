@@ -141,6 +141,7 @@ fn names(folder: &Path) -> Vec<String> {
 const SOLVE_FILES: [&str; 7] = [
     "controls.csv",
     "iterations.csv",
+    "feedback.npz",
     "multipliers.json",
     "report.html",
     "scene.toml",
@@ -239,6 +240,7 @@ fn solve_and_verify() {
             "phases_s.qp",
             "phases_s.globalize",
             "phases_s.certify",
+            "phases_s.feedback",
             "kkt.stationarity",
             "kkt.feasibility",
             "kkt.complementarity",

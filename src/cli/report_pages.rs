@@ -1,12 +1,12 @@
 //! What the report page of a simulation and of a solve shows.
 
 use super::solve::findings;
-use crate::control::{Bound, Hold, OptimalControlProblem};
+use crate::control::{Bound, Feedback, Hold, OptimalControlProblem};
 use crate::mechanics::{BaseCondition, Rod, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
     self, MotionRecord, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportTarget, ReportVerdict,
+    ReportEnergy, ReportIteration, ReportMotion, ReportSensitivity, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
 use crate::scene::{OptimalControl, Scene, Simulation};
@@ -68,6 +68,7 @@ pub(super) fn simulation_page(
         target: None,
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
+        sensitivity: None,
         iterations: Vec::new(),
         checks: Vec::new(),
     }
@@ -81,6 +82,7 @@ pub(super) struct SolvePage<'a> {
     pub coefficients: &'a [Wrench],
     pub history: &'a [IterationRecord],
     pub check: Option<&'a ForwardCheck>,
+    pub feedback: Option<&'a Feedback>,
     pub summary: &'a SolveSummary,
 }
 
@@ -117,6 +119,11 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         target: Some(target(problem)),
         controls: Some(controls(problem, page.coefficients)),
         energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
+        sensitivity: page.feedback.map(|feedback| ReportSensitivity {
+            t: problem.control.edge_times(),
+            open: feedback.open_loop.clone(),
+            closed: feedback.closed_loop.clone(),
+        }),
         iterations: page.history.iter().map(iteration).collect(),
         checks: page
             .check

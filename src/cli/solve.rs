@@ -16,17 +16,18 @@ use super::simulate::push_row;
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::control::{
-    Attempt, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement, PathRow, Search,
+    Attempt, Feedback, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement, PathRow, Search,
     Transcription, search,
 };
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
     BetweenSummary, CheckOutcome, EnergyAccount, GrowthSummary, MomentumAccount, NamedConstraint,
-    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SolveSummary, StartSummary, StrainSummary,
+    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SensitivitySummary, SolveSummary,
+    StartSummary, StrainSummary,
 };
 use crate::output::{
     ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
-    write_controls,
+    write_controls, write_feedback,
 };
 use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{
@@ -89,8 +90,11 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let clock = Instant::now();
     let (solution, starts) = best(&setup, attempts, arguments.deep, console);
     let certify_time = clock.elapsed().as_secs_f64();
+    let clock = Instant::now();
+    let feedback = feedback_of(&setup, &solution, global, console);
+    let feedback_time = clock.elapsed().as_secs_f64();
     let wall = started.elapsed().as_secs_f64();
-    let summary = summarize(
+    let mut summary = summarize(
         arguments,
         &setup,
         &solution,
@@ -99,12 +103,45 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         certify_time,
         &target,
     );
-    write(&directory, &scene, &setup, &solution, &summary)?;
+    summary.phases_s.feedback = feedback_time;
+    if let Some(feedback) = &feedback {
+        summary.open_loop_sensitivity = Some(SensitivitySummary::of(&feedback.open_loop));
+        summary.closed_loop_sensitivity = Some(SensitivitySummary::of(&feedback.closed_loop));
+    }
+    write(
+        &directory,
+        &scene,
+        &setup,
+        &solution,
+        feedback.as_ref(),
+        &summary,
+    )?;
     let written = directory.finish()?;
     let check = solution.check.as_ref();
     conclude(&summary, check, &written, console);
     console.summary(&summary);
     Ok(exit_code(&solution.attempt.outcome.status, check))
+}
+
+/// The regulator around a converged solution, where the scene wants one.
+fn feedback_of(
+    setup: &OptimalControl,
+    solution: &Solved,
+    global: &Global,
+    console: &Console,
+) -> Option<Feedback> {
+    let weights = setup.feedback.as_ref()?;
+    if solution.attempt.outcome.status != SqpStatus::Converged {
+        return None;
+    }
+    let coefficients = &solution.coefficients;
+    match Feedback::along(&setup.problem, coefficients, weights, global.n_threads()) {
+        Ok(feedback) => Some(feedback),
+        Err(error) => {
+            console.warn(&format!("no feedback gains: {error}"));
+            None
+        }
+    }
 }
 
 /// The coefficients of an earlier solution at the times of this problem's.
@@ -307,6 +344,7 @@ fn summarize(
             qp: outcome.phases.qp,
             globalize: outcome.phases.globalize,
             certify,
+            feedback: 0.0,
         },
         kkt: outcome.residual,
         convergence: outcome.convergence,
@@ -314,6 +352,8 @@ fn summarize(
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         check: check.map(check_outcome),
+        open_loop_sensitivity: None,
+        closed_loop_sensitivity: None,
         worst_constraints: solution.worst.clone(),
         qp_backend: "condensed",
         hessian: setup.settings.hessian.name(),
@@ -509,6 +549,7 @@ fn write(
     scene: &Scene,
     setup: &OptimalControl,
     solution: &Solved,
+    feedback: Option<&Feedback>,
     summary: &SolveSummary,
 ) -> Result<(), OutputError> {
     let outcome = &solution.attempt.outcome;
@@ -521,6 +562,10 @@ fn write(
     write_iterations(&directory.path().join("iterations.csv"), &outcome.history)?;
     directory.write_text("scene.toml", &setup.resolved.to_toml())?;
     directory.write_json("multipliers.json", &solution.multipliers)?;
+    if let Some(feedback) = feedback {
+        let path = directory.path().join("feedback.npz");
+        write_feedback(&path, feedback, setup.problem.grid.end())?;
+    }
     directory.write_json("summary.json", summary)?;
     if let Some(problem) = &outcome.failed_subproblem {
         directory.write_text("failed-subproblem.json", problem)?;
@@ -532,6 +577,7 @@ fn write(
         coefficients: &solution.coefficients,
         history: &outcome.history,
         check: solution.check.as_ref(),
+        feedback,
         summary,
     });
     directory.write_text("report.html", &render_report(&page))
@@ -674,6 +720,15 @@ fn conclude(
                 constraint.multiplier
             ));
         }
+    }
+    if let (Some(open), Some(closed)) = (
+        summary.open_loop_sensitivity,
+        summary.closed_loop_sensitivity,
+    ) {
+        console.say(&format!(
+            "a perturbation grows at most {:.3} times by the end ({:.3} with feedback), {:.3} times on the way ({:.3})",
+            open.horizon, closed.horizon, open.worst, closed.worst
+        ));
     }
     if let Some(check) = check {
         show_check(check, summary.status == "converged", console);

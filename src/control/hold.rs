@@ -94,6 +94,12 @@ impl ControlGrid {
         self.edges[self.edges.len() - 1]
     }
 
+    /// First step of every block, and the number of steps at the end.
+    #[must_use]
+    pub fn edges(&self) -> &[usize] {
+        &self.edges
+    }
+
     /// Times at which blocks begin, and the end, s.
     #[must_use]
     pub fn edge_times(&self) -> Vec<f64> {

@@ -1,6 +1,7 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
 
 pub mod cost;
+pub mod feedback;
 pub mod guess;
 pub mod hold;
 pub mod obstacle;
@@ -9,6 +10,7 @@ pub mod problem;
 pub mod search;
 pub mod transcription;
 
+pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
 pub use obstacle::{Shape, SignedDistance};

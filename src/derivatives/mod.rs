@@ -16,6 +16,7 @@ use serde::Serialize;
 pub use self::compare::{Comparison, Verdict, compare};
 pub use self::point::random_state;
 use crate::control::OptimalControlProblem;
+use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::linearization::{Motion, StepLinearization};
 use crate::mechanics::{Rod, RodModel, State, StepError, Stepper, TimeGrid};
 use crate::sqp::Failure;
@@ -71,8 +72,10 @@ fn gather(
     })
 }
 
-/// Longest horizon that is differentiated, in steps, and its blocks of control.
+/// Longest horizon that is differentiated, in steps; steps that are solved for cost a hundred times as much.
 const LONGEST: usize = 48;
+const LONGEST_IMPLICIT: usize = 16;
+/// Its blocks of control.
 const MOST_BLOCKS: usize = 4;
 /// The random state is drawn this many times, each half as far from rest as the one before.
 const DRAWS: i32 = 8;
@@ -83,7 +86,7 @@ const DRAWS: i32 = 8;
 /// [`DerivativeError`] where no drawn state can be simulated.
 pub fn check_motion(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<Report, DerivativeError> {
     let short = TimeGrid {
-        n_steps: grid.n_steps.min(LONGEST),
+        n_steps: grid.n_steps.min(longest(rod, grid)),
         ..grid
     };
     let state = simulable_state(rod, short, seed)?;
@@ -108,7 +111,7 @@ pub fn check_motion(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<Report, Deri
 /// [`DerivativeError`] where no drawn state can be simulated.
 pub fn check(problem: &OptimalControlProblem, seed: u64) -> Result<Report, DerivativeError> {
     let mut out = check_motion(&problem.rod, problem.grid, seed)?;
-    let mut short = control::shortened(problem, LONGEST, MOST_BLOCKS);
+    let mut short = control::shortened(problem, longest(&problem.rod, problem.grid), MOST_BLOCKS);
     short.initial = simulable_state(&problem.rod, short.grid, seed)?;
     if problem.rod.model != RodModel::Standard {
         out.notes.push(
@@ -118,6 +121,13 @@ pub fn check(problem: &OptimalControlProblem, seed: u64) -> Result<Report, Deriv
     let mut rng = Rng::with_seed(seed);
     out.blocks.extend(control::blocks(&short, &mut rng)?);
     Ok(report(out.blocks, out.notes))
+}
+
+fn longest(rod: &Rod, grid: TimeGrid) -> usize {
+    match IntervalWeights::of(rod, grid.step) {
+        None => LONGEST,
+        Some(_) => LONGEST_IMPLICIT,
+    }
 }
 
 fn report(blocks: Vec<Block>, notes: Vec<String>) -> Report {

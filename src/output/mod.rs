@@ -4,6 +4,7 @@ mod controls;
 mod diagnostics;
 mod directory;
 mod error;
+mod feedback;
 mod motion;
 mod multipliers;
 mod npz;
@@ -16,11 +17,12 @@ pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::DiagnosticsRecord;
 pub use directory::ResultDirectory;
 pub use error::OutputError;
+pub use feedback::write_feedback;
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 pub use report::{
     Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
-    ReportIteration, ReportMotion, ReportTarget, ReportVerdict, render_report,
+    ReportIteration, ReportMotion, ReportSensitivity, ReportTarget, ReportVerdict, render_report,
 };
 pub use rows::{ArrayView, RowFiles, row_bytes};
 pub use running::{Checkpoint, RunDirectory};

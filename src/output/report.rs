@@ -26,6 +26,8 @@ pub struct ReportData {
     pub controls: Option<ReportControls>,
     /// Energies over time.
     pub energy: Option<ReportEnergy>,
+    /// Growth of perturbations; absent where it was not computed.
+    pub sensitivity: Option<ReportSensitivity>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
     /// What was checked afterwards, with the verdicts.
@@ -200,6 +202,17 @@ impl ReportEnergy {
     }
 }
 
+/// Largest growth of a perturbation of the initial state, in the norm of its energy.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportSensitivity {
+    /// Edges of the blocks in seconds.
+    pub t: Vec<f64>,
+    /// Without feedback.
+    pub open: Vec<f64>,
+    /// With feedback.
+    pub closed: Vec<f64>,
+}
+
 /// One SQP iteration.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportIteration {
@@ -290,6 +303,7 @@ mod tests {
             }),
             controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
+            sensitivity: None,
             iterations: vec![],
             checks: vec![],
         }

@@ -200,6 +200,28 @@ pub struct PhaseSummary {
     pub globalize: f64,
     /// The forward check.
     pub certify: f64,
+    /// Feedback gains and sensitivity.
+    pub feedback: f64,
+}
+
+/// Largest growth of the norm of a perturbation of the initial state.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SensitivitySummary {
+    /// Up to the end of the horizon.
+    pub horizon: f64,
+    /// Up to any edge of the blocks.
+    pub worst: f64,
+}
+
+impl SensitivitySummary {
+    /// Of the growth up to every edge.
+    #[must_use]
+    pub fn of(growth: &[f64]) -> Self {
+        Self {
+            horizon: growth.last().copied().unwrap_or(f64::NAN),
+            worst: growth.iter().copied().fold(f64::NAN, f64::max),
+        }
+    }
 }
 
 /// Outcome of the forward check, in the summary.
@@ -404,6 +426,10 @@ pub struct SolveSummary {
     pub tip_speed_m_s: f64,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckOutcome>,
+    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
+    pub open_loop_sensitivity: Option<SensitivitySummary>,
+    /// The same with feedback.
+    pub closed_loop_sensitivity: Option<SensitivitySummary>,
     /// The worst constraints by name.
     pub worst_constraints: Vec<NamedConstraint>,
     /// Which form of subproblem.

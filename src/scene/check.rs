@@ -742,6 +742,16 @@ impl Keys<'_> {
                 }
             }
         }
+        if let Some(feedback) = &control.feedback {
+            self.not_negative("control.feedback.state", feedback.state, "weight", "")?;
+            self.positive("control.feedback.input", feedback.input, "weight", "")?;
+            self.positive(
+                "control.feedback.tolerance",
+                feedback.tolerance,
+                "tolerance",
+                "",
+            )?;
+        }
         let mut nothing = is_zero(control.force_max_n) && is_zero(control.moment_max_n_m);
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {

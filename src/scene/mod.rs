@@ -20,10 +20,10 @@ pub mod translate;
 
 pub use error::SceneError;
 pub use model::{
-    Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Gravity,
-    Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load, LoadFrame,
-    LoadNode, Material, Objective, Obstacle, Output, Price, Reference, Rod, RodModel, Scene,
-    Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeStep, Track, Via,
+    Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Feedback,
+    Gravity, Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load,
+    LoadFrame, LoadNode, Material, Objective, Obstacle, Output, Price, Reference, Rod, RodModel,
+    Scene, Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeStep, Track, Via,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};

@@ -738,6 +738,33 @@ pub struct Control {
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuator: Vec<Actuator>,
+    /// Weights of the feedback gains along the solution. Absent: 1, 1 and 0.01 for arms of at most 40 elements, no gains for others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub feedback: Option<Feedback>,
+}
+
+/// What the regulator around the solution weighs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Feedback {
+    /// Weight of the energy of a deviation, twice over EI/L, on the way and at the end; not negative, default 1.
+    #[schemars(range(min = 0.0))]
+    pub state: f64,
+    /// Weight of the square of a correction over its scale; positive, default 1.
+    pub input: f64,
+    /// Scaled residual of the task that counts as 1 (over the length, or in rad); positive, default 0.01.
+    pub tolerance: f64,
+}
+
+impl Default for Feedback {
+    fn default() -> Self {
+        let weights = crate::control::FeedbackWeights::default();
+        Self {
+            state: weights.state,
+            input: weights.input,
+            tolerance: weights.tolerance,
+        }
+    }
 }
 
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.

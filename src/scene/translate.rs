@@ -10,9 +10,9 @@ use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use crate::control::path::thinnest;
 use crate::control::{
-    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, Goal, Guess, Hold,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
-    Tracking,
+    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, FeedbackWeights, Goal, Guess,
+    Hold, OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Search,
+    Shape, Tracking,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::from_quaternion;
@@ -64,6 +64,8 @@ pub struct OptimalControl {
     pub settings: SqpSettings,
     /// Where the solve starts.
     pub search: Search,
+    /// Weights of the regulator around the solution; none where there should be none.
+    pub feedback: Option<FeedbackWeights>,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
 }
@@ -96,6 +98,8 @@ const MOST_VARIABLES: usize = 2000;
 /// Times at which a path constraint is kept where its scene names no rate: what an arm does in between is of higher order in the
 /// spacing, and the check looks at it.
 const MOST_SAMPLES: usize = 400;
+/// Elements up to which gains are computed unasked: they take time with the cube of the number, and a part of a solve's up to here.
+const MOST_FEEDBACK_ELEMENTS: usize = 40;
 /// Penetration of an obstacle at the start that counts as touching, in rod lengths.
 const START_TOLERANCE: f64 = 1e-9;
 /// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
@@ -281,6 +285,17 @@ impl Scene {
                     model::Guess::Rest => Some(Guess::Rest),
                 },
                 ..Search::from_guess(Guess::StaticPath, 1)
+            },
+            feedback: match &control.feedback {
+                Some(feedback) => Some(FeedbackWeights {
+                    state: feedback.state,
+                    input: feedback.input,
+                    tolerance: feedback.tolerance,
+                }),
+                None if self.rod.elements <= MOST_FEEDBACK_ELEMENTS => {
+                    Some(FeedbackWeights::default())
+                }
+                None => None,
             },
             resolved,
         })

@@ -212,6 +212,107 @@ pub fn direction(
     Ok((direction, end))
 }
 
+/// The linearized motion over a stretch of time nodes.
+#[derive(Clone, Debug)]
+pub struct Transition {
+    /// `∂s_end/∂s_start` over `(δx, ζ, δp, δπ)` of every free node, node by node; `δp` and `δπ` are those of the
+    /// [`State`](super::State) at the time node: the discrete Legendre transform.
+    pub state: Mat<f64>,
+    /// `∂s_end/∂u` of unit wrenches that are constant over the stretch, one column each.
+    pub input: Mat<f64>,
+}
+
+/// The linearized motion from the time node `range.start` to `range.end`, with half a kick at either end, as the integrator takes
+/// them. `inputs` are nodes and components: 0..3 force (spatial, N) and 3..6 moment (body, N m).
+///
+/// # Errors
+/// [`StepError`] where the trajectory cannot be linearized.
+///
+/// # Panics
+/// Where the range is empty or ends after the horizon.
+pub fn transition(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    range: Range<usize>,
+    inputs: &[(usize, usize)],
+    n_threads: usize,
+) -> Result<Transition, StepError> {
+    assert!(range.start < range.end && range.end <= motion.grid.n_steps);
+    let first = motion.rod.first_free_node();
+    let size = NODE_COMPONENTS * (motion.rod.n_nodes() - first);
+    let columns = ConstantColumns {
+        n_states: size,
+        inputs,
+    };
+    let task = Task {
+        motion,
+        trajectory,
+        sources: &[],
+        columns: &columns,
+        forms: &[],
+        n_threads: n_threads.max(1),
+    };
+    let n_tiles = columns.n_columns().div_ceil(TILE);
+    let mut tiles: Vec<Tile> = (0..n_tiles)
+        .map(|index| {
+            let mut tile = Tile::new(&task, index * TILE, None);
+            for column in (index * TILE..size).take(TILE) {
+                tile.set_unit(first * NODE_COMPONENTS + column, column % TILE);
+            }
+            tile
+        })
+        .collect();
+    let n_threads = task.n_threads.min(n_tiles);
+    let arch = Arch::new();
+    let mut steps = Vec::new();
+    let n_times = range.end + 1;
+    for start in (range.start..n_times).step_by(CHUNK) {
+        let end = (start + CHUNK).min(n_times);
+        task.linearize(None, start..end, n_threads, &mut steps)?;
+        if start == range.start {
+            steps[0].replace_kick(&motion.kick(0));
+        }
+        if let Some(last) = steps.last_mut().filter(|_| end == n_times) {
+            last.replace_kick(&motion.kick(motion.grid.n_steps));
+            last.drifts.clear();
+        }
+        deal(&mut tiles, n_threads, |tile| {
+            for (step, k) in steps.iter().zip(start..) {
+                tile.advance(arch, step, k, &task);
+            }
+        });
+    }
+    let of = |row: usize, column: usize| {
+        tiles[column / TILE].component(first * NODE_COMPONENTS + row, column % TILE)
+    };
+    Ok(Transition {
+        state: Mat::from_fn(size, size, of),
+        input: Mat::from_fn(size, inputs.len(), |row, input| of(row, size + input)),
+    })
+}
+
+/// Columns of the state at the start, on which no control acts, then one for every constant wrench.
+struct ConstantColumns<'a> {
+    n_states: usize,
+    inputs: &'a [(usize, usize)],
+}
+
+impl ControlColumns for ConstantColumns<'_> {
+    fn n_columns(&self) -> usize {
+        self.n_states + self.inputs.len()
+    }
+
+    fn visit(&self, _: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+        for (index, (node, component)) in self.inputs.iter().enumerate() {
+            visit(self.n_states + index, *node, *component, 1.0);
+        }
+    }
+
+    fn n_started(&self, _: usize) -> usize {
+        self.n_columns()
+    }
+}
+
 /// A whole control as one column.
 struct OneColumn<'a>(&'a ControlSignal);
 

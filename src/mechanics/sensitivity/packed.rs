@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature, StepCurvature};
 use crate::mechanics::linearization::{
-    ElementDrift, LoadDerivative, StepLinearization, StressDrift,
+    ElementDrift, Kick, LoadDerivative, StepLinearization, StressDrift,
 };
 use crate::mechanics::rod::Rod;
 use crate::mechanics::strain::ElementStiffness;
@@ -136,6 +136,19 @@ pub(super) fn pack_loads(loads: &[LoadDerivative], weight: f64) -> Vec<(usize, [
 }
 
 impl PackedStep {
+    /// Puts another kick in the place of this one, at the same time node.
+    pub fn replace_kick(&mut self, kick: &Kick) {
+        let factor = kick.weight / self.weight;
+        self.decay = kick.decay;
+        self.weight = kick.weight;
+        for value in self.elements.iter_mut().flatten().flatten() {
+            *value *= factor;
+        }
+        for value in (self.loads.iter_mut()).flat_map(|(_, rows)| rows.iter_mut().flatten()) {
+            *value *= factor;
+        }
+    }
+
     pub fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
         let weight = step.kick.weight;
         Self {

@@ -64,6 +64,16 @@ impl<'a> Tile<'a> {
         }
     }
 
+    /// Component `row` of one column: [`NODE_COMPONENTS`] for every node.
+    pub fn component(&self, row: usize, column: usize) -> f64 {
+        self.data[row * TILE + column]
+    }
+
+    /// Lets one column begin as a unit of component `row`.
+    pub fn set_unit(&mut self, row: usize, column: usize) {
+        self.data[row * TILE + column] = 1.0;
+    }
+
     /// Sum of the first two columns.
     pub fn sum(&self, node: usize, part: usize) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
