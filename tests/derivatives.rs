@@ -171,11 +171,14 @@ energy = 0.3
     }
 }
 
+/// What makes a linearized step wrong.
+type Spoil = fn(&mut StepLinearization);
+
 /// Every law and integrator passes; a relative error of 1e-6 in any matrix of one linearized step is called wrong by the
 /// differences, and by the symplectic identity where what is wrong is not symplectic itself (as a step with another mass is).
 #[test]
 fn wrong_linearizations_are_seen() {
-    let spoil: [(&str, fn(&mut StepLinearization)); 5] = [
+    let spoil: [(&str, Spoil); 5] = [
         ("stiffness", |step| {
             for stiffness in &mut step.elements {
                 *stiffness *= 1.0 + 1e-6;
@@ -208,7 +211,7 @@ fn wrong_linearizations_are_seen() {
         let rod = method.rod(busy_arm(method.rule, 4));
         let state = random_state(&rod, 0.05, 0.5, &mut Dice(3));
         let h = 0.5 * stable_step(&rod);
-        let judge = |spoil: fn(&mut StepLinearization)| {
+        let judge = |spoil: Spoil| {
             let linearize = |motion: &Motion, trajectory: &Trajectory, k: usize| {
                 let mut step = StepLinearization::at(motion, trajectory, k)?;
                 spoil(&mut step);

@@ -2,6 +2,7 @@
 
 use super::exit;
 use crate::control::GuessError;
+use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
 use crate::output::OutputError;
@@ -30,6 +31,9 @@ pub(super) enum CliError {
     /// No point at which derivatives could be checked.
     #[error("error: {0}")]
     Derivative(#[from] DerivativeError),
+    /// A second opinion that cannot be had.
+    #[error("error: {0}")]
+    SecondOpinion(#[from] SecondOpinionError),
     /// An experiment of the paper could not be run.
     #[error("{0}")]
     Paper(#[from] PaperError),
@@ -44,10 +48,12 @@ impl CliError {
             Self::Scene(_)
             | Self::Output(_)
             | Self::Directory(_)
+            | Self::SecondOpinion(SecondOpinionError::Inequality { .. })
             | Self::Paper(PaperError::Scene(_)) => exit::USAGE,
             Self::Step(_)
             | Self::Guess(_)
             | Self::Check(_)
+            | Self::SecondOpinion(SecondOpinionError::Start(_))
             | Self::Derivative(_)
             | Self::Paper(PaperError::Step { .. }) => exit::NUMERICAL,
         }

@@ -15,6 +15,7 @@ use super::report_pages::{SolvePage, solve_page, step_kind};
 use super::simulate::push_row;
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     Attempt, Feedback, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement, PathRow, Search,
     Transcription, search,
@@ -22,8 +23,8 @@ use crate::control::{
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
     BetweenSummary, CheckOutcome, EnergyAccount, GrowthSummary, MomentumAccount, NamedConstraint,
-    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SensitivitySummary, SolveSummary,
-    StartSummary, StrainSummary,
+    PhaseSummary, SCHEMA_VERSION, SecondOpinionSummary, SecondOrderSummary, SensitivitySummary,
+    SolveSummary, StartSummary, StrainSummary,
 };
 use crate::output::{
     ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
@@ -53,6 +54,10 @@ pub(super) struct SolveArguments {
     /// Check as `verify` does: the second-order condition and the growth of disturbances too, which take longer than most solves
     #[arg(long)]
     deep: bool,
+    /// Minimize the same objective by L-BFGS on adjoint gradients as well, from a tenth away, and compare; for problems without
+    /// obstacles, limits and tolerances
+    #[arg(long)]
+    second_opinion: bool,
 }
 
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
@@ -65,6 +70,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let previous = (arguments.from.as_deref())
         .map(|directory| earlier_controls(directory, &setup.problem))
         .transpose()?;
+    if arguments.second_opinion {
+        without_inequalities(&setup.problem)?;
+    }
     let target = arguments.scene.directory("solve");
     let directory = ResultDirectory::create(&target)?;
     console.catch_interrupts();
@@ -93,6 +101,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let clock = Instant::now();
     let feedback = feedback_of(&setup, &solution, global, console);
     let feedback_time = clock.elapsed().as_secs_f64();
+    let other = (arguments.second_opinion)
+        .then(|| other_opinion(&setup, &solution, console))
+        .transpose()?;
     let wall = started.elapsed().as_secs_f64();
     let mut summary = summarize(
         arguments,
@@ -104,6 +115,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         &target,
     );
     summary.phases_s.feedback = feedback_time;
+    summary.second_opinion = other;
     if let Some(feedback) = &feedback {
         summary.open_loop_sensitivity = Some(SensitivitySummary::of(&feedback.open_loop));
         summary.closed_loop_sensitivity = Some(SensitivitySummary::of(&feedback.closed_loop));
@@ -121,6 +133,40 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     conclude(&summary, check, &written, console);
     console.summary(&summary);
     Ok(exit_code(&solution.attempt.outcome.status, check))
+}
+
+/// Size of the start of a second opinion, in that of the solution.
+const AWAY: f64 = 0.9;
+
+/// The optimum by another method.
+fn other_opinion(
+    setup: &OptimalControl,
+    solution: &Solved,
+    console: &Console,
+) -> Result<SecondOpinionSummary, CliError> {
+    let outcome = &solution.attempt.outcome;
+    let ours = &outcome.point.variables;
+    let start: Vec<f64> = ours.iter().map(|v| AWAY * v).collect();
+    let found = second_opinion(&setup.problem, &start, &SecondOpinionSettings::default())?;
+    let n_controls = setup.problem.n_controls();
+    let summary = SecondOpinionSummary {
+        status: found.status.name(),
+        objective: found.objective,
+        relative_difference: (found.objective / outcome.objective - 1.0).abs(),
+        iterations: found.evaluations,
+        largest_control_difference: (found.variables.iter().zip(ours))
+            .take(n_controls)
+            .fold(0.0, |m: f64, (a, b)| m.max((a - b).abs())),
+    };
+    console.say(&format!(
+        "second opinion (L-BFGS): {} after {} simulations, objective {:.8e}, off by {:.1e}; controls by {:.1e} of their scale",
+        summary.status,
+        summary.iterations,
+        summary.objective,
+        summary.relative_difference,
+        summary.largest_control_difference
+    ));
+    Ok(summary)
 }
 
 /// The regulator around a converged solution, where the scene wants one.
@@ -354,6 +400,7 @@ fn summarize(
         check: check.map(check_outcome),
         open_loop_sensitivity: None,
         closed_loop_sensitivity: None,
+        second_opinion: None,
         worst_constraints: solution.worst.clone(),
         qp_backend: "condensed",
         hessian: setup.settings.hessian.name(),

@@ -153,14 +153,14 @@ impl Feedback {
                 input[(i, c)] * scales[c]
             });
             stages.push(Stage {
-                state: norms[j + 1].out_of(&norms[j].into_columns(&state)),
+                state: norms[j + 1].out_of(&norms[j].columns_over(&state)),
                 input: norms[j + 1].out_of(&input),
                 state_weight: weights.state * lasting / rod.scales.moment,
                 input_weight: weights.input * lasting,
             });
         }
         let rows = terminal_rows(&program, &trajectory, weights.tolerance);
-        let rows = norms[norms.len() - 1].into_columns(&rows);
+        let rows = norms[norms.len() - 1].columns_over(&rows);
         let mut terminal = rows.transpose() * &rows;
         for i in 0..terminal.nrows() {
             terminal[(i, i)] += weights.state / rod.scales.moment;
@@ -399,7 +399,7 @@ impl Norm {
     }
 
     /// `M L⁻ᵀ`: the columns of a map from deviations, as one from `z = Lᵀ dx`.
-    fn into_columns(&self, map: &Mat<f64>) -> Mat<f64> {
+    fn columns_over(&self, map: &Mat<f64>) -> Mat<f64> {
         let mut transposed = map.transpose().to_owned();
         solve_lower_triangular_in_place(self.lower.as_ref(), transposed.as_mut(), Par::Seq);
         transposed.transpose().to_owned()

@@ -8,6 +8,7 @@ pub mod obstacle;
 pub mod path;
 pub mod problem;
 pub mod search;
+pub mod second_opinion;
 pub mod transcription;
 
 pub use feedback::{Feedback, FeedbackError, FeedbackWeights};

@@ -204,6 +204,21 @@ pub struct PhaseSummary {
     pub feedback: f64,
 }
 
+/// What another method found, from a tenth away.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SecondOpinionSummary {
+    /// `converged`, `bounds-violated` (it does not know them: not comparable), or `not-converged`.
+    pub status: &'static str,
+    /// Value of the objective.
+    pub objective: f64,
+    /// `|J₂ - J|/|J|`
+    pub relative_difference: f64,
+    /// Simulations with an adjoint.
+    pub iterations: usize,
+    /// Largest difference of a control over its scale.
+    pub largest_control_difference: f64,
+}
+
 /// Largest growth of the norm of a perturbation of the initial state.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct SensitivitySummary {
@@ -430,6 +445,9 @@ pub struct SolveSummary {
     pub open_loop_sensitivity: Option<SensitivitySummary>,
     /// The same with feedback.
     pub closed_loop_sensitivity: Option<SensitivitySummary>,
+    /// The optimum by another method, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_opinion: Option<SecondOpinionSummary>,
     /// The worst constraints by name.
     pub worst_constraints: Vec<NamedConstraint>,
     /// Which form of subproblem.
