@@ -37,7 +37,7 @@ impl Solved {
     #[track_caller]
     fn of(parameters: RodParameters, problem: OptimalControlProblem) -> Self {
         let program = Transcription::new(&problem, 1);
-        let (start, _) = first_point(&problem, Guess::StaticPath, None).unwrap();
+        let (start, _) = first_point(&problem, Guess::Rest, None).unwrap();
         let outcome = solve(&program, start, &SqpSettings::default(), &mut |_| {
             ControlFlow::Continue(())
         });

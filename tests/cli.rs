@@ -593,7 +593,7 @@ fn saddles_are_rejected() {
         .replace("[0.1, 0.03, 0.985]", "[0.5, 0.0, 0.8]")
         .replace("at_rest = false", "at_rest = true")
         .replace("blocks = 5", "blocks = 10");
-    let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.25, 0.0, 1.03], radius_m = 0.05 }\n";
+    let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.25, 0.0, 1.03], radius_m = 0.05 }\nmargin_m = 0.001\n";
     desk.write("saddle.toml", &format!("{scene}{ball}"));
     let run = (desk.run(&["solve", "saddle.toml", "--out", "run"])).exits(REJECTED);
     assert!(run.stderr.contains("not a minimum"), "{}", run.stderr);
