@@ -861,6 +861,8 @@ pub struct Solver {
     /// Iterations after which to give up, at least 1, default 100.
     #[schemars(range(min = 1))]
     pub max_iterations: usize,
+    /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
+    pub saddle_escapes: usize,
     /// The second derivatives that the quadratic model uses.
     pub hessian: Hessian,
     /// Where the iteration starts.
@@ -987,6 +989,7 @@ impl Default for Solver {
         Solver {
             tolerance: 1e-6,
             max_iterations: 100,
+            saddle_escapes: 3,
             hessian: Hessian::default(),
             guess: Guess::default(),
             continuation: None,

@@ -263,6 +263,7 @@ impl Scene {
             settings: SqpSettings {
                 tolerance: solver.tolerance,
                 max_iterations: solver.max_iterations,
+                saddle_escapes: solver.saddle_escapes,
                 hessian: match solver.hessian {
                     model::Hessian::Auto => HessianChoice::Auto,
                     model::Hessian::GaussNewton => HessianChoice::GaussNewton,

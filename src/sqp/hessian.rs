@@ -66,10 +66,23 @@ pub struct ModelHessian {
     pub tangents: Vec<ActiveNormal>,
     /// Value of the model at no step, which the terms of what is held contribute.
     pub constant: f64,
+    /// The most negative curvature that was turned round.
+    pub descent: Option<NegativeCurvature>,
+}
+
+/// A direction that holds what is active, to first order, and along which the Lagrangian bends downward.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NegativeCurvature {
+    /// Unit vector of the variables.
+    pub direction: Vec<f64>,
+    /// Second derivative along it, negative.
+    pub value: f64,
 }
 
 /// Eigenvalues below this part of the least positive Gauss-Newton diagonal entry count as negative curvature.
 const CURVATURE_FLOOR: f64 = 1e-4;
+/// Negative curvature beyond this part of it makes a stationary point a saddle.
+const SADDLE_CURVATURE: f64 = 1e-2;
 
 impl ModelHessian {
     /// Gauss-Newton.
@@ -81,6 +94,7 @@ impl ModelHessian {
             kind: HessianKind::GaussNewton,
             tangents: Vec::new(),
             constant: 0.0,
+            descent: None,
         }
     }
 
@@ -92,6 +106,7 @@ impl ModelHessian {
             kind: HessianKind::Proximal,
             tangents: Vec::new(),
             constant: 0.0,
+            descent: None,
         }
     }
 
@@ -181,6 +196,7 @@ impl ModelHessian {
         let mut kind = HessianKind::Exact;
         let mut constant = 0.0;
         let mut cross_terms = Mat::zeros(m, m);
+        let mut descent = None;
         if n > m {
             let reduced = null.transpose() * &full * null;
             let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;
@@ -195,6 +211,15 @@ impl ModelHessian {
                 let scaled =
                     Mat::from_fn(n, n - m, |i, j| vectors[(i, j)] * (turned[j] - values[j]));
                 matrix += &scaled * vectors.transpose();
+                descent = (values.iter().enumerate())
+                    .min_by(|a, b| a.1.total_cmp(b.1))
+                    .filter(|&(_, &value)| {
+                        value < -SADDLE_CURVATURE * linearization.least_curvature()
+                    })
+                    .map(|(j, &value)| NegativeCurvature {
+                        direction: (0..n).map(|i| vectors[(i, j)]).collect(),
+                        value,
+                    });
             }
             let cross = vectors.transpose() * &full * &range;
             let weighted = Mat::from_fn(n - m, m, |i, j| cross[(i, j)] / turned[i]);
@@ -223,6 +248,7 @@ impl ModelHessian {
             kind,
             tangents: Vec::new(),
             constant,
+            descent,
         })
     }
 }

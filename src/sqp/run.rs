@@ -8,7 +8,7 @@ use faer::Mat;
 
 use super::balls::into_balls;
 use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure};
-use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian};
+use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
     sum_of_largest,
@@ -81,6 +81,10 @@ const RESTORATION_GAIN: f64 = 0.5;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
 
+/// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
+const ESCAPE_GAIN: f64 = 0.1;
+const ESCAPE_INFEASIBILITY: f64 = 0.3;
+
 /// What was done about a subproblem without a solution.
 enum Recovery {
     Smaller,
@@ -147,6 +151,11 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     departed: Option<(Vec<f64>, Linearization)>,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
+    /// Negative curvature of the last exact Hessian.
+    descent: Option<NegativeCurvature>,
+    escapes: usize,
+    /// The best point before the last escape.
+    saddle: Option<Best<P::Point>>,
     /// Whether states were computed anew for want of any other progress.
     is_settled: bool,
     best: Best<P::Point>,
@@ -156,6 +165,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
 }
 
 /// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
+#[derive(Clone)]
 struct Best<Point> {
     point: Point,
     multipliers: Multipliers,
@@ -227,6 +237,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             quasi_newton: None,
             departed: None,
             rounding: 0.0,
+            descent: None,
+            escapes: 0,
+            saddle: None,
             is_settled: false,
             history: Vec::new(),
             phases: PhaseTimes::default(),
@@ -378,7 +391,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Defects that rounding leaves; 0 as long as no states have been computed.
     /// KKT residual of the point before.
     pub(super) fn last_residual(&self) -> Option<KktResidual> {
         self.history.last().map(|row| row.residual)
@@ -406,6 +418,47 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         true
     }
 
+    /// Leaves a saddle, along its most negative curvature, to where that promises a part of the objective; whether it did. The other
+    /// way is as good: by symmetry, as a rule.
+    pub(super) fn escape(&mut self) -> bool {
+        if self.escapes >= self.settings.saddle_escapes {
+            return false;
+        }
+        let Some(NegativeCurvature { direction, value }) = self.descent.take() else {
+            return false;
+        };
+        self.escapes += 1;
+        let mut length = (2.0 * ESCAPE_GAIN * self.evaluation.objective.abs() / -value).sqrt();
+        length = length.min(first_trust_radius(self.variables()));
+        for _ in 0..SHRINKAGES {
+            let change: Vec<f64> = direction.iter().map(|d| length * d).collect();
+            let trial = (self.program.restored_step(&self.point, &change)).ok();
+            if let Some(point) = trial
+                && let Ok(evaluation) = self.program.evaluate(&point)
+                && self.program.infeasibility(&evaluation) <= ESCAPE_INFEASIBILITY
+            {
+                self.arrive(Accepted {
+                    point,
+                    evaluation,
+                    restored: true,
+                    corrections: 0,
+                });
+                let fresh = Best {
+                    residual: UNKNOWN_RESIDUAL,
+                    infeasibility: f64::INFINITY,
+                    ..self.best.clone()
+                };
+                self.saddle = Some(std::mem::replace(&mut self.best, fresh));
+                self.forget();
+                self.trust_radius = length;
+                return true;
+            }
+            length *= SHRINK;
+        }
+        false
+    }
+
+    /// Defects that rounding leaves; 0 as long as no states have been computed.
     pub(super) fn rounding(&self) -> f64 {
         self.rounding
     }
@@ -428,6 +481,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         let clock = Instant::now();
         let model = self.model_hessian(&linearization);
+        match model.kind {
+            HessianKind::Exact => self.descent = None,
+            HessianKind::Convexified => self.descent = model.descent.clone(),
+            _ => {}
+        }
         let sets = self.subproblem_sets(&model);
         self.phases.condense += clock.elapsed().as_secs_f64();
         let (mut refusals, mut joins) = (0, 0);
@@ -1193,7 +1251,16 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.end(status)
     }
 
-    pub(super) fn end(self, status: SqpStatus) -> SqpOutcome<P::Point> {
+    /// What was found; where a saddle was left for nothing better, the saddle.
+    pub(super) fn end(mut self, mut status: SqpStatus) -> SqpOutcome<P::Point> {
+        if status != SqpStatus::Converged
+            && let Some(saddle) = self.saddle.take()
+        {
+            self.best = saddle;
+            if !matches!(status, SqpStatus::Stopped(_)) {
+                status = SqpStatus::Converged;
+            }
+        }
         let failed_subproblem = match status {
             SqpStatus::Converged => None,
             _ => self.failed_subproblem,

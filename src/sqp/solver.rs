@@ -15,6 +15,8 @@ pub struct SqpSettings {
     pub tolerance: f64,
     /// Iterations, at most.
     pub max_iterations: usize,
+    /// Saddles, points that meet the conditions of first order with negative curvature, that are left for something better.
+    pub saddle_escapes: usize,
     /// Which Hessian.
     pub hessian: HessianChoice,
     /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
@@ -29,6 +31,7 @@ impl Default for SqpSettings {
         Self {
             tolerance: 1e-6,
             max_iterations: 100,
+            saddle_escapes: 3,
             hessian: HessianChoice::Auto,
             row_accuracy: 1e-2,
             deadline: None,
@@ -227,7 +230,9 @@ pub fn solve<P: LiftedProgram>(
         });
         let is_exact = residual.feasibility <= settings.feasibility_tolerance(run.rounding());
         if residual.max() <= STOP_PART * settings.tolerance && (is_exact || stagnates) {
-            if is_exact || iteration == settings.max_iterations || !run.settle() {
+            let goes_on = iteration < settings.max_iterations
+                && (run.escape() || (!is_exact && run.settle()));
+            if !goes_on {
                 return run.finish(SqpStatus::Converged, observer);
             }
             if let ControlFlow::Break(stop) = run.show(observer) {

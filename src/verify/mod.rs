@@ -45,7 +45,7 @@ pub struct CheckLimits {
     pub tip: f64,
     /// Energy residual over the energy that passed through.
     pub energy: f64,
-    /// Largest energy residual with the step halved over the largest one: 1/4 of second order, 1/2 of first.
+    /// Largest energy residual with the step halved over the largest one: 1/4 of second order, 1/2 of first, 1 of none.
     pub energy_halving: f64,
     /// Violation of a path constraint between nodes and samples, over the radius of obstacle and arm, or over the limit.
     pub between: f64,
@@ -59,7 +59,7 @@ impl Default for CheckLimits {
             refined: 0.02,
             tip: 1e-4,
             energy: 0.02,
-            energy_halving: 0.6,
+            energy_halving: 0.8,
             between: 0.01,
         }
     }
