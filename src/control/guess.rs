@@ -46,6 +46,8 @@ pub enum GuessError {
 /// Stiffness of the springs that pull the tip to a goal, in units of EI/L³ and EI/L, one after the other: soft ones first let
 /// the arm bend toward the goal, where stiff ones would press it together before it gives way.
 const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
+/// Of these, how many pull toward a detour: it need not be reached, and may be out of reach.
+const DETOUR_SPRINGS: usize = 2;
 
 /// Makes the first point, on the way through `detour` (m, halfway to the tip's first goal) where one is given; a static path
 /// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it.
@@ -98,6 +100,7 @@ struct Leg {
     end: f64,
     position: Option<Vector3<f64>>,
     rotation: Option<Matrix3<f64>>,
+    springs: usize,
 }
 
 /// Shapes at the ends of the legs, the one at the start first. Between two of them strains go over into each other: the arm bends, and
@@ -149,6 +152,7 @@ impl StaticPath {
             if legs.last().is_none_or(|leg| leg.end < end) {
                 legs.push(Leg {
                     end,
+                    springs: SPRINGS.len(),
                     ..Leg::default()
                 });
             }
@@ -165,6 +169,7 @@ impl StaticPath {
                     end,
                     position: Some(*position),
                     rotation: None,
+                    springs: DETOUR_SPRINGS,
                 },
             );
         }
@@ -179,7 +184,7 @@ impl StaticPath {
         };
         for leg in legs {
             let mut spring = TipSpring::default();
-            for stiffness in SPRINGS {
+            for &stiffness in &SPRINGS[..leg.springs] {
                 spring = TipSpring {
                     position: (leg.position)
                         .map(|to| (to, stiffness * scales.force / scales.length)),
