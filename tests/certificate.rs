@@ -116,25 +116,6 @@ impl Solved {
     }
 }
 
-/// Four elements whose tip stops at a point to their side after 0.3 s.
-fn reach() -> (RodParameters, OptimalControlProblem) {
-    let parameters = RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(StrainRule::Helical, 4)
-    };
-    let rod = Rod::new(&parameters).unwrap();
-    let grid = TimeGrid {
-        step: 2e-3,
-        n_steps: 150,
-    };
-    let goal = Goal::reach(&rod, grid, Vector3::new(0.1, 0.03, 0.985));
-    let control = ControlGrid::new(Hold::Constant, 5, 150, grid.step).unwrap();
-    let channels = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
-    let initial = State::at_rest(rod.rest.clone());
-    let problem = OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
-    (parameters, problem)
-}
-
 /// Curvature of the Lagrangian along the columns of `free`, by second differences of its values where the controls are moved along a
 /// column and then brought back to what holds them: a route that knows no gradient and no curvature of a bound.
 fn hessian_of_values(
@@ -189,7 +170,7 @@ fn null_space(rows: &DMatrix<f64>) -> DMatrix<f64> {
 #[test]
 fn curvature_is_that_of_the_values() {
     for limits in [None, Some([0.36, 0.55])] {
-        let (parameters, mut problem) = reach();
+        let (parameters, mut problem) = reach(Hold::Constant);
         if let Some(limits) = limits {
             problem.goals[0].at_rest = false;
             let actuator = &mut problem.actuators[0];
@@ -296,22 +277,8 @@ fn saddles_are_not_certified() {
 
 /// A silicone arm of eight elements that reaches past a ball, whose center is `aside` of the plane of the reach.
 fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
-    let parameters = RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(StrainRule::Helical, 8)
-    };
-    let rod = Rod::new(&parameters).unwrap();
-    let n_steps = 400;
-    let grid = TimeGrid {
-        step: 0.8 / n_steps as f64,
-        n_steps,
-    };
-    let goal = Goal::reach(&rod, grid, Vector3::new(0.5, 0.0, 0.8));
-    let control = ControlGrid::new(Hold::Linear, 10, n_steps, grid.step).unwrap();
-    let channels = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
-    let initial = State::at_rest(rod.rest.clone());
-    let mut problem =
-        OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
+    let (parameters, mut problem) = long_reach();
+    let n_steps = problem.grid.n_steps;
     problem.radii = vec![0.02; 9];
     problem.path.push(PathConstraint {
         name: "ball".into(),
@@ -333,7 +300,7 @@ fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
 /// millimeter, a bound exceeded, a multiplier of the wrong sign, one of an obstacle that is not touched.
 #[test]
 fn worst_rows_are_named() {
-    let (parameters, mut problem) = reach();
+    let (parameters, mut problem) = reach(Hold::Constant);
     problem.actuators[0].force.bound = Some(Bound::Norm(1e3));
     problem.path.push(PathConstraint {
         name: "wall".into(),
@@ -472,7 +439,7 @@ fn momentum_balances_to_rounding() {
 #[test]
 fn disturbances_of_a_resting_arm_do_not_grow() {
     for damping in [0.0, 3.0] {
-        let (mut parameters, mut problem) = reach();
+        let (mut parameters, mut problem) = reach(Hold::Constant);
         parameters.viscous_damping = damping;
         let rod = Rod::new(&parameters).unwrap();
         let factor = 10;

@@ -256,28 +256,6 @@ fn undamped_transitions_are_symplectic() {
     }
 }
 
-/// Four elements, 0.3 s, five blocks: the tip stops at a point to its side.
-fn reach(hold: Hold) -> OptimalControlProblem {
-    let parameters = RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(StrainRule::Helical, 4)
-    };
-    let rod = Rod::new(&parameters).unwrap();
-    let n_steps = 150;
-    let grid = TimeGrid {
-        step: 0.3 / n_steps as f64,
-        n_steps,
-    };
-    let goal = Goal::reach(&rod, grid, Vector3::new(0.1, 0.03, 0.985));
-    let channels = [
-        Channel::new(rod.scales.force, None),
-        Channel::new(rod.scales.moment, None),
-    ];
-    let initial = State::at_rest(rod.rest.clone());
-    let control = ControlGrid::new(hold, 5, n_steps, grid.step).unwrap();
-    OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal)
-}
-
 fn optimum(problem: &OptimalControlProblem) -> Vec<Wrench> {
     let (start, _) = first_point(problem, Guess::StaticPath, None).unwrap();
     let program = Transcription::new(problem, 1);
@@ -319,7 +297,7 @@ fn end_of(
 #[test]
 fn closed_loops_end_where_the_linear_one_does() {
     for hold in [Hold::Constant, Hold::Linear] {
-        let problem = reach(hold);
+        let (_, problem) = reach(hold);
         let coefficients = optimum(&problem);
         let weights = FeedbackWeights::default();
         let feedback = Feedback::along(&problem, &coefficients, &weights, 1).unwrap();
@@ -416,7 +394,7 @@ fn closed_loops_end_where_the_linear_one_does() {
 /// The energy of a perturbation of an undamped arm at rest does not grow: its motion is a sum of oscillations.
 #[test]
 fn growth_is_that_of_the_energy() {
-    let mut problem = reach(Hold::Constant);
+    let (_, mut problem) = reach(Hold::Constant);
     problem.rod.viscous_damping = 0.0;
     let nothing = vec![Wrench::default(); 5];
     let weights = FeedbackWeights::default();

@@ -4,6 +4,7 @@ mod common;
 
 use std::ops::ControlFlow;
 
+use common::tasks::{BUSY_STEPS, busy_problem, long_reach};
 use common::{Dice, RULES, soft_arm};
 use nalgebra::Vector3;
 use softarm::control::{
@@ -20,119 +21,6 @@ use softarm::sqp::{
 use softarm::verify::{
     CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt,
 };
-
-const N_STEPS: usize = 120;
-
-fn limits(rod: &Rod) -> Vec<PathConstraint> {
-    let path = |name: &str, limit| PathConstraint {
-        name: name.into(),
-        limit,
-        time_nodes: (0..=N_STEPS).step_by(7).collect(),
-        enforcement: PathEnforcement::Hard,
-    };
-    let clearance = |shape| PathLimit::Clearance {
-        shape,
-        margin: 0.01,
-        points: 2,
-    };
-    vec![
-        path(
-            "ball",
-            clearance(Shape::Sphere {
-                center: Vector3::new(0.2, 0.1, 0.7),
-                radius: 0.1,
-            }),
-        ),
-        path(
-            "box",
-            clearance(Shape::Cuboid {
-                center: Vector3::new(-0.3, 0.1, 0.8),
-                rotation: exp(&Vector3::new(0.3, 0.2, -0.4)),
-                half_size: Vector3::new(0.1, 0.2, 0.1),
-            }),
-        ),
-        path(
-            "stretch",
-            PathLimit::Stretch {
-                least: 0.7,
-                largest: 1.3,
-            },
-        ),
-        path("curvature", PathLimit::Curvature { largest: 2.0 }),
-        path("twist", PathLimit::Twist { largest: 1.0 }),
-        path(
-            "speed",
-            PathLimit::Speed {
-                node: rod.tip(),
-                largest: 1.0,
-            },
-        ),
-    ]
-}
-
-/// Everything at once, on a small arm: a spline on two nodes, limits, a point on the way, a set at the end, a path, energy.
-fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
-    let rod = Rod::new(&RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(rule, 4)
-    })
-    .unwrap();
-    let grid = TimeGrid {
-        step: 0.24 / N_STEPS as f64,
-        n_steps: N_STEPS,
-    };
-    let channel = |scale| Channel {
-        rate_bound: Some(Bound::Norm(100.0 * scale)),
-        ..Channel::new(scale, Some(Bound::Norm(50.0 * scale)))
-    };
-    let actuator = |node| Actuator {
-        node,
-        force: channel(rod.scales.force),
-        moment: channel(rod.scales.moment),
-    };
-    let target = Vector3::new(0.1, 0.03, 0.98);
-    let via = Goal {
-        name: "via".into(),
-        node: 2,
-        time_node: 70,
-        position: Some(Vector3::new(0.03, 0.0, 0.5)),
-        rotation: Some(exp(&Vector3::new(0.1, -0.2, 0.1))),
-        at_rest: false,
-        enforcement: Enforcement::Soft { weight: 3.0 },
-    };
-    let near = Goal {
-        enforcement: Enforcement::Within {
-            distance: 0.01,
-            angle: 0.1,
-        },
-        rotation: Some(exp(&Vector3::new(0.3, 0.1, -0.2))),
-        ..Goal::reach(&rod, grid, target)
-    };
-    OptimalControlProblem {
-        radii: (0..=4).map(|q| 0.05 - 0.005 * f64::from(q)).collect(),
-        initial: State::at_rest(rod.rest.clone()),
-        control: ControlGrid::new(Hold::Cubic, 4, N_STEPS, grid.step).unwrap(),
-        actuators: vec![actuator(rod.tip()), actuator(2)],
-        goals: vec![via, near],
-        path: limits(&rod),
-        objective: Objective {
-            effort: 1.0,
-            rate: 1e-3,
-            energy: 0.7,
-            tracking: vec![Tracking {
-                node: 3,
-                path: vec![
-                    (0.0, Vector3::new(0.0, 0.0, 0.7)),
-                    (0.2, Vector3::new(0.1, 0.0, 0.7)),
-                ],
-                weight: 20.0,
-            }],
-            samples: 30,
-        },
-        grid,
-        rod,
-    }
-}
 
 /// A point that obeys its equations, somewhere.
 fn rolled_out(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
@@ -273,24 +161,10 @@ fn gradient_and_hessian_by_independent_routes() {
     }
 }
 
-/// A silicone arm of eight elements that reaches past a ball; the planar reach would go through it.
+/// The reach of eight elements, past a ball; without, it would go through it.
 fn reach_past(ball: Option<PathEnforcement>) -> (RodParameters, OptimalControlProblem) {
-    let parameters = RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(StrainRule::Helical, 8)
-    };
-    let rod = Rod::new(&parameters).unwrap();
-    let n_steps = 400;
-    let grid = TimeGrid {
-        step: 0.8 / n_steps as f64,
-        n_steps,
-    };
-    let goal = Goal::reach(&rod, grid, Vector3::new(0.5, 0.0, 0.8));
-    let control = ControlGrid::new(Hold::Linear, 10, n_steps, grid.step).unwrap();
-    let bounds = [rod.scales.force, rod.scales.moment].map(|scale| Channel::new(scale, None));
-    let initial = State::at_rest(rod.rest.clone());
-    let mut problem =
-        OptimalControlProblem::least_effort(rod, grid, initial, control, bounds, goal);
+    let (parameters, mut problem) = long_reach();
+    let n_steps = problem.grid.n_steps;
     problem.radii = vec![0.05; 9];
     if let Some(enforcement) = ball {
         problem.path.push(PathConstraint {

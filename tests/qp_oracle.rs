@@ -392,6 +392,7 @@ fn solve_condensed(
         trust_radius,
         row_tolerance: 1e-9,
         time_limit: f64::INFINITY,
+        states: None,
     }
     .solve()
     .unwrap()

@@ -21,26 +21,11 @@ use softarm::sqp::{
     Failure, LiftedProgram as _, LinearizationRequest, SqpSettings, SqpStatus, solve,
 };
 
-/// Four elements, 0.3 s, five blocks: the tip stops at a point to its side.
-fn reach(hold: Hold, bound: Option<Bound>) -> OptimalControlProblem {
-    let parameters = RodParameters {
-        viscous_damping: 1.0,
-        ..soft_arm(StrainRule::Helical, 4)
-    };
-    let rod = Rod::new(&parameters).unwrap();
-    let n_steps = 150;
-    let grid = TimeGrid {
-        step: 0.3 / n_steps as f64,
-        n_steps,
-    };
-    let goal = Goal::reach(&rod, grid, Vector3::new(0.1, 0.03, 0.985));
-    let channels = [
-        Channel::new(rod.scales.force, bound),
-        Channel::new(rod.scales.moment, None),
-    ];
-    let initial = State::at_rest(rod.rest.clone());
-    let control = ControlGrid::new(hold, 5, n_steps, grid.step).unwrap();
-    OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal)
+/// The short reach, its force within `bound`.
+fn bounded(hold: Hold, bound: Option<Bound>) -> OptimalControlProblem {
+    let (_, mut problem) = reach(hold);
+    problem.actuators[0].force.bound = bound;
+    problem
 }
 
 /// Of the projection on what constraints see: more than the negative curvature there.
@@ -57,8 +42,8 @@ fn both_methods_agree() {
         problem
     };
     for problem in [
-        reach(Hold::Constant, Some(Bound::Norm(1e3))),
-        soft(reach(Hold::Constant, None)),
+        bounded(Hold::Constant, Some(Bound::Norm(1e3))),
+        soft(bounded(Hold::Constant, None)),
     ] {
         let program = Transcription::new(&problem, 1);
         let (start, _) = first_point(&problem, Guess::StaticPath, None).unwrap();
@@ -182,7 +167,7 @@ fn double_integrator_is_exact() {
 #[test]
 fn inequalities_are_refused() {
     let settings = SecondOpinionSettings::default();
-    let mut limited = reach(Hold::Constant, None);
+    let mut limited = bounded(Hold::Constant, None);
     limited.path.push(PathConstraint {
         name: "stretch".into(),
         limit: PathLimit::Stretch {
@@ -200,8 +185,8 @@ fn inequalities_are_refused() {
             name: "stretch".into()
         }
     );
-    let tight = reach(Hold::Constant, Some(Bound::Norm(1e-3)));
-    let free = reach(Hold::Constant, None);
+    let tight = bounded(Hold::Constant, Some(Bound::Norm(1e-3)));
+    let free = bounded(Hold::Constant, None);
     let (start, _) = first_point(&free, Guess::StaticPath, None).unwrap();
     let program = Transcription::new(&free, 1);
     let optimum = solve(&program, start, &SqpSettings::default(), &mut |_| {

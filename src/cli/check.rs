@@ -6,10 +6,13 @@ use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::output::summary::{
-    CheckSummary, CostEstimate, OutputSize, ProblemSize, SCHEMA_VERSION, ScalesSummary,
+    CheckSummary, CostEstimate, OutputSize, ProblemSize, QpPrediction, SCHEMA_VERSION,
+    ScalesSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
 use crate::scene::{Scene, Simulation};
+use crate::sqp::QpRoute;
+use crate::sqp::route::predict;
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -26,7 +29,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     let mut concerns = Vec::new();
     let (rod, grid, size, output) = if scene.task.is_some() || scene.control.is_some() {
         let setup = scene.optimal_control(&source)?;
-        let size = problem_size(&setup.problem);
+        let size = problem_size(&setup.problem, setup.settings.qp);
         (setup.problem.rod, setup.problem.grid, Some(size), None)
     } else {
         let setup = scene.simulation(&source)?;
@@ -199,7 +202,9 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     out
 }
 
-fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
+fn problem_size(problem: &OptimalControlProblem, qp: QpRoute) -> ProblemSize {
+    let states = problem.state_size();
+    let times = predict(problem.n_variables(), states);
     let free = problem.rod.n_nodes() - problem.rod.first_free_node();
     ProblemSize {
         control_blocks: problem.control.n_blocks(),
@@ -211,6 +216,11 @@ fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
             .map(|path| path.time_nodes.len() * path.limit.n_items(&problem.rod))
             .sum(),
         eliminated: 6 * free * problem.grid.n_steps,
+        qp: QpPrediction {
+            condensed_s: times.condensed,
+            sparse_s: times.sparse,
+            route: qp.resolve(problem.n_variables(), states).name(),
+        },
     }
 }
 
@@ -247,6 +257,11 @@ fn show(summary: &CheckSummary, console: &Console) {
             size.target_equations,
             size.path_rows,
             size.eliminated
+        ));
+        let sparse = (size.qp.sparse_s).map_or("not offered here".into(), |s| format!("{s:.1e} s"));
+        console.say(&format!(
+            "  qp     condensed {:.1e} s, sparse {sparse}: {}",
+            size.qp.condensed_s, size.qp.route
         ));
     }
     if let Some(output) = &summary.output {

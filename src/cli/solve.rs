@@ -402,7 +402,7 @@ fn summarize(
         closed_loop_sensitivity: None,
         second_opinion: None,
         worst_constraints: solution.worst.clone(),
-        qp_backend: "condensed",
+        qp_backend: outcome.route.name(),
         hessian: setup.settings.hessian.name(),
         guess: solution.attempt.from,
         abandoned: solution.attempt.abandoned.clone(),

@@ -4,7 +4,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::hold::ControlGrid;
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
+use crate::mechanics::linearization::Motion;
+use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
+use crate::sqp::StateSize;
 
 /// Limit on one of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -273,6 +276,23 @@ impl GoalPart {
 }
 
 impl OptimalControlProblem {
+    pub(crate) fn motion(&self) -> Motion<'_> {
+        Motion {
+            rod: &self.rod,
+            grid: self.grid,
+            initial: &self.initial,
+        }
+    }
+
+    /// The configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node).
+    #[must_use]
+    pub fn state_size(&self) -> Option<StateSize> {
+        SparseMotion::unknowns_per_time_node(&self.motion()).map(|at_once| StateSize {
+            at_once,
+            instants: self.grid.n_steps,
+        })
+    }
+
     /// The least effort of a tip wrench that brings the tip to a goal.
     #[must_use]
     pub fn least_effort(

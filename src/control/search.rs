@@ -45,17 +45,16 @@ pub struct Search {
     pub n_threads: usize,
 }
 
-impl Search {
-    /// One start.
-    #[must_use]
-    pub fn from_guess(guess: Guess, n_threads: usize) -> Self {
+impl Default for Search {
+    /// One start, one thread, first points as they prove necessary.
+    fn default() -> Self {
         Self {
-            guess: Some(guess),
+            guess: None,
             previous: None,
             continuation: None,
             starts: 1,
             seed: 0,
-            n_threads,
+            n_threads: 1,
         }
     }
 }

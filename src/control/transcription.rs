@@ -18,13 +18,14 @@ use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::sensitivity::{
     ControlColumns, Sensitivities, adjoint, defects, direction, sensitivities,
 };
+use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
 use crate::mechanics::strain::log_second_derivative;
 use crate::mechanics::{
     ControlSignal, FormTerm, StateForm, StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent,
 };
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
-    Multipliers, Softness,
+    Multipliers, Softness, StateLinearization, StateRow, StateSize,
 };
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
@@ -219,11 +220,7 @@ impl<'a> Transcription<'a> {
     }
 
     pub(crate) fn motion(&self) -> Motion<'_> {
-        Motion {
-            rod: &self.problem.rod,
-            grid: self.problem.grid,
-            initial: &self.problem.initial,
-        }
+        self.problem.motion()
     }
 
     pub(crate) fn posture<'b>(&'b self, trajectory: &'b Trajectory) -> Posture<'b> {
@@ -361,6 +358,28 @@ impl<'a> Transcription<'a> {
         (constraint, constraint.time_nodes[time], item)
     }
 
+    /// What every variable does to the wrenches of every time node.
+    fn columns_by_time(&self) -> Vec<Vec<WrenchColumn>> {
+        let columns = Columns {
+            problem: self.problem,
+            components: &self.components,
+        };
+        (0..=self.problem.grid.n_steps)
+            .map(|k| {
+                let mut out = Vec::new();
+                columns.visit(k, &mut |column, node, component, weight| {
+                    out.push(WrenchColumn {
+                        column,
+                        node,
+                        component,
+                        weight,
+                    });
+                });
+                out
+            })
+            .collect()
+    }
+
     fn path_gradient(&self, posture: &Posture, row: usize) -> RowGradient {
         let (constraint, k, item) = self.located(row);
         constraint.limit.gradient(posture, k, item)
@@ -463,6 +482,14 @@ impl Gathered {
                 .sum()
         })
     }
+}
+
+/// Newton or newton meter that a variable adds to one component of a node's wrench.
+struct WrenchColumn {
+    column: usize,
+    node: usize,
+    component: usize,
+    weight: f64,
 }
 
 /// The columns of the wrenches' coefficients, in physical units times the channel's scale.
@@ -638,6 +665,64 @@ impl LiftedProgram for Transcription<'_> {
         Ok(self.assemble(
             point, evaluation, request, &costs, n_goals, &values, &answers, found,
         ))
+    }
+
+    fn state_size(&self) -> Option<StateSize> {
+        self.problem.state_size()
+    }
+
+    fn keep_states(
+        &self,
+        point: &LiftedPoint,
+        rows: &[usize],
+    ) -> Result<Option<StateLinearization>, Failure> {
+        let trajectory = &point.trajectory;
+        let Some(motion) = SparseMotion::along(&self.motion(), trajectory).map_err(describe)?
+        else {
+            return Ok(None);
+        };
+        let columns = self.columns_by_time();
+        let add = |row: &mut StateRow, part: MotionRow| {
+            row.states.extend(part.states);
+            for wrench in part.wrenches {
+                let acting = (columns[wrench.time_node].iter())
+                    .filter(|c| (c.node, c.component) == (wrench.node, wrench.component));
+                let terms = acting.map(|c| (c.column, c.weight * wrench.coefficient));
+                row.variables.extend(terms);
+            }
+        };
+        let of_forms = |gradient: RowGradient| {
+            let mut row = StateRow::default();
+            for form in &gradient {
+                add(&mut row, motion.form(form));
+            }
+            row
+        };
+        let posture = self.posture(trajectory);
+        Ok(Some(StateLinearization {
+            n_states: self.state_size().map_or(0, StateSize::total),
+            equations: (motion.equations().into_iter())
+                .map(|equation| {
+                    let mut row = StateRow::default();
+                    add(&mut row, equation);
+                    row
+                })
+                .collect(),
+            constraints: (self.goal_rows.iter().zip(&self.soft_variables))
+                .map(|(goal, soft)| {
+                    let mut row = of_forms(self.goal_gradient(trajectory, goal));
+                    row.variables.extend(soft.map(|variable| (variable, -1.0)));
+                    row
+                })
+                .collect(),
+            inequalities: (rows.iter())
+                .map(|&row| of_forms(self.path_gradient(&posture, row)))
+                .collect(),
+            residuals: (self.state_costs(trajectory).into_iter())
+                .map(|cost| of_forms(cost.gradient))
+                .collect(),
+            hessian: self.cost_hessian.clone(),
+        }))
     }
 
     fn predict_inequalities(

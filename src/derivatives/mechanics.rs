@@ -30,6 +30,17 @@ fn flat<'a>(vectors: impl IntoIterator<Item = &'a Vector3<f64>>) -> Vec<f64> {
         .collect()
 }
 
+/// The four parts of a tangent on some of the nodes.
+fn parts(tangent: &StateTangent, nodes: std::ops::Range<usize>) -> [Vec<f64>; 4] {
+    [
+        &tangent.positions,
+        &tangent.rotations,
+        &tangent.linear,
+        &tangent.angular,
+    ]
+    .map(|part| flat(&part[nodes.clone()]))
+}
+
 /// Stress of every element against its energy, and stiffness against its stress: each of `δx_b - δx_a`, `ζ_a`, `ζ_b` by itself.
 ///
 /// The paper's model has no energy; of it only the stiffness is compared.
@@ -225,13 +236,7 @@ pub fn step_linearization(
             _ => {}
         }
         let answer = carry(rod, &steps, change.clone(), &wrench);
-        let analytic = [
-            &answer.positions,
-            &answer.rotations,
-            &answer.linear,
-            &answer.angular,
-        ]
-        .map(|part| flat(&part[free.clone()]));
+        let analytic = parts(&answer, free.clone());
         let mut stepped = |s: f64| {
             let mut moved = state.clone();
             for q in free.clone() {
@@ -408,13 +413,7 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
             }
         }
         let (_, answer) = direction(motion, &trajectory, None, &change)?;
-        let analytic = [
-            &answer.positions,
-            &answer.rotations,
-            &answer.linear,
-            &answer.angular,
-        ]
-        .map(|part| flat(&part[free.clone()]));
+        let analytic = parts(&answer, free.clone());
         let mut moved = |s: f64| {
             let mut control = change.clone();
             for wrench in &mut control.wrenches {

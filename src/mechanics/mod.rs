@@ -21,6 +21,7 @@ pub mod rod;
 pub mod rotation;
 pub mod sensitivity;
 pub mod signal;
+pub mod sparse_motion;
 pub mod stability;
 pub mod stepper;
 pub mod strain;

@@ -865,6 +865,8 @@ pub struct Solver {
     pub saddle_escapes: usize,
     /// The second derivatives that the quadratic model uses.
     pub hessian: Hessian,
+    /// How the quadratic subproblems are solved.
+    pub qp: Qp,
     /// Where the iteration starts.
     pub guess: Guess,
     /// Solve easier problems first, and start each from the one before. Absent: no.
@@ -891,6 +893,19 @@ pub enum Hessian {
     Bfgs,
     /// Of the Lagrangian, gathered from its gradients by symmetric rank one.
     Sr1,
+}
+
+/// How the quadratic subproblems are solved; the step is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Qp {
+    /// The way that is predicted to be faster; `softarm check` shows both predictions.
+    #[default]
+    Auto,
+    /// Over the controls alone: small and dense.
+    Condensed,
+    /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
+    Sparse,
 }
 
 /// Where the iteration starts.
@@ -991,6 +1006,7 @@ impl Default for Solver {
             max_iterations: 100,
             saddle_escapes: 3,
             hessian: Hessian::default(),
+            qp: Qp::default(),
             guess: Guess::default(),
             continuation: None,
             deadline_s: None,

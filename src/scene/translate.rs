@@ -22,7 +22,7 @@ use crate::mechanics::{
     MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, Section,
     SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
 };
-use crate::sqp::{HessianChoice, SqpSettings};
+use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
 
 /// A forward simulation.
@@ -257,6 +257,13 @@ impl Scene {
                 Some("the subproblem is dense in the controls; use fewer blocks".into()),
             ));
         }
+        if solver.qp == model::Qp::Sparse && problem.state_size().is_none() {
+            return Err(source.error_at(
+                "solver.qp",
+                "\"sparse\" is for explicit steps of the standard model without internal damping",
+                Some("give \"auto\" or \"condensed\"".into()),
+            ));
+        }
         Ok(OptimalControl {
             parameters,
             problem,
@@ -270,6 +277,11 @@ impl Scene {
                     model::Hessian::Exact => HessianChoice::Exact,
                     model::Hessian::Bfgs => HessianChoice::Bfgs,
                     model::Hessian::Sr1 => HessianChoice::Sr1,
+                },
+                qp: match solver.qp {
+                    model::Qp::Auto => QpRoute::Auto,
+                    model::Qp::Condensed => QpRoute::Condensed,
+                    model::Qp::Sparse => QpRoute::Sparse,
                 },
                 deadline: solver.deadline_s.map(duration),
                 ..SqpSettings::default()
@@ -285,7 +297,7 @@ impl Scene {
                     model::Guess::Slow => Some(Guess::Slow),
                     model::Guess::Rest => Some(Guess::Rest),
                 },
-                ..Search::from_guess(Guess::StaticPath, 1)
+                ..Search::default()
             },
             feedback: match &control.feedback {
                 Some(feedback) => Some(FeedbackWeights {

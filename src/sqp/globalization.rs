@@ -184,7 +184,7 @@ impl Filter {
         if let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
         }
-        let trial = Self::restored(program, from, change, 0).ok_or(None)?;
+        let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &trial.evaluation);
         if let Some(passage) = self.passage(here, there, slope) {
@@ -198,11 +198,11 @@ impl Filter {
     /// The point of a step whose states obey their equations; `None` where the model fails.
     pub(super) fn restored<P: LiftedProgram>(
         program: &P,
-        from: &Departure<P>,
+        from: &P::Point,
         change: &[f64],
         corrections: usize,
     ) -> Option<Accepted<P>> {
-        let point = program.restored_step(from.point, change).ok()?;
+        let point = program.restored_step(from, change).ok()?;
         let evaluation = program.evaluate(&point).ok()?;
         Some(Accepted {
             point,
@@ -285,7 +285,7 @@ impl Filter {
                 ..subproblem.clone()
             };
             let solution = corrected.solve().ok()?;
-            let trial = Self::restored(program, from, &solution.change, count)?;
+            let trial = Self::restored(program, from.point, &solution.change, count)?;
             let there = from.measure(program, &trial.evaluation);
             if let Some(passage) = self.passage(here, there, slope) {
                 self.pass(passage, here);

@@ -3,18 +3,22 @@
 mod balls;
 pub mod globalization;
 pub mod hessian;
+pub mod kept_states;
 pub mod program;
 pub mod quadratic_program;
 pub mod quasi_newton;
 pub mod residual;
+pub mod route;
 mod run;
 pub mod solver;
 
 pub use hessian::{HessianChoice, HessianKind};
+pub use kept_states::{StateLinearization, StateRow, StateSize};
 pub use program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };
 pub use residual::{KktResidual, Multipliers};
+pub use route::QpRoute;
 pub use solver::{
     Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop, solve,
 };

@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 
 use faer::Mat;
 
+use super::kept_states::{StateLinearization, StateSize};
 use super::residual::{Multipliers, infinity_norm, norm};
 
 /// A convex set on some of the variables.
@@ -310,6 +311,24 @@ pub trait LiftedProgram {
         evaluation: &Evaluation<Self::Defects>,
         request: &LinearizationRequest,
     ) -> Result<Linearization, Failure>;
+
+    /// How many states there are, if [`Self::keep_states`] can keep them.
+    fn state_size(&self) -> Option<StateSize> {
+        None
+    }
+
+    /// The linearization of [`Self::linearize`], of the inequalities `rows`, before the states are eliminated; `None` from a program
+    /// that always eliminates them.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`].
+    fn keep_states(
+        &self,
+        _point: &Self::Point,
+        _rows: &[usize],
+    ) -> Result<Option<StateLinearization>, Failure> {
+        Ok(None)
+    }
 
     /// `h + dh` of all rows along a direction of [`Self::expand`], to first order.
     ///

@@ -23,6 +23,7 @@ use clarabel::solver::{
 };
 use faer::Mat;
 
+use super::kept_states::{StateLinearization, StateRow};
 use super::program::{ConvexSet, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
 
@@ -51,6 +52,17 @@ pub struct QuadraticProgram<'a> {
     pub row_tolerance: f64,
     /// Seconds that the solve may take.
     pub time_limit: f64,
+    /// The same rows with the states in them, to be solved in their place.
+    pub states: Option<KeptStates<'a>>,
+}
+
+/// What replaces the condensed rows of a [`QuadraticProgram`] on the sparse route.
+#[derive(Clone, Copy, Debug)]
+pub struct KeptStates<'a> {
+    /// Rows and costs with the states in them.
+    pub linearization: &'a StateLinearization,
+    /// Whether the costs of states and variables take the place of `H`, because it is the Gauss-Newton Hessian.
+    pub replaces_hessian: bool,
 }
 
 /// `h + Dδ ≤ 0`, hard or soft.
@@ -111,7 +123,14 @@ struct Attempt {
     reduced: f64,
     /// Static regularization of the factorization; Clarabel's default is 1e-8.
     regularization: f64,
+    /// Corrections of a linear solve, at most, and by what factor each must help.
+    refinements: u32,
+    refinement_gain: f64,
 }
+
+/// Clarabel's defaults.
+const REFINEMENTS: u32 = 10;
+const REFINEMENT_GAIN: f64 = 5.0;
 
 /// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
 /// from a solution beats none, and near one it would show.
@@ -121,26 +140,55 @@ const LADDER: [Attempt; 4] = [
         tolerance: 1e-11,
         reduced: 1e-7,
         regularization: 1e-8,
+        refinements: REFINEMENTS,
+        refinement_gain: REFINEMENT_GAIN,
     },
     Attempt {
         shift: 1e-8,
         tolerance: 1e-9,
         reduced: 1e-5,
         regularization: 1e-8,
+        refinements: REFINEMENTS,
+        refinement_gain: REFINEMENT_GAIN,
     },
     Attempt {
         shift: 1e-8,
         tolerance: 1e-9,
         reduced: 1e-5,
         regularization: 1e-6,
+        refinements: REFINEMENTS,
+        refinement_gain: REFINEMENT_GAIN,
     },
     Attempt {
         shift: 1e-5,
         tolerance: 1e-8,
         reduced: 1e-5,
         regularization: 1e-7,
+        refinements: REFINEMENTS,
+        refinement_gain: REFINEMENT_GAIN,
     },
 ];
+/// With states: the factorization is far worse conditioned, by the square of the number of steps, and what regularization keeps it
+/// stable must be taken back by many refinements. Measured: costs over states need the second; less than the first is unstable.
+const STATES_LADDER: [Attempt; 3] = [
+    Attempt::with_states(1e-8),
+    Attempt::with_states(1e-7),
+    Attempt::with_states(1e-6),
+];
+
+impl Attempt {
+    const fn with_states(regularization: f64) -> Self {
+        Self {
+            shift: 0.0,
+            tolerance: 1e-11,
+            reduced: 1e-9,
+            regularization,
+            refinements: 60,
+            refinement_gain: 1.2,
+        }
+    }
+}
+
 /// Inequalities that are all given to Clarabel at once.
 const FEW_ROWS: usize = 32;
 /// First working set of many: so many of the highest peaks.
@@ -181,8 +229,23 @@ impl QuadraticProgram<'_> {
         unreachable!("every round adds a row")
     }
 
-    /// Down the ladder, until Clarabel is content.
+    /// Down the ladder, until Clarabel is content; without the states if it is not with them.
     fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
+        if self.states.is_some() {
+            let found = STATES_LADDER
+                .iter()
+                .find_map(|attempt| self.attempt(working, attempt, false).ok());
+            return found.map_or_else(
+                || {
+                    let condensed = QuadraticProgram {
+                        states: None,
+                        ..self.clone()
+                    };
+                    condensed.solve_with(working)
+                },
+                Ok,
+            );
+        }
         let mut last = None;
         for (at, attempt) in LADDER.iter().enumerate() {
             match self.attempt(working, attempt, at + 1 == LADDER.len()) {
@@ -211,6 +274,23 @@ impl QuadraticProgram<'_> {
         finite("inequality offset", self.inequalities.offset)?;
         finite("variables", self.variables)?;
         finite("elastic weight", &[self.elastic_weight])?;
+        if let Some(kept) = &self.states {
+            let StateLinearization {
+                equations,
+                constraints,
+                inequalities,
+                residuals,
+                hessian,
+                ..
+            } = kept.linearization;
+            let rows = equations.iter().chain(constraints).chain(inequalities);
+            for row in rows.chain(residuals) {
+                for &(_, coefficient) in row.states.iter().chain(&row.variables) {
+                    finite("row with states", &[coefficient])?;
+                }
+            }
+            all_finite("Hessian of the cost over variables", hessian)?;
+        }
         for set in self.sets {
             match set {
                 ConvexSet::Interval { lower, upper, .. } => finite("interval", &[*lower, *upper])?,
@@ -290,20 +370,7 @@ impl QuadraticProgram<'_> {
                 .max(f64::MIN_POSITIVE);
         let slacks = Slacks::of(self, working);
         let rows = Assembly::of(self, working, &slacks);
-        let diagonal = (0..n)
-            .map(|i| self.hessian[(i, i)].abs())
-            .fold(f64::MIN_POSITIVE, f64::max);
-        let mut q = self.gradient.to_vec();
-        q.resize(n + 2 * m, self.elastic_weight);
-        q.extend(slacks.prices.iter().map(|p| p.0));
-        q.iter_mut().for_each(|q| *q *= scale);
-        let p = upper_triangle(
-            self.hessian,
-            2 * m,
-            &slacks.prices,
-            scale,
-            attempt.shift * diagonal,
-        );
+        let (p, q) = self.objective(&slacks, scale, attempt.shift);
         let Assembly {
             matrix,
             right,
@@ -322,6 +389,8 @@ impl QuadraticProgram<'_> {
             .reduced_tol_gap_rel(attempt.reduced)
             .reduced_tol_feas(attempt.reduced)
             .static_regularization_constant(attempt.regularization)
+            .iterative_refinement_max_iter(attempt.refinements)
+            .iterative_refinement_stop_ratio(attempt.refinement_gain)
             .time_limit(self.time_limit)
             .build()
             .map_err(|error| QpError::refused(error.to_string()))?;
@@ -351,6 +420,7 @@ impl QuadraticProgram<'_> {
             });
         }
         let (of_constraints, of_rows) = solution.x[n..].split_at(2 * m);
+        let of_rows = &of_rows[..slacks.prices.len()];
         let hard = (of_rows.iter().zip(&slacks.is_hard)).filter(|(_, hard)| **hard);
         let violation = (of_constraints.iter()).chain(hard.map(|(slack, _)| slack));
         let mut multipliers = Multipliers {
@@ -377,6 +447,56 @@ impl QuadraticProgram<'_> {
                 .collect(),
         })
     }
+}
+
+impl QuadraticProgram<'_> {
+    /// Clarabel's `P` and `q`.
+    fn objective(&self, slacks: &Slacks, scale: f64, shift: f64) -> (CscMatrix<f64>, Vec<f64>) {
+        let (n, m) = (self.gradient.len(), self.offset.len());
+        let diagonal = (0..n)
+            .map(|i| self.hessian[(i, i)].abs())
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let split = (self.states.as_ref()).filter(|kept| kept.replaces_hessian);
+        let hessian = split.map_or(self.hessian, |kept| &kept.linearization.hessian);
+        let mut q = self.gradient.to_vec();
+        q.resize(n + 2 * m, self.elastic_weight);
+        q.extend(slacks.prices.iter().map(|p| p.0));
+        let first_state = q.len();
+        if let Some(kept) = &self.states {
+            q.resize(first_state + kept.linearization.n_states, 0.0);
+        }
+        q.iter_mut().for_each(|q| *q *= scale);
+        let mut p = UpperTriangle::new(q.len(), scale);
+        p.dense(hessian, shift * diagonal);
+        for (i, &(_, quadratic)) in slacks.prices.iter().enumerate() {
+            p.square(&[(n + 2 * m + i, quadratic.sqrt())]);
+        }
+        for row in split.iter().flat_map(|kept| &kept.linearization.residuals) {
+            p.square(&row.columns(first_state));
+        }
+        (p.finish(), q)
+    }
+}
+
+impl StateRow {
+    /// Columns of the subproblem with their coefficients, ascending; the states begin at `first_state`, after the variables.
+    fn columns(&self, first_state: usize) -> Vec<(usize, f64)> {
+        let states = self.states.iter().map(|&(at, c)| (first_state + at, c));
+        merged(self.variables.iter().copied().chain(states).collect())
+    }
+}
+
+/// Entries in the order of their places, those of the same place added.
+fn merged(mut entries: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
+    entries.sort_by_key(|entry| entry.0);
+    entries.dedup_by(|later, first| {
+        let same = later.0 == first.0;
+        if same {
+            first.1 += later.1;
+        }
+        same
+    });
+    entries
 }
 
 impl QpError {
@@ -497,11 +617,13 @@ impl Slacks {
 }
 
 impl Assembly {
-    /// Columns: `δ`, `s⁺`, `s⁻`, `t` of the working set.
+    /// Columns: `δ`, `s⁺`, `s⁻`, `t` of the working set; then, where they are kept, the states.
     fn of(qp: &QuadraticProgram, working: &[usize], slacks: &Slacks) -> Self {
         let (n, m) = (qp.gradient.len(), qp.offset.len());
         let n_slacks = 2 * m + slacks.prices.len();
-        let mut rows = Rows::new(n + n_slacks);
+        let first_state = n + n_slacks;
+        let n_kept = (qp.states.as_ref()).map_or(0, |kept| kept.linearization.n_states);
+        let mut rows = Rows::new(first_state + n_kept);
         let mut places = vec![
             Place {
                 row: 0,
@@ -511,9 +633,12 @@ impl Assembly {
         ];
         let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
         for i in 0..m {
-            rows.dense(qp.jacobian, i);
             rows.put(n + i, -1.0);
             rows.put(n + m + i, 1.0);
+            match &qp.states {
+                None => rows.dense(qp.jacobian, i),
+                Some(kept) => rows.with_states(&kept.linearization.constraints[i], first_state),
+            }
             rows.end(-qp.offset[i]);
         }
         for (set, place) in qp.sets.iter().zip(&mut places) {
@@ -523,6 +648,12 @@ impl Assembly {
                     is_equation: true,
                 };
                 rows.equations(set, qp.variables);
+            }
+        }
+        if let Some(kept) = &qp.states {
+            for row in &kept.linearization.equations {
+                rows.with_states(row, first_state);
+                rows.end(0.0);
             }
         }
         let n_equations = rows.count();
@@ -535,8 +666,11 @@ impl Assembly {
         }
         let inequalities = rows.count();
         for (&at, slack) in working.iter().zip(&slacks.of_row) {
-            rows.dense(qp.inequalities.jacobian, at);
             rows.put(n + 2 * m + slack, -1.0);
+            match &qp.states {
+                None => rows.dense(qp.inequalities.jacobian, at),
+                Some(kept) => rows.with_states(&kept.linearization.inequalities[at], first_state),
+            }
             rows.end(-qp.inequalities.offset[at]);
         }
         for (set, place) in qp.sets.iter().zip(&mut places) {
@@ -599,37 +733,64 @@ impl Assembly {
     }
 }
 
-/// Upper triangle of the scaled Hessian, of zeros for the `n_linear` variables that only cost linearly, and of the
-/// quadratic prices.
-fn upper_triangle(
-    h: &Mat<f64>,
-    n_linear: usize,
-    prices: &[(f64, f64)],
+/// A symmetric matrix by the columns of its upper triangle, times `scale`.
+struct UpperTriangle {
+    columns: Vec<Vec<(usize, f64)>>,
     scale: f64,
-    shift: f64,
+}
+
+impl UpperTriangle {
+    fn new(size: usize, scale: f64) -> Self {
+        Self {
+            columns: vec![Vec::new(); size],
+            scale,
+        }
+    }
+
+    /// Adds `h + shift I` at the beginning.
+    fn dense(&mut self, h: &Mat<f64>, shift: f64) {
+        for (j, column) in self.columns.iter_mut().take(h.ncols()).enumerate() {
+            for i in 0..=j {
+                let entry = 0.5 * (h[(i, j)] + h[(j, i)]) + if i == j { shift } else { 0.0 };
+                if entry != 0.0 {
+                    column.push((i, entry * self.scale));
+                }
+            }
+        }
+    }
+
+    /// Adds the matrix of `½ (row x)²`, for a row with ascending columns.
+    fn square(&mut self, row: &[(usize, f64)]) {
+        for (at, &(j, b)) in row.iter().enumerate() {
+            for &(i, a) in &row[..=at] {
+                if a * b != 0.0 {
+                    self.columns[j].push((i, a * b * self.scale));
+                }
+            }
+        }
+    }
+
+    fn finish(self) -> CscMatrix<f64> {
+        let size = self.columns.len();
+        compressed(size, self.columns.into_iter().map(merged))
+    }
+}
+
+/// The sparse matrix with these columns.
+fn compressed(
+    n_rows: usize,
+    columns: impl ExactSizeIterator<Item = Vec<(usize, f64)>>,
 ) -> CscMatrix<f64> {
-    let n = h.nrows();
-    let size = n + n_linear + prices.len();
-    let mut colptr = vec![0];
-    let mut rowval = Vec::with_capacity(n * (n + 1) / 2 + prices.len());
-    let mut nzval = Vec::with_capacity(n * (n + 1) / 2 + prices.len());
-    for j in 0..n {
-        for i in 0..=j {
-            let diagonal = if i == j { shift } else { 0.0 };
-            rowval.push(i);
-            nzval.push((0.5 * (h[(i, j)] + h[(j, i)]) + diagonal) * scale);
+    let n_columns = columns.len();
+    let (mut colptr, mut rowval, mut nzval) = (vec![0], Vec::new(), Vec::new());
+    for column in columns {
+        for (row, value) in column {
+            rowval.push(row);
+            nzval.push(value);
         }
         colptr.push(rowval.len());
     }
-    colptr.resize(n + n_linear + 1, rowval.len());
-    for (i, &(_, quadratic)) in prices.iter().enumerate() {
-        if quadratic > 0.0 {
-            rowval.push(n + n_linear + i);
-            nzval.push(quadratic * scale);
-        }
-        colptr.push(rowval.len());
-    }
-    CscMatrix::new(size, size, colptr, rowval, nzval)
+    CscMatrix::new(n_rows, n_columns, colptr, rowval, nzval)
 }
 
 /// A sparse matrix written row by row, with its right-hand side.
@@ -670,6 +831,11 @@ impl Rows {
         }
     }
 
+    /// A row whose states begin at column `first_state`.
+    fn with_states(&mut self, row: &StateRow, first_state: usize) {
+        self.sparse(&row.columns(first_state), 1.0);
+    }
+
     /// A set without interior.
     fn equations(&mut self, set: &ConvexSet, variables: &[f64]) {
         match set {
@@ -692,21 +858,8 @@ impl Rows {
     }
 
     fn finish(self) -> (CscMatrix<f64>, Vec<f64>) {
-        let mut colptr = vec![0];
-        let mut rowval = Vec::new();
-        let mut nzval = Vec::new();
-        let n_columns = self.columns.len();
-        for column in self.columns {
-            for (row, value) in column {
-                rowval.push(row);
-                nzval.push(value);
-            }
-            colptr.push(rowval.len());
-        }
-        (
-            CscMatrix::new(self.right.len(), n_columns, colptr, rowval, nzval),
-            self.right,
-        )
+        let n_rows = self.right.len();
+        (compressed(n_rows, self.columns.into_iter()), self.right)
     }
 }
 
@@ -746,6 +899,7 @@ mod tests {
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
+            states: None,
         };
         let solution = qp.solve().expect("solvable");
         assert!((solution.change[0] - 0.6).abs() < 1e-8 && (solution.change[1] - 0.8).abs() < 1e-8);
@@ -777,6 +931,7 @@ mod tests {
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
+            states: None,
         };
         let solution = qp.solve().expect("solvable");
         assert!((solution.change[0] - 0.5).abs() < 1e-8 && (solution.change[1] + 1.5).abs() < 1e-8);
@@ -805,6 +960,7 @@ mod tests {
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
+            states: None,
         };
         let solution = qp.solve().expect("always feasible");
         assert!((solution.change[0] - 1.0).abs() < 1e-7);
@@ -829,6 +985,7 @@ mod tests {
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             time_limit: 1.0,
+            states: None,
         };
         assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
     }
@@ -873,6 +1030,7 @@ mod tests {
                 trust_radius: f64::INFINITY,
                 row_tolerance: ROW_TOLERANCE,
                 time_limit: f64::INFINITY,
+                states: None,
             };
             let all: Vec<usize> = (0..ROWS)
                 .filter(|&at| softness[at] != Softness::FREE)
@@ -910,6 +1068,7 @@ mod tests {
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             time_limit: f64::INFINITY,
+            states: None,
         };
         let Err(QpError::Status {
             problem: Some(problem),

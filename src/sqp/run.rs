@@ -9,15 +9,17 @@ use faer::Mat;
 use super::balls::into_balls;
 use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
+use super::kept_states::StateLinearization;
 use super::program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
     sum_of_largest,
 };
 use super::quadratic_program::{
-    LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
+    KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
 };
 use super::quasi_newton::{Formula, QuasiNewton};
 use super::residual::{KktResidual, Multipliers, norm};
+use super::route::QpRoute;
 use super::solver::{
     Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
 };
@@ -134,6 +136,9 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     softness: Vec<Softness>,
     /// Group of every linearized inequality.
     groups: Vec<usize>,
+    /// How subproblems are solved, and the linearization with its states where that needs it.
+    route: QpRoute,
+    kept: Option<StateLinearization>,
     /// Inequalities of the last working set that mattered.
     working: Vec<usize>,
     stuck: usize,
@@ -220,6 +225,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             screening_margin: program.screening_margin(),
             softness: Vec::new(),
             groups: Vec::new(),
+            route: (settings.qp).resolve(program.variables(&point).len(), program.state_size()),
+            kept: None,
             working: Vec::new(),
             point,
             evaluation,
@@ -301,8 +308,18 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             },
         )?;
         self.note_rows(&linearization);
+        self.keep_states(&linearization)?;
         self.phases.linearize += clock.elapsed().as_secs_f64();
         Ok(linearization)
+    }
+
+    /// On the sparse route: the linearization with its states.
+    fn keep_states(&mut self, linearization: &Linearization) -> Result<(), Failure> {
+        if self.route == QpRoute::Sparse {
+            let rows = &linearization.rows;
+            self.kept = self.program.keep_states(&self.point, rows)?;
+        }
+        Ok(())
     }
 
     /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
@@ -403,19 +420,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         self.is_settled = true;
         let stay = vec![0.0; self.variables().len()];
-        let Ok(point) = self.program.restored_step(&self.point, &stay) else {
-            return false;
-        };
-        let Ok(evaluation) = self.program.evaluate(&point) else {
-            return false;
-        };
-        self.arrive(Accepted {
-            point,
-            evaluation,
-            restored: true,
-            corrections: 0,
-        });
-        true
+        let settled = Filter::restored(self.program, &self.point, &stay, 0);
+        let found = settled.is_some();
+        if let Some(settled) = settled {
+            self.arrive(settled);
+        }
+        found
     }
 
     /// Leaves a saddle, along its most negative curvature, to where that promises a part of the objective; whether it did. The other
@@ -432,17 +442,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         length = length.min(first_trust_radius(self.variables()));
         for _ in 0..SHRINKAGES {
             let change: Vec<f64> = direction.iter().map(|d| length * d).collect();
-            let trial = (self.program.restored_step(&self.point, &change)).ok();
-            if let Some(point) = trial
-                && let Ok(evaluation) = self.program.evaluate(&point)
-                && self.program.infeasibility(&evaluation) <= ESCAPE_INFEASIBILITY
+            if let Some(trial) = Filter::restored(self.program, &self.point, &change, 0)
+                && self.program.infeasibility(&trial.evaluation) <= ESCAPE_INFEASIBILITY
             {
-                self.arrive(Accepted {
-                    point,
-                    evaluation,
-                    restored: true,
-                    corrections: 0,
-                });
+                self.arrive(trial);
                 let fresh = Best {
                     residual: UNKNOWN_RESIDUAL,
                     infeasibility: f64::INFINITY,
@@ -646,13 +649,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         let still = vec![0.0; self.variables().len()];
         if self.evaluation.defect > self.settings.tolerance
-            && let Ok(point) = self.program.restored_step(&self.point, &still)
-            && let Ok(evaluation) = self.program.evaluate(&point)
+            && let Some(there) = Filter::restored(self.program, &self.point, &still, 0)
         {
-            self.filter = Filter::new(self.program.infeasibility(&evaluation));
+            self.filter = Filter::new(self.program.infeasibility(&there.evaluation));
             self.elastic_weight = None;
-            self.point = point;
-            self.evaluation = evaluation;
+            self.arrive(there);
             return Ok(Recovery::Restored);
         }
         self.trust_radius *= SHRINK;
@@ -949,6 +950,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             .linearize(&self.point, &self.evaluation, &request)?;
         linearization.join_rows(&more);
         self.note_rows(linearization);
+        self.keep_states(linearization)?;
         self.phases.linearize += clock.elapsed().as_secs_f64();
         Ok(true)
     }
@@ -1008,6 +1010,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             row_tolerance: self.row_tolerance(),
             trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
             time_limit,
+            states: self.kept.as_ref().map(|kept| KeptStates {
+                linearization: kept,
+                replaces_hessian: model.kind == HessianKind::GaussNewton,
+            }),
         }
     }
 
@@ -1158,12 +1164,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 }
             }
             let clock = Instant::now();
-            let trial = Filter::restored(
-                self.program,
-                &self.departure(&linearization, &solution),
-                &solution.change,
-                0,
-            );
+            let trial = Filter::restored(self.program, &self.point, &solution.change, 0);
             self.phases.globalize += clock.elapsed().as_secs_f64();
             let Some(trial) = trial else {
                 phase.radius = SHRINK * length.min(phase.radius);
@@ -1271,6 +1272,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             multipliers: self.best.multipliers,
             residual: self.best.residual,
             objective: self.best.objective,
+            route: self.route,
             convergence: Convergence::of(&self.history),
             history: self.history,
             phases: self.phases,
@@ -1314,6 +1316,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         trust_radius: f64::INFINITY,
         row_tolerance: ROW_TOLERANCE,
         time_limit: f64::INFINITY,
+        states: None,
     };
     Ok(norm(&projection.solve()?.change))
 }

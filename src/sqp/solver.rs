@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::hessian::{HessianChoice, HessianKind};
 use super::program::LiftedProgram;
 use super::residual::{KktResidual, Multipliers};
+use super::route::QpRoute;
 use super::run::{Run, Step};
 
 /// What the solver may do.
@@ -19,6 +20,8 @@ pub struct SqpSettings {
     pub saddle_escapes: usize,
     /// Which Hessian.
     pub hessian: HessianChoice,
+    /// How its subproblems are solved.
+    pub qp: QpRoute,
     /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
     /// that of all rows. Far from a solution not every one of them is worth a solve.
     pub row_accuracy: f64,
@@ -33,6 +36,7 @@ impl Default for SqpSettings {
             max_iterations: 100,
             saddle_escapes: 3,
             hessian: HessianChoice::Auto,
+            qp: QpRoute::Auto,
             row_accuracy: 1e-2,
             deadline: None,
         }
@@ -138,6 +142,8 @@ pub struct SqpOutcome<P> {
     pub residual: KktResidual,
     /// `J` at that point, with the price of soft inequalities.
     pub objective: f64,
+    /// How subproblems were solved.
+    pub route: QpRoute,
     /// One row per iteration.
     pub history: Vec<IterationRecord>,
     /// How fast the last steps shrank.
@@ -161,6 +167,7 @@ impl<P> SqpOutcome<P> {
                 complementarity: f64::INFINITY,
             },
             objective: f64::NAN,
+            route: QpRoute::Condensed,
             history: Vec::new(),
             convergence: Convergence::default(),
             phases: PhaseTimes::default(),

@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 
 use super::dual;
 use super::interval;
-use super::kkt::motion::{Conditions, Gradient, kick, momentum_after, momentum_before};
+use super::kkt::motion::{Conditions, Gradient, kick, momentum_after};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory};
 
@@ -94,16 +94,7 @@ impl Conditions<'_> {
             angular += x[q].cross(&push) + r[q] * twist;
         };
         for q in rod.first_free_node()..rod.n_nodes() {
-            let (before, before_angular) = match &arriving {
-                None => (
-                    self.problem.initial.linear_momentum[q],
-                    self.problem.initial.angular_momentum[q],
-                ),
-                Some([_, j_d]) => (
-                    self.velocity_momentum(k - 1, q),
-                    momentum_before(&self.turn(k - 1, q), &j_d[q], h),
-                ),
-            };
+            let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
             let (force, moment) = self.applied(k, q, &outside);
             let after = self.velocity_momentum(k, q);
             let after_angular = momentum_after(&self.turn(k, q), &leaving[q], h);

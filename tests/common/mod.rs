@@ -3,6 +3,7 @@
 
 pub mod extremes;
 pub mod published;
+pub mod tasks;
 
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::linearization::{Sources, StateTangent};

@@ -224,6 +224,23 @@ impl Conditions<'_> {
         change * (self.rod().nodes[q].mass / self.problem.grid.step)
     }
 
+    /// Momenta of a node that arrive at time node `k`, with the inertia of the interval before it.
+    pub(in crate::verify) fn arriving(
+        &self,
+        k: usize,
+        q: usize,
+        inertia: Option<&[Vec<Matrix3<f64>>; 2]>,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let initial = &self.problem.initial;
+        match inertia {
+            None => (initial.linear_momentum[q], initial.angular_momentum[q]),
+            Some([_, j_d]) => (
+                self.velocity_momentum(k - 1, q),
+                momentum_before(&self.turn(k - 1, q), &j_d[q], self.problem.grid.step),
+            ),
+        }
+    }
+
     /// Force and moment on a node at `k`: minus the energy's gradient, loads, control.
     pub(in crate::verify) fn applied(
         &self,
@@ -318,16 +335,7 @@ impl Conditions<'_> {
                 (strains, stresses) = (next, after);
             }
             for q in rod.first_free_node()..rod.n_nodes() {
-                let (before, before_angular) = match &arriving {
-                    None => (
-                        self.problem.initial.linear_momentum[q],
-                        self.problem.initial.angular_momentum[q],
-                    ),
-                    Some([_, j_d]) => (
-                        self.velocity_momentum(k - 1, q),
-                        momentum_before(&self.turn(k - 1, q), &j_d[q], h),
-                    ),
-                };
+                let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
                 let (force, moment) = self.applied(k, q, &gradient);
                 let after =
                     decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
