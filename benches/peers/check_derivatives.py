@@ -13,7 +13,7 @@ TOLERANCE = 1e-7
 
 def largest_errors(program, random):
     _, functions = program.functions(triangular=False)
-    w = program.start + 1e-2 * full_space.STATE_SCALE * random.normal(size=program.n)
+    w = 1e-2 * full_space.STATE_SCALE * random.normal(size=program.n)
     y, direction = random.normal(size=program.rows), full_space.STATE_SCALE * random.normal(size=program.n)
 
     def values(w):
@@ -36,11 +36,10 @@ def main():
     random = np.random.default_rng(0)
     features = {"orientation": (0.9, 0.1, 0.2, 0.1), "force_max": 3.0, "moment_max": 2.0, "sphere": (0.3, 0.1, 0.8, 0.2)}
     for strain in ("trapezoidal", "helical"):
-        problem = soft("check", 2, 20, end=0.04, strain=strain, **features)
-        for name, (program, _) in (
+        problem = soft("check", 3, 20, end=0.04, strain=strain, **features)
+        for name, (program, *_) in (
             ("configurations", full_space.configurations(problem)),
-            ("explicit", full_space.explicit(problem, held=False)),
-            ("explicit, held", full_space.explicit(problem, held=True)),
+            ("stages", full_space.stages(problem)),
         ):
             jacobian, hessian = largest_errors(program, random)
             print(f"{strain}, {name}: Jacobian {jacobian:.1e}, Hessian {hessian:.1e}")

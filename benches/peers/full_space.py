@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 import rod as discrete
 from compiled import compiled
+from start import static_path
 
 
 class Assembly:
@@ -187,127 +188,127 @@ def _ball_kernel():
     return Kernel("ball", u, ca.SX(0, 1), ca.dot(u, u))
 
 
-def _add_bounds(program, problem, controls):
-    """|force| and |moment| of every block; controls: [6, n] indices of scaled controls."""
-    for limit, scale, part in (
-        (problem.force_max, problem.force_scale, slice(0, 3)),
-        (problem.moment_max, problem.moment_scale, slice(3, 6)),
-    ):
-        if limit is not None:
-            n = controls.shape[1]
-            rows = program.new_rows(n, -np.inf, (limit / scale) ** 2)
-            program.add_kernel(_ball_kernel(), controls[part], np.zeros((0, n)), rows[None])
-
-
 STATE_SCALE = 1e-4
-"""What a unit of a state (m, 1, m/s, rad/s) counts: it weighs defects of the dynamics against the goal in the filter.
+"""What a unit of a state (m, 1, and the same over a time step) counts: it weighs defects of the dynamics against the goal in fatrop's filter.
 
-Measured with fatrop at K = 2, N = 100: 14 iterations at 1e-4 and 1e-6, 21 at 1e-2, no convergence in 40 at 1.
+Measured at K = 2, N = 100: 14 iterations, 32 at 1.
 """
 
 
-def explicit(problem, held):
-    """States of 12 K numbers and the explicit step, with the controls as variables of their blocks, or `held`.
+def _state_units(h):
+    return STATE_SCALE * np.repeat([1.0, h], 6)
 
-    Stages in time order, in each the states before the controls, and in the constraints the step's before the others, which is what
-    fatrop asks for. It has no variables that belong to several stages: `held` makes the control a state on all but the first step of a
-    block. The first stage has no states at all, its configuration is given. Returns the program and `controls` [6, n_blocks]
-    (indices), `states` [12 K, N + 1] (-1 in the first column), and the keys N, nx, nu, ng.
+
+def _node_kernels(problem):
+    """Minus the explicit step of a node inside and of the tip, and the goal.
+
+    Variables: configuration of the node before, configuration and velocities of the node, then the configuration of the node after, or the
+    scaled control (not for the goal).
     """
-    rod, h, N, n_state = problem.rod, problem.step, problem.n_steps, 12 * problem.rod.n_elements
-    per = problem.steps_per_block
-    states, acting = np.full((n_state, N + 1), -1), np.full((6, N), -1)
-    nx, nu, controls, at = [], [], [], 0
+    rod, h, goal = problem.rod, problem.step, (problem.position, problem.orientation)
+    rest = ca.DM([0, 0, rod.element_length])
+    units = _state_units(h)
+
+    def element(first, second):
+        return discrete.element_forces(rod, rest + second[:3] - first[:3], discrete.quaternion(first[3:6]), discrete.quaternion(second[3:6]))
+
+    def node(n_after):
+        z = ca.SX.sym("z", 18 + n_after)
+        before, own, after = z[:6] / STATE_SCALE, z[6:18] / units, z[18:]
+        force, _, moment = element(before, own)
+        return z, own, after, force, moment
+
+    def state(own):
+        return own[:3], discrete.quaternion(own[3:6]), own[6:9], own[9:]
+
+    z, own, after, force, moment = node(6)
+    back, turning, _ = element(own, after / STATE_SCALE)
+    step = discrete.advance(rod, h, rod.share[0], *state(own), force - back, moment + turning, ca.SX.zeros(6))
+    inside = Kernel(f"inside_{rod.strain}", z, ca.SX(0, 1), -units * ca.vertcat(*step))
+    z, own, after, force, moment = node(6)
+    step = discrete.advance(rod, h, rod.share[-1], *state(own), force, moment, problem.scales * after)
+    tip = Kernel(f"tip_{rod.strain}", z, ca.SX(0, 1), -units * ca.vertcat(*step))
+    z, own, _, force, moment = node(0)
+    position = own[:3] + ca.DM([0, 0, rod.length])
+    end = discrete.tip_goal(rod, h, position, *state(own)[1:], force, moment, *goal)
+    return inside, tip, Kernel(f"goal_{rod.strain}", z, ca.SX(0, 1), end)
+
+
+def stages(problem):
+    """States (displacement from the straight arm, rotation, velocities of every node), explicit steps, and stages as fatrop wants them.
+
+    Stages in time order, in each the states before the controls, and in the constraints the step's before the others. No variable
+    belongs to several stages: the control is a state on all but the first step of a block. The first stage has no other states,
+    its configuration is given. Starts at rest: zeros. Returns the program and `controls` [6, n_blocks] (indices), and the keys N, nx, nu, ng.
+    """
+    rod, N, K, per = problem.rod, problem.n_steps, problem.rod.n_elements, problem.steps_per_block
+    states, acting, nx, nu, at = np.full((12, K + 1, N + 1), -1), np.full((6, N + 1), -1), [], [], 0
     for k in range(N + 1):
-        n_held = 6 if held and k < N and k % per else 0
-        n_new = 6 if k < N and k % per == 0 else 0
-        if k > 0:
-            states[:, k] = np.arange(at, at + n_state)
-            at += n_state
-        if n_held:
-            acting[:, k] = np.arange(at, at + 6)
-            at += 6
-        if n_new:
-            controls.append(np.arange(at, at + 6))
-            acting[:, k] = controls[-1]
-            at += 6
-        elif k < N and not held:
-            acting[:, k] = controls[-1]
-        nx.append((n_state if k > 0 else 0) + n_held)
-        nu.append(n_new)
-    controls = np.array(controls).T
+        n_state = 12 * K if k > 0 else 0
+        n_control = 6 if k < N else 0
+        if n_state:
+            states[:, 1:, k] = np.arange(at, at + n_state).reshape(K, 12).T
+        if n_control:
+            acting[:, k] = np.arange(at + n_state, at + n_state + 6)
+        at += n_state + n_control
+        nu.append(n_control if k % per == 0 else 0)
+        nx.append(n_state + n_control - nu[-1])
+    controls = acting[:, :N:per]
     program = Program(at)
-    z, u, size = ca.SX.sym("z", n_state), ca.SX.sym("u", 6), ca.SX.sym("size")
-    step = discrete.step(rod, h)
-    scaled = problem.scales * u
-    tag = f"{rod.strain}_{rod.n_elements}"
-    initial = discrete.initial_state(rod, h)
-    first = Kernel(f"first_{tag}", u, size, -size * step(ca.DM(initial), scaled))
-    later = Kernel(f"step_{tag}", ca.vertcat(z, u), size, -size * step(z / size, scaled))
-    end = Kernel(f"goal_{tag}", z, size, discrete.goal(rod, h, problem.position, problem.orientation)(z / size))
-    ng, rows, bounds = [0] * (N + 1), np.empty((n_state, N), int), {}
-    balls = [
-        (limit / scale, part)
-        for limit, scale, part in (
-            (problem.force_max, problem.force_scale, slice(0, 3)),
-            (problem.moment_max, problem.moment_scale, slice(3, 6)),
-        )
-        if limit is not None
-    ]
-    avoid = []
+    balls = problem.bounds
+    rows, limits, clear, ng = np.full((12, K + 1, N), -1), [[] for _ in balls], [], []
     for k in range(N + 1):
         if k < N:
-            rows[:, k] = program.new_rows(n_state)
-            program.add_linear(rows[:, k], states[:, k + 1], 1.0)
-            if held and (k + 1) % per and k + 1 < N:
+            rows[:, 1:, k] = program.new_rows(12 * K).reshape(K, 12).T
+            program.add_linear(rows[:, 1:, k].ravel(), states[:, 1:, k + 1].ravel(), 1.0)
+            if (k + 1) % per:
                 same = program.new_rows(6)
                 program.add_linear(same, acting[:, k + 1], 1.0)
                 program.add_linear(same, acting[:, k], -1.0)
         before = program.rows
         if nu[k]:
-            for i, (limit, _) in enumerate(balls):
-                bounds.setdefault(i, []).append(program.new_rows(1, -np.inf, limit**2)[0])
+            for found, (_, limit) in zip(limits, balls):
+                found.append(program.new_rows(1, -np.inf, limit**2)[0])
         if k > 0 and problem.sphere is not None:
-            avoid.append(program.new_rows(rod.n_elements, problem.sphere[3] ** 2, np.inf))
+            clear.append(program.new_rows(K, problem.sphere[3] ** 2, np.inf))
         if k == N:
             goals = program.new_rows(problem.n_goals)
-            program.add_kernel(end, states[:, N:], [[STATE_SCALE]], goals[:, None])
-        ng[k] = program.rows - before
-    program.add_kernel(first, acting[:, :1], [[STATE_SCALE]], rows[:, :1])
-    program.add_kernel(later, np.vstack([states[:, 1:N], acting[:, 1:]]), np.full((1, N - 1), STATE_SCALE), rows[:, 1:])
-    for i, (_, part) in enumerate(balls):
-        ball = _ball_kernel()
-        program.add_kernel(ball, controls[part], np.zeros((0, controls.shape[1])), np.array(bounds[i])[None])
-    if avoid:
-        _add_sphere(program, problem, states[: 6 * rod.n_elements, 1:], np.array(avoid).T)
-    program.start[states[:, 1:]] = STATE_SCALE * initial[:, None]
-    program.weights[controls] = h * per
-    return program, {"controls": controls, "states": states, "N": N, "nx": nx, "nu": nu, "ng": ng}
+        ng.append(program.rows - before)
+    inside, tip, end = _node_kernels(problem)
+    none = np.zeros((0, 1))
+    nodes, times = (index.ravel() for index in np.meshgrid(np.arange(1, K), np.arange(N), indexing="ij"))
+    variables = [states[:6, nodes - 1, times], states[:, nodes, times], states[:6, nodes + 1, times]]
+    program.add_kernel(inside, np.vstack(variables), np.zeros((0, nodes.size)), rows[:, nodes, times])
+    variables = np.vstack([states[:6, K - 1], states[:, K]])
+    program.add_kernel(tip, np.vstack([variables[:, :N], acting[:, :N]]), np.zeros((0, N)), rows[:, K])
+    program.add_kernel(end, variables[:, N:], none, goals[:, None])
+    for found, (part, _) in zip(limits, balls):
+        program.add_kernel(_ball_kernel(), controls[part], np.zeros((0, controls.shape[1])), np.array(found)[None])
+    if clear:
+        _add_sphere(program, problem, states[:3, 1:, 1:], np.array(clear).T, STATE_SCALE)
+    program.weights[controls] = problem.step * per
+    return program, {"controls": controls, "N": N, "nx": nx, "nu": nu, "ng": ng}
 
 
-def _add_sphere(program, problem, configurations, rows):
-    """|x - center|^2 of every node and time node; configurations [6 K, n], rows [K, n]."""
-    x = ca.SX.sym("x", 3)
-    difference = x / STATE_SCALE - ca.DM(problem.sphere[:3])
-    kernel = Kernel("distance", x, ca.SX(0, 1), ca.dot(difference, difference))
-    for q in range(problem.rod.n_elements):
-        places = configurations[6 * q : 6 * q + 3]
-        program.add_kernel(kernel, places, np.zeros((0, places.shape[1])), rows[q : q + 1])
+def _add_sphere(program, problem, places, rows, size):
+    """Square of the distance of every node at every time node; places [3, K, N] of displacements times `size`, rows [K, N]."""
+    x, rest = ca.SX.sym("x", 3), ca.SX.sym("rest")
+    difference = x / size + ca.vertcat(0, 0, rest) - ca.DM(problem.sphere[:3])
+    kernel = Kernel("distance", x, rest, ca.dot(difference, difference))
+    heights = np.repeat(discrete.rest(problem.rod)[2::6], problem.n_steps)
+    program.add_kernel(kernel, places.reshape(3, -1), heights[None], rows.reshape(1, -1))
 
 
-def solve_explicit(problem, plugin, max_iterations=1000, verbose=0):
-    """By "ipopt" or "fatrop"; adds `u` [n_blocks, 6] in N and N m to the answer."""
-    program, layout = explicit(problem, held=plugin == "fatrop")
-    if plugin == "ipopt":
-        options = {f"ipopt.{k}": v for k, v in ipopt_options(max_iterations, verbose).items()}
-    else:
-        options = {
-            "structure_detection": "manual",
-            **{key: layout[key] for key in ("N", "nx", "nu", "ng")},
-            "equality": [lower == upper for lower, upper in zip(program.lower, program.upper)],
-            "fatrop": {"tolerance": 1e-6, "max_iter": max_iterations, "print_level": verbose},
-        }
-    found = program.solve(plugin, options)
+def solve_stages(problem, max_iterations=1000, verbose=0):
+    """By fatrop; adds `u` [n_blocks, 6] in N and N m to the answer."""
+    program, layout = stages(problem)
+    options = {
+        "structure_detection": "manual",
+        **{key: layout[key] for key in ("N", "nx", "nu", "ng")},
+        "equality": [lower == upper for lower, upper in zip(program.lower, program.upper)],
+        "fatrop": {"tolerance": 1e-6, "max_iter": max_iterations, "print_level": verbose},
+    }
+    found = program.solve("fatrop", options)
     found["u"] = found["w"][layout["controls"]].T * problem.scales
     return found
 
@@ -320,16 +321,16 @@ def ipopt_options(max_iterations, verbose):
         "constr_viol_tol": 1e-8,
         "max_iter": max_iterations,
         "linear_solver": "mumps",
-        # Measured at K = 4, N = 200: at most half the time of MUMPS's own choices.
+        # Without scaling and with METIS: less time than with MUMPS's own choices or any other of its orderings.
         "mumps_permuting_scaling": 0,
         "mumps_scaling": 0,
-        "mumps_pivot_order": 0,
+        "mumps_pivot_order": 5,
     }
 
 
 ROW_WEIGHT = 2e-4
-"""What a defect of 1 m/s or 1 rad/s counts beside the goal, in the filter; measured at K = 4, N = 200: 14
-iterations, 22 at 2e-3, no convergence in 14 at 0.03 and 1, where most steps are cut."""
+"""What a defect of 1 m/s or 1 rad/s counts beside the goal, in the filter; at K = 4 from rest 14 iterations, 22 at 2e-3, and
+no convergence in 14 at 0.03 and 1, where most steps are cut."""
 
 
 def _interval_kernel(rod, h, weight):
@@ -413,26 +414,25 @@ def configurations(problem):
             np.vstack([share[elements], share[elements + 1]]),
             np.vstack([rows[:, elements, times], rows[:, elements + 1, times]]),
         )
-    tip = np.concatenate([np.full(3, rod.mass), rod.rotary]) * shares[-1]
     for k in range(N):
         for row_time in (k, k + 1):
             for i in range(6):
-                linear(rows[i : i + 1, K, row_time], controls[i : i + 1, k // per], -ROW_WEIGHT * h / 2 * problem.scales[i] / tip[i])
+                linear(rows[i : i + 1, K, row_time], controls[i : i + 1, k // per], -ROW_WEIGHT * h / 2 * problem.scales[i] / rod.tip_inertia[i])
     target = np.array(problem.position) - [0, 0, rod.length]
     program.add_linear(goals[:3], place[:3, K, N], 1 / rod.length)
     for row, value in zip(goals[:3], target / rod.length):
         program.lower[row] = program.upper[row] = value
     if problem.orientation is not None:
         program.add_kernel(_orientation_kernel(problem.orientation), place[3:, K, N:], np.zeros((0, 1)), goals[3:6, None])
-    _add_bounds(program, problem, controls)
+    for part, limit in problem.bounds:
+        rows_of_bound = program.new_rows(problem.n_blocks, -np.inf, limit**2)
+        program.add_kernel(_ball_kernel(), controls[part], np.zeros((0, problem.n_blocks)), rows_of_bound[None])
     if problem.sphere is not None:
-        x, rest = ca.SX.sym("x", 3), ca.SX.sym("rest")
-        difference = x + ca.vertcat(0, 0, rest) - ca.DM(problem.sphere[:3])
-        kernel = Kernel("clearance", x, rest, ca.dot(difference, difference))
-        nodes, times = np.meshgrid(np.arange(1, K + 1), np.arange(1, N + 1), indexing="ij")
-        nodes, times = nodes.ravel(), times.ravel()
-        clear = program.new_rows(nodes.size, problem.sphere[3] ** 2, np.inf)
-        program.add_kernel(kernel, place[:3, nodes, times], rod.element_length * nodes[None], clear[None])
+        clear = program.new_rows(K * N, problem.sphere[3] ** 2, np.inf)
+        _add_sphere(program, problem, place[:3, 1:, 1:], clear.reshape(K, N), 1.0)
+    path, holds = static_path(problem)
+    program.start[place[:, 1:, 1:]] = (path[1:] - discrete.rest(rod).reshape(K, 6)).T
+    program.start[controls] = holds.T
     program.weights[controls] = h * per
     return program, controls
 

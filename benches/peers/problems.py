@@ -48,6 +48,12 @@ class Problem:
     def n_goals(self):
         return 9 if self.orientation is None else 12
 
+    @property
+    def bounds(self):
+        """Of every bounded norm of scaled controls: which components, and the limit."""
+        parts = (slice(0, 3), self.force_max, self.force_scale), (slice(3, 6), self.moment_max, self.moment_scale)
+        return [(part, limit / scale) for part, limit, scale in parts if limit is not None]
+
     def objective(self, controls):
         """Of an array [n_blocks, 6] in N and N m."""
         return self.end / self.n_blocks / 2 * float(((controls / self.scales) ** 2).sum())
@@ -85,7 +91,7 @@ density_kg_m3 = 1000.0
 [rod.section]
 radius_m = 0.05
 """
-    goal = {"position": (0.5, 0.2, 0.7), "force_scale": 5.0, "moment_scale": 5.0} | goal
+    goal = {"position": (0.3, 0.1, 0.9), "force_scale": 5.0, "moment_scale": 5.0} | goal
     return Problem(name, rod, text, end, n_steps, 20, **goal)
 
 
@@ -113,14 +119,16 @@ rotary_kg_m = [10.0, 10.0, 10.0]
 
 
 def _all():
-    pose = {"position": (0.4, 0.2, 0.8), "orientation": (0.94, -0.12, 0.3, 0.0)}
-    bounded = {"force_max": 3.6, "moment_max": 7.0}
-    yield soft("soft-reach-4", 4, 200, end=0.4, position=(0.3, 0.1, 0.9))
+    bent = {"position": (0.5, 0.2, 0.7), "strain": "helical"}
+    pose = {"orientation": (0.95, -0.1, 0.3, 0.0)}
+    bounded = {"force_max": 1.8, "moment_max": 3.5}
+    yield soft("soft-reach-2", 2, 100, end=0.2, position=(0.2, 0.05, 0.95))
+    yield soft("soft-reach-4", 4, 200, end=0.4)
     yield soft("soft-reach-8", 8, 500)
     yield soft("soft-reach-12", 12, 500, end=0.9)
     yield soft("soft-pose-8", 8, 500, **pose)
     yield soft("soft-bound-8", 8, 500, **bounded)
-    yield soft("soft-reach-8-helical", 8, 500, strain="helical")
+    yield soft("soft-bent-12", 12, 500, end=0.9, **bent)
     yield paper("paper-reach-8", 8, 500)
 
 

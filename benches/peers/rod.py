@@ -42,6 +42,11 @@ class Rod:
         return share
 
     @property
+    def tip_inertia(self):
+        """Mass three times, then moments of inertia of the tip node, kg and kg m^2."""
+        return np.array([self.mass] * 3 + list(self.rotary)) * self.share[-1]
+
+    @property
     def time_scale(self):
         """L^2 sqrt(rhoA / EI), s."""
         return self.length**2 * sqrt(self.mass / self.ei)
@@ -222,6 +227,19 @@ def rest(rod):
     return c.ravel()
 
 
+def advance(rod, h, share, x, q, v, w, force, moment, control):
+    """Position, rotation parameters and velocities of one node at the next time node; see `step`."""
+    inertia = ca.DM(rod.rotary)
+    velocity = v + h / (rod.mass * share) * (force + control[:3] / 2)
+    momentum = inertia * w + h / share * (moment + control[3:] / 2)
+    cayley = turn(rod.rotary, h * momentum)
+    scale = 1 / ca.sqrt(1 + ca.dot(cayley, cayley) / 4)
+    half = ca.vertcat(scale, cayley * scale / 2)
+    arriving = rotate(conjugate(half), momentum) + h / (2 * share) * control[3:]
+    place = x + h * velocity, rodrigues(product(q, half))
+    return *place, velocity + h / (2 * rod.mass * share) * control[:3], arriving / inertia
+
+
 def step(rod, h):
     """Function (z, u) -> z+ on states of 12 K numbers.
 
@@ -237,16 +255,10 @@ def step(rod, h):
     f, m = forces(rod, x, q)
     places, rates = [], []
     for i in range(K):
-        mass, inertia = rod.mass * rod.share[i], np.array(rod.rotary) * rod.share[i]
-        held = (u[:3], u[3:]) if i == K - 1 else (ca.SX.zeros(3), ca.SX.zeros(3))
-        velocity = v[i] + h / mass * (f[i] + held[0] / 2)
-        momentum = inertia * w[i] + h * (m[i] + held[1] / 2)
-        cayley = turn(inertia, h * momentum)
-        scale = 1 / ca.sqrt(1 + ca.dot(cayley, cayley) / 4)
-        half = ca.vertcat(scale, cayley * scale / 2)
-        places += [x[i] + h * velocity, rodrigues(product(q[i], half))]
-        arriving = rotate(conjugate(half), momentum) + h / 2 * held[1]
-        rates += [velocity + h / 2 / mass * held[0], arriving / inertia]
+        control = u if i == K - 1 else ca.SX.zeros(6)
+        position, rotation, *velocities = advance(rod, h, rod.share[i], x[i], q[i], v[i], w[i], f[i], m[i], control)
+        places += [position, rotation]
+        rates += velocities
     return ca.Function("step", [z, u], [ca.vertcat(*places, *rates)], ["z", "u"], ["next"])
 
 
@@ -255,22 +267,29 @@ def initial_state(rod, h):
     return np.concatenate([rest(rod), np.zeros(6 * rod.n_elements)])
 
 
-def goal(rod, h, position, rotation=None):
-    """Function (z_N) -> scaled residuals: position over L, log(R*^T R), and the velocities of the terminal Legendre transform times T/L, T.
+def pose_error(rod, x, q, position, rotation=None):
+    """Position over L, and log(R*^T R) if `rotation`, the quaternion of R*, is given."""
+    rows = (x - ca.DM(position)) / rod.length
+    if rotation is None:
+        return rows
+    target = ca.DM(np.array(rotation) / np.linalg.norm(rotation))
+    return ca.vertcat(rows, logarithm(product(conjugate(target), q)))
 
-    `rotation`: quaternion of R*, scalar first.
-    """
+
+def tip_goal(rod, h, x, q, v, w, force, moment, position, rotation=None):
+    """Scaled residuals: `pose_error`, and the velocities of the terminal Legendre transform times T/L, T."""
+    mass, inertia = rod.mass * rod.share[-1], ca.DM(rod.rotary) * rod.share[-1]
+    velocity, angular = v + h / 2 / mass * force, w + h / 2 * moment / inertia
+    return ca.vertcat(pose_error(rod, x, q, position, rotation), velocity * rod.time_scale / rod.length, angular * rod.time_scale)
+
+
+def goal(rod, h, position, rotation=None):
+    """Function (z_N) -> residuals of `tip_goal`."""
     K = rod.n_elements
     z = ca.SX.sym("z", 12 * K)
     x, s = split(rod, z[: 6 * K])
     v, w = split(rod, z[6 * K :])
     q = [quaternion(s) for s in s]
     f, m = forces(rod, x, q)
-    mass, inertia = rod.mass * rod.share[-1], np.array(rod.rotary) * rod.share[-1]
-    rows = [(x[-1] - ca.DM(position)) / rod.length]
-    if rotation is not None:
-        target = ca.DM(np.array(rotation) / np.linalg.norm(rotation))
-        rows.append(logarithm(product(conjugate(target), q[-1])))
-    rows.append((v[-1] + h / 2 / mass * f[-1]) * rod.time_scale / rod.length)
-    rows.append((w[-1] + h / 2 * m[-1] / inertia) * rod.time_scale)
-    return ca.Function("goal", [z], [ca.vertcat(*rows)], ["z"], ["residual"])
+    residual = tip_goal(rod, h, x[-1], q[-1], v[-1], w[-1], f[-1], m[-1], position, rotation)
+    return ca.Function("goal", [z], [residual], ["z"], ["residual"])

@@ -12,6 +12,11 @@ import numpy as np
 
 import rod as discrete
 from compiled import compiled
+from start import static_path
+
+
+START = 0.05
+"""Of the wrenches that hold the guess of `start`: enough to leave the plane of symmetry. All of them make a wild motion of a pose at K = 8."""
 
 
 class Shooting:
@@ -54,20 +59,12 @@ class Shooting:
         return np.array(residual).ravel(), jacobian.reshape(self.n_goals, self.M * 6)
 
 
-def solve(problem, max_iterations=100, tolerance=1e-6, feasibility=1e-8):
+def solve(problem, max_iterations=500, tolerance=1e-6, feasibility=1e-8, verbose=False):
     """The same dictionary as the full-space solvers'."""
     shooting = Shooting(problem)
     n, weight = 6 * problem.n_blocks, problem.step * problem.steps_per_block
     blocks = np.arange(n).reshape(problem.n_blocks, 6)
-    balls = [
-        (indices, limit / scale)
-        for limit, scale, part in (
-            (problem.force_max, problem.force_scale, slice(0, 3)),
-            (problem.moment_max, problem.moment_scale, slice(3, 6)),
-        )
-        if limit is not None
-        for indices in blocks[:, part]
-    ]
+    balls = [(indices, limit) for part, limit in problem.bounds for indices in blocks[:, part]]
 
     def bounds(u):
         """(|u|^2 - limit^2)/2 of every bound and its Jacobian."""
@@ -92,8 +89,16 @@ def solve(problem, max_iterations=100, tolerance=1e-6, feasibility=1e-8):
     def infeasibility(u, residual):
         return np.abs(residual).sum() + np.maximum(bounds(u)[0], 0).sum()
 
+    def attempt(direction):
+        """The point after the step, its residual, and whether the merit falls enough."""
+        trial = u + direction
+        trial_residual = shooting.residual(trial)
+        value = weight / 2 * trial @ trial + penalty * infeasibility(trial, trial_residual)
+        return trial, trial_residual, value <= merit + 1e-4 * slope + 1e-12 * abs(merit)
+
+    damping = 0.0
     wall, cpu = time.perf_counter(), time.process_time()
-    u, multipliers, penalty = np.zeros(n), np.zeros(n_rows), 1.0
+    u, multipliers, penalty = START * static_path(problem)[1].ravel(), np.zeros(n_rows), 1.0
     status, iterations = "iteration limit", 0
     residual, jacobian = shooting.linearize(u)
     for iterations in range(max_iterations + 1):
@@ -108,38 +113,31 @@ def solve(problem, max_iterations=100, tolerance=1e-6, feasibility=1e-8):
         curvature = np.zeros(n)
         for (i, _), y in zip(balls, multipliers[shooting.n_goals :]):
             curvature[i] += max(y, 0)
-        direction, next_multipliers, solved = subproblem(u, residual, jacobian, curvature)
-        if not solved:
-            status = "subproblem failed"
-            break
-        penalty = max(1.1 * np.abs(next_multipliers).max(), 0.5 * penalty)
         violation = infeasibility(u, residual)
-        merit = weight / 2 * u @ u + penalty * violation
-        slope = weight * u @ direction - penalty * violation
-        length, corrected = 1.0, False
-        while True:
-            trial = u + length * direction
-            if length == 1.0 and corrected:
-                trial = u + correction
-            trial_residual = shooting.residual(trial)
-            if np.isfinite(trial_residual).all():
-                value = weight / 2 * trial @ trial + penalty * infeasibility(trial, trial_residual)
-                if value <= merit + 1e-4 * length * slope + 1e-12 * abs(merit):
-                    break
-                if length == 1.0 and not corrected:
+        accepted = False
+        while not accepted and damping < 1e6:
+            # Beyond a damping of 10 the step toward the goal is shortened too.
+            rest = max(0.0, 1 - 10 / damping) * residual if damping else 0 * residual
+            direction, next_multipliers, solved = subproblem(u, residual - rest, jacobian, curvature + damping * weight)
+            if solved:
+                penalty = max(1.1 * np.abs(next_multipliers).max(), 0.5 * penalty)
+                merit = weight / 2 * u @ u + penalty * violation
+                slope = weight * u @ direction - penalty * (violation - np.abs(rest).sum())
+                trial, trial_residual, accepted = attempt(direction)
+                if not accepted and np.isfinite(trial_residual).all():
                     # Second-order correction: the trial's residual in the same linearization.
-                    shifted = trial_residual - jacobian @ direction
-                    correction, _, solved = subproblem(u, shifted, jacobian, curvature)
-                    corrected = solved
-                    if corrected:
-                        continue
-            length *= 0.5
-            if length < 1e-6:
-                break
-        if length < 1e-6:
-            status = "line search failed"
+                    shifted = trial_residual - jacobian @ direction - rest
+                    correction, _, solved = subproblem(u, shifted, jacobian, curvature + damping * weight)
+                    trial, trial_residual, accepted = attempt(correction)
+            if not accepted:
+                damping = max(3 * damping, 0.5)
+        if not accepted:
+            status = "no decrease"
             break
-        u, multipliers = trial, multipliers + length * (next_multipliers - multipliers)
+        if verbose:
+            print(iterations, weight / 2 * u @ u, violation, np.abs(gradient).max(), damping, penalty, flush=True)
+        u, multipliers = trial, next_multipliers
+        damping = damping / 2 if damping > 0.1 else 0.0
         residual, jacobian = shooting.linearize(u)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return {
