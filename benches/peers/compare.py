@@ -32,7 +32,7 @@ SAME_MODEL = 1e-9
 """Largest difference of softarm's trajectory from the same controls replayed in CasADi, m and 1."""
 SAME_MINIMUM = 1e-4
 """Relative difference of objectives."""
-HIT = 1e-6
+HIT = 1e-5
 """Largest scaled residual of the goal at the end of a replay."""
 
 PEERS = {

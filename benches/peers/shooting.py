@@ -12,11 +12,7 @@ import numpy as np
 
 import rod as discrete
 from compiled import compiled
-from start import static_path
-
-
-START = 0.05
-"""Of the wrenches that hold the guess of `start`: enough to leave the plane of symmetry. All of them make a wild motion of a pose at K = 8."""
+from start import NEARLY_REST, static_path
 
 
 class Shooting:
@@ -98,7 +94,7 @@ def solve(problem, max_iterations=500, tolerance=1e-6, feasibility=1e-8, verbose
 
     damping = 0.0
     wall, cpu = time.perf_counter(), time.process_time()
-    u, multipliers, penalty = START * static_path(problem)[1].ravel(), np.zeros(n_rows), 1.0
+    u, multipliers, penalty = static_path(problem, NEARLY_REST)[1].ravel(), np.zeros(n_rows), 1.0
     status, iterations = "iteration limit", 0
     residual, jacobian = shooting.linearize(u)
     for iterations in range(max_iterations + 1):

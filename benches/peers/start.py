@@ -13,6 +13,9 @@ Straight arm and position goal have a plane of symmetry. A guess within it keeps
 a saddle of the problem.
 """
 
+NEARLY_REST = 0.05
+"""Share of the way that leaves the plane of symmetry and little else."""
+
 
 def static_shape(problem):
     """Configuration [K, 6] and scaled wrench [6] of least norm that holds the goal.
@@ -38,8 +41,11 @@ def static_shape(problem):
     return found[:-6].reshape(-1, 6), found[-6:]
 
 
-def static_path(problem):
-    """Configurations [N + 1, K, 6], and the scaled wrenches [M, 6] that hold them in the middle of the blocks, roughly."""
+def static_path(problem, share):
+    """Configurations [N + 1, K, 6], and the scaled wrenches [M, 6] that hold them in the middle of the blocks, roughly.
+
+    Bends, stretches and wrenches reach this share of those of the shape at the goal. A small one is rest, but for the plane of symmetry.
+    """
     K, N, M, length = problem.rod.n_elements, problem.n_steps, problem.n_blocks, problem.rod.element_length
     shape, wrench = static_shape(problem)
     nodes = np.vstack([np.zeros(3), shape[:, :3]])
@@ -57,10 +63,10 @@ def static_path(problem):
     path, x, frame = np.empty((N + 1, K, 6)), np.zeros((N + 1, 3)), Rotation.identity(N + 1)
     straight = np.array([0, 0, length])
     for q in range(K):
-        x = x + frame.apply(straight + np.outer(along, chords[q] - straight))
-        frame = frame * Rotation.from_rotvec(np.outer(along, bends[q]))
+        x = x + frame.apply(straight + np.outer(share * along, chords[q] - straight))
+        frame = frame * Rotation.from_rotvec(np.outer(share * along, bends[q]))
         path[:, q, :3] = turn(along).apply(x)
         path[:, q, 3:] = (turn(along) * frame * turn(along).inv()).as_mrp()
     along = fraction((np.arange(M) + 0.5) / M)
-    holds = np.hstack([turn(along).apply(np.outer(along, part)) for part in (wrench[:3], wrench[3:])])
+    holds = np.hstack([turn(along).apply(np.outer(share * along, part)) for part in (wrench[:3], wrench[3:])])
     return path, holds
