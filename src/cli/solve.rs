@@ -501,13 +501,16 @@ fn status_words(status: &SqpStatus, worst: &[NamedConstraint]) -> (&'static str,
         ),
         SqpStatus::IterationLimit => (
             "iteration-limit",
-            Some("raise solver.max_iterations, or loosen solver.tolerance".into()),
+            Some("raise solver.max_iterations, loosen solver.tolerance, or try another solver.guess".into()),
         ),
         SqpStatus::StepTooSmall => (
             "step-too-small",
             Some("no acceptable step was found; try solver.guess, more blocks, or more time".into()),
         ),
-        SqpStatus::Stopped(Stop::Deadline) => ("deadline", None),
+        SqpStatus::Stopped(Stop::Deadline) => (
+            "deadline",
+            Some("solver.deadline_s is over; the best iterate is in the result directory".into()),
+        ),
         SqpStatus::Stopped(Stop::Interrupted) => ("interrupted", None),
         SqpStatus::Failed(reason) => ("failed", Some(reason.clone())),
     }

@@ -122,7 +122,8 @@ pub struct Goal {
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Zero linear and angular velocity of the node; only of a goal at the end of the horizon.
+    /// Zero linear and angular velocity of the node; only of a goal at the end of the horizon (a solve of any other fails): on the way,
+    /// momenta are those before the kick, which is not the velocity of the time node.
     pub at_rest: bool,
     /// Hard, soft, or a set.
     pub enforcement: Enforcement,

@@ -7,6 +7,7 @@ use std::time::Instant;
 use nalgebra::Vector3;
 
 use super::guess::{Guess, GuessError, first_point, simulated};
+use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
@@ -193,11 +194,17 @@ fn first_points<'a>(
     }
     // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.
     let mut firsts = vec![First::Guess(Guess::Rest)];
-    if !problem.path.is_empty() && search.starts <= 1 {
+    let is_obstacle = |limit: &PathLimit| matches!(limit, PathLimit::Clearance { .. });
+    let around = problem.path.iter().any(|path| is_obstacle(&path.limit));
+    if around && search.starts <= 1 {
         // On one side of an obstacle; the shapes straight on the way may lie in the middle of it.
         firsts.extend((1..=DETOURS).map(First::Detour));
     }
     firsts.push(First::Guess(Guess::StaticPath));
+    if !around && search.starts <= 1 {
+        // An arm in line with its target does not see that it could bend.
+        firsts.push(First::Detour(1));
+    }
     firsts
 }
 
@@ -214,7 +221,8 @@ fn attempt(
     let mut best: Option<Attempt> = None;
     for (i, &first) in firsts.iter().enumerate() {
         let mut settings = settings.clone();
-        if i + 1 < firsts.len() {
+        let is_static = matches!(first, First::Guess(Guess::StaticPath));
+        if i + 1 < firsts.len() && !is_static {
             settings.max_iterations = settings.max_iterations.min(PATIENCE);
         }
         settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
@@ -235,6 +243,8 @@ fn attempt(
             found.outcome.status,
             SqpStatus::Converged | SqpStatus::Stopped(_)
         );
+        // What comes after static shapes is there to doubt that a problem is infeasible.
+        let settled = is_static && found.outcome.status != SqpStatus::LocallyInfeasible;
         best = Some(match best {
             None => found,
             Some(earlier) => {
@@ -252,7 +262,7 @@ fn attempt(
                 kept
             }
         });
-        if ended {
+        if ended || settled {
             break;
         }
     }

@@ -537,6 +537,10 @@ impl LiftedProgram for Transcription<'_> {
         &point.variables
     }
 
+    fn n_measured(&self) -> usize {
+        self.n_controls
+    }
+
     fn softness(&self, row: usize) -> Softness {
         let PathRow {
             constraint, time, ..
@@ -554,6 +558,13 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn evaluate(&self, point: &LiftedPoint) -> Result<Evaluation<Defects>, Failure> {
+        let last = self.problem.grid.n_steps;
+        if let Some(goal) = (self.problem.goals.iter()).find(|g| g.at_rest && g.time_node != last) {
+            return Err(Failure(format!(
+                "{}.at_rest at time node {} of {last}: only a goal at the end of the horizon can be at rest",
+                goal.name, goal.time_node
+            )));
+        }
         let control = self.signal(&point.variables);
         let found = defects(&self.motion(), &point.trajectory, &control).map_err(describe)?;
         let residuals = self.goal_residuals(&point.trajectory, &found);

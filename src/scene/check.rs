@@ -447,7 +447,7 @@ impl Keys<'_> {
         }
         if let Some(position) = &task.position_m {
             self.finite("task.position_m", position)?;
-            self.check_reach(position, scene)?;
+            self.check_reach("task.position_m", position, LoadNode::default(), scene)?;
         }
         if let Some(orientation) = &task.orientation_wxyz {
             self.nonzero("task.orientation_wxyz", orientation)?;
@@ -492,14 +492,14 @@ impl Keys<'_> {
                 &format!("or else, or as well, give {}", key("orientation_wxyz")),
             ));
         }
-        if let Some(position) = &via.position_m {
-            self.finite(&key("position_m"), position)?;
-            self.check_reach_of(&key("position_m"), position, scene)?;
-        }
         if let Some(orientation) = &via.orientation_wxyz {
             self.nonzero(&key("orientation_wxyz"), orientation)?;
         }
         self.node(&key("node"), via.node, scene.rod.elements)?;
+        if let Some(position) = &via.position_m {
+            self.finite(&key("position_m"), position)?;
+            self.check_reach(&key("position_m"), position, via.node, scene)?;
+        }
         self.positive(&key("at_s"), via.at_s, "instant", "seconds")?;
         if via.at_s >= end {
             let message = format!("{} s is not before the task's own time", number(via.at_s));
@@ -687,17 +687,21 @@ impl Keys<'_> {
         }
     }
 
-    fn check_reach(&self, position: &[f64; 3], scene: &Scene) -> Checked {
-        self.check_reach_of("task.position_m", position, scene)
-    }
-
-    fn check_reach_of(&self, key: &str, position: &[f64; 3], scene: &Scene) -> Checked {
+    fn check_reach(
+        &self,
+        key: &str,
+        position: &[f64; 3],
+        node: LoadNode,
+        scene: &Scene,
+    ) -> Checked {
+        let elements = scene.rod.elements;
+        let fraction = node.index(elements) as f64 / elements as f64;
         let stretch = scene
             .rod
             .reference
             .as_ref()
             .map_or(1.0, |reference| reference.stretch.max(1.0));
-        let reach = LARGEST_STRETCH * stretch * scene.rod.length_m;
+        let reach = LARGEST_STRETCH * stretch * fraction * scene.rod.length_m;
         let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
         let distance = x.hypot(y).hypot(z);
         if scene.base.kind == BaseKind::Clamped && distance > reach {
@@ -710,8 +714,12 @@ impl Keys<'_> {
                 .source
                 .error_at(key, message, Some(help))
                 .expecting(format!(
-                    "expected at most {} m, the largest reach of this arm",
-                    rounded(reach)
+                    "expected at most {} m, the largest reach of {}",
+                    rounded(reach),
+                    match node.index(elements) {
+                        tip if tip == elements => "this arm".to_string(),
+                        node => format!("node {node}"),
+                    }
                 )));
         }
         Ok(())

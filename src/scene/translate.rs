@@ -10,12 +10,12 @@ use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use crate::control::path::thinnest;
 use crate::control::{
-    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, FeedbackWeights, Goal, Guess,
-    Hold, OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Search,
-    Shape, Tracking,
+    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, FeedbackWeights, Goal,
+    GoalPart, Guess, Hold, OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit,
+    Posture, Search, Shape, Tracking,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
-use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::rotation::{from_quaternion, log};
 use crate::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, stable_step};
 use crate::mechanics::{
     BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
@@ -100,7 +100,7 @@ const MOST_VARIABLES: usize = 2000;
 const MOST_SAMPLES: usize = 500;
 /// Elements up to which gains are computed unasked: they take time with the cube of the number, and a part of a solve's up to here.
 const MOST_FEEDBACK_ELEMENTS: usize = 40;
-/// Penetration of an obstacle at the start that counts as touching, in rod lengths.
+/// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.
 const START_TOLERANCE: f64 = 1e-9;
 /// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
@@ -246,6 +246,7 @@ impl Scene {
             rod,
         };
         self.check_start(source, &problem)?;
+        self.check_goals(source, &problem)?;
         if problem.n_variables() > MOST_VARIABLES {
             return Err(source.error_at(
                 "control.blocks",
@@ -407,7 +408,7 @@ impl Scene {
         obstacles.chain(limits).collect()
     }
 
-    /// Whether the arm, where it is at the start, is clear of all obstacles: nothing could be done about it.
+    /// Whether the arm, as it is at the start, keeps all that is hard: nothing could be done about it.
     fn check_start(
         &self,
         source: &SceneSource,
@@ -421,28 +422,125 @@ impl Scene {
             trajectory: &start,
             step: problem.grid.step,
         };
-        for (index, constraint) in problem.path.iter().enumerate().take(self.obstacle.len()) {
+        for (index, constraint) in problem.path.iter().enumerate() {
             if constraint.enforcement != PathEnforcement::Hard {
                 continue;
             }
             let limit = &constraint.limit;
-            let deepest = (0..limit.n_items(&problem.rod))
+            let worst = (0..limit.n_items(&problem.rod))
                 .map(|item| (limit.value(&posture, 0, item), item))
                 .fold(
                     (0.0, 0),
                     |worst, row| if row.0 > worst.0 { row } else { worst },
                 );
-            if deepest.0 > START_TOLERANCE {
-                return Err(source.error_at(
-                    &format!("obstacle.{index}"),
+            if worst.0 <= START_TOLERANCE {
+                continue;
+            }
+            let (name, node) = (&constraint.name, limit.node(worst.1));
+            let amount = worst.0 * limit.scale(&problem.rod);
+            let (key, message, help) = match index.checked_sub(self.obstacle.len()) {
+                None => (
+                    format!("obstacle.{index}"),
+                    format!("at t = 0 the arm is {amount:.3e} m inside \"{name}\" at node {node}"),
+                    "move the obstacle, give it a smaller margin_m, or a soft price",
+                ),
+                Some(index) => (
+                    format!("limit.{index}"),
                     format!(
-                        "at t = 0 the arm is {:.3e} m inside \"{}\" at node {}",
-                        deepest.0 * limit.scale(&problem.rod),
-                        constraint.name,
-                        limit.node(deepest.1)
-                    ),
-                    Some("move the obstacle, give it a smaller margin_m, or a soft price".into()),
-                ));
+                        "at t = 0 the arm is {amount:.3e} {} beyond \"{name}\" at the element from node {node}",
+                        limit.unit()
+                    )
+                    .replace("  ", " "),
+                    "loosen the limit, start from another shape, or give it a soft price",
+                ),
+            };
+            return Err(source.error_at(&key, message, Some(help.into())));
+        }
+        Ok(())
+    }
+
+    /// Whether hard goals leave room for each other, for the obstacles, and for what holds the base.
+    fn check_goals(
+        &self,
+        source: &SceneSource,
+        problem: &OptimalControlProblem,
+    ) -> Result<(), SceneError> {
+        let rod = &problem.rod;
+        let rounding = START_TOLERANCE * rod.scales.length;
+        let hard: Vec<(&Goal, [f64; 2])> = (problem.goals.iter())
+            .filter_map(|goal| match goal.enforcement {
+                Enforcement::Hard => Some((goal, [rounding, START_TOLERANCE])),
+                Enforcement::Within { distance, angle } => Some((goal, [distance, angle])),
+                Enforcement::Soft { .. } => None,
+            })
+            .collect();
+        for (at, &(goal, [distance, angle])) in hard.iter().enumerate() {
+            let t = problem.grid.time(goal.time_node);
+            let refuse = |part: GoalPart, off: f64, what: String, help: &str| {
+                let message = format!("{off:.3e} {} {what} (t = {t:.4e} s)", part.unit());
+                let key = format!("{}.{}", goal.name, part.name());
+                Err(source.error_at(&key, message, Some(help.into())))
+            };
+            const APART: &str =
+                "move one of them, give it another time, a larger tolerance, or hard = false";
+            for &(other, [other_distance, other_angle]) in &hard[..at] {
+                if (goal.node, goal.time_node) != (other.node, other.time_node) {
+                    continue;
+                }
+                let what = format!(
+                    "away from where {} has node {} at the same step",
+                    other.name, goal.node
+                );
+                let off = separation(&goal.position, &other.position);
+                if off > distance + other_distance {
+                    return refuse(GoalPart::Position, off, what, APART);
+                }
+                let off = turn(&goal.rotation, &other.rotation);
+                if off > angle + other_angle {
+                    return refuse(GoalPart::Orientation, off, what, APART);
+                }
+            }
+            if goal.node < rod.first_free_node() {
+                const HELD: &str = "choose another node, or base.kind = \"free\"";
+                let (position, rotation) = match rod.driven_base(t) {
+                    Some(base) => (base.position, base.rotation),
+                    None => {
+                        let start = &problem.initial.configuration;
+                        (start.positions[goal.node], start.rotations[goal.node])
+                    }
+                };
+                let what = format!("away from where node {} is held", goal.node);
+                let off = separation(&goal.position, &Some(position));
+                if off > distance {
+                    return refuse(GoalPart::Position, off, what, HELD);
+                }
+                let off = turn(&goal.rotation, &Some(rotation));
+                if off > angle {
+                    return refuse(GoalPart::Orientation, off, what, HELD);
+                }
+            }
+            let Some(position) = &goal.position else {
+                continue;
+            };
+            let radius = problem.radii.get(goal.node).copied().unwrap_or(0.0);
+            for constraint in &problem.path {
+                if let PathLimit::Clearance { shape, margin, .. } = &constraint.limit
+                    && constraint.enforcement == PathEnforcement::Hard
+                {
+                    let depth = radius + margin - shape.distance(position).value;
+                    if depth > distance {
+                        let what = format!(
+                            "too near to \"{}\" for node {}, whose radius is {radius:.3e} m",
+                            constraint.name, goal.node
+                        );
+                        return refuse(
+                            GoalPart::Position,
+                            depth,
+                            what,
+                            "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price",
+                        );
+                    }
+                }
             }
         }
         Ok(())
@@ -644,6 +742,17 @@ impl Scene {
             }
         })
     }
+}
+
+/// Distance between two places, m; 0 where one is not given.
+fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
+    a.zip(*b).map_or(0.0, |(a, b)| (a - b).norm())
+}
+
+/// Angle between two orientations, rad; 0 where one is not given.
+fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
+    a.zip(*b)
+        .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())
 }
 
 fn enforcement(hard: bool, weight: Option<f64>) -> Enforcement {

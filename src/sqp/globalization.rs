@@ -3,6 +3,7 @@
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
 
+use super::balls::into_balls;
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::residual::Multipliers;
@@ -284,8 +285,8 @@ impl Filter {
                 },
                 ..subproblem.clone()
             };
-            let solution = corrected.solve().ok()?;
-            let trial = Self::restored(program, from.point, &solution.change, count)?;
+            let corrected = within_balls(program, from, subproblem, corrected.solve().ok()?.change);
+            let trial = Self::restored(program, from.point, &corrected, count)?;
             let there = from.measure(program, &trial.evaluation);
             if let Some(passage) = self.passage(here, there, slope) {
                 self.pass(passage, here);
@@ -294,13 +295,30 @@ impl Filter {
             if there.infeasibility > CORRECTION_PROGRESS * infeasibility {
                 return None;
             }
-            change = solution.change;
+            change = corrected;
             infeasibility = there.infeasibility;
             constraints = trial.evaluation.constraints;
             inequalities = trial.evaluation.inequalities;
         }
         None
     }
+}
+
+/// The step, back in the balls that the subproblem held by their tangents: along these a step may go as far as its trust region.
+fn within_balls<P: LiftedProgram>(
+    program: &P,
+    from: &Departure<P>,
+    subproblem: &QuadraticProgram,
+    change: Vec<f64>,
+) -> Vec<f64> {
+    let variables = program.variables(from.point);
+    let end = variables.iter().zip(&change).map(|(v, d)| v + d).collect();
+    let left = (program.sets().iter().zip(subproblem.sets))
+        .filter(|(own, held)| own != held)
+        .map(|(own, _)| own);
+    (into_balls(end, left).iter().zip(variables))
+        .map(|(end, v)| end - v)
+        .collect()
 }
 
 /// The point that a step leaves, and its linear model.

@@ -279,6 +279,12 @@ pub trait LiftedProgram {
     /// The variables of a point.
     fn variables<'a>(&self, point: &'a Self::Point) -> &'a [f64];
 
+    /// How many of the variables, the first ones, the size of the Lagrangian's terms is taken from. The others stand for residuals:
+    /// their terms are as large as the weights make them, and would hide what is left along the first.
+    fn n_measured(&self) -> usize {
+        usize::MAX
+    }
+
     /// Values at a point.
     ///
     /// # Errors

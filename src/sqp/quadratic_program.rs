@@ -101,10 +101,14 @@ pub struct QpSolution {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum QpError {
     /// Data that no solver should see.
-    #[error("the quadratic subproblem holds a number that is not finite ({0})")]
+    #[error(
+        "the quadratic subproblem holds a number that is not finite ({0}): weights, prices, bounds or scales are too far apart"
+    )]
     NotFinite(&'static str),
     /// Clarabel's own status.
-    #[error("Clarabel ended with {status}")]
+    #[error(
+        "Clarabel ended with {status}; as a rule weights, prices, bounds or scales are too far apart"
+    )]
     Status {
         /// Its words, and the residuals it reached.
         status: String,

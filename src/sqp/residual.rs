@@ -64,7 +64,8 @@ impl Multipliers {
 /// Scaled residuals of the Karush-Kuhn-Tucker conditions.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
-    /// `|∇J + Jᵀy + Dᵀz + Σ pulls of the sets|_∞`, relative to the largest of its terms.
+    /// `|∇J + Jᵀy + Dᵀz + Σ pulls of the sets|_∞`, relative to the largest of its terms along the variables that are
+    /// [measured](LiftedProgram::n_measured).
     pub stationarity: f64,
     /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
@@ -77,11 +78,14 @@ pub struct KktResidual {
 struct Sum {
     gradient: Vec<f64>,
     largest: f64,
+    n_measured: usize,
 }
 
 impl Sum {
     fn add(&mut self, index: usize, term: f64) {
-        self.largest = self.largest.max(term.abs());
+        if index < self.n_measured {
+            self.largest = self.largest.max(term.abs());
+        }
         self.gradient[index] += term;
     }
 }
@@ -110,9 +114,11 @@ impl KktResidual {
         multipliers: &Multipliers,
     ) -> Self {
         let variables = program.variables(point);
+        let n_measured = program.n_measured().min(variables.len());
         let mut sum = Sum {
             gradient: linearization.gradient.clone(),
-            largest: infinity_norm(&linearization.gradient),
+            largest: infinity_norm(&linearization.gradient[..n_measured]),
+            n_measured,
         };
         for (row, &y) in multipliers.constraints.iter().enumerate() {
             for j in 0..variables.len() {

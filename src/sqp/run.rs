@@ -391,6 +391,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             qp_iterations: 0,
             elapsed: self.started.elapsed().as_secs_f64(),
         });
+        // A point outside of the sets is none that could be used.
+        let infeasibility = infeasibility + self.outside;
         let feasible = self.settings.tolerance;
         let better = if infeasibility.max(self.best.infeasibility) <= feasible {
             residual.max() <= self.best.residual.max()
