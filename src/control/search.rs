@@ -106,10 +106,21 @@ impl Attempt {
             .then(value(self).total_cmp(&value(other)))
             .then(self.start.cmp(&other.start))
     }
+
+    /// Whether this one is to be kept rather than an earlier one. One that was proven infeasible gives way to an unfinished one only
+    /// where that came far nearer: a little says nothing about what is feasible.
+    fn improves_on(&self, earlier: &Self) -> bool {
+        let is_proven = |attempt: &Self| attempt.outcome.status == SqpStatus::LocallyInfeasible;
+        let [new, old] = [self, earlier].map(|attempt| attempt.outcome.residual.feasibility);
+        let far_nearer = new <= NEARER * old;
+        self.rank(earlier).is_lt() && (!is_proven(earlier) || is_proven(self) || far_nearer)
+    }
 }
 
 /// Iterations after which another first point is tried, where there is one left.
 const PATIENCE: usize = 50;
+/// Part of the infeasibility of an attempt that was proven infeasible at which an unfinished one says more.
+const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
 const DETOURS: usize = 3;
 /// Distance of a detour from the middle of the way, in rod lengths, at most.
@@ -248,7 +259,7 @@ fn attempt(
         best = Some(match best {
             None => found,
             Some(earlier) => {
-                let (mut kept, dropped) = if ended || found.rank(&earlier).is_lt() {
+                let (mut kept, dropped) = if ended || found.improves_on(&earlier) {
                     (found, earlier)
                 } else {
                     (earlier, found)

@@ -317,7 +317,7 @@ impl QuadraticProgram<'_> {
             ..
         } = self.inequalities;
         let all: Vec<(usize, f64)> = (offset.iter().copied().enumerate())
-            .filter(|&(at, _)| softness[at] != Softness::FREE)
+            .filter(|&(at, _)| softness[at] != Softness::FREE && !self.is_out_of_reach(at))
             .collect();
         if all.len() <= FEW_ROWS {
             return all.into_iter().map(|(at, _)| at).collect();
@@ -325,10 +325,27 @@ impl QuadraticProgram<'_> {
         let mut highest = peaks(&all);
         highest.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut rows = first.to_vec();
+        rows.retain(|&at| !self.is_out_of_reach(at));
         rows.extend(highest.iter().take(FIRST_PEAKS).map(|(at, _)| at));
         rows.sort_unstable();
         rows.dedup();
         rows
+    }
+
+    /// Whether a row holds and no step could violate it worth the name, as that of a touching obstacle before the control can tell:
+    /// nothing would bound its multiplier.
+    fn is_out_of_reach(&self, at: usize) -> bool {
+        let (jacobian, h) = (self.inequalities.jacobian, self.inequalities.offset[at]);
+        let slope = (0..jacobian.ncols())
+            .map(|j| jacobian[(at, j)].powi(2))
+            .sum::<f64>()
+            .sqrt();
+        let most = if slope > 0.0 {
+            slope * self.trust_radius
+        } else {
+            0.0
+        };
+        h <= 0.1 * ROW_TOLERANCE && h + most <= 0.1 * ROW_TOLERANCE
     }
 
     /// Rows outside the working set that a step violates by more than the slack of their group, ascending, and by how much.

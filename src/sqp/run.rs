@@ -1162,6 +1162,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     before - free.slack < INFEASIBLE_PROGRESS * before
                 };
                 if is_free && before > self.settings.tolerance {
+                    // These pull against each other, in units of the infeasibility.
+                    self.best.multipliers = solution.multipliers;
                     return Ok(Step::Infeasible);
                 }
             }
