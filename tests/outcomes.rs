@@ -227,12 +227,7 @@ impl Run {
             let message = summary["message"].as_str().unwrap();
             assert!(self.stderr.contains(message), "{self:?}");
             let worst = summary["worst_constraints"].as_array().unwrap();
-            let hard = |goal: &Goal| !matches!(goal.enforcement, Enforcement::Soft { .. });
-            assert!(worst.len() <= 5);
-            assert!(
-                !worst.is_empty() || !problem.goals.iter().any(hard),
-                "{self:?}"
-            );
+            assert!((1..=5).contains(&worst.len()), "{self:?}");
             for row in worst {
                 let of = |key: &str| row[key].as_f64().unwrap();
                 assert!(
@@ -840,10 +835,14 @@ fn timeless(folder: &std::path::Path, name: &str) -> Vec<u8> {
             rows.collect::<Vec<_>>().join("\n").into_bytes()
         }
         "report.html" => {
-            let text = text();
-            let (before, fact) = text.split_once("[\"wall time\",").unwrap();
-            let (_, after) = fact.split_once(']').unwrap();
-            [before, after].concat().into_bytes()
+            let without = |text: String, from: &str, to: &str| {
+                let (before, rest) = text.split_once(from).unwrap();
+                let (_, after) = rest.split_once(to).unwrap();
+                [before, after].concat()
+            };
+            let text = without(text(), "[\"wall time\",", "]");
+            let text = without(text, "\"wall_s\":", "\"kkt\":");
+            without(text, "\"directory\":", "}").into_bytes()
         }
         _ => bytes,
     }
@@ -856,7 +855,10 @@ fn results_are_the_same_bytes() {
     let desk = Desk::new();
     let obstacle = ball([0.2, 0.0, 0.75], 0.08, "");
     let weak = ["control.force_max_n=0.01", "control.moment_max_n_m=0.001"];
-    for (settings, more, code) in [(&[][..], obstacle.as_str(), DONE), (&weak[..], "", INFEASIBLE)] {
+    for (settings, more, code) in [
+        (&[][..], obstacle.as_str(), DONE),
+        (&weak[..], "", INFEASIBLE),
+    ] {
         for starts in ["1", "4"] {
             let solve = |out: &str, threads: &str, seed: &str| {
                 let arguments = [

@@ -516,7 +516,8 @@ fn status_words(status: &SqpStatus, worst: &[NamedConstraint]) -> (&'static str,
     }
 }
 
-/// Constraints by name, the most violated (scaled) first; those of a path with their worst row only.
+/// Constraints by name, the most violated (scaled) first; those of a path with their worst row only. Where nothing is hard, the soft
+/// goals.
 fn worst_constraints<D>(
     program: &Transcription,
     outcome: &SqpOutcome<LiftedPoint>,
@@ -525,14 +526,15 @@ fn worst_constraints<D>(
     let problem = program.problem();
     let axes = ["x", "y", "z"];
     let of = |multipliers: &[f64], i: usize| multipliers.get(i).copied().unwrap_or(f64::NAN);
-    let mut named = Vec::new();
+    let (mut named, mut soft) = (Vec::new(), Vec::new());
+    let mut residuals = outcome.point.variables[problem.n_controls()..].iter();
     for (i, row) in program.goal_rows().iter().enumerate() {
-        if problem.soft_weight(row).is_some() {
-            continue;
-        }
         let goal = &problem.goals[row.goal];
-        let scaled = values.constraints[i];
-        named.push((
+        let (scaled, list) = match problem.soft_weight(row).and_then(|_| residuals.next()) {
+            Some(residual) => (values.constraints[i] + residual, &mut soft),
+            None => (values.constraints[i], &mut named),
+        };
+        list.push((
             scaled.abs(),
             NamedConstraint {
                 name: format!("{}.{} {}", goal.name, row.part.name(), axes[row.axis]),
@@ -572,6 +574,9 @@ fn worst_constraints<D>(
                 multiplier: of(&outcome.multipliers.inequalities, i),
             },
         ));
+    }
+    if named.is_empty() {
+        named = soft;
     }
     named.sort_by(|a, b| b.0.total_cmp(&a.0));
     named

@@ -1162,8 +1162,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     before - free.slack < INFEASIBLE_PROGRESS * before
                 };
                 if is_free && before > self.settings.tolerance {
-                    // These pull against each other, in units of the infeasibility.
-                    self.best.multipliers = solution.multipliers;
+                    self.blame(solution.multipliers);
                     return Ok(Step::Infeasible);
                 }
             }
@@ -1207,6 +1206,21 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return Ok(Step::Taken);
         }
         Ok(Step::Refused)
+    }
+
+    /// Where the infeasibility is stationary: what pulls against each other, in units of it. This point is the one to show, unless
+    /// a better one was passed.
+    fn blame(&mut self, multipliers: Multipliers) {
+        let infeasibility = self.infeasibility() + self.outside;
+        if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
+            self.best = Best {
+                point: self.point.clone(),
+                multipliers,
+                residual: self.last_residual().unwrap_or(UNKNOWN_RESIDUAL),
+                objective: self.program.total_objective(&self.evaluation),
+                infeasibility,
+            };
+        }
     }
 
     /// The restoration's subproblem, with all rows that its step violates.
