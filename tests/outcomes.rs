@@ -405,7 +405,7 @@ fn infeasible_by_physics() {
     for (settings, more) in [
         (&weak[..], ""),
         (&short[..], ""),
-        (&[][..], slow.as_str()),
+        (&["solver.guess=\"rest\""][..], slow.as_str()),
         (&["task.at_rest=true"][..], slow.as_str()),
     ] {
         let summary = desk.solve(settings, more, &[INFEASIBLE]);

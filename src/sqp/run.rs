@@ -1162,7 +1162,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     before - free.slack < INFEASIBLE_PROGRESS * before
                 };
                 if is_free && before > self.settings.tolerance {
-                    self.blame(solution.multipliers);
+                    self.blame(&linearization, solution.multipliers);
                     return Ok(Step::Infeasible);
                 }
             }
@@ -1210,13 +1210,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 
     /// Where the infeasibility is stationary: what pulls against each other, in units of it. This point is the one to show, unless
     /// a better one was passed.
-    fn blame(&mut self, multipliers: Multipliers) {
+    fn blame(&mut self, linearization: &Linearization, multipliers: Multipliers) {
         let infeasibility = self.infeasibility() + self.outside;
         if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
+            self.multipliers = multipliers;
             self.best = Best {
                 point: self.point.clone(),
-                multipliers,
-                residual: self.last_residual().unwrap_or(UNKNOWN_RESIDUAL),
+                multipliers: self.multipliers.clone(),
+                residual: self.residual(linearization),
                 objective: self.program.total_objective(&self.evaluation),
                 infeasibility,
             };
