@@ -4,16 +4,15 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use common::{Dice, bases, busy_arm, methods, random_state, soft_arm};
+use common::tasks::{long_reach, reach};
+use common::{Dice, bases, busy_arm, methods, random_state};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
     Bound, Channel, ControlGrid, Goal, Guess, Hold, LiftedPoint, OptimalControlProblem,
     PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Shape, Transcription, first_point,
 };
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{
-    ControlSignal, Rod, RodParameters, State, StrainRule, TimeGrid, TimeScheme, Wrench,
-};
+use softarm::mechanics::{ControlSignal, Rod, RodParameters, TimeGrid, TimeScheme, Wrench};
 use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus, solve,
 };

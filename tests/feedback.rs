@@ -4,20 +4,20 @@ mod common;
 
 use std::ops::ControlFlow;
 
+use common::tasks::reach;
 use common::{Dice, Method, bases, busy_arm, methods, random_signal, random_state, soft_arm};
 use faer::Mat;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Channel, ControlGrid, Feedback, FeedbackWeights, Goal, Guess, Hold, OptimalControlProblem,
-    Transcription, first_point,
+    Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Transcription, first_point,
 };
 use softarm::mechanics::linearization::Motion;
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::sensitivity::transition;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, Integrator, NodeWrenches, Rod, RodParameters, State, StrainRule, TimeGrid,
-    Trajectory, Wrench,
+    ControlSignal, Integrator, NodeWrenches, Rod, RodParameters, State, TimeGrid, Trajectory,
+    Wrench,
 };
 use softarm::sqp::{SqpSettings, SqpStatus, solve};
 

@@ -4,16 +4,14 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use common::tasks::{BUSY_STEPS, busy_problem, long_reach};
-use common::{Dice, RULES, soft_arm};
+use common::tasks::{busy_problem, long_reach};
+use common::{Dice, RULES};
 use nalgebra::Vector3;
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking,
-    Transcription, first_point,
+    Actuator, Bound, Enforcement, Goal, Guess, LiftedPoint, OptimalControlProblem, PathConstraint,
+    PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
-use softarm::mechanics::rotation::exp;
-use softarm::mechanics::{Rod, RodParameters, State, StrainRule, TimeGrid};
+use softarm::mechanics::RodParameters;
 use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
     solve,

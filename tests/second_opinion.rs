@@ -4,19 +4,17 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use common::soft_arm;
+use common::tasks::reach;
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
-use nalgebra::Vector3;
 use softarm::control::second_opinion::{
     OpinionStatus, ReducedProgram, ReducedValues, SecondOpinionError, SecondOpinionSettings,
     minimize, second_opinion,
 };
 use softarm::control::{
-    Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, Transcription, first_point,
+    Bound, Enforcement, Guess, Hold, OptimalControlProblem, PathConstraint, PathEnforcement,
+    PathLimit, Transcription, first_point,
 };
-use softarm::mechanics::{Rod, RodParameters, State, StrainRule, TimeGrid};
 use softarm::sqp::{
     Failure, LiftedProgram as _, LinearizationRequest, SqpSettings, SqpStatus, solve,
 };
