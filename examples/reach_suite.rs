@@ -176,7 +176,7 @@ fn arm(dice: &mut Dice) -> Arm {
             let toml = format!(
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = {}\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n[base]\ndirection = [0.0, 0.0, 1.0]\n",
-                dice.0.usize(6..=14),
+                dice.0.usize(8..=14),
                 dice.between(0.4, 0.5),
             );
             (toml, length, bending, period)
@@ -191,7 +191,7 @@ fn arm(dice: &mut Dice) -> Arm {
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.5\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_base_m = {radius}\nradius_tip_m = {}\n[base]\n\
                  direction = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n",
-                dice.0.usize(12..=16),
+                dice.0.usize(16..=22),
                 radius * dice.between(0.4, 0.8),
                 list(&down),
             );

@@ -9,7 +9,8 @@ use nalgebra::{DMatrix, Vector3};
 
 use super::cost::{CostRow, cost_curvature, cost_rows, sample_times};
 use super::path::{
-    PathConstraint, PathMultiplier, Posture, RowCurvature, RowGradient, along, at, vector_forms,
+    PathConstraint, PathLimit, PathMultiplier, Posture, RowCurvature, RowGradient, along, at,
+    vector_forms,
 };
 use super::problem::{Bound, Channel, Component, GoalPart, GoalRow, OptimalControlProblem};
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
@@ -756,14 +757,24 @@ impl LiftedProgram for Transcription<'_> {
             };
             form.terms.iter().map(at).sum()
         };
+        let furthest = (direction.trajectory.positions.iter())
+            .map(Vector3::norm)
+            .fold(0.0, f64::max);
+        // A distance changes by no more than what moves the most, so that most rows need no gradient.
+        let is_out_of_reach = |row: usize, h: f64| {
+            let limit = &self.located(row).0.limit;
+            matches!(limit, PathLimit::Clearance { .. })
+                && h + furthest / limit.scale(&self.problem.rod) < 0.0
+        };
+        let predict = |(row, &h): (usize, &f64)| {
+            if is_out_of_reach(row, h) {
+                return h;
+            }
+            let gradient = self.path_gradient(&posture, row);
+            h + gradient.iter().map(moved).sum::<f64>()
+        };
         Ok((evaluation.inequalities.iter().enumerate())
-            .map(|(row, h)| {
-                h + self
-                    .path_gradient(&posture, row)
-                    .iter()
-                    .map(moved)
-                    .sum::<f64>()
-            })
+            .map(predict)
             .collect())
     }
 

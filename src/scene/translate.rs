@@ -97,7 +97,7 @@ impl OptimalControl {
 const MOST_VARIABLES: usize = 2000;
 /// Times at which a path constraint is kept where its scene names no rate: what an arm does in between is of higher order in the
 /// spacing, and the check looks at it.
-const MOST_SAMPLES: usize = 500;
+const MOST_SAMPLES: usize = 1000;
 /// Elements up to which gains are computed unasked: they take time with the cube of the number, and a part of a solve's up to here.
 const MOST_FEEDBACK_ELEMENTS: usize = 40;
 /// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.

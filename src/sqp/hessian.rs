@@ -68,6 +68,8 @@ pub struct ModelHessian {
     pub constant: f64,
     /// The most negative curvature that was turned round.
     pub descent: Option<NegativeCurvature>,
+    /// Whether `matrix` and `gradient` have terms of what is held, which are right only where a step does hold it.
+    pub holds: bool,
 }
 
 /// A direction that holds what is active, to first order, and along which the Lagrangian bends downward.
@@ -95,6 +97,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant: 0.0,
             descent: None,
+            holds: false,
         }
     }
 
@@ -107,6 +110,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant: 0.0,
             descent: None,
+            holds: false,
         }
     }
 
@@ -249,6 +253,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant,
             descent,
+            holds: m > 0,
         })
     }
 }
@@ -359,6 +364,37 @@ impl ActiveSet {
         }
     }
 }
+
+impl ActiveSet {
+    /// What of this a step leaves behind: linearized inequalities and sets, whose slack after the step is more than a part of the multiplier that
+    /// goes with it, in units of the cost's curvature.
+    #[must_use]
+    pub fn left_by(
+        &self,
+        linearization: &Linearization,
+        change: &[f64],
+        multipliers: &Multipliers,
+    ) -> Self {
+        let unit = linearization.least_curvature();
+        let is_left = |slack: f64, multiplier: f64| slack > TIGHT * multiplier / unit;
+        let values = linearization.inequalities_along(change);
+        let row = |&&at: &&usize| {
+            let multiplier = multipliers.inequalities[linearization.rows[at]];
+            is_left(-values[at], multiplier)
+        };
+        let normal = |held: &&ActiveNormal| {
+            let gap = held.gap - along(&held.direction, change);
+            is_left(gap, norm(&multipliers.normals[held.set]))
+        };
+        Self {
+            rows: self.rows.iter().filter(row).copied().collect(),
+            normals: self.normals.iter().filter(normal).cloned().collect(),
+        }
+    }
+}
+
+/// Slack over multiplier, in units of the cost's curvature, up to which a subproblem's solution holds a row.
+const TIGHT: f64 = 1e-3;
 
 /// A soft row's multiplier this near to its price, relatively, is at it.
 const BOUGHT: f64 = 1e-6;

@@ -83,6 +83,8 @@ const RESTORATION_GAIN: f64 = 0.5;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
 
+/// Models of an iteration that are made anew because a step leaves what they hold.
+const RELEASES: usize = 3;
 /// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
 const ESCAPE_GAIN: f64 = 0.1;
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
@@ -147,6 +149,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     filter_resets: usize,
     merit_steps: usize,
     exact_pause: usize,
+    /// What the steps of this iteration left behind: inequalities by their number, and sets.
+    let_go: ActiveSet,
     /// Whether the present point's curvature was left out because it was expected to be the last.
     bets_on_end: bool,
     restoration: Option<Restoration>,
@@ -238,6 +242,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             filter_resets: 0,
             merit_steps: 0,
             exact_pause: 0,
+            let_go: ActiveSet::default(),
             bets_on_end: false,
             restoration: None,
             restorations: 0,
@@ -485,15 +490,16 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             linearization = self.linearize_with(true)?;
         }
         let clock = Instant::now();
-        let model = self.model_hessian(&linearization);
+        self.let_go = ActiveSet::default();
+        let mut model = self.model_hessian(&linearization);
         match model.kind {
             HessianKind::Exact => self.descent = None,
             HessianKind::Convexified => self.descent = model.descent.clone(),
             _ => {}
         }
-        let sets = self.subproblem_sets(&model);
+        let mut sets = self.subproblem_sets(&model);
         self.phases.condense += clock.elapsed().as_secs_f64();
-        let (mut refusals, mut joins) = (0, 0);
+        let (mut refusals, mut joins, mut releases) = (0, 0, 0);
         while refusals <= SHRINKAGES {
             let solution = match self.solve_subproblem(&mut linearization, &model, &sets) {
                 Ok(solution) => solution,
@@ -505,6 +511,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 Err(error) => return Err(error),
             };
             self.note_subproblem(model.kind, &linearization, &solution);
+            if releases < RELEASES && self.lets_go(&linearization, &model, &solution) {
+                releases += 1;
+                model = self.model_hessian(&linearization);
+                sets = self.subproblem_sets(&model);
+                continue;
+            }
             if self.is_stuck(&linearization, &model, &sets, &solution) {
                 return self.restore(linearization);
             }
@@ -589,13 +601,37 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     fn active_set(&self, linearization: &Linearization) -> ActiveSet {
-        ActiveSet::of(
+        let mut active = ActiveSet::of(
             linearization,
             &self.softness,
             self.program.sets(),
             self.variables(),
             &self.multipliers,
-        )
+        );
+        let ActiveSet { rows, normals } = &self.let_go;
+        (active.rows).retain(|&at| !rows.contains(&linearization.rows[at]));
+        (active.normals).retain(|own| normals.iter().all(|other| other.set != own.set));
+        active
+    }
+
+    /// Whether a step leaves some of what the model's Hessian takes for held, where its terms would falsify gradient and multipliers; the
+    /// model is then to be made anew without it.
+    fn lets_go(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> bool {
+        if !model.holds {
+            return false;
+        }
+        let active = self.active_set(linearization);
+        let left = active.left_by(linearization, &solution.change, &solution.multipliers);
+        let any = !(left.rows.is_empty() && left.normals.is_empty());
+        let rows = left.rows.iter().map(|&at| linearization.rows[at]);
+        self.let_go.rows.extend(rows);
+        self.let_go.normals.extend(left.normals);
+        any
     }
 
     /// Shows the quasi-Newton matrix the last step: how the gradient of the Lagrangian, with the present multipliers,

@@ -48,8 +48,8 @@ impl SqpSettings {
     fn feasibility_tolerance(&self, rounding: f64) -> f64 {
         (FEASIBILITY_PART * self.tolerance)
             .max(FEASIBILITY_FLOOR)
-            .max(ROUNDING_MARGIN * rounding)
             .min(STOP_PART * self.tolerance)
+            .max(ROUNDING_MARGIN * rounding)
     }
 }
 
@@ -65,7 +65,7 @@ pub enum Stop {
 /// How a solve ended. Only the residual check can say `Converged`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SqpStatus {
-    /// The KKT residual is within the tolerance, its feasibility well within.
+    /// The KKT residual is within the tolerance, its feasibility well within, or what rounding leaves of it.
     Converged,
     /// The constraints cannot be met to first order from here; the multipliers say which pull against each other.
     LocallyInfeasible,
@@ -208,6 +208,8 @@ const STOP_PART: f64 = 0.5;
 const FEASIBILITY_PART: f64 = 1e-3;
 /// The sum of the defects of a long motion cannot be brought much below this: rounding.
 const FEASIBILITY_FLOOR: f64 = 5e-10;
+/// What does not fall any more and is below this may be rounding.
+const FEASIBILITY_STALL: f64 = 1e-8;
 /// Nor below what it is for computed states, give or take; stiff equations leave more.
 const ROUNDING_MARGIN: f64 = 3.0;
 
@@ -230,22 +232,27 @@ pub fn solve<P: LiftedProgram>(
         let residual = run.residual(&linearization);
         let before = run.last_residual();
         run.record(iteration, residual);
+        let stop = STOP_PART * settings.tolerance;
+        let is_optimal = |at: &KktResidual| at.stationarity.max(at.complementarity) <= stop;
         // Two points in a row as good as this, the second no better: what is left is rounding, once states are computed anew.
         let stagnates = before.is_some_and(|before| {
-            before.max() <= STOP_PART * settings.tolerance
+            is_optimal(&before)
+                && before.feasibility <= stop.max(FEASIBILITY_STALL)
                 && residual.feasibility > 0.5 * before.feasibility
         });
         let is_exact = residual.feasibility <= settings.feasibility_tolerance(run.rounding());
-        if residual.max() <= STOP_PART * settings.tolerance && (is_exact || stagnates) {
+        if is_optimal(&residual) && (is_exact || stagnates) {
             let goes_on = iteration < settings.max_iterations
                 && (run.escape() || (!is_exact && run.settle()));
-            if !goes_on {
+            if goes_on {
+                if let ControlFlow::Break(stop) = run.show(observer) {
+                    return run.end(SqpStatus::Stopped(stop));
+                }
+                continue;
+            }
+            if is_exact || residual.feasibility <= stop {
                 return run.finish(SqpStatus::Converged, observer);
             }
-            if let ControlFlow::Break(stop) = run.show(observer) {
-                return run.end(SqpStatus::Stopped(stop));
-            }
-            continue;
         }
         if iteration == settings.max_iterations {
             let status = if residual.max() <= settings.tolerance {
