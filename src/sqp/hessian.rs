@@ -394,7 +394,7 @@ impl ActiveSet {
 }
 
 /// Slack over multiplier, in units of the cost's curvature, up to which a subproblem's solution holds a row.
-const TIGHT: f64 = 1e-3;
+const TIGHT: f64 = 1e-5;
 
 /// A soft row's multiplier this near to its price, relatively, is at it.
 const BOUGHT: f64 = 1e-6;

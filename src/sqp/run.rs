@@ -85,6 +85,8 @@ const RESTORATIONS: usize = 5;
 
 /// Models of an iteration that are made anew because a step leaves what they hold.
 const RELEASES: usize = 3;
+/// Steps shorter than this, relative to the variables (at least to one), go nowhere.
+const NO_STEP: f64 = 1e-9;
 /// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
 const ESCAPE_GAIN: f64 = 0.1;
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
@@ -726,6 +728,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) {
         let length = norm(&solution.change);
         self.note_step(&accepted, length);
+        let is_optimal = (self.history.last())
+            .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
+        if model.holds && !is_optimal && length <= NO_STEP * norm(self.variables()).max(1.0) {
+            // What is left of the gradient is what the model holds without it being held.
+            self.exact_pause = EXACT_PAUSE;
+        }
         let weight = self.merit_weight(solution);
         let promise = self.promise(&linearization, model, solution, weight);
         let delivered = merit(self.program, &self.evaluation, weight)
