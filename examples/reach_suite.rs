@@ -7,7 +7,8 @@
 //! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
 //!
 //! Every problem is solved from the default start and certified. What converges but is rejected for its discretization is solved again as the
-//! check advises, with half as many elements again, half the step, or twice the samples of an obstacle, at most twice. `--starts` more are tried from detours, to see whether the
+//! check advises, from its solution, with half as many elements again, half the step, or twice the samples of an obstacle, at most twice.
+//! `--starts` more are tried from detours, to see whether the
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
 //! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
 //!
@@ -529,12 +530,11 @@ fn finer(
     overrides: &[String],
 ) -> Option<(OptimalControl, String)> {
     let fails = |names: &[&str]| failed.iter().any(|name| names.contains(name));
-    let (space, time) = (
-        fails(&["refined_space_m"]),
-        fails(&["refined_time_m", "energy", "energy_halving"]),
-    );
     let samples = fails(&["between_samples"]);
-    if !(space || time || samples) {
+    // What is between samples may also be between nodes.
+    let space = samples || fails(&["refined_space_m"]);
+    let time = fails(&["refined_time_m", "energy", "energy_halving"]);
+    if !(space || time) {
         return None;
     }
     let n_elements = setup.problem.rod.n_elements();
@@ -562,8 +562,13 @@ fn finer(
 }
 
 impl Outcome {
-    /// Solves and certifies; names what the check of a converged solve objects to.
-    fn take(&mut self, (setup, toml): &(OptimalControl, String)) -> Option<Vec<&'static str>> {
+    /// Solves, from earlier coefficients if there are any, and certifies; names what the check of a converged solve objects to, with its
+    /// coefficients.
+    fn take(
+        &mut self,
+        (setup, toml): &(OptimalControl, String),
+        previous: Option<Vec<Wrench>>,
+    ) -> Option<(Vec<&'static str>, Vec<Wrench>)> {
         let ocp = &setup.problem;
         self.size = format!(
             "K {} N {} blocks {} {}{} {}",
@@ -579,7 +584,11 @@ impl Outcome {
             toml.lines().last().unwrap_or_default()
         );
         let clock = Instant::now();
-        let Some(attempt) = solve(setup, &one_start(setup), &setup.settings) else {
+        let plan = Search {
+            previous,
+            ..one_start(setup)
+        };
+        let Some(attempt) = solve(setup, &plan, &setup.settings) else {
             self.status = "no first point".into();
             return None;
         };
@@ -594,7 +603,8 @@ impl Outcome {
                 self.certified = converged && failed.is_empty();
                 let texts: Vec<&str> = failed.iter().map(|(_, text)| text.as_str()).collect();
                 self.detail = texts.join("; ");
-                converged.then(|| failed.iter().map(|(name, _)| *name).collect())
+                let names = failed.iter().map(|(name, _)| *name).collect();
+                converged.then(|| (names, ocp.wrenches(&attempt.outcome.point.variables)))
             }
             Err(error) => {
                 self.detail = error.to_string();
@@ -644,7 +654,8 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     outcome.family = family;
     outcome.kind = kind.name();
     let mut current = (setup, toml);
-    while let Some(failed) = outcome.take(&current) {
+    let mut previous = None;
+    while let Some((failed, found)) = outcome.take(&current, previous) {
         let finer = (outcome.refinements < REFINEMENTS)
             .then(|| finer(&current, &failed, &arguments.set))
             .flatten();
@@ -652,6 +663,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
             break;
         };
         outcome.refinements += 1;
+        previous = Some(found);
         current = finer;
     }
     let setup = &current.0;

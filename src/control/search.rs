@@ -122,7 +122,7 @@ const PATIENCE: usize = 50;
 /// Part of the infeasibility of an attempt that was proven infeasible at which an unfinished one says more.
 const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
-const DETOURS: usize = 3;
+const DETOURS: usize = 6;
 /// Distance of a detour from the middle of the way, in rod lengths, at most.
 const DETOUR: f64 = 0.5;
 

@@ -208,7 +208,8 @@ const STOP_PART: f64 = 0.5;
 const FEASIBILITY_PART: f64 = 1e-3;
 /// The sum of the defects of a long motion cannot be brought much below this: rounding.
 const FEASIBILITY_FLOOR: f64 = 5e-10;
-/// What does not fall any more and is below this may be rounding.
+/// What falls no faster than this and is below the next may be rounding.
+const STALL: f64 = 0.9;
 const FEASIBILITY_STALL: f64 = 1e-8;
 /// Nor below what it is for computed states, give or take; stiff equations leave more.
 const ROUNDING_MARGIN: f64 = 3.0;
@@ -238,7 +239,7 @@ pub fn solve<P: LiftedProgram>(
         let stagnates = before.is_some_and(|before| {
             is_optimal(&before)
                 && before.feasibility <= stop.max(FEASIBILITY_STALL)
-                && residual.feasibility > 0.5 * before.feasibility
+                && residual.feasibility > STALL * before.feasibility
         });
         let is_exact = residual.feasibility <= settings.feasibility_tolerance(run.rounding());
         if is_optimal(&residual) && (is_exact || stagnates) {
