@@ -609,7 +609,7 @@ pub struct Obstacle {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
-    /// 500 times of a longer motion; the check looks between them.
+    /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
@@ -707,7 +707,7 @@ pub struct Limit {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
-    /// 500 times of a longer motion; the check looks between them.
+    /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
