@@ -584,11 +584,18 @@ impl Outcome {
             toml.lines().last().unwrap_or_default()
         );
         let clock = Instant::now();
-        let plan = Search {
-            previous,
-            ..one_start(setup)
-        };
-        let Some(attempt) = solve(setup, &plan, &setup.settings) else {
+        let default = one_start(setup);
+        let from_previous = previous.and_then(|previous| {
+            let plan = Search {
+                previous: Some(previous),
+                ..default.clone()
+            };
+            solve(setup, &plan, &setup.settings)
+                .filter(|attempt| attempt.outcome.status == SqpStatus::Converged)
+        });
+        // Waves that the coarser grid did not resolve are others on the finer one.
+        let found = from_previous.or_else(|| solve(setup, &default, &setup.settings));
+        let Some(attempt) = found else {
             self.status = "no first point".into();
             return None;
         };
