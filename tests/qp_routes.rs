@@ -230,7 +230,9 @@ fn steps_are_the_same() {
         let length = norm(&mut one.change.iter().copied());
         let apart = norm(&mut one.change.iter().zip(&other.change).map(|(a, b)| a - b));
         assert!(length > 1e-2, "{name}: {length}");
-        assert!(apart < 1e-7 * length, "{name}: {apart:e} of {length:e}");
+        // Where rows are violated so much that slacks pay for them, Clarabel ends at its reduced tolerances.
+        let accuracy = if one.slack > 1e-3 { 1e-6 } else { 1e-7 };
+        assert!(apart < accuracy * length, "{name}: {apart:e} of {length:e}");
     }
 }
 

@@ -933,28 +933,22 @@ fn degenerate_rows_do_no_harm() {
 #[test]
 fn nearly_active_limits_do_not_hold() {
     for slack in [1e-8, 1e-7, 3e-7, 1e-6, 1e-5, 1e-3] {
-        for hessian in [HessianChoice::Auto, HessianChoice::Exact] {
-            let program = Program {
-                n_variables: 3,
-                constraints: Box::new(|x| vec![x[2].clone() - 0.1]),
-                ..plain(
-                    move |x| {
-                        let off = x[1].clone() - (1.0 - slack);
-                        x[0].square() * 0.5 + off.square() * 5e3 - x[2].square() * 50.0
-                    },
-                    |x| vec![x[1].clone() - 1.0],
-                    Vec::new(),
-                )
-            };
-            let outcome = go(&program, &[1.0, 0.5, 0.0], &settings(hessian));
-            assert_eq!(
-                outcome.status,
-                SqpStatus::Converged,
-                "{slack:e} {hessian:?}"
-            );
-            assert!(outcome.history.len() < 15, "{}", outcome.history.len());
-            near(&outcome.point.v, &[0.0, 1.0 - slack, 0.1], 1e-9);
-        }
+        let program = Program {
+            n_variables: 3,
+            constraints: Box::new(|x| vec![x[2].clone() - 0.1]),
+            ..plain(
+                move |x| {
+                    let off = x[1].clone() - (1.0 - slack);
+                    x[0].square() * 0.5 + off.square() * 5e3 - x[2].square() * 50.0
+                },
+                |x| vec![x[1].clone() - 1.0],
+                Vec::new(),
+            )
+        };
+        let outcome = go(&program, &[1.0, 0.5, 0.0], &settings(HessianChoice::Exact));
+        assert_eq!(outcome.status, SqpStatus::Converged, "{slack:e}");
+        assert!(outcome.history.len() < 15, "{}", outcome.history.len());
+        near(&outcome.point.v, &[0.0, 1.0 - slack, 0.1], 1e-9);
     }
 }
 
