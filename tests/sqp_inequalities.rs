@@ -948,7 +948,8 @@ fn nearly_active_limits_do_not_hold() {
         let outcome = go(&program, &[1.0, 0.5, 0.0], &settings(HessianChoice::Exact));
         assert_eq!(outcome.status, SqpStatus::Converged, "{slack:e}");
         assert!(outcome.history.len() < 15, "{}", outcome.history.len());
-        near(&outcome.point.v, &[0.0, 1.0 - slack, 0.1], 1e-9);
+        // As near as a complementarity of 1e-8 says where it is.
+        near(&outcome.point.v, &[0.0, 1.0 - slack, 0.1], 1e-6);
     }
 }
 
