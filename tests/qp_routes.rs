@@ -181,7 +181,8 @@ fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
     ]
 }
 
-/// One subproblem, at a point off its equations, with all path rows: the step of both routes is the same to 1e-7 of its length.
+/// One subproblem, at a point off its equations, with all path rows: the step of both routes is the same to 1e-7 of its length,
+/// or to what the condensed one is known to.
 #[test]
 fn steps_are_the_same() {
     for (name, problem) in problems() {
@@ -230,8 +231,8 @@ fn steps_are_the_same() {
         let length = norm(&mut one.change.iter().copied());
         let apart = norm(&mut one.change.iter().zip(&other.change).map(|(a, b)| a - b));
         assert!(length > 1e-2, "{name}: {length}");
-        // Where rows are violated so much that slacks pay for them, Clarabel ends at its reduced tolerances.
-        let accuracy = if one.slack > 1e-3 { 1e-6 } else { 1e-7 };
+        // With hundreds of rows Clarabel ends at its reduced tolerances.
+        let accuracy = if rows.len() > 100 { 1e-6 } else { 1e-7 };
         assert!(apart < accuracy * length, "{name}: {apart:e} of {length:e}");
     }
 }
