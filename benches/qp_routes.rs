@@ -1,5 +1,5 @@
-//! What a quadratic subproblem costs by either route, over the numbers of elements, steps and controls: `softarm::sqp::route::predict` is
-//! fitted to these.
+//! What a quadratic subproblem costs by either route, over the numbers of elements, steps and controls, and what
+//! `softarm::sqp::route::predict` says of it.
 //!
 //! ```text
 //! cargo bench --bench qp_routes

@@ -1,42 +1,13 @@
 //! The command line as a script sees it: exit codes, what stands on stdout and stderr, and the files.
 
+mod tool;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
 use tempfile::TempDir;
-
-const DONE: i32 = 0;
-const USAGE: i32 = 2;
-const NOT_CONVERGED: i32 = 3;
-const INFEASIBLE: i32 = 4;
-const NUMERICAL: i32 = 5;
-const STOPPED: i32 = 6;
-const REJECTED: i32 = 7;
-
-/// Four elements, 0.3 s, five blocks: solved in a blink.
-const SCENE: &str = "\
-[rod]
-length_m = 1.0
-elements = 4
-[rod.material]
-youngs_modulus_pa = 1e6
-poisson_ratio = 0.5
-density_kg_m3 = 1000.0
-[rod.section]
-radius_m = 0.05
-[damping]
-viscous_1_s = 1.0
-[time]
-end_s = 0.3
-[task]
-position_m = [0.1, 0.03, 0.985]
-at_rest = false
-[control]
-blocks = 5
-force_max_n = 20.0
-moment_max_n_m = 5.0
-";
+use tool::{DONE, INFEASIBLE, NOT_CONVERGED, NUMERICAL, REJECTED, SCENE, STOPPED, USAGE};
 
 /// A folder of its own with a scene in it.
 struct Desk {

@@ -1,6 +1,8 @@
 //! Every extreme ends in a typed outcome: an exit code of the contract, a status, and names. What is certified holds when it is
 //! simulated again, and the same run gives the same bytes.
 
+mod tool;
+
 use std::fs::File;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -10,52 +12,21 @@ use std::time::{Duration, Instant};
 use nalgebra::Vector3;
 use serde_json::Value;
 use softarm::control::{
-    Bound, Enforcement, OptimalControlProblem, PathEnforcement, PathLimit, Shape, Transcription,
-    first_point,
+    Bound, Enforcement, Goal, Guess, OptimalControlProblem, PathEnforcement, PathLimit, Shape,
+    Transcription, first_point,
 };
-use softarm::control::{Goal, Guess};
 use softarm::mechanics::rotation::log;
 use softarm::mechanics::{Integrator, State, Wrench};
 use softarm::scene::Scene;
 use softarm::sqp::{SqpStatus, solve};
 use tempfile::TempDir;
+use tool::{DONE, INFEASIBLE, NOT_CONVERGED, NUMERICAL, REJECTED, SCENE, STOPPED, USAGE};
 
-const DONE: i32 = 0;
-const USAGE: i32 = 2;
-const NOT_CONVERGED: i32 = 3;
-const INFEASIBLE: i32 = 4;
-const NUMERICAL: i32 = 5;
-const STOPPED: i32 = 6;
-const REJECTED: i32 = 7;
 /// Solved, or not, but not infeasible: for problems whose conditioning is beyond what digits there are.
 const ANY_END: [i32; 3] = [DONE, NOT_CONVERGED, REJECTED];
 
 /// A run that takes longer hangs: the slowest takes seconds.
 const HANGS: Duration = Duration::from_secs(300);
-
-/// A reach of a tenth of its length: four elements, 0.3 s, five blocks.
-const SCENE: &str = "\
-[rod]
-length_m = 1.0
-elements = 4
-[rod.material]
-youngs_modulus_pa = 1e6
-poisson_ratio = 0.5
-density_kg_m3 = 1000.0
-[rod.section]
-radius_m = 0.05
-[damping]
-viscous_1_s = 1.0
-[time]
-end_s = 0.3
-[task]
-position_m = [0.1, 0.03, 0.985]
-at_rest = false
-[control]
-blocks = 5
-force_max_n = 20.0
-moment_max_n_m = 5.0
-";
 
 /// Where the arm is at the start.
 const STAY: &str = "task.position_m=[0.0, 0.0, 1.0]";

@@ -11,10 +11,7 @@ const SWEEPS: usize = 20;
 
 /// Variables moved into one ball after the other by the shortest way that keeps the direction of `M v`, until they are in
 /// all of them. Sets that are no balls are left alone.
-pub(super) fn into_balls<'s>(
-    mut v: Vec<f64>,
-    sets: impl Iterator<Item = &'s ConvexSet> + Clone,
-) -> Vec<f64> {
+fn into_balls<'s>(mut v: Vec<f64>, sets: impl Iterator<Item = &'s ConvexSet> + Clone) -> Vec<f64> {
     for _ in 0..SWEEPS {
         let mut moved = false;
         for set in sets.clone() {
@@ -27,6 +24,18 @@ pub(super) fn into_balls<'s>(
         }
     }
     v
+}
+
+/// The change of `variables` that ends [in the balls](into_balls) where `change` may leave them.
+pub(super) fn change_into_balls<'s>(
+    variables: &[f64],
+    change: &[f64],
+    sets: impl Iterator<Item = &'s ConvexSet> + Clone,
+) -> Vec<f64> {
+    let end = variables.iter().zip(change).map(|(v, d)| v + d).collect();
+    (into_balls(end, sets).iter().zip(variables))
+        .map(|(end, v)| end - v)
+        .collect()
 }
 
 /// `v + Mᵀ (M Mᵀ)⁻¹ (radius/|M v| - 1) M v`; whether it had to.

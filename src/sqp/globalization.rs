@@ -3,7 +3,7 @@
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
 
-use super::balls::into_balls;
+use super::balls::change_into_balls;
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::residual::Multipliers;
@@ -285,7 +285,8 @@ impl Filter {
                 },
                 ..subproblem.clone()
             };
-            let corrected = within_balls(program, from, subproblem, corrected.solve().ok()?.change);
+            let corrected =
+                within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
             let trial = Self::restored(program, from.point, &corrected, count)?;
             let there = from.measure(program, &trial.evaluation);
             if let Some(passage) = self.passage(here, there, slope) {
@@ -309,16 +310,12 @@ fn within_balls<P: LiftedProgram>(
     program: &P,
     from: &Departure<P>,
     subproblem: &QuadraticProgram,
-    change: Vec<f64>,
+    change: &[f64],
 ) -> Vec<f64> {
-    let variables = program.variables(from.point);
-    let end = variables.iter().zip(&change).map(|(v, d)| v + d).collect();
     let left = (program.sets().iter().zip(subproblem.sets))
         .filter(|(own, held)| own != held)
         .map(|(own, _)| own);
-    (into_balls(end, left).iter().zip(variables))
-        .map(|(end, v)| end - v)
-        .collect()
+    change_into_balls(program.variables(from.point), change, left)
 }
 
 /// The point that a step leaves, and its linear model.

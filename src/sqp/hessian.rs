@@ -363,9 +363,7 @@ impl ActiveSet {
             normals: ActiveNormal::of(sets, variables, multipliers, unit),
         }
     }
-}
 
-impl ActiveSet {
     /// What of this a step leaves behind: linearized inequalities and sets, whose slack after the step is more than a part of the multiplier that
     /// goes with it, in units of the cost's curvature.
     #[must_use]

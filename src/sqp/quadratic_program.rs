@@ -132,45 +132,13 @@ struct Attempt {
     refinement_gain: f64,
 }
 
-/// Clarabel's defaults.
-const REFINEMENTS: u32 = 10;
-const REFINEMENT_GAIN: f64 = 5.0;
-
 /// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
 /// from a solution beats none, and near one it would show.
 const LADDER: [Attempt; 4] = [
-    Attempt {
-        shift: 0.0,
-        tolerance: 1e-11,
-        reduced: 1e-7,
-        regularization: 1e-8,
-        refinements: REFINEMENTS,
-        refinement_gain: REFINEMENT_GAIN,
-    },
-    Attempt {
-        shift: 1e-8,
-        tolerance: 1e-9,
-        reduced: 1e-5,
-        regularization: 1e-8,
-        refinements: REFINEMENTS,
-        refinement_gain: REFINEMENT_GAIN,
-    },
-    Attempt {
-        shift: 1e-8,
-        tolerance: 1e-9,
-        reduced: 1e-5,
-        regularization: 1e-6,
-        refinements: REFINEMENTS,
-        refinement_gain: REFINEMENT_GAIN,
-    },
-    Attempt {
-        shift: 1e-5,
-        tolerance: 1e-8,
-        reduced: 1e-5,
-        regularization: 1e-7,
-        refinements: REFINEMENTS,
-        refinement_gain: REFINEMENT_GAIN,
-    },
+    Attempt::condensed(0.0, 1e-11, 1e-7, 1e-8),
+    Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-8),
+    Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-6),
+    Attempt::condensed(1e-5, 1e-8, 1e-5, 1e-7),
 ];
 /// With states: the factorization is far worse conditioned, by the square of the number of steps, and what regularization keeps it
 /// stable must be taken back by many refinements. Measured: costs over states need the second; less than the first is unstable.
@@ -181,6 +149,18 @@ const STATES_LADDER: [Attempt; 3] = [
 ];
 
 impl Attempt {
+    /// With Clarabel's own refinement.
+    const fn condensed(shift: f64, tolerance: f64, reduced: f64, regularization: f64) -> Self {
+        Self {
+            shift,
+            tolerance,
+            reduced,
+            regularization,
+            refinements: 10,
+            refinement_gain: 5.0,
+        }
+    }
+
     const fn with_states(regularization: f64) -> Self {
         Self {
             shift: 0.0,
@@ -236,19 +216,16 @@ impl QuadraticProgram<'_> {
     /// Down the ladder, until Clarabel is content; without the states if it is not with them.
     fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
         if self.states.is_some() {
-            let found = STATES_LADDER
-                .iter()
+            let found = (STATES_LADDER.iter())
                 .find_map(|attempt| self.attempt(working, attempt, false).ok());
-            return found.map_or_else(
-                || {
-                    let condensed = QuadraticProgram {
-                        states: None,
-                        ..self.clone()
-                    };
-                    condensed.solve_with(working)
-                },
-                Ok,
-            );
+            if let Some(solution) = found {
+                return Ok(solution);
+            }
+            let condensed = Self {
+                states: None,
+                ..self.clone()
+            };
+            return condensed.solve_with(working);
         }
         let mut last = None;
         for (at, attempt) in LADDER.iter().enumerate() {
@@ -468,9 +445,7 @@ impl QuadraticProgram<'_> {
                 .collect(),
         })
     }
-}
 
-impl QuadraticProgram<'_> {
     /// Clarabel's `P` and `q`.
     fn objective(&self, slacks: &Slacks, scale: f64, shift: f64) -> (CscMatrix<f64>, Vec<f64>) {
         let (n, m) = (self.gradient.len(), self.offset.len());

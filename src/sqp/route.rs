@@ -58,7 +58,8 @@ impl QpTimes {
 
 /// Seconds that Clarabel takes for a subproblem over `n` variables, and for one that keeps states of the size `size`.
 ///
-/// Fitted to medians of `cargo bench --bench qp_routes`.
+/// The constants are from a model problem of the same structure, not fitted to this program: they tell orders of magnitude.
+/// `cargo bench --bench qp_routes` measures both routes beside the prediction.
 #[must_use]
 pub fn predict(n_variables: usize, size: Option<StateSize>) -> QpTimes {
     let n = n_variables as f64;

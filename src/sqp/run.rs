@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use faer::Mat;
 
-use super::balls::into_balls;
+use super::balls::change_into_balls;
 use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
@@ -151,8 +151,9 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     filter_resets: usize,
     merit_steps: usize,
     exact_pause: usize,
-    /// What the steps of this iteration left behind: inequalities by their number, and sets.
-    let_go: ActiveSet,
+    /// Inequalities and sets that the steps of this iteration left behind.
+    rows_let_go: Vec<usize>,
+    sets_let_go: Vec<usize>,
     /// Whether the present point's curvature was left out because it was expected to be the last.
     bets_on_end: bool,
     restoration: Option<Restoration>,
@@ -244,7 +245,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             filter_resets: 0,
             merit_steps: 0,
             exact_pause: 0,
-            let_go: ActiveSet::default(),
+            rows_let_go: Vec::new(),
+            sets_let_go: Vec::new(),
             bets_on_end: false,
             restoration: None,
             restorations: 0,
@@ -429,12 +431,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         self.is_settled = true;
         let stay = vec![0.0; self.variables().len()];
-        let settled = Filter::restored(self.program, &self.point, &stay, 0);
-        let found = settled.is_some();
-        if let Some(settled) = settled {
-            self.arrive(settled);
-        }
-        found
+        Filter::restored(self.program, &self.point, &stay, 0)
+            .map(|settled| self.arrive(settled))
+            .is_some()
     }
 
     /// Leaves a saddle, along its most negative curvature, to where that promises a part of the objective; whether it did. The other
@@ -492,7 +491,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             linearization = self.linearize_with(true)?;
         }
         let clock = Instant::now();
-        self.let_go = ActiveSet::default();
+        self.rows_let_go.clear();
+        self.sets_let_go.clear();
         let mut model = self.model_hessian(&linearization);
         match model.kind {
             HessianKind::Exact => self.descent = None,
@@ -610,9 +610,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.variables(),
             &self.multipliers,
         );
-        let ActiveSet { rows, normals } = &self.let_go;
-        (active.rows).retain(|&at| !rows.contains(&linearization.rows[at]));
-        (active.normals).retain(|own| normals.iter().all(|other| other.set != own.set));
+        (active.rows).retain(|&at| !self.rows_let_go.contains(&linearization.rows[at]));
+        (active.normals).retain(|held| !self.sets_let_go.contains(&held.set));
         active
     }
 
@@ -631,8 +630,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let left = active.left_by(linearization, &solution.change, &solution.multipliers);
         let any = !(left.rows.is_empty() && left.normals.is_empty());
         let rows = left.rows.iter().map(|&at| linearization.rows[at]);
-        self.let_go.rows.extend(rows);
-        self.let_go.normals.extend(left.normals);
+        self.rows_let_go.extend(rows);
+        (self.sets_let_go).extend(left.normals.iter().map(|held| held.set));
         any
     }
 
@@ -1006,22 +1005,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if model.tangents.is_empty() {
             return;
         }
-        let variables = self.variables();
-        let end: Vec<f64> = (variables.iter().zip(&solution.change))
-            .map(|(v, d)| v + d)
-            .collect();
         for tangent in &model.tangents {
             let length = solution.multipliers.normals[tangent.set][0];
             solution.multipliers.normals[tangent.set] =
                 tangent.outward.iter().map(|n| n * length).collect();
         }
         let sets = (model.tangents.iter()).map(|tangent| &self.program.sets()[tangent.set]);
-        for ((d, end), v) in (solution.change.iter_mut())
-            .zip(into_balls(end, sets))
-            .zip(variables)
-        {
-            *d = end - v;
-        }
+        solution.change = change_into_balls(self.variables(), &solution.change, sets);
     }
 
     fn subproblem<'b>(
