@@ -7,8 +7,8 @@ use std::ops::ControlFlow;
 use common::soft_arm;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Goal, Guess, Hold, LiftedPoint, Objective,
-    OptimalControlProblem, Transcription, first_point,
+    Actuator, Bound, Channel, ControlGrid, Enforcement, FreeDuration, Goal, Guess, Hold,
+    LiftedPoint, Objective, OptimalControlProblem, Transcription, first_point,
 };
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::stability::stable_step;
@@ -47,6 +47,7 @@ fn free_rod(
             step,
             n_steps: STEPS,
         },
+        duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control,
         actuators: (0..2)
@@ -434,5 +435,100 @@ fn small_deflections_are_linear_quadratic() {
         let ratio = coarse[i] / fine[i];
         assert!((3.8..4.2).contains(&ratio), "{ratio}");
         assert!(fine[i] < bound, "{} of {bound}", fine[i]);
+    }
+}
+
+/// Both ends of the free rod to rest at the same distance, in a time that may be chosen.
+fn timed_push(hold: Hold, n_blocks: usize, distance: f64, price: f64) -> OptimalControlProblem {
+    let problem = free_rod(hold, n_blocks, |node, rod| Goal {
+        name: format!("end {node}"),
+        node,
+        time_node: STEPS,
+        position: Some(rod.rest.positions[node] + Vector3::x() * distance),
+        rotation: None,
+        at_rest: true,
+        enforcement: Enforcement::Hard,
+    });
+    let longest = 0.9 * stable_step(&problem.rod) * STEPS as f64;
+    OptimalControlProblem {
+        duration: Some(FreeDuration {
+            shortest: 0.5,
+            longest,
+            price,
+        }),
+        ..problem
+    }
+}
+
+/// Time against effort: `½∫(f₁² + f₂²) dt = 3 M² d²/T³` of the least effort, a linear force that a linear hold has, plus `w T` is least at
+/// `T⁴ = 9 M² d²/w`. The difference is that of the discrete motion, of second order.
+#[test]
+fn priced_time_is_weighed_against_effort() {
+    const MASS: f64 = 1.0;
+    const DISTANCE: f64 = 0.3;
+    for best in [0.7_f64, 0.9, 1.1] {
+        let price = 9.0 * (MASS * DISTANCE).powi(2) / best.powi(4);
+        let problem = timed_push(Hold::Linear, 6, DISTANCE, price);
+        let outcome = solved(&problem);
+        let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+        let least = 3.0 * (MASS * DISTANCE).powi(2) / best.powi(3) + price * best;
+        assert!(
+            (duration / best - 1.0).abs() < 1e-4,
+            "{duration} and {best}"
+        );
+        assert!(
+            (outcome.objective / least - 1.0).abs() < 1e-4,
+            "{} and {least}",
+            outcome.objective
+        );
+    }
+}
+
+/// Minimum time under a bound on the force: all of it forward, then all of it back, `T = 2 √(M d/F)`.
+#[test]
+fn minimum_time_is_bang_bang() {
+    const MASS: f64 = 1.0;
+    const DISTANCE: f64 = 0.3;
+    const FORCE: f64 = 0.8;
+    let mut problem = timed_push(Hold::Constant, 8, DISTANCE, 1.0);
+    problem.objective.effort = 1e-6;
+    for actuator in &mut problem.actuators {
+        let limits = Vector3::repeat(0.5 * FORCE);
+        actuator.force.bound = Some(Bound::PerAxis(limits));
+    }
+    let outcome = solved(&problem);
+    let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+    let best = 2.0 * (MASS * DISTANCE / FORCE).sqrt();
+    assert!(
+        (duration / best - 1.0).abs() < 1e-4,
+        "{duration} and {best}"
+    );
+    let coefficients = problem.wrenches(&outcome.point.variables);
+    for (i, wrench) in coefficients.iter().enumerate() {
+        let sign = if i / 2 < 4 { 1.0 } else { -1.0 };
+        assert!(
+            (wrench.force.x - sign * 0.5 * FORCE).abs() < 1e-5 * FORCE,
+            "{i}: {wrench:?}"
+        );
+    }
+}
+
+/// A price that wants less, or more, time than there is: the duration ends at its limit.
+#[test]
+fn durations_end_at_their_limits() {
+    for (price, at_longest) in [(0.0, true), (20.0, false)] {
+        let problem = timed_push(Hold::Linear, 6, 0.3, price);
+        let outcome = solved(&problem);
+        let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+        let free = problem.duration.unwrap();
+        let limit = if at_longest {
+            free.longest
+        } else {
+            free.shortest
+        };
+        assert!(
+            (duration / limit - 1.0).abs() < 1e-7,
+            "{duration} and {limit}"
+        );
     }
 }

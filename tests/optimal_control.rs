@@ -49,6 +49,7 @@ impl Case {
         let scales = rod.scales;
         let problem = OptimalControlProblem {
             grid: TimeGrid { step, n_steps },
+            duration: None,
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
             actuators: vec![Actuator {
@@ -193,6 +194,7 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
     assert!(step < 0.9 * stable_step(&rod));
     let problem = OptimalControlProblem {
         grid: TimeGrid { step, n_steps },
+        duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
         actuators: vec![Actuator {

@@ -84,6 +84,7 @@ fn problem(look: Look) -> OptimalControlProblem {
             ..Objective::default()
         },
         radii: Vec::new(),
+        duration: None,
         initial,
         rod,
     }

@@ -63,29 +63,32 @@ pub(super) struct SolveArguments {
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
     let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
-    let setup = scene.optimal_control(&source)?;
-    for warning in warnings(&scene, &setup.problem.rod, setup.problem.grid.step) {
+    let mut described = scene.optimal_control(&source)?;
+    for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {
         console.warn(&warning);
     }
-    let previous = (arguments.from.as_deref())
-        .map(|directory| earlier_controls(directory, &setup.problem))
-        .transpose()?;
+    let mut previous = None;
+    if let Some(directory) = arguments.from.as_deref() {
+        let earlier = Earlier::read(directory)?;
+        described = earlier.timed(described);
+        previous = Some(earlier.controls(&described.problem));
+    }
     if arguments.second_opinion {
-        without_inequalities(&setup.problem)?;
+        without_inequalities(&described.problem)?;
     }
     let target = arguments.scene.directory("solve");
     let directory = ResultDirectory::create(&target)?;
     console.catch_interrupts();
 
-    announce(&setup, console);
+    announce(&described, console);
     let plan = Search {
         previous,
         starts: usize::from(arguments.starts),
         seed: global.seed,
         n_threads: global.n_threads(),
-        ..setup.search.clone()
+        ..described.search.clone()
     };
-    let attempts = search(&setup.problem, &setup.settings, &plan, &|_, row| {
+    let attempts = search(&described.problem, &described.settings, &plan, &|_, row| {
         if plan.starts == 1 {
             console.say(&table_row(row));
         }
@@ -96,7 +99,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         }
     })?;
     let clock = Instant::now();
-    let (solution, starts) = best(&setup, attempts, arguments.deep, console);
+    let (setup, solution, starts) = best(&described, attempts, arguments.deep, console);
     let certify_time = clock.elapsed().as_secs_f64();
     let clock = Instant::now();
     let feedback = feedback_of(&setup, &solution, global, console);
@@ -130,7 +133,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     )?;
     let written = directory.finish()?;
     let check = solution.check.as_ref();
-    conclude(&summary, check, &written, console);
+    conclude(&setup.problem, &summary, check, &written, console);
     console.summary(&summary);
     Ok(exit_code(&solution.attempt.outcome.status, check))
 }
@@ -190,49 +193,67 @@ fn feedback_of(
     }
 }
 
-/// The coefficients of an earlier solution at the times of this problem's.
-fn earlier_controls(
-    directory: &Path,
-    problem: &OptimalControlProblem,
-) -> Result<Vec<Wrench>, CliError> {
-    let path = directory.join("scene.toml");
-    let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
-    let earlier = scene.optimal_control(&source)?.problem;
-    let coefficients = read_coefficients(directory, &earlier)?;
-    let n = earlier.actuators.len();
-    let last = earlier.grid.n_steps;
-    Ok((problem.control.coefficient_times().into_iter())
-        .flat_map(|t| {
-            let k = ((t / earlier.grid.step).round() as usize).min(last);
-            let (earlier, coefficients) = (&earlier, &coefficients);
-            (problem.actuators.iter()).map(move |actuator| {
-                let same = |other: &&usize| **other == actuator.node;
-                let nodes = earlier.actuated_nodes();
-                let found = nodes.iter().position(|node| same(&node));
-                found.map_or_else(Wrench::default, |a| {
-                    earlier.control.value(k, |j| coefficients[j * n + a])
-                })
-            })
-        })
-        .collect())
+/// An earlier solution.
+struct Earlier {
+    problem: OptimalControlProblem,
+    coefficients: Vec<Wrench>,
 }
 
-/// The best attempt that the check certifies, or else the best; and how all of them fared.
+impl Earlier {
+    fn read(directory: &Path) -> Result<Self, CliError> {
+        let path = directory.join("scene.toml");
+        let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
+        let problem = scene.optimal_control(&source)?.problem;
+        Ok(Self {
+            coefficients: read_coefficients(directory, &problem)?,
+            problem,
+        })
+    }
+
+    /// A problem with a free duration begins with that of the earlier solution, as near as its limits allow.
+    fn timed(&self, setup: OptimalControl) -> OptimalControl {
+        let Some(free) = setup.problem.duration else {
+            return setup;
+        };
+        let duration = self.problem.grid.end().clamp(free.shortest, free.longest);
+        setup.stretched(duration / setup.problem.grid.end())
+    }
+
+    /// The coefficients at the times of a problem's.
+    fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
+        let earlier = &self.problem;
+        let n = earlier.actuators.len();
+        let last = earlier.grid.n_steps;
+        let nodes = earlier.actuated_nodes();
+        let mut out = Vec::new();
+        for t in problem.control.coefficient_times() {
+            let k = ((t / earlier.grid.step).round() as usize).min(last);
+            out.extend(problem.actuators.iter().map(|actuator| {
+                let found = nodes.iter().position(|node| *node == actuator.node);
+                found.map_or_else(Wrench::default, |a| {
+                    (earlier.control).value(k, |j| self.coefficients[j * n + a])
+                })
+            }));
+        }
+        out
+    }
+}
+
+/// The best attempt that the check certifies, or else the best, with the problem on its own grid; and how all of them fared.
 fn best(
-    setup: &OptimalControl,
+    described: &OptimalControl,
     attempts: Vec<Attempt>,
     deep: bool,
     console: &Console,
-) -> (Solved, Vec<StartSummary>) {
-    let program = Transcription::new(&setup.problem, 1);
+) -> (OptimalControl, Solved, Vec<StartSummary>) {
     let mut starts = Vec::new();
-    let mut chosen: Option<Solved> = None;
-    for attempt in attempts {
+    let mut chosen: Option<(OptimalControl, Solved)> = None;
+    for mut attempt in attempts {
         let certified = |solved: &Solved| {
             (solved.check.as_ref()).is_some_and(ForwardCheck::is_certified)
                 && solved.attempt.outcome.status == SqpStatus::Converged
         };
-        let settled = chosen.as_ref().is_some_and(certified);
+        let settled = (chosen.as_ref()).is_some_and(|(_, solved)| certified(solved));
         let mut start = StartSummary {
             start: attempt.start,
             from: attempt.from,
@@ -245,8 +266,14 @@ fn best(
         let worth =
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
-            let mut solved = Solved::of(setup, &program, attempt);
-            match certify(setup, &solved, deep) {
+            let variables = &mut attempt.outcome.point.variables;
+            let setup = described.stretched(described.problem.stretch(variables));
+            if let Some(duration) = setup.problem.duration_variable() {
+                variables[duration] = 1.0;
+            }
+            let program = Transcription::new(&setup.problem, 1);
+            let mut solved = Solved::of(&setup, &program, attempt);
+            match certify(&setup, &solved, deep) {
                 Ok(check) => {
                     start.verdict = Some(check.verdict());
                     solved.check = Some(check);
@@ -254,16 +281,16 @@ fn best(
                 Err(error) => console.warn(&format!("the check could not be made: {error}")),
             }
             if chosen.is_none() || certified(&solved) {
-                chosen = Some(solved);
+                chosen = Some((setup, solved));
             }
         }
         starts.push(start);
     }
     starts.sort_by_key(|start| start.start);
-    let Some(chosen) = chosen else {
+    let Some((setup, solved)) = chosen else {
         unreachable!("a search has at least one attempt")
     };
-    (chosen, starts)
+    (setup, solved, starts)
 }
 
 /// The check, with the second-order condition where it is asked for, or where the solver's last Hessian was not positive by itself:
@@ -412,6 +439,7 @@ fn summarize(
         elements: problem.rod.n_elements(),
         step_s: problem.grid.step,
         steps: problem.grid.n_steps,
+        duration_s: problem.grid.end(),
         control_blocks: problem.control.n_blocks(),
         variables: outcome.point.variables.len(),
         multipliers: outcome.multipliers.constraints.clone(),
@@ -745,6 +773,7 @@ fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), Outp
 }
 
 fn conclude(
+    problem: &OptimalControlProblem,
     summary: &SolveSummary,
     check: Option<&ForwardCheck>,
     written: &Path,
@@ -754,6 +783,12 @@ fn conclude(
         "{} after {} iterations, {:.2} s: objective {:.8e}",
         summary.status, summary.iterations, summary.wall_s, summary.objective
     ));
+    if let Some(free) = problem.duration {
+        console.say(&format!(
+            "duration {:.6} s, free between {} and {} s",
+            summary.duration_s, free.shortest, free.longest
+        ));
+    }
     if summary.status != "converged" {
         let message = summary
             .message

@@ -14,6 +14,8 @@ pub struct CostRow {
     pub residual: f64,
     /// `δr`
     pub gradient: RowGradient,
+    /// By how much `r` falls per logarithm of the time step because the path moves on by the clock, the duration left out.
+    pub lag: f64,
 }
 
 /// Time nodes at which costs over states are sampled, and the time that each stands for, s: the trapezoidal rule over a
@@ -55,12 +57,14 @@ pub fn cost_rows(
     duration: f64,
 ) -> Vec<CostRow> {
     let mut rows = Vec::new();
-    let t = problem.grid.time(k);
+    let t = k as f64 * posture.step;
     for tracking in &problem.objective.tracking {
         let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
         let distance = posture.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
+        let velocity = tracking.velocity(t);
         rows.extend((0..3).map(|axis| CostRow {
             residual: factor * distance[axis],
+            lag: factor * velocity[axis] * t,
             gradient: at(
                 k,
                 along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
@@ -104,6 +108,7 @@ fn energy_rows(
             let w: SVector<f64, 9> = slope.row(from + axis).transpose() * factor;
             rows.push(CostRow {
                 residual: factor * strain[axis],
+                lag: 0.0,
                 gradient: at(k, element_form(q, &w)),
             });
         }

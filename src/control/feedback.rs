@@ -138,16 +138,11 @@ impl Feedback {
         let norms = (reference.iter().enumerate())
             .map(|(block, state)| Norm::at(rod, &state.configuration, block))
             .collect::<Result<Vec<_>, _>>()?;
-        let program = Transcription::new(problem, n_threads);
+        let motion = problem.motion();
         let mut stages = Vec::with_capacity(edges.len() - 1);
         for (j, edge) in edges.windows(2).enumerate() {
-            let Transition { state, input } = transition(
-                &program.motion(),
-                &trajectory,
-                edge[0]..edge[1],
-                &inputs,
-                n_threads,
-            )?;
+            let Transition { state, input } =
+                transition(&motion, &trajectory, edge[0]..edge[1], &inputs, n_threads)?;
             let lasting = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
@@ -159,6 +154,7 @@ impl Feedback {
                 input_weight: weights.input * lasting,
             });
         }
+        let program = Transcription::new(problem, n_threads);
         let rows = terminal_rows(&program, &trajectory, weights.tolerance);
         let rows = norms[norms.len() - 1].columns_over(&rows);
         let mut terminal = rows.transpose() * &rows;

@@ -76,6 +76,15 @@ impl ControlGrid {
         }
     }
 
+    /// The same coefficients over a time `stretch` times as long.
+    #[must_use]
+    pub fn stretched(&self, stretch: f64) -> Self {
+        Self {
+            step: self.step * stretch,
+            ..self.clone()
+        }
+    }
+
     /// Number of blocks.
     #[must_use]
     pub fn n_blocks(&self) -> usize {

@@ -1,12 +1,15 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
 
+mod control_cost;
 pub mod cost;
+mod duration;
 pub mod feedback;
 pub mod guess;
 pub mod hold;
 pub mod obstacle;
 pub mod path;
 pub mod problem;
+mod release;
 pub mod search;
 pub mod second_opinion;
 pub mod transcription;
@@ -17,8 +20,8 @@ pub use hold::{ControlGrid, Hold};
 pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Posture};
 pub use problem::{
-    Actuator, Bound, Channel, Component, Enforcement, Goal, GoalPart, GoalRow, Objective,
-    OptimalControlProblem, Tracking,
+    Actuator, Bound, Channel, Component, DurationConflict, Enforcement, FreeDuration, Goal,
+    GoalPart, GoalRow, Objective, OptimalControlProblem, Tracking,
 };
 pub use search::{Abandoned, Attempt, Continuation, Search, search};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

@@ -384,6 +384,22 @@ impl PathLimit {
             .curvature
     }
 
+    /// Derivative of [`Self::value`] along the logarithm of the time step, while the configurations stay.
+    #[must_use]
+    pub fn step_slope(&self, posture: &Posture, k: usize) -> f64 {
+        match self {
+            Self::Speed { node, .. } => {
+                -Self::velocity(posture, k, *node).norm() / self.scale(posture.rod)
+            }
+            Self::Clearance { .. }
+            | Self::Stretch { .. }
+            | Self::Curvature { .. }
+            | Self::Twist { .. }
+            | Self::Distance { .. }
+            | Self::Angle { .. } => 0.0,
+        }
+    }
+
     /// Scaled value of a row at time node `k`.
     #[must_use]
     pub fn value(&self, posture: &Posture, k: usize, item: usize) -> f64 {

@@ -184,6 +184,19 @@ impl Tracking {
     }
 }
 
+impl Tracking {
+    /// How fast that place moves at time `t`, m/s; zero outside the path.
+    #[must_use]
+    pub fn velocity(&self, t: f64) -> Vector3<f64> {
+        let next = self.path.partition_point(|&(time, _)| time <= t);
+        let around = next.checked_sub(1).and_then(|i| self.path.get(i..=next));
+        match around {
+            Some([(t0, x0), (t1, x1)]) => (x1 - x0) / (t1 - t0),
+            _ => Vector3::zeros(),
+        }
+    }
+}
+
 /// What is made small.
 ///
 /// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking`. Time integrals carry
@@ -204,6 +217,20 @@ pub struct Objective {
     pub samples: usize,
 }
 
+/// A duration that may be chosen: the number of steps stays, the time step is a variable.
+///
+/// Everything that is given by time nodes (goals, blocks of the control, samples) stretches with it; what is given by times (loads, paths
+/// to follow) does not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreeDuration {
+    /// Shortest, s; above 0.
+    pub shortest: f64,
+    /// Longest, s; finite, and its step one that the integrator can take.
+    pub longest: f64,
+    /// Price of a second, added to the objective; with [`Objective::effort`] it is the time penalty, without it minimum time.
+    pub price: f64,
+}
+
 /// Minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals, and the path
 /// constraints.
 #[derive(Clone, Debug)]
@@ -212,8 +239,10 @@ pub struct OptimalControlProblem {
     pub rod: Rod,
     /// Radius of the arm at every node, m: what keeps clear of obstacles. Empty for a line without thickness.
     pub radii: Vec<f64>,
-    /// The time grid of the horizon.
+    /// The time grid of the horizon; where the duration is free, the one that the search starts from.
     pub grid: TimeGrid,
+    /// Whether the duration may be chosen; `None` keeps that of the grid.
+    pub duration: Option<FreeDuration>,
     /// State at time 0.
     pub initial: State,
     /// Blocks of the control.
@@ -226,6 +255,17 @@ pub struct OptimalControlProblem {
     pub path: Vec<PathConstraint>,
     /// What is made small.
     pub objective: Objective,
+}
+
+/// What does not go with a free duration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DurationConflict {
+    /// A cone whose size would be a variable.
+    Rate,
+    /// The price of a path constraint, an integral over time; which one.
+    Path(usize),
+    /// A base that moves by the clock.
+    Base,
 }
 
 /// One scalar residual of a goal.
@@ -285,9 +325,13 @@ impl OptimalControlProblem {
         }
     }
 
-    /// The configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node).
+    /// The configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where the
+    /// duration is free.
     #[must_use]
     pub fn state_size(&self) -> Option<StateSize> {
+        if self.duration.is_some() {
+            return None;
+        }
         SparseMotion::unknowns_per_time_node(&self.motion()).map(|at_once| StateSize {
             at_once,
             instants: self.grid.n_steps,
@@ -306,6 +350,7 @@ impl OptimalControlProblem {
     ) -> Self {
         Self {
             grid,
+            duration: None,
             initial,
             control,
             actuators: vec![Actuator {
@@ -439,7 +484,51 @@ impl OptimalControlProblem {
             .collect()
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals.
+    /// The same problem on a grid that lasts `stretch` times as long.
+    #[must_use]
+    pub fn stretched(&self, stretch: f64) -> Self {
+        let mut out = self.clone();
+        out.grid.step *= stretch;
+        out.control = self.control.stretched(stretch);
+        out
+    }
+
+    /// What stands in the way of a free duration, and which of its parts it is; `None` where nothing does, or the duration is fixed.
+    #[must_use]
+    pub fn duration_conflict(&self) -> Option<(DurationConflict, String)> {
+        self.duration?;
+        let by_norm = |channel: &Channel| matches!(channel.rate_bound, Some(Bound::Norm(_)));
+        if (self.actuators.iter()).any(|a| by_norm(&a.force) || by_norm(&a.moment)) {
+            let what = "a bound on the magnitude of a rate; give one per axis".into();
+            return Some((DurationConflict::Rate, what));
+        }
+        if let Some(at) = (self.path.iter()).position(|p| p.enforcement != PathEnforcement::Hard) {
+            let what = format!("the soft limit \"{}\"; make it hard", self.path[at].name);
+            return Some((DurationConflict::Path(at), what));
+        }
+        if self.rod.driven_base(0.0).is_some() {
+            let what = "a driven base; hold it or free it".into();
+            return Some((DurationConflict::Base, what));
+        }
+        None
+    }
+
+    /// Which of the solver's variables is the duration, over that of the grid: the last, where there is one.
+    #[must_use]
+    pub fn duration_variable(&self) -> Option<usize> {
+        self.duration.map(|_| self.n_variables() - 1)
+    }
+
+    /// Duration over that of the grid, from the solver's variables.
+    #[must_use]
+    pub fn stretch(&self, variables: &[f64]) -> f64 {
+        match self.duration {
+            Some(_) => variables.last().copied().unwrap_or(1.0),
+            None => 1.0,
+        }
+    }
+
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals, and the duration where it is free.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
@@ -449,7 +538,9 @@ impl OptimalControlProblem {
     #[must_use]
     pub fn n_variables(&self) -> usize {
         let soft = |row: &GoalRow| self.soft_weight(row).is_some();
-        self.n_controls() + self.goal_rows().iter().filter(|row| soft(row)).count()
+        self.n_controls()
+            + self.goal_rows().iter().filter(|row| soft(row)).count()
+            + usize::from(self.duration.is_some())
     }
 
     /// Coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
@@ -475,7 +566,7 @@ impl OptimalControlProblem {
         out
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of soft goals are zero.
+    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of soft goals are zero, and the duration is that of the grid.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();
@@ -494,6 +585,9 @@ impl OptimalControlProblem {
             })
             .collect();
         variables.resize(self.n_variables(), 0.0);
+        if let Some(duration) = self.duration_variable() {
+            variables[duration] = 1.0;
+        }
         variables
     }
 

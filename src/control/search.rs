@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use super::guess::{Guess, GuessError, first_point, simulated};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
+use super::release::{Releasing, held_problem};
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
@@ -60,10 +61,10 @@ impl Default for Search {
     }
 }
 
-/// A solve that was given up for another first point.
+/// A solve before the last one: given up for another first point, or one of those that lead to a free duration.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Abandoned {
-    /// Where it started.
+    /// Where it started, or `held duration` and `free duration`.
     pub from: &'static str,
     /// Whether it ended at a point that is infeasible to first order.
     pub infeasible: bool,
@@ -237,7 +238,7 @@ fn attempt(
             settings.max_iterations = settings.max_iterations.min(PATIENCE);
         }
         settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
-        let (from, outcome) = match staged(problem, &settings, search, first, n_threads, &|row| {
+        let staged = match staged(problem, &settings, search, first, n_threads, &|row| {
             observer(start, row)
         }) {
             Ok(found) => found,
@@ -246,9 +247,9 @@ fn attempt(
         };
         let found = Attempt {
             start,
-            from,
-            outcome,
-            abandoned: Vec::new(),
+            from: staged.from,
+            outcome: staged.outcome,
+            abandoned: staged.before,
         };
         let ended = matches!(
             found.outcome.status,
@@ -283,6 +284,13 @@ fn attempt(
     }
 }
 
+/// A solve, and those that led to it.
+struct Staged {
+    from: &'static str,
+    outcome: SqpOutcome<LiftedPoint>,
+    before: Vec<Abandoned>,
+}
+
 /// One solve, with its easier problems first.
 fn staged(
     problem: &OptimalControlProblem,
@@ -291,7 +299,10 @@ fn staged(
     first: First,
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
-) -> Result<(&'static str, SqpOutcome<LiftedPoint>), GuessError> {
+) -> Result<Staged, GuessError> {
+    if problem.duration.is_some() && !matches!(first, First::Previous(_)) {
+        return released(problem, settings, search, first, n_threads, observer);
+    }
     let stages = match search.continuation {
         Some(Continuation::Target { stages } | Continuation::Load { stages }) => stages.max(1),
         None => 1,
@@ -333,13 +344,49 @@ fn staged(
         let outcome = solve(&program, point, settings, &mut |row| observer(row));
         let stopped = matches!(outcome.status, SqpStatus::Stopped(_));
         if stage == stages || stopped {
-            return Ok((from, outcome));
+            return Ok(Staged {
+                from,
+                outcome,
+                before: Vec::new(),
+            });
         }
         // A stage that failed says nothing about the next.
         warm = (outcome.status == SqpStatus::Converged)
             .then(|| here.wrenches(&outcome.point.variables));
     }
     unreachable!("the last stage returns")
+}
+
+/// A solve with a free duration; several starts begin with several durations.
+fn released(
+    problem: &OptimalControlProblem,
+    settings: &SqpSettings,
+    search: &Search,
+    first: First,
+    n_threads: usize,
+    observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
+) -> Result<Staged, GuessError> {
+    let began = Instant::now();
+    let stretch = match (first, problem.duration) {
+        (First::Detour(number), Some(free)) if search.starts > 1 => {
+            let part = random(search.seed, number).f64();
+            let duration = free.shortest + part * (free.longest - free.shortest);
+            duration / problem.grid.end()
+        }
+        _ => 1.0,
+    };
+    let held = held_problem(problem, stretch);
+    let mut found = staged(&held, settings, search, first, n_threads, observer)?;
+    let mut settings = settings.clone();
+    settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
+    let releasing = Releasing {
+        problem,
+        settings: &settings,
+        n_threads,
+        observer,
+    };
+    found.outcome = releasing.release(stretch, found.outcome, &mut found.before)?;
+    Ok(found)
 }
 
 /// The problem at a fraction of the way from an easy one.
@@ -378,9 +425,7 @@ fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f
         .filter(|goal| goal.node == tip)
         .find_map(|goal| goal.position)
         .unwrap_or(from);
-    // Starts are apart in the seed by an odd constant, so that no two share a sequence.
-    let mut random =
-        fastrand::Rng::with_seed(seed ^ (start as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    let mut random = random(seed, start);
     let offset = loop {
         let v = Vector3::from_fn(|_, _| 2.0 * random.f64() - 1.0);
         if v.norm_squared() <= 1.0 {
@@ -388,4 +433,9 @@ fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f
         }
     };
     0.5 * (from + to) + offset * (DETOUR * problem.rod.scales.length)
+}
+
+/// Starts are apart in the seed by an odd constant, so that no two share a sequence.
+fn random(seed: u64, start: usize) -> fastrand::Rng {
+    fastrand::Rng::with_seed(seed ^ (start as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }

@@ -7,6 +7,7 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Vector3};
 
+use super::control_cost::ControlCost;
 use super::cost::{CostRow, cost_curvature, cost_rows, sample_times};
 use super::path::{
     PathConstraint, PathLimit, PathMultiplier, Posture, RowCurvature, RowGradient, along, at,
@@ -31,6 +32,8 @@ use crate::sqp::{
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
+/// Largest change of a free duration in one step of the solver, over that of the grid.
+const LARGEST_STRETCH: f64 = 0.1;
 /// Rotation of a node below which a step may stretch the rod, by the square of it.
 const SMALL_TURN: f64 = 1e-3;
 /// Rows of path constraints nearer than this (in rod lengths, radians, ...) enter the subproblem from the start.
@@ -81,9 +84,9 @@ pub struct Transcription<'a> {
     path_durations: Vec<Vec<f64>>,
     /// Time nodes at which costs over states are sampled, with durations, s.
     samples: Vec<(usize, f64)>,
-    /// Exact Hessian of the cost over the variables: effort, rate, and the residuals of soft goals.
-    cost_hessian: Mat<f64>,
-    n_controls: usize,
+    control_cost: ControlCost,
+    pub(super) n_controls: usize,
+    pub(super) duration_variable: Option<usize>,
     n_threads: usize,
 }
 
@@ -116,7 +119,7 @@ impl<'a> Transcription<'a> {
             .collect();
         Self {
             sets: convex_sets(problem, &components),
-            cost_hessian: cost_hessian(problem, components.len(), &goal_rows, &soft_variables),
+            control_cost: ControlCost::of(problem, components.len(), &goal_rows, &soft_variables),
             samples: sample_times(problem),
             problem,
             components,
@@ -126,6 +129,7 @@ impl<'a> Transcription<'a> {
             path_starts,
             path_durations,
             n_controls,
+            duration_variable: problem.duration_variable(),
             n_threads,
         }
     }
@@ -198,7 +202,8 @@ impl<'a> Transcription<'a> {
         let mut any = false;
         // The later coefficient of a difference says where it belongs.
         let mut add = |row: &[(usize, f64)], normal: f64| {
-            let Some(&(later, sign)) = row.iter().max_by_key(|(index, _)| index) else {
+            let controls = row.iter().filter(|(index, _)| *index < self.n_controls);
+            let Some(&(later, sign)) = controls.max_by_key(|(index, _)| index) else {
                 return;
             };
             let component = self.components[later % n_components];
@@ -220,20 +225,33 @@ impl<'a> Transcription<'a> {
         if any { out } else { Vec::new() }
     }
 
-    pub(crate) fn motion(&self) -> Motion<'_> {
-        self.problem.motion()
-    }
-
-    pub(crate) fn posture<'b>(&'b self, trajectory: &'b Trajectory) -> Posture<'b> {
-        Posture {
-            rod: &self.problem.rod,
-            radii: &self.problem.radii,
-            trajectory,
-            step: self.problem.grid.step,
+    /// The time grid that belongs to a point's variables.
+    fn grid(&self, variables: &[f64]) -> TimeGrid {
+        let grid = self.problem.grid;
+        TimeGrid {
+            step: grid.step * self.problem.stretch(variables),
+            ..grid
         }
     }
 
-    fn signal(&self, variables: &[f64]) -> ControlSignal {
+    /// The motion on the grid that belongs to a point's variables.
+    pub(crate) fn motion(&self, variables: &[f64]) -> Motion<'_> {
+        Motion {
+            grid: self.grid(variables),
+            ..self.problem.motion()
+        }
+    }
+
+    pub(crate) fn posture<'b>(&'b self, point: &'b LiftedPoint) -> Posture<'b> {
+        Posture {
+            rod: &self.problem.rod,
+            radii: &self.problem.radii,
+            trajectory: &point.trajectory,
+            step: self.grid(&point.variables).step,
+        }
+    }
+
+    pub(super) fn signal(&self, variables: &[f64]) -> ControlSignal {
         let coefficients = self.problem.wrenches(variables);
         self.problem.signal(&self.problem.control, &coefficients)
     }
@@ -297,33 +315,18 @@ impl<'a> Transcription<'a> {
             .collect()
     }
 
-    /// Value of the cost over the variables, and its gradient.
-    fn control_cost(&self, variables: &[f64]) -> (f64, Vec<f64>) {
-        let gradient: Vec<f64> = (0..variables.len())
-            .map(|i| {
-                variables
-                    .iter()
-                    .enumerate()
-                    .map(|(j, v)| self.cost_hessian[(i, j)] * v)
-                    .sum()
-            })
-            .collect();
-        let cost = 0.5
-            * variables
-                .iter()
-                .zip(&gradient)
-                .map(|(v, g)| v * g)
-                .sum::<f64>();
-        (cost, gradient)
+    /// The residuals of the costs over states.
+    fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
+        let posture = self.posture(point);
+        self.samples(point)
+            .flat_map(|(k, duration)| cost_rows(self.problem, &posture, k, duration))
+            .collect()
     }
 
-    /// The residuals of the costs over states.
-    fn state_costs(&self, trajectory: &Trajectory) -> Vec<CostRow> {
-        let posture = self.posture(trajectory);
-        self.samples
-            .iter()
-            .flat_map(|&(k, duration)| cost_rows(self.problem, &posture, k, duration))
-            .collect()
+    /// Time nodes at which costs over states are sampled, with what they stand for at a point, s.
+    fn samples(&self, point: &LiftedPoint) -> impl Iterator<Item = (usize, f64)> {
+        let stretch = self.problem.stretch(&point.variables);
+        (self.samples.iter()).map(move |&(k, duration)| (k, duration * stretch))
     }
 
     /// Residuals of the goals minus the variables that soft ones have for them.
@@ -335,8 +338,8 @@ impl<'a> Transcription<'a> {
     }
 
     /// Values of all path rows.
-    fn path_values(&self, trajectory: &Trajectory) -> Vec<f64> {
-        let posture = self.posture(trajectory);
+    fn path_values(&self, point: &LiftedPoint) -> Vec<f64> {
+        let posture = self.posture(point);
         let mut values = Vec::with_capacity(self.n_path_rows());
         for constraint in &self.path {
             let n_items = constraint.limit.n_items(&self.problem.rod);
@@ -349,7 +352,7 @@ impl<'a> Transcription<'a> {
     }
 
     /// Constraint, time node and item of a row.
-    fn located(&self, row: usize) -> (&PathConstraint, usize, usize) {
+    pub(super) fn located(&self, row: usize) -> (&PathConstraint, usize, usize) {
         let PathRow {
             constraint,
             time,
@@ -392,13 +395,9 @@ impl<'a> Transcription<'a> {
     }
 
     /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
-    fn own_curvature(
-        &self,
-        trajectory: &Trajectory,
-        multipliers: &Multipliers,
-    ) -> Vec<RowCurvature> {
-        let posture = self.posture(trajectory);
-        let mut out = self.goal_curvature(trajectory, &multipliers.constraints);
+    fn own_curvature(&self, point: &LiftedPoint, multipliers: &Multipliers) -> Vec<RowCurvature> {
+        let posture = self.posture(point);
+        let mut out = self.goal_curvature(&point.trajectory, &multipliers.constraints);
         for (row, &y) in multipliers.inequalities.iter().enumerate() {
             if y != 0.0 {
                 let mut curvature = self.path_curvature(&posture, row);
@@ -406,7 +405,7 @@ impl<'a> Transcription<'a> {
                 out.push(curvature);
             }
         }
-        for &(k, duration) in &self.samples {
+        for (k, duration) in self.samples(point) {
             out.extend(cost_curvature(self.problem, &posture, k, duration));
         }
         out
@@ -443,7 +442,7 @@ fn rotation_error(
     log(&(goal.rotation.unwrap_or(r).transpose() * r))
 }
 
-fn describe(error: StepError) -> Failure {
+pub(super) fn describe(error: StepError) -> Failure {
     Failure(error.to_string())
 }
 
@@ -566,16 +565,28 @@ impl LiftedProgram for Transcription<'_> {
                 goal.name, goal.time_node
             )));
         }
+        if let Some((_, conflict)) = self.problem.duration_conflict() {
+            return Err(Failure(format!(
+                "a free duration does not go with {conflict}"
+            )));
+        }
+        let stretch = self.problem.stretch(&point.variables);
+        if !(stretch > 0.0 && stretch.is_finite()) {
+            return Err(Failure(format!(
+                "a duration of {stretch} times that of the grid"
+            )));
+        }
         let control = self.signal(&point.variables);
-        let found = defects(&self.motion(), &point.trajectory, &control).map_err(describe)?;
+        let motion = self.motion(&point.variables);
+        let found = defects(&motion, &point.trajectory, &control).map_err(describe)?;
         let residuals = self.goal_residuals(&point.trajectory, &found);
-        let (control_cost, _) = self.control_cost(&point.variables);
-        let state_cost: f64 = (self.state_costs(&point.trajectory).iter())
+        let (control_cost, _) = self.control_cost.value(&point.variables);
+        let state_cost: f64 = (self.state_costs(point).iter())
             .map(|row| 0.5 * row.residual * row.residual)
             .sum();
         let objective = control_cost + state_cost;
         let constraints = self.less_soft(residuals, &point.variables);
-        let inequalities = self.path_values(&point.trajectory);
+        let inequalities = self.path_values(point);
         if !objective.is_finite() {
             return Err(Failure(
                 "the objective is not finite; check its weights and scales".into(),
@@ -617,8 +628,8 @@ impl LiftedProgram for Transcription<'_> {
         evaluation: &Evaluation<Defects>,
         request: &LinearizationRequest,
     ) -> Result<Linearization, Failure> {
-        let motion = self.motion();
-        let posture = self.posture(&point.trajectory);
+        let motion = self.motion(&point.variables);
+        let posture = self.posture(point);
         let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
         for row in &self.goal_rows {
@@ -627,7 +638,7 @@ impl LiftedProgram for Transcription<'_> {
         for &row in request.rows {
             gathered.push(self.path_gradient(&posture, row));
         }
-        let costs = self.state_costs(&point.trajectory);
+        let costs = self.state_costs(point);
         for row in &costs {
             gathered.push(row.gradient.clone());
         }
@@ -635,7 +646,7 @@ impl LiftedProgram for Transcription<'_> {
         // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
         let (mut own, mut across) = (Vec::new(), Vec::new());
         if let Some(multipliers) = request.multipliers {
-            for curvature in self.own_curvature(&point.trajectory, multipliers) {
+            for curvature in self.own_curvature(point, multipliers) {
                 match curvature.at_one_time() {
                     Some(curvature) => own.push(curvature),
                     None => across.push(curvature),
@@ -658,10 +669,12 @@ impl LiftedProgram for Transcription<'_> {
         let second_order = adjoint
             .as_ref()
             .map(|adjoint| StateMultipliers { adjoint, own: &own });
+        let mut sources = vec![Sources::against(&evaluation.defects)];
+        sources.extend(self.stretching(point)?);
         let mut found = sensitivities(
             &motion,
             &point.trajectory,
-            &[&Sources::against(&evaluation.defects)],
+            &sources.iter().collect::<Vec<_>>(),
             &Columns {
                 problem: self.problem,
                 components: &self.components,
@@ -674,9 +687,14 @@ impl LiftedProgram for Transcription<'_> {
         let values = gathered.rows_of(&found.forms, &place);
         let answers = gathered.rows_of(&found.form_sources, &place);
         add_curvature_across(&across, n_rows, &values, &answers, &mut found);
-        Ok(self.assemble(
-            point, evaluation, request, &costs, n_goals, &values, &answers, found,
-        ))
+        let rows = self.along_driven(point, request.rows, &costs, &values, &answers);
+        let mut linearization = self.assemble(
+            point, evaluation, request, &costs, n_goals, &rows, &answers, found,
+        );
+        if let Some(multipliers) = request.multipliers {
+            self.bend_duration(point, multipliers, &mut linearization)?;
+        }
+        Ok(linearization)
     }
 
     fn state_size(&self) -> Option<StateSize> {
@@ -689,8 +707,11 @@ impl LiftedProgram for Transcription<'_> {
         rows: &[usize],
     ) -> Result<Option<StateLinearization>, Failure> {
         let trajectory = &point.trajectory;
-        let Some(motion) = SparseMotion::along(&self.motion(), trajectory).map_err(describe)?
-        else {
+        if self.problem.duration.is_some() {
+            return Ok(None);
+        }
+        let motion = self.motion(&point.variables);
+        let Some(motion) = SparseMotion::along(&motion, trajectory).map_err(describe)? else {
             return Ok(None);
         };
         let columns = self.columns_by_time();
@@ -710,7 +731,7 @@ impl LiftedProgram for Transcription<'_> {
             }
             row
         };
-        let posture = self.posture(trajectory);
+        let posture = self.posture(point);
         Ok(Some(StateLinearization {
             n_states: self.state_size().map_or(0, StateSize::total),
             equations: (motion.equations().into_iter())
@@ -730,10 +751,10 @@ impl LiftedProgram for Transcription<'_> {
             inequalities: (rows.iter())
                 .map(|&row| of_forms(self.path_gradient(&posture, row)))
                 .collect(),
-            residuals: (self.state_costs(trajectory).into_iter())
+            residuals: (self.state_costs(point).into_iter())
                 .map(|cost| of_forms(cost.gradient))
                 .collect(),
-            hessian: self.cost_hessian.clone(),
+            hessian: self.control_cost.gauss_newton(&point.variables),
         }))
     }
 
@@ -743,7 +764,7 @@ impl LiftedProgram for Transcription<'_> {
         evaluation: &Evaluation<Defects>,
         direction: &LiftedDirection,
     ) -> Result<Vec<f64>, Failure> {
-        let posture = self.posture(&point.trajectory);
+        let posture = self.posture(point);
         let n_nodes = self.problem.rod.n_nodes();
         let moved = |form: &StateForm| -> f64 {
             let at = |term: &FormTerm| {
@@ -756,6 +777,10 @@ impl LiftedProgram for Transcription<'_> {
                     }
             };
             form.terms.iter().map(at).sum()
+        };
+        let by_duration = |row: usize| {
+            let change = self.duration_variable.map(|at| direction.variables[at]);
+            change.map_or(0.0, |change| change * self.path_slope(point, &posture, row))
         };
         let furthest = (direction.trajectory.positions.iter())
             .map(Vector3::norm)
@@ -771,7 +796,7 @@ impl LiftedProgram for Transcription<'_> {
                 return h;
             }
             let gradient = self.path_gradient(&posture, row);
-            h + gradient.iter().map(moved).sum::<f64>()
+            h + gradient.iter().map(moved).sum::<f64>() + by_duration(row)
         };
         Ok((evaluation.inequalities.iter().enumerate())
             .map(predict)
@@ -785,10 +810,13 @@ impl LiftedProgram for Transcription<'_> {
         change: &[f64],
     ) -> Result<LiftedDirection, Failure> {
         let control = self.signal(change);
-        let sources = Sources::against(defects);
+        let mut sources = Sources::against(defects);
+        if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
+            sources.add(change[at], &stretching);
+        }
+        let motion = self.motion(&point.variables);
         let (trajectory, _) =
-            direction(&self.motion(), &point.trajectory, Some(&sources), &control)
-                .map_err(describe)?;
+            direction(&motion, &point.trajectory, Some(&sources), &control).map_err(describe)?;
         Ok(LiftedDirection {
             variables: change.to_vec(),
             trajectory,
@@ -820,7 +848,9 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn longest_step(&self, direction: &LiftedDirection) -> f64 {
-        LARGEST_TURN / direction.trajectory.largest_rotation()
+        let by_turn = LARGEST_TURN / direction.trajectory.largest_rotation();
+        let stretching = (self.duration_variable).map_or(0.0, |at| direction.variables[at].abs());
+        by_turn.min(LARGEST_STRETCH / stretching)
     }
 
     fn restored_step(&self, point: &LiftedPoint, change: &[f64]) -> Result<LiftedPoint, Failure> {
@@ -831,7 +861,8 @@ impl LiftedProgram for Transcription<'_> {
             .map(|(v, d)| v + d)
             .collect();
         let control = self.signal(&variables);
-        let trajectory = simulate(self.problem, self.problem.grid, &control).map_err(describe)?;
+        let grid = self.grid(&variables);
+        let trajectory = simulate(self.problem, grid, &control).map_err(describe)?;
         Ok(LiftedPoint {
             variables,
             trajectory,
@@ -850,10 +881,10 @@ impl Transcription<'_> {
         point: &LiftedPoint,
         multipliers: &Multipliers,
     ) -> Result<Vec<f64>, Failure> {
-        let (_, mut gradient) = self.control_cost(&point.variables);
-        let costs = self.state_costs(&point.trajectory);
+        let (_, mut gradient) = self.control_cost.value(&point.variables);
+        let costs = self.state_costs(point);
         let outcome = self.outcome(point, &costs, multipliers);
-        let motion = self.motion();
+        let motion = self.motion(&point.variables);
         let sweep = adjoint(&motion, &point.trajectory, &outcome).map_err(describe)?;
         let columns = Columns {
             problem: self.problem,
@@ -875,6 +906,18 @@ impl Transcription<'_> {
                 gradient[variable] -= y;
             }
         }
+        if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
+            gradient[at] += stretching.paired(&sweep);
+            let posture = self.posture(point);
+            for (row, z) in multipliers.inequalities.iter().enumerate() {
+                if *z != 0.0 {
+                    gradient[at] += z * self.path_slope(point, &posture, row);
+                }
+            }
+            for row in &costs {
+                gradient[at] += row.residual * self.cost_slope(point, row);
+            }
+        }
         Ok(gradient)
     }
 
@@ -885,7 +928,7 @@ impl Transcription<'_> {
         costs: &[CostRow],
         multipliers: &Multipliers,
     ) -> Vec<StateForm> {
-        let posture = self.posture(&point.trajectory);
+        let posture = self.posture(point);
         let mut out = Vec::new();
         let mut add = |gradient: RowGradient, weight: f64| {
             out.extend(gradient.into_iter().map(|mut form| {
@@ -923,49 +966,46 @@ impl Transcription<'_> {
         answers: &Mat<f64>,
         found: Sensitivities,
     ) -> Linearization {
-        let (n, n_controls) = (point.variables.len(), self.n_controls);
-        let jacobian = Mat::from_fn(n_goals, n, |i, j| {
-            if j < n_controls {
-                values[(i, j)]
-            } else if self.soft_variables[i] == Some(j) {
-                -1.0
-            } else {
-                0.0
-            }
+        let n = point.variables.len();
+        let jacobian = Mat::from_fn(n_goals, n, |i, j| match self.driven(j) {
+            Some(column) => values[(i, column)],
+            None if self.soft_variables[i] == Some(j) => -1.0,
+            None => 0.0,
         });
         let offset = (evaluation.constraints.iter().enumerate())
             .map(|(i, c)| c + answers[(i, 0)])
             .collect();
         let n_path = request.rows.len();
         let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
-            if j < n_controls {
-                values[(n_goals + i, j)]
-            } else {
-                0.0
-            }
+            self.driven(j)
+                .map_or(0.0, |column| values[(n_goals + i, column)])
         });
         let inequality_offset = (request.rows.iter().enumerate())
             .map(|(i, &row)| evaluation.inequalities[row] + answers[(n_goals + i, 0)])
             .collect();
-        let (_, mut gradient) = self.control_cost(&point.variables);
-        let mut gauss_newton = self.cost_hessian.clone();
+        let (_, mut gradient) = self.control_cost.value(&point.variables);
+        let mut gauss_newton = self.control_cost.gauss_newton(&point.variables);
+        // Variables that move the states, with their columns.
+        let driven: Vec<(usize, usize)> = (0..n)
+            .filter_map(|j| self.driven(j).map(|column| (j, column)))
+            .collect();
         let first_cost = n_goals + n_path;
         let mut defect_slope = 0.0;
         let mut model_extra = vec![0.0; n];
         if !costs.is_empty() {
             let rows = values.subrows(first_cost, costs.len());
             let square = rows.transpose() * rows;
-            for j in 0..n_controls {
-                for i in 0..n_controls {
-                    gauss_newton[(i, j)] += square[(i, j)];
+            for &(j, from_j) in &driven {
+                for &(i, from_i) in &driven {
+                    gauss_newton[(i, j)] += square[(from_i, from_j)];
                 }
             }
             for (i, cost) in costs.iter().enumerate() {
                 let answer = answers[(first_cost + i, 0)];
                 defect_slope += cost.residual * answer;
-                for j in 0..n_controls {
-                    gradient[j] += rows[(i, j)] * cost.residual;
-                    model_extra[j] += rows[(i, j)] * answer;
+                for &(j, column) in &driven {
+                    gradient[j] += rows[(i, column)] * cost.residual;
+                    model_extra[j] += rows[(i, column)] * answer;
                 }
             }
         }
@@ -976,13 +1016,13 @@ impl Transcription<'_> {
             .map(|(g, e)| g + e)
             .collect();
         if let Some(sources) = &found.curvature_sources {
-            for (j, g) in model_gradient.iter_mut().enumerate().take(n_controls) {
+            for (j, g) in model_gradient.iter_mut().enumerate().take(self.n_controls) {
                 *g += sources[(j, 0)];
             }
         }
         let curvature = found.curvature.map(|controls| {
             Mat::from_fn(n, n, |i, j| {
-                if i < n_controls && j < n_controls {
+                if i < self.n_controls && j < self.n_controls {
                     controls[(i, j)]
                 } else {
                     0.0
@@ -1082,12 +1122,13 @@ impl<'a> ChannelVariables<'a> {
         out
     }
 
-    /// The set in which `rows`, one per axis, must stay.
+    /// The set in which `rows`, one per axis, must stay; limits per axis grow with the variable `times`, if it is given.
     fn push_sets(
         &self,
         bound: Option<Bound>,
         unit: f64,
         rows: Vec<Vec<(usize, f64)>>,
+        times: Option<usize>,
         sets: &mut Vec<ConvexSet>,
     ) {
         match bound {
@@ -1107,8 +1148,16 @@ impl<'a> ChannelVariables<'a> {
                         continue;
                     }
                     let opposite = row.iter().map(|&(index, c)| (index, -c)).collect();
-                    for direction in [row, opposite] {
-                        sets.push(ConvexSet::HalfSpace { direction, limit });
+                    for mut direction in [row, opposite] {
+                        let mut constant = limit;
+                        if let Some(index) = times {
+                            direction.push((index, -limit));
+                            constant = 0.0;
+                        }
+                        sets.push(ConvexSet::HalfSpace {
+                            direction,
+                            limit: constant,
+                        });
                     }
                 }
             }
@@ -1117,51 +1166,32 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, and on their differences, in scaled variables.
+/// The bounds on coefficients, on their differences, and on the duration, in scaled variables.
 fn convex_sets(problem: &OptimalControlProblem, components: &[Component]) -> Vec<ConvexSet> {
     let mut sets = Vec::new();
+    let duration = problem.duration_variable();
+    if let (Some(free), Some(index)) = (problem.duration, duration) {
+        sets.push(ConvexSet::Interval {
+            index,
+            lower: free.shortest / problem.grid.end(),
+            upper: free.longest / problem.grid.end(),
+        });
+    }
     let gaps = problem.control.rate_gaps();
     for coefficient in 0..problem.control.n_coefficients() {
         for variables in ChannelVariables::all(problem, components, coefficient) {
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
-            variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+            variables.push_sets(channel.bound, 1.0 / channel.scale, own, None, &mut sets);
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
                 let change = (variables.indices.iter())
                     .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
                     .collect();
-                variables.push_sets(channel.rate_bound, gap / channel.scale, change, &mut sets);
+                let unit = gap / channel.scale;
+                variables.push_sets(channel.rate_bound, unit, change, duration, &mut sets);
             }
         }
     }
     sets
-}
-
-/// `effort M_effort + rate M_rate` for every component, and the weights of soft goals on their residuals.
-fn cost_hessian(
-    problem: &OptimalControlProblem,
-    n_components: usize,
-    goal_rows: &[GoalRow],
-    soft_variables: &[Option<usize>],
-) -> Mat<f64> {
-    let effort = problem.control.effort_matrix();
-    let rate = problem.control.rate_matrix();
-    let objective = &problem.objective;
-    let n = problem.n_variables();
-    let mut out = Mat::zeros(n, n);
-    for i in 0..effort.nrows() {
-        for j in 0..effort.ncols() {
-            let value = objective.effort * effort[(i, j)] + objective.rate * rate[(i, j)];
-            for c in 0..n_components {
-                out[(i * n_components + c, j * n_components + c)] = value;
-            }
-        }
-    }
-    for (row, variable) in goal_rows.iter().zip(soft_variables) {
-        if let Some(variable) = *variable {
-            out[(variable, variable)] = problem.soft_weight(row).unwrap_or(0.0);
-        }
-    }
-    out
 }

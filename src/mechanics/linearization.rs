@@ -236,6 +236,43 @@ impl Sources {
         }
     }
 
+    fn parts(&self) -> [&Vec<Vector3<f64>>; 4] {
+        [
+            &self.linear,
+            &self.angular,
+            &self.terminal_linear,
+            &self.terminal_angular,
+        ]
+    }
+
+    /// Adds `factor` times others of the same size.
+    pub fn add(&mut self, factor: f64, other: &Self) {
+        let own = [
+            &mut self.linear,
+            &mut self.angular,
+            &mut self.terminal_linear,
+            &mut self.terminal_angular,
+        ];
+        for (own, other) in own.into_iter().zip(other.parts()) {
+            for (own, other) in own.iter_mut().zip(other) {
+                *own += factor * other;
+            }
+        }
+    }
+
+    /// What an [outcome's adjoint](adjoint_sweep) says of these: the outcome's change.
+    #[must_use]
+    pub fn paired(&self, sweep: &AdjointSweep) -> f64 {
+        let rows = self.linear.len();
+        let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 {
+            a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+        };
+        dot(&self.linear, &sweep.linear)
+            + dot(&self.angular, &sweep.angular)
+            + dot(&self.terminal_linear, &sweep.linear[rows..])
+            + dot(&self.terminal_angular, &sweep.angular[rows..])
+    }
+
     /// Change of the momenta of all `n` nodes after the kick at time node `k`.
     pub(super) fn at(&self, k: usize, n: usize) -> (&[Vector3<f64>], &[Vector3<f64>]) {
         match self.linear.get(k * n..(k + 1) * n) {

@@ -23,6 +23,7 @@ pub mod sensitivity;
 pub mod signal;
 pub mod sparse_motion;
 pub mod stability;
+pub mod step_derivative;
 pub mod stepper;
 pub mod strain;
 pub mod strain_coordinates;

@@ -483,6 +483,8 @@ pub struct SolveSummary {
     pub step_s: f64,
     /// Steps of the horizon.
     pub steps: usize,
+    /// Duration of the horizon, s: where it is free, the one that was found.
+    pub duration_s: f64,
     /// Blocks of the control.
     pub control_blocks: usize,
     /// Unknowns of the subproblem.

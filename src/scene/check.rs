@@ -1,9 +1,9 @@
 //! Ranges and relations between keys: what the types of a scene cannot say.
 
 use super::model::{
-    Base, BaseKind, BaseMotion, Bound, Continuation, Control, Damping, DistributedLoad, Initial,
-    Limit, Load, LoadNode, Material, Objective, Obstacle, Payload, Price, Rod, RodModel, Scene,
-    Section, Solver, Task, Time, TimeStep, Via,
+    Base, BaseKind, BaseMotion, Bound, Continuation, Control, Damping, DistributedLoad,
+    FreeDuration, Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Payload, Price,
+    Rod, RodModel, Scene, Section, Solver, Task, Time, TimeStep, Via,
 };
 use super::{SceneError, SceneSource};
 
@@ -469,6 +469,9 @@ impl Keys<'_> {
                 .error_at("time.end_s", message, None)
                 .expecting("expected a positive duration"));
         }
+        if let Some(free) = &task.free_duration {
+            self.check_free_duration(free, task.instant(end))?;
+        }
         self.check_enforcement(
             "task",
             task.hard,
@@ -480,6 +483,25 @@ impl Keys<'_> {
         )?;
         for (index, via) in task.via.iter().enumerate() {
             self.check_via(via, index, task.instant(end), scene)?;
+        }
+        Ok(())
+    }
+
+    fn check_free_duration(&self, free: &FreeDuration, start: f64) -> Checked {
+        let key = |name: &str| format!("task.free_duration.{name}");
+        self.positive(&key("shortest_s"), free.shortest_s, "duration", "seconds")?;
+        self.positive(&key("longest_s"), free.longest_s, "duration", "seconds")?;
+        self.not_negative(&key("price"), free.price, "price", "per second")?;
+        if free.longest_s < free.shortest_s {
+            let message = format!("{} s is below shortest_s", number(free.longest_s));
+            return Err(self.source.error_at(&key("longest_s"), message, None));
+        }
+        if !(free.shortest_s..=free.longest_s).contains(&start) {
+            let message = format!("the search begins at {} s, outside", number(start));
+            return Err(self
+                .source
+                .error_at("task.free_duration", message, None)
+                .expecting("expected shortest_s and longest_s around task.at_s (or time.end_s)"));
         }
         Ok(())
     }

@@ -526,6 +526,9 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub at_s: Option<f64>,
+    /// Choose the duration of the task as well; `at_s` is where the search begins. Absent: the task is due at `at_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub free_duration: Option<FreeDuration>,
     /// Whether the tip should be at rest then: no velocity and no angular velocity. Default: true.
     #[serde(default = "yes")]
     pub at_rest: bool,
@@ -547,6 +550,24 @@ pub struct Task {
     /// Points to pass through on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Via>,
+}
+
+/// A duration that the optimizer chooses. Blocks of the control, points on the way and samples stretch with it; loads and paths to
+/// follow keep to the clock.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FreeDuration {
+    /// Shortest, s; positive.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub shortest_s: f64,
+    /// Longest, s; not below `shortest_s`. The time step is chosen for this one.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub longest_s: f64,
+    /// What a second costs, in the units of the objective; not negative, default 1. Against `objective.effort` it weighs time against
+    /// effort; with a small effort it is minimum time.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0.0))]
+    pub price: f64,
 }
 
 /// A point to pass through: a position, an orientation, or both.

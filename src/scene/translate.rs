@@ -10,9 +10,9 @@ use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use crate::control::path::thinnest;
 use crate::control::{
-    Actuator, Bound, Channel, Continuation, ControlGrid, Enforcement, FeedbackWeights, Goal,
-    GoalPart, Guess, Hold, OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit,
-    Posture, Search, Shape, Tracking,
+    Actuator, Bound, Channel, Continuation, ControlGrid, DurationConflict, Enforcement,
+    FeedbackWeights, FreeDuration, Goal, GoalPart, Guess, Hold, OptimalControlProblem,
+    PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape, Tracking,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{from_quaternion, log};
@@ -71,6 +71,26 @@ pub struct OptimalControl {
 }
 
 impl OptimalControl {
+    /// The same problem around a solution whose duration is `stretch` times that of the grid: its scene, read again, describes that grid.
+    #[must_use]
+    pub fn stretched(&self, stretch: f64) -> Self {
+        let mut out = self.clone();
+        if stretch == 1.0 {
+            return out;
+        }
+        out.problem = self.problem.stretched(stretch);
+        resolve_time(&mut out.resolved, &out.problem.grid);
+        if let Some(task) = &mut out.resolved.task {
+            let end = out.problem.grid.end();
+            task.at_s = Some(end);
+            for via in &mut task.via {
+                via.at_s *= stretch;
+            }
+            out.resolved.time.end_s = out.resolved.time.end_s.max(end);
+        }
+        out
+    }
+
     /// Checks a solution, with the limits that the scene asks for.
     ///
     /// # Errors
@@ -148,7 +168,10 @@ impl Scene {
         let solver = self.solver.clone().unwrap_or_default();
         let (parameters, rod) = self.rod_of(source)?;
         let horizon = task.instant(self.time.end_s);
-        let grid = self.grid(source, &rod, horizon, control.blocks)?;
+        let grid = match &task.free_duration {
+            None => self.grid(source, &rod, horizon, control.blocks)?,
+            Some(free) => self.stretching_grid(source, &rod, horizon, free, control.blocks)?,
+        };
         let states = grid.n_steps as f64 * rod.n_nodes() as f64;
         if !(states <= MOST_STORED_STATES) {
             return Err(source.error_at(
@@ -223,7 +246,12 @@ impl Scene {
         let problem = OptimalControlProblem {
             radii: self.display_radii(),
             goals: self.goals(task, &rod, &grid),
-            path: self.path_constraints(&rod, &grid),
+            path: self.path_constraints(&rod, &longest_grid(task, grid)),
+            duration: task.free_duration.map(|free| FreeDuration {
+                shortest: free.shortest_s,
+                longest: free.longest_s,
+                price: free.price,
+            }),
             objective: crate::control::Objective {
                 effort: objective.effort,
                 rate: objective.rate,
@@ -247,6 +275,18 @@ impl Scene {
         };
         self.check_start(source, &problem)?;
         self.check_goals(source, &problem)?;
+        if let Some((conflict, what)) = problem.duration_conflict() {
+            let key = match conflict {
+                DurationConflict::Rate => "control".into(),
+                DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
+                    None => format!("obstacle.{at}.soft"),
+                    Some(at) => format!("limit.{at}.soft"),
+                },
+                DurationConflict::Base => "base.motion".into(),
+            };
+            let message = format!("task.free_duration does not go with {what}");
+            return Err(source.error_at(&key, message, None));
+        }
         if problem.n_variables() > MOST_VARIABLES {
             return Err(source.error_at(
                 "control.blocks",
@@ -671,6 +711,41 @@ impl Scene {
         }
     }
 
+    /// A grid that can be stretched to the longest duration with steps that can be taken.
+    fn stretching_grid(
+        &self,
+        source: &SceneSource,
+        rod: &Rod,
+        start: f64,
+        free: &model::FreeDuration,
+        multiple: usize,
+    ) -> Result<TimeGrid, SceneError> {
+        let TimeStep::Seconds(step) = self.time.step_s else {
+            let longest = self.grid(source, rod, free.longest_s, multiple)?;
+            return Ok(TimeGrid {
+                step: start / longest.n_steps as f64,
+                ..longest
+            });
+        };
+        let grid = self.grid(source, rod, start, multiple)?;
+        let longest = free.longest_s / grid.n_steps as f64;
+        let limit = stable_step(rod);
+        if longest > limit && rod.scheme == TimeScheme::Explicit {
+            return Err(source.error_at(
+                "task.free_duration.longest_s",
+                format!(
+                    "{} steps of this duration, {longest:.4e} s each, are above the stable step of this rod, {limit:.4e} s",
+                    grid.n_steps
+                ),
+                Some(format!(
+                    "time.step_s counts at task.at_s; make it {:.4e} s or less, or \"auto\"",
+                    AUTO_STEP_FRACTION * limit * step / longest
+                )),
+            ));
+        }
+        Ok(grid)
+    }
+
     /// A grid of equal steps, no longer than asked for, whose number is a multiple of `multiple`.
     fn grid(
         &self,
@@ -870,6 +945,15 @@ fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
             o.rotation_rad
         })?,
     })
+}
+
+/// The grid at the longest duration: what a rate of samples is counted on, so that it does not depend on where the search begins.
+fn longest_grid(task: &model::Task, grid: TimeGrid) -> TimeGrid {
+    let longest = |free: &model::FreeDuration| TimeGrid {
+        step: free.longest_s / grid.n_steps as f64,
+        ..grid
+    };
+    task.free_duration.as_ref().map_or(grid, longest)
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {

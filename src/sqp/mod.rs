@@ -4,6 +4,7 @@ mod balls;
 pub mod globalization;
 pub mod hessian;
 pub mod kept_states;
+mod polish;
 pub mod program;
 pub mod quadratic_program;
 pub mod quasi_newton;

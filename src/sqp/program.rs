@@ -58,6 +58,16 @@ impl ConvexSet {
 }
 
 impl ConvexSet {
+    /// How fast the [violation](Self::violation) grows along a variable, at most.
+    pub(crate) fn steepness(&self) -> f64 {
+        let largest = |row: &[(usize, f64)]| row.iter().fold(0.0, |m: f64, (_, c)| m.max(c.abs()));
+        match self {
+            Self::Interval { .. } => 1.0,
+            Self::HalfSpace { direction, .. } => largest(direction),
+            Self::Ball { rows, .. } => rows.iter().map(|row| largest(row)).fold(0.0, f64::max),
+        }
+    }
+
     /// How far variables are outside, in the set's own units; not positive inside.
     #[must_use]
     pub fn violation(&self, variables: &[f64]) -> f64 {

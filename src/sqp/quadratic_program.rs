@@ -24,6 +24,7 @@ use clarabel::solver::{
 use faer::Mat;
 
 use super::kept_states::{StateLinearization, StateRow};
+use super::polish::polish;
 use super::program::{ConvexSet, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
 
@@ -78,6 +79,16 @@ pub struct LinearInequalities<'a> {
     pub groups: &'a [usize],
     /// Rows to begin with, by their place here; a good guess saves solves.
     pub first: &'a [usize],
+}
+
+impl LinearInequalities<'_> {
+    /// `h + Dδ`
+    pub(super) fn along(&self, change: &[f64]) -> Vec<f64> {
+        if self.offset.is_empty() {
+            return Vec::new();
+        }
+        affine(self.offset, self.jacobian, change)
+    }
 }
 
 /// Its solution.
@@ -200,7 +211,7 @@ impl QuadraticProgram<'_> {
             if violated.is_empty() {
                 solution.iterations = iterations;
                 solution.working = working;
-                return Ok(solution);
+                return Ok(polish(self, &solution).unwrap_or(solution));
             }
             let joining = if round < PEAK_ROUNDS {
                 peaks(&violated)

@@ -26,7 +26,7 @@ pub struct QuasiNewton {
 /// Curvature along a step that BFGS insists on, as a part of what it has there.
 const DAMPING: f64 = 0.2;
 /// SR1 skips updates whose denominator is this much smaller than its factors.
-const SKIP: f64 = 1e-8;
+const SKIP: f64 = 1e-6;
 
 impl QuasiNewton {
     /// The Gauss-Newton Hessian, and where that is singular a little more.

@@ -64,8 +64,8 @@ impl Multipliers {
 /// Scaled residuals of the Karush-Kuhn-Tucker conditions.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
-    /// `|∇J + Jᵀy + Dᵀz + Σ pulls of the sets|_∞`, relative to the largest of its terms along the variables that are
-    /// [measured](LiftedProgram::n_measured).
+    /// `|∇J + (Jᵀy + Dᵀz) + Σ pulls of the sets|_∞`, relative to the largest entry of its terms, as bracketed, along the variables that
+    /// are [measured](LiftedProgram::n_measured).
     pub stationarity: f64,
     /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
@@ -120,18 +120,15 @@ impl KktResidual {
             largest: infinity_norm(&linearization.gradient[..n_measured]),
             n_measured,
         };
-        for (row, &y) in multipliers.constraints.iter().enumerate() {
-            for j in 0..variables.len() {
-                sum.add(j, linearization.jacobian[(row, j)] * y);
-            }
-        }
-        for (at, &row) in linearization.rows.iter().enumerate() {
-            let z = multipliers.inequalities[row];
-            if z != 0.0 {
-                for j in 0..variables.len() {
-                    sum.add(j, linearization.inequality_jacobian[(at, j)] * z);
-                }
-            }
+        // Rows that nearly say the same may pull against each other as hard as they like: together they are one term.
+        for j in 0..variables.len() {
+            let by_constraints = (multipliers.constraints.iter().enumerate())
+                .map(|(row, y)| linearization.jacobian[(row, j)] * y);
+            let by_inequalities = (linearization.rows.iter().enumerate())
+                .map(|(at, &row)| (at, multipliers.inequalities[row]))
+                .filter(|(_, z)| *z != 0.0)
+                .map(|(at, z)| linearization.inequality_jacobian[(at, j)] * z);
+            sum.add(j, by_constraints.chain(by_inequalities).sum());
         }
         let mut feasibility = infinity_norm(&evaluation.constraints).max(evaluation.defect);
         let mut complementarity: f64 = 0.0;
@@ -174,6 +171,9 @@ fn row_complementarity(h: f64, z: f64, softness: Softness) -> f64 {
     }
 }
 
+/// Size of a ball's vector, over the variables (at least one), from which it has a direction: below, it is their rounding.
+const DIRECTION: f64 = 1e-9;
+
 /// The product of a set's slack and its normal; adds its pull to `sum`.
 fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: &mut Sum) -> f64 {
     match set {
@@ -197,15 +197,28 @@ fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: 
             (z * set.violation(variables)).abs().max(-z)
         }
         ConvexSet::Ball { rows, radius } => {
-            let mut inner = 0.0;
-            for (row, z) in rows.iter().zip(normal) {
-                inner += z * along(row, variables);
+            // Only what points outward at Mv is a normal; the rest, which the product of slack and normal sees by its square, is left to
+            // the stationarity.
+            let inside: Vec<f64> = rows.iter().map(|row| along(row, variables)).collect();
+            let size = norm(&inside);
+            let inner: f64 = normal.iter().zip(&inside).map(|(z, u)| z * u).sum();
+            let has_direction = size > DIRECTION * infinity_norm(variables).max(1.0);
+            let outward = inner / size;
+            for ((row, z), u) in rows.iter().zip(normal).zip(&inside) {
+                let pull = if has_direction {
+                    outward.max(0.0) * u / size
+                } else {
+                    *z
+                };
                 for &(index, component) in row {
-                    sum.add(index, z * component);
+                    sum.add(index, pull * component);
                 }
             }
-            // |w| radius = w·Mv exactly when Mv is on the sphere and w points outward.
-            (norm(normal) * radius - inner).abs()
+            if has_direction {
+                (outward * (radius - size)).abs().max(-outward)
+            } else {
+                (norm(normal) * radius - inner).abs()
+            }
         }
     }
 }

@@ -46,6 +46,8 @@ const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
 /// First trust radius, relative to the first variables (at least to one).
 const FIRST_TRUST_RADIUS: f64 = 2.0;
+/// Step, over the variables (at least one), from which a quasi-Newton matrix learns.
+const LEAST_LESSON: f64 = 1e-10;
 /// Room that a trust region leaves around the nearest point of the sets.
 const SET_ROOM: f64 = 2.0;
 /// A set may be violated by this much before the trust region makes room for the way back.
@@ -448,10 +450,18 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.escapes += 1;
         let mut length = (2.0 * ESCAPE_GAIN * self.evaluation.objective.abs() / -value).sqrt();
         length = length.min(first_trust_radius(self.variables()));
-        for _ in 0..SHRINKAGES {
-            let change: Vec<f64> = direction.iter().map(|d| length * d).collect();
+        // A limit without a multiplier stands in one of the two ways.
+        for attempt in 0..2 * SHRINKAGES {
+            let signed = if attempt % 2 == 0 { length } else { -length };
+            let change: Vec<f64> = direction.iter().map(|d| signed * d).collect();
+            let is_inside = |point: &P::Point| {
+                let variables = self.program.variables(point);
+                let mut sets = self.program.sets().iter();
+                sets.all(|set| set.violation(variables) <= ESCAPE_INFEASIBILITY)
+            };
             if let Some(trial) = Filter::restored(self.program, &self.point, &change, 0)
                 && self.program.infeasibility(&trial.evaluation) <= ESCAPE_INFEASIBILITY
+                && is_inside(&trial.point)
             {
                 self.arrive(trial);
                 let fresh = Best {
@@ -464,7 +474,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 self.trust_radius = length;
                 return true;
             }
-            length *= SHRINK;
+            if attempt % 2 == 1 {
+                length *= SHRINK;
+            }
         }
         false
     }
@@ -645,8 +657,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let difference = |to: &[f64], from: &[f64]| -> Vec<f64> {
                 to.iter().zip(from).map(|(a, b)| a - b).collect()
             };
+            let step = difference(self.program.variables(&self.point), &variables);
+            // Over a step of rounding, gradients differ by theirs.
+            if !(norm(&step) > LEAST_LESSON * norm(&variables).max(1.0)) {
+                return;
+            }
             learned.update(
-                &difference(self.program.variables(&self.point), &variables),
+                &step,
                 &difference(
                     &linearization.lagrangian_gradient(&self.multipliers),
                     &departed.lagrangian_gradient(&self.multipliers),

@@ -1,4 +1,5 @@
-//! Path constraints and costs over states, evaluated again: values from definitions, slopes by central differences.
+//! Path constraints and costs over states, evaluated again: values from definitions, slopes from geometry or by central
+//! differences.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -30,14 +31,7 @@ fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
             nalgebra::distance(&(*x).into(), &(*center).into()) - radius
         }
         Shape::Capsule { from, to, radius } => {
-            let axis = to - from;
-            let square = axis.norm_squared();
-            let s = if square > 0.0 {
-                ((x - from).dot(&axis) / square).clamp(0.0, 1.0)
-            } else {
-                0.0
-            };
-            (x - (from + s * axis)).norm() - radius
+            (x - nearest_on_segment(from, to, x)).norm() - radius
         }
         Shape::HalfSpace { point, normal } => normal.dot(x) - normal.dot(point),
         Shape::Cuboid {
@@ -156,25 +150,144 @@ impl Measure<'_> {
         weight: f64,
         [cx, ceta]: [&mut [Vector3<f64>]; 2],
     ) {
-        const STEP: f64 = 1e-5;
-        let length = self.rod.elements[0].length;
         let mut nodes = self.support(limit, item);
         nodes.dedup();
         for node in nodes {
+            let slope = self.position_slope(limit, item, node, poses, along_before);
+            cx[node] += slope * weight;
+            let here = poses[1];
+            let Some((vector, along)) = self.turning(limit, item).filter(|_| !along_before) else {
+                continue;
+            };
+            let direction = along(&vector(here));
             for axis in 0..3 {
-                let moved = |shift: f64, turn: f64| {
-                    let [mut before, mut here] = poses.map(Pose::clone);
-                    let pose = if along_before { &mut before } else { &mut here };
-                    pose.x[node][axis] += shift;
-                    pose.r[node] *= exp(&Vector3::ith(axis, turn));
-                    self.excess(limit, item, &here, Some(&before))
+                let turned = |angle: f64| {
+                    let mut here = here.clone();
+                    here.r[node] *= exp(&Vector3::ith(axis, angle));
+                    direction.dot(&vector(&here))
                 };
-                let shift = STEP * length;
-                cx[node][axis] += weight * (moved(shift, 0.0) - moved(-shift, 0.0)) / (2.0 * shift);
-                ceta[node][axis] += weight * (moved(0.0, STEP) - moved(0.0, -STEP)) / (2.0 * STEP);
+                ceta[node][axis] += weight * slope_at_zero(turned, TURN);
             }
         }
     }
+
+    /// Of a limit on rotations: the vector that it measures, which is smooth, and the direction in which the excess grows with it.
+    #[expect(clippy::type_complexity, reason = "two functions")]
+    fn turning<'b>(
+        &'b self,
+        limit: &'b PathLimit,
+        item: usize,
+    ) -> Option<(
+        Box<dyn Fn(&Pose) -> Vector3<f64> + 'b>,
+        Box<dyn Fn(&Vector3<f64>) -> Vector3<f64>>,
+    )> {
+        match limit {
+            PathLimit::Curvature { .. } => Some((
+                Box::new(move |pose| self.bend(pose, item)),
+                Box::new(|bend| unit(&Vector3::new(bend.x, bend.y, 0.0))),
+            )),
+            PathLimit::Twist { .. } => {
+                let side = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
+                Some((
+                    Box::new(move |pose| self.bend(pose, item / 2)),
+                    Box::new(move |_| Vector3::z() * side),
+                ))
+            }
+            PathLimit::Angle { node, from, .. } => Some((
+                Box::new(move |pose| log(&(from.transpose() * pose.r[*node]))),
+                Box::new(unit),
+            )),
+            _ => None,
+        }
+    }
+
+    /// Slope of a row's excess along the position of a node: unit vectors between points, which is what all of them measure.
+    fn position_slope(
+        &self,
+        limit: &PathLimit,
+        item: usize,
+        node: usize,
+        [before, here]: [&Pose; 2],
+        along_before: bool,
+    ) -> Vector3<f64> {
+        if along_before && !matches!(limit, PathLimit::Speed { .. }) {
+            return Vector3::zeros();
+        }
+        match limit {
+            PathLimit::Clearance { shape, points, .. } => {
+                let (q, s) = (item / points, (item % points) as f64 / *points as f64);
+                let next = (q + 1).min(here.x.len() - 1);
+                let x = here.x[q] * (1.0 - s) + here.x[next] * s;
+                let mut share = 0.0;
+                for (end, part) in [(q, 1.0 - s), (next, s)] {
+                    if end == node {
+                        share += part;
+                    }
+                }
+                -away(shape, &x) * share
+            }
+            PathLimit::Stretch { .. } => {
+                let q = item / 2;
+                let rest = self.rod.rest.positions[q + 1] - self.rod.rest.positions[q];
+                let along = unit(&(here.x[q + 1] - here.x[q])) / rest.norm();
+                let upper = item.is_multiple_of(2);
+                if (node == q) == upper { -along } else { along }
+            }
+            PathLimit::Speed { .. } => {
+                let along = unit(&(here.x[node] - before.x[node])) / self.step;
+                if along_before { -along } else { along }
+            }
+            PathLimit::Distance { from, .. } => unit(&(here.x[node] - from)),
+            PathLimit::Curvature { .. } | PathLimit::Twist { .. } | PathLimit::Angle { .. } => {
+                Vector3::zeros()
+            }
+        }
+    }
+}
+
+/// Turn of the differences along rotations, rad.
+const TURN: f64 = 1e-3;
+
+/// `f'(0)` by central differences of fourth order.
+pub(super) fn slope_at_zero(f: impl Fn(f64) -> f64, step: f64) -> f64 {
+    (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
+}
+
+fn unit(v: &Vector3<f64>) -> Vector3<f64> {
+    v.try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+}
+
+/// The direction in which a point leaves a body fastest: away from the nearest point, or to the nearest face.
+fn away(shape: &Shape, x: &Vector3<f64>) -> Vector3<f64> {
+    match shape {
+        Shape::Sphere { center, .. } => unit(&(x - center)),
+        Shape::Capsule { from, to, .. } => unit(&(x - nearest_on_segment(from, to, x))),
+        Shape::HalfSpace { normal, .. } => *normal,
+        Shape::Cuboid {
+            center,
+            rotation,
+            half_size,
+        } => {
+            let local = rotation.transpose() * (x - center);
+            let nearest = Vector3::from_fn(|i, _| local[i].clamp(-half_size[i], half_size[i]));
+            if nearest != local {
+                return rotation * unit(&(local - nearest));
+            }
+            let axis = (half_size - local.abs()).imin();
+            rotation * Vector3::ith(axis, local[axis].signum())
+        }
+    }
+}
+
+fn nearest_on_segment(from: &Vector3<f64>, to: &Vector3<f64>, x: &Vector3<f64>) -> Vector3<f64> {
+    let axis = to - from;
+    let square = axis.norm_squared();
+    let s = if square > 0.0 {
+        ((x - from).dot(&axis) / square).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    from + s * axis
 }
 
 /// Value of the costs over states at a pose, and their slopes, where a sample at time `t` stands for `duration` seconds.

@@ -4,6 +4,7 @@
 //! grid and on finer ones ([`refinement`]), constraints are looked at between nodes and samples, and the energy is balanced.
 
 mod dual;
+mod duration;
 pub mod growth;
 mod interval;
 pub mod kkt;
@@ -42,6 +43,8 @@ pub struct CheckLimits {
     pub kkt: f64,
     /// Replay on the same grid against the solution, in rod lengths.
     pub same_grid: f64,
+    /// Derivative of the Lagrangian along a free duration, over its largest term.
+    pub duration: f64,
     /// Estimated discretization error in time, and in space, in rod lengths.
     pub refined: f64,
     /// Tip error of the replay against a hard target, in rod lengths (rad for the orientation).
@@ -60,6 +63,7 @@ impl Default for CheckLimits {
         Self {
             kkt: 1e-6,
             same_grid: 1e-9,
+            duration: 1e-5,
             refined: 0.02,
             tip: 1e-4,
             energy: 0.02,
@@ -584,6 +588,15 @@ pub fn forward_check(
     };
     measure_tip(problem, &mut check);
     check.items = items(problem, &check, limits);
+    if let Some(found) = duration::examine(problem, solution)? {
+        check.items.push(CheckItem {
+            name: "duration",
+            value: found,
+            limit: limits.duration,
+            unit: "",
+            meaning: "derivative of the Lagrangian along a free duration, from motions that last longer and shorter, over its largest term",
+        });
+    }
     Ok(check)
 }
 

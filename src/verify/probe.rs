@@ -247,7 +247,7 @@ fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
 
 impl Conditions<'_> {
     /// Scaled value of a row of a path constraint.
-    fn row_value(&self, row: &PathMultiplier) -> f64 {
+    pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
         let limit = &self.path[row.constraint].limit;
         let here = Pose::at(self.trajectory, row.time_node);
         let before = (row.time_node > 0).then(|| Pose::at(self.trajectory, row.time_node - 1));

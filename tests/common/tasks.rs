@@ -138,6 +138,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
     };
     OptimalControlProblem {
         radii: (0..=4).map(|q| 0.05 - 0.005 * f64::from(q)).collect(),
+        duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Cubic, 4, BUSY_STEPS, grid.step).unwrap(),
         actuators: vec![actuator(rod.tip()), actuator(2)],

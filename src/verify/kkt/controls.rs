@@ -14,7 +14,10 @@ fn parts(wrench: &Wrench) -> Pair {
 }
 
 /// `(scale, unit)` of both channels of actuator `a`.
-fn channels(problem: &OptimalControlProblem, a: usize) -> [(f64, &'static str, &'static str); 2] {
+pub(in crate::verify) fn channels(
+    problem: &OptimalControlProblem,
+    a: usize,
+) -> [(f64, &'static str, &'static str); 2] {
     let actuator = &problem.actuators[a];
     [
         (actuator.force.scale, "force", "N"),

@@ -8,7 +8,7 @@ use crate::control::cost::sample_times;
 use crate::control::{GoalPart, PathEnforcement, PathMultiplier};
 use crate::mechanics::rotation::{exp, log};
 use crate::verify::SolutionMultipliers;
-use crate::verify::limits::{Pose, add_state_cost};
+use crate::verify::limits::{Pose, add_state_cost, slope_at_zero};
 
 /// Covectors of a configuration at every time node: of positions and of body rotations, time-major.
 pub(in crate::verify) struct Outcome {
@@ -138,12 +138,7 @@ impl Conditions<'_> {
 
 /// Gradient of one component of `log A` along body rotations of `A`, by central differences.
 fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
-    let h = 1e-5;
-    Vector3::from_fn(|i, _| {
-        let mut turn = Vector3::zeros();
-        turn[i] = h;
-        (log(&(a * exp(&turn)))[axis] - log(&(a * exp(&-turn)))[axis]) / (2.0 * h)
-    })
+    Vector3::from_fn(|i, _| slope_at_zero(|h| log(&(a * exp(&Vector3::ith(i, h))))[axis], 1e-3))
 }
 
 /// A row of a path constraint with its multiplier, both scaled.

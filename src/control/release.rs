@@ -1,0 +1,258 @@
+//! Solves with a free duration: first with a fixed one, then with both; and where that fails, down along the duration.
+//!
+//! The optimum over the controls changes with the duration as fast as the arm's elastic waves swing, so that linearized constraints say
+//! little about a duration that is a few steps longer. Between the two, the envelope theorem leads down safely: the derivative of the optimal
+//! value along the duration is that of the Lagrangian.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use super::problem::OptimalControlProblem;
+use super::search::Abandoned;
+use super::transcription::{LiftedPoint, Transcription, simulate};
+use crate::mechanics::StepError;
+use crate::sqp::{
+    ConvexSet, IterationRecord, LiftedProgram as _, Multipliers, SqpOutcome, SqpSettings,
+    SqpStatus, solve,
+};
+
+/// Iterations that a solve of both gets before the way down along the duration is tried.
+const PATIENCE: usize = 50;
+/// First change of the duration on that way, over that of the grid.
+const FIRST_CHANGE: f64 = 0.01;
+/// Changes on that way, at most, and attempts at each.
+const MOST_CHANGES: usize = 40;
+const MOST_ATTEMPTS: usize = 8;
+/// What an attempt that failed leaves of a change.
+const SHORTER: f64 = 0.25;
+/// Slope, over the value, of a duration that is stationary.
+const FLAT: f64 = 1e-6;
+/// Part of the promised decrease that a change must bring.
+const SUFFICIENT: f64 = 1e-4;
+
+/// What a solve needs to know.
+pub(super) struct Releasing<'a> {
+    pub problem: &'a OptimalControlProblem,
+    pub settings: &'a SqpSettings,
+    pub n_threads: usize,
+    pub observer: &'a dyn Fn(&IterationRecord) -> ControlFlow<crate::sqp::Stop>,
+}
+
+/// A solution with a fixed duration.
+struct Held {
+    stretch: f64,
+    outcome: SqpOutcome<LiftedPoint>,
+    /// Value with the price of the duration, and its derivative along the stretch.
+    value: f64,
+    slope: f64,
+    /// What of the slope a limit of the duration holds: minus the limit's multiplier.
+    held_slope: f64,
+}
+
+impl Held {
+    fn is_flat(&self) -> bool {
+        (self.slope - self.held_slope).abs() * self.stretch <= FLAT * self.value.abs()
+    }
+
+    /// As an outcome of the problem with a free duration, which it solves where it is flat.
+    fn released(self) -> SqpOutcome<LiftedPoint> {
+        let mut outcome = self.outcome;
+        outcome.objective = self.value;
+        outcome.point.variables.push(self.stretch);
+        (outcome.multipliers.normals).insert(0, vec![-self.held_slope]);
+        outcome
+    }
+}
+
+/// The same problem with a duration that is fixed at `stretch` times that of the grid.
+pub(super) fn held_problem(problem: &OptimalControlProblem, stretch: f64) -> OptimalControlProblem {
+    OptimalControlProblem {
+        duration: None,
+        ..problem.stretched(stretch)
+    }
+}
+
+impl Releasing<'_> {
+    /// From the outcome of the problem held at `stretch`; the solves before the last one are counted in `before`.
+    pub(super) fn release(
+        &self,
+        stretch: f64,
+        held: SqpOutcome<LiftedPoint>,
+        before: &mut Vec<Abandoned>,
+    ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
+        let began = Instant::now();
+        let program = Transcription::new(self.problem, self.n_threads);
+        let is_solved = held.status == SqpStatus::Converged;
+        before.push(counted("held duration", &held));
+        let mut settings = self.settings.clone();
+        if is_solved {
+            settings.max_iterations = settings.max_iterations.min(PATIENCE);
+        }
+        let first = self.solve_both(&program, &settings, stretch, &held)?;
+        let finished = matches!(first.status, SqpStatus::Converged | SqpStatus::Stopped(_));
+        let Some(held) = (!finished && is_solved)
+            .then(|| self.examine(&program, stretch, held))
+            .flatten()
+        else {
+            return Ok(first);
+        };
+        before.push(counted("free duration", &first));
+        let lowest = self.descend(&program, held, began, before);
+        let settings = self.remaining(began);
+        let both = self.solve_both(&program, &settings, lowest.stretch, &lowest.outcome)?;
+        let is_lower = both.objective <= lowest.value + FLAT * lowest.value.abs();
+        if lowest.is_flat() && !(both.status == SqpStatus::Converged && is_lower) {
+            before.push(counted("free duration", &both));
+            return Ok(lowest.released());
+        }
+        Ok(both)
+    }
+
+    /// Shortest and longest duration over that of the grid.
+    fn limits(&self) -> Option<[f64; 2]> {
+        let free = self.problem.duration?;
+        Some([free.shortest, free.longest].map(|limit| limit / self.problem.grid.end()))
+    }
+
+    fn remaining(&self, began: Instant) -> SqpSettings {
+        let mut settings = self.settings.clone();
+        settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
+        settings
+    }
+
+    /// Controls and duration together, from a solution or an attempt with a fixed one.
+    fn solve_both(
+        &self,
+        program: &Transcription,
+        settings: &SqpSettings,
+        stretch: f64,
+        held: &SqpOutcome<LiftedPoint>,
+    ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
+        let problem = held_problem(self.problem, stretch);
+        let control = problem.signal(&problem.control, &problem.wrenches(&held.point.variables));
+        let mut variables = held.point.variables.clone();
+        variables.push(stretch);
+        let point = LiftedPoint {
+            variables,
+            trajectory: simulate(&problem, problem.grid, &control)?,
+        };
+        let mut observer = |row: &IterationRecord| (self.observer)(row);
+        Ok(solve(program, point, settings, &mut observer))
+    }
+
+    /// Value and slope of a solution with a fixed duration; `None` where its motion cannot be linearized.
+    fn examine(
+        &self,
+        program: &Transcription,
+        stretch: f64,
+        outcome: SqpOutcome<LiftedPoint>,
+    ) -> Option<Held> {
+        let (free, at) = (self.problem.duration?, self.problem.duration_variable()?);
+        let mut point = outcome.point.clone();
+        point.variables.push(stretch);
+        // The duration's own limits are the first set of the free program.
+        let mut multipliers = outcome.multipliers.clone();
+        multipliers.normals.insert(0, vec![0.0]);
+        let gradient = program.lagrangian_gradient(&point, &multipliers).ok()?;
+        let slope = gradient[at] + along_sets(program, &multipliers, at);
+        let [shortest, longest] = self.limits()?;
+        let is_held = if slope > 0.0 {
+            stretch <= shortest
+        } else {
+            stretch >= longest
+        };
+        Some(Held {
+            held_slope: if is_held { slope } else { 0.0 },
+            value: outcome.objective + free.price * self.problem.grid.end() * stretch,
+            stretch,
+            outcome,
+            slope,
+        })
+    }
+
+    /// Shorter or longer from one solution to the next, each with a smaller value, until it is flat there or nothing near is lower.
+    fn descend(
+        &self,
+        program: &Transcription,
+        mut here: Held,
+        began: Instant,
+        before: &mut Vec<Abandoned>,
+    ) -> Held {
+        let Some(limits) = self.limits() else {
+            return here;
+        };
+        let mut length = FIRST_CHANGE;
+        for _ in 0..MOST_CHANGES {
+            if here.is_flat() {
+                break;
+            }
+            let mut next = None;
+            for _ in 0..MOST_ATTEMPTS {
+                let change = -length.copysign(here.slope);
+                let stretch = (here.stretch + change).clamp(limits[0], limits[1]);
+                if stretch == here.stretch {
+                    break;
+                }
+                let problem = held_problem(self.problem, stretch);
+                let held_program = Transcription::new(&problem, self.n_threads);
+                let none = vec![0.0; here.outcome.point.variables.len()];
+                let Ok(start) = held_program.restored_step(&here.outcome.point, &none) else {
+                    length *= SHORTER;
+                    continue;
+                };
+                let mut observer = |row: &IterationRecord| (self.observer)(row);
+                let settings = SqpSettings {
+                    max_iterations: self.settings.max_iterations.min(PATIENCE),
+                    ..self.remaining(began)
+                };
+                let outcome = solve(&held_program, start, &settings, &mut observer);
+                before.push(counted("held duration", &outcome));
+                if matches!(outcome.status, SqpStatus::Stopped(_)) {
+                    return here;
+                }
+                let promised = here.slope * (stretch - here.stretch);
+                let found = (outcome.status == SqpStatus::Converged)
+                    .then(|| self.examine(program, stretch, outcome))
+                    .flatten()
+                    .filter(|found| found.value <= here.value + SUFFICIENT * promised);
+                if found.is_some() {
+                    next = found;
+                    break;
+                }
+                length *= SHORTER;
+            }
+            let Some(next) = next else {
+                break;
+            };
+            let curvature = (next.slope - here.slope) / (next.stretch - here.stretch);
+            length *= 2.0;
+            if curvature > 0.0 {
+                length = length.min(next.slope.abs() / curvature);
+            }
+            here = next;
+        }
+        here
+    }
+}
+
+/// Derivative of `Σ normal·set` along a variable.
+fn along_sets(program: &Transcription, multipliers: &Multipliers, variable: usize) -> f64 {
+    let slope = |(set, normal): (&ConvexSet, &Vec<f64>)| match set {
+        ConvexSet::HalfSpace { direction, .. } => {
+            let own = direction.iter().find(|(index, _)| *index == variable);
+            own.map_or(0.0, |(_, component)| component * normal[0])
+        }
+        ConvexSet::Interval { .. } | ConvexSet::Ball { .. } => 0.0,
+    };
+    (program.sets().iter().zip(&multipliers.normals))
+        .map(slope)
+        .sum()
+}
+
+fn counted(from: &'static str, outcome: &SqpOutcome<LiftedPoint>) -> Abandoned {
+    Abandoned {
+        from,
+        infeasible: outcome.status == SqpStatus::LocallyInfeasible,
+        iterations: outcome.history.len().saturating_sub(1),
+    }
+}

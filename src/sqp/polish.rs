@@ -1,0 +1,349 @@
+//! The solution of a subproblem to rounding, by Newton's method on the conditions of what is active.
+//!
+//! An interior point ends at a small product of slack and multiplier. On a second-order cone that product is the square of the angle
+//! between the control and its multiplier, so that 1e-11 of it leaves 3e-6 of the gradient unexplained, however often the subproblem is
+//! repeated. What is active is known well before; with that, the conditions are smooth equations.
+
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+
+use super::program::{ConvexSet, Softness, along};
+use super::quadratic_program::{QpSolution, QuadraticProgram};
+use super::residual::{infinity_norm, norm};
+
+/// Slack of the elastic rows above which there is nothing to polish.
+const SLACK: f64 = 1e-9;
+/// Part of the trust radius that a step must leave: beyond, its cone is active as well.
+const INSIDE: f64 = 0.999;
+/// Newton iterations.
+const ITERATIONS: usize = 4;
+/// Regularization of dependent rows, relative to the largest entry of the Hessian; iterations take its effect back.
+const REGULARIZATION: f64 = 1e-11;
+/// Largest change of the step, over its size and one: beyond, what is active was guessed wrong.
+const FAR: f64 = 1e-3;
+/// Rounding of a set's value, over the variables (at least one).
+const SET_ROUNDING: f64 = 1e-15;
+/// Violation of what was taken for inactive, and wrong sign of multipliers over the largest, that count as rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// A row that holds with equality, by where its multiplier belongs.
+#[derive(Clone, Copy)]
+enum Active {
+    Constraint(usize),
+    Inequality(usize),
+    Set(usize),
+    /// One row of a ball without radius.
+    Center(usize, usize),
+}
+
+/// The conditions with what is active as equations.
+struct Conditions<'a> {
+    qp: &'a QuadraticProgram<'a>,
+    active: Vec<Active>,
+    /// Clarabel's `v + δ`.
+    before: Vec<f64>,
+    /// Soft rows that are violated: their prices are part of the objective.
+    paid: Vec<(usize, f64, f64)>,
+    hessian: Mat<f64>,
+    gradient: Vec<f64>,
+}
+
+/// The polished solution; `None` where what is active cannot be told, or the result is no better.
+pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpSolution> {
+    let inside = norm(&solution.change) <= INSIDE * qp.trust_radius;
+    if qp.states.is_some() || solution.slack > SLACK || !inside {
+        return None;
+    }
+    let conditions = Conditions::of(qp, solution);
+    let mut change = solution.change.clone();
+    let mut multipliers: Vec<f64> = (conditions.active.iter())
+        .map(|&active| conditions.multiplier(active, solution))
+        .collect();
+    let mut residual = conditions.residual(&change, &multipliers);
+    let before = infinity_norm(&residual);
+    for _ in 0..ITERATIONS {
+        let matrix = conditions.matrix(&change, &multipliers);
+        let right = Mat::from_fn(residual.len(), 1, |i, _| -residual[i]);
+        let step = matrix.partial_piv_lu().solve(&right);
+        for (i, v) in change.iter_mut().chain(&mut multipliers).enumerate() {
+            *v += step[(i, 0)];
+        }
+        let next = conditions.residual(&change, &multipliers);
+        let (was, is) = (infinity_norm(&residual), infinity_norm(&next));
+        if !is.is_finite() {
+            return None;
+        }
+        residual = next;
+        if !(is < 0.5 * was) {
+            break;
+        }
+    }
+    let moved =
+        (change.iter().zip(&solution.change)).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
+    // Clarabel may stop short of a trust region that a step of no consequence reaches.
+    let far =
+        norm(&change) > qp.trust_radius || moved > FAR * infinity_norm(&solution.change).max(1.0);
+    if far || !(infinity_norm(&residual) <= before) || !conditions.allows(&change, &multipliers) {
+        return None;
+    }
+    Some(conditions.solution(solution, change, &multipliers))
+}
+
+impl<'a> Conditions<'a> {
+    fn of(qp: &'a QuadraticProgram<'a>, solution: &QpSolution) -> Self {
+        let multipliers = &solution.multipliers;
+        let largest = |values: &[f64]| infinity_norm(values);
+        // What multipliers are measured in; slacks are in the units of the rows, which are scaled to about one.
+        let unit = (multipliers.normals.iter().map(|normal| largest(normal)))
+            .fold(largest(&multipliers.inequalities), f64::max)
+            .max(largest(qp.gradient))
+            .max(f64::MIN_POSITIVE);
+        let holds = |multiplier: f64, slack: f64| multiplier / unit > slack;
+        let mut active: Vec<Active> = (0..qp.offset.len()).map(Active::Constraint).collect();
+        let mut paid = Vec::new();
+        let rows = &qp.inequalities;
+        let values = rows.along(&solution.change);
+        for &at in &solution.working {
+            let z = multipliers.inequalities[at];
+            match rows.softness[at] {
+                Softness::Soft { linear, quadratic } if holds(linear.max(z), -values[at]) => {
+                    // Violated, or at its limit with a multiplier below the price.
+                    let left = linear + quadratic * values[at].max(0.0) - z;
+                    if values[at] > 0.0 && left <= values[at] * unit {
+                        paid.push((at, linear, quadratic));
+                    } else if holds(z, -values[at]) {
+                        active.push(Active::Inequality(at));
+                    }
+                }
+                Softness::Soft { .. } => {}
+                Softness::Hard if holds(z, -values[at]) => active.push(Active::Inequality(at)),
+                Softness::Hard => {}
+            }
+        }
+        let there = moved(qp.variables, &solution.change);
+        for (at, (set, normal)) in qp.sets.iter().zip(&multipliers.normals).enumerate() {
+            match set {
+                ConvexSet::Ball { rows, radius } if *radius <= 0.0 => {
+                    active.extend((0..rows.len()).map(|row| Active::Center(at, row)));
+                }
+                ConvexSet::Interval { lower, upper, .. } if lower == upper => {
+                    active.push(Active::Set(at));
+                }
+                _ => {
+                    let room = match set {
+                        // Of the side that the multiplier belongs to.
+                        ConvexSet::Interval {
+                            index,
+                            lower,
+                            upper,
+                        } if normal[0] < 0.0 => there[*index] - lower.min(*upper),
+                        _ => -set.violation(&there),
+                    };
+                    if holds(norm(normal), room.max(0.0)) {
+                        active.push(Active::Set(at));
+                    }
+                }
+            }
+        }
+        let mut hessian = qp.hessian.clone();
+        let mut gradient = qp.gradient.to_vec();
+        for &(at, linear, quadratic) in &paid {
+            for j in 0..gradient.len() {
+                let d = rows.jacobian[(at, j)];
+                gradient[j] += (linear + quadratic * rows.offset[at]) * d;
+                for i in 0..gradient.len() {
+                    hessian[(i, j)] += quadratic * rows.jacobian[(at, i)] * d;
+                }
+            }
+        }
+        Self {
+            qp,
+            before: there,
+            active,
+            paid,
+            hessian,
+            gradient,
+        }
+    }
+
+    /// The multiplier of an active row at Clarabel's solution.
+    fn multiplier(&self, active: Active, solution: &QpSolution) -> f64 {
+        let multipliers = &solution.multipliers;
+        match active {
+            Active::Constraint(i) => multipliers.constraints[i],
+            Active::Inequality(at) => multipliers.inequalities[at],
+            Active::Center(set, row) => multipliers.normals[set][row],
+            Active::Set(at) => match self.qp.sets[at] {
+                ConvexSet::Ball { .. } => norm(&multipliers.normals[at]),
+                _ => multipliers.normals[at][0],
+            },
+        }
+    }
+
+    /// Value and gradient of an active row, and of which side an interval is: `|Mv|²/(2r) - r/2` of a ball.
+    fn row(&self, active: Active, change: &[f64], multiplier: f64) -> (f64, Vec<(usize, f64)>) {
+        let qp = self.qp;
+        let dense = |matrix: &Mat<f64>, row: usize, offset: f64| {
+            let gradient: Vec<_> = (0..change.len()).map(|j| (j, matrix[(row, j)])).collect();
+            (offset + along(&gradient, change), gradient)
+        };
+        match active {
+            Active::Constraint(i) => dense(qp.jacobian, i, qp.offset[i]),
+            Active::Inequality(at) => {
+                dense(qp.inequalities.jacobian, at, qp.inequalities.offset[at])
+            }
+            Active::Center(set, row) => {
+                let there = moved(qp.variables, change);
+                let ConvexSet::Ball { rows, .. } = &qp.sets[set] else {
+                    unreachable!("only balls have a center")
+                };
+                (along(&rows[row], &there), rows[row].clone())
+            }
+            Active::Set(at) => {
+                let there = moved(qp.variables, change);
+                match &qp.sets[at] {
+                    ConvexSet::Interval {
+                        index,
+                        lower,
+                        upper,
+                    } => {
+                        let bound = if multiplier < 0.0 { lower } else { upper };
+                        (there[*index] - bound, vec![(*index, 1.0)])
+                    }
+                    ConvexSet::HalfSpace { direction, limit } => {
+                        (along(direction, &there) - limit, direction.clone())
+                    }
+                    ConvexSet::Ball { rows, radius } => {
+                        let inside: Vec<f64> = rows.iter().map(|row| along(row, &there)).collect();
+                        let square: f64 = inside.iter().map(|u| u * u).sum();
+                        let gradient = rows.iter().zip(&inside).flat_map(|(row, u)| {
+                            row.iter().map(move |&(index, c)| (index, c * u / radius))
+                        });
+                        (0.5 * (square / radius - radius), gradient.collect())
+                    }
+                }
+            }
+        }
+    }
+
+    /// Gradient of the Lagrangian, then the values of the active rows.
+    fn residual(&self, change: &[f64], multipliers: &[f64]) -> Vec<f64> {
+        let mut out = self.gradient.clone();
+        for (j, d) in change.iter().enumerate() {
+            for (o, h) in out.iter_mut().zip(self.hessian.col_as_slice(j)) {
+                *o += h * d;
+            }
+        }
+        for (&active, &y) in self.active.iter().zip(multipliers) {
+            let (value, gradient) = self.row(active, change, y);
+            for (index, c) in gradient {
+                out[index] += y * c;
+            }
+            out.push(value);
+        }
+        out
+    }
+
+    fn matrix(&self, change: &[f64], multipliers: &[f64]) -> Mat<f64> {
+        let n = change.len();
+        let size = n + self.active.len();
+        let largest = (0..n).map(|i| self.hessian[(i, i)]).fold(0.0, f64::max);
+        let mut out = Mat::zeros(size, size);
+        for j in 0..n {
+            for i in 0..n {
+                out[(i, j)] = self.hessian[(i, j)];
+            }
+        }
+        for (at, (&active, &y)) in self.active.iter().zip(multipliers).enumerate() {
+            let (_, gradient) = self.row(active, change, y);
+            let mut square = 0.0;
+            for (index, c) in gradient {
+                out[(index, n + at)] += c;
+                out[(n + at, index)] += c;
+                square += c * c;
+            }
+            out[(n + at, n + at)] = -REGULARIZATION * square / largest.max(f64::MIN_POSITIVE);
+            if let Active::Set(set) = active
+                && let ConvexSet::Ball { rows, radius } = &self.qp.sets[set]
+            {
+                for row in rows {
+                    for &(i, a) in row {
+                        for &(j, b) in row {
+                            out[(i, j)] += y * a * b / radius;
+                        }
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// Whether what is inactive holds, and the multipliers of the rest have the right sign.
+    fn allows(&self, change: &[f64], multipliers: &[f64]) -> bool {
+        let qp = self.qp;
+        let there = moved(qp.variables, change);
+        let largest = infinity_norm(multipliers).max(infinity_norm(&self.gradient));
+        let signs = (self.active.iter().zip(multipliers)).all(|(active, y)| match active {
+            Active::Constraint(_) | Active::Center(..) => true,
+            Active::Inequality(at) => {
+                let price = match qp.inequalities.softness[*at] {
+                    Softness::Hard => f64::INFINITY,
+                    Softness::Soft { linear, .. } => linear,
+                };
+                *y >= -ROUNDING * largest && *y <= price + ROUNDING * largest
+            }
+            Active::Set(at) => {
+                matches!(qp.sets[*at], ConvexSet::Interval { .. }) || *y >= -ROUNDING * largest
+            }
+        });
+        let values = qp.inequalities.along(change);
+        let paid = |at: usize| self.paid.iter().any(|(row, ..)| *row == at);
+        let rows = (values.iter().enumerate()).all(|(at, h)| {
+            let is_free = qp.inequalities.softness[at] == Softness::FREE;
+            is_free || (paid(at) && *h >= -ROUNDING) || *h <= qp.row_tolerance.max(ROUNDING)
+        });
+        // No farther outside than rounding of the variables is, or Clarabel was.
+        let rounding = SET_ROUNDING * infinity_norm(&there).max(1.0);
+        let sets = (qp.sets.iter()).all(|set| {
+            set.violation(&there) <= set.violation(&self.before).max(rounding * set.steepness())
+        });
+        signs && rows && sets
+    }
+
+    /// In the form of Clarabel's.
+    fn solution(&self, old: &QpSolution, change: Vec<f64>, multipliers: &[f64]) -> QpSolution {
+        let mut out = old.clone();
+        out.multipliers.inequalities.fill(0.0);
+        for normal in &mut out.multipliers.normals {
+            normal.fill(0.0);
+        }
+        let rows = &self.qp.inequalities;
+        let values = rows.along(&change);
+        for &(at, linear, quadratic) in &self.paid {
+            out.multipliers.inequalities[at] = linear + quadratic * values[at].max(0.0);
+        }
+        let there = moved(self.qp.variables, &change);
+        for (&active, &y) in self.active.iter().zip(multipliers) {
+            match active {
+                Active::Constraint(i) => out.multipliers.constraints[i] = y,
+                Active::Inequality(at) => out.multipliers.inequalities[at] = y.max(0.0),
+                Active::Center(set, row) => out.multipliers.normals[set][row] = y,
+                Active::Set(at) => match &self.qp.sets[at] {
+                    ConvexSet::Ball { rows, radius } => {
+                        for (z, row) in out.multipliers.normals[at].iter_mut().zip(rows) {
+                            *z = y.max(0.0) * along(row, &there) / radius;
+                        }
+                    }
+                    ConvexSet::Interval { .. } => out.multipliers.normals[at][0] = y,
+                    ConvexSet::HalfSpace { .. } => out.multipliers.normals[at][0] = y.max(0.0),
+                },
+            }
+        }
+        out.change = change;
+        out
+    }
+}
+
+fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
+    variables.iter().zip(change).map(|(v, d)| v + d).collect()
+}

@@ -1,0 +1,113 @@
+//! Whether a free duration is stationary, or held by its limits: from motions that last a little longer and shorter.
+
+use nalgebra::Vector3;
+
+use super::kkt::controls::{channels, control_cost};
+use super::kkt::motion::Conditions;
+use super::probe::{Motion, roll_out};
+use super::{CheckError, Solution};
+use crate::control::{Bound, OptimalControlProblem};
+
+/// Relative change of the duration in the differences, which are of fourth order.
+const CHANGE: f64 = 1e-4;
+/// Distance from a limit, over the duration, at which that limit may hold it.
+const AT_LIMIT: f64 = 1e-6;
+
+/// What a free duration adds to the objective.
+pub(super) fn price(problem: &OptimalControlProblem) -> f64 {
+    (problem.duration).map_or(0.0, |free| free.price * problem.grid.end())
+}
+
+/// Derivative of the Lagrangian along the logarithm of a free duration that its limits do not explain, over its largest term; infinite
+/// outside the limits, `None` where the duration is fixed.
+///
+/// Controls and multipliers stay, the motion follows: nothing of the solver's linearization enters.
+pub(super) fn examine(
+    problem: &OptimalControlProblem,
+    solution: &Solution,
+) -> Result<Option<f64>, CheckError> {
+    let Some(free) = problem.duration else {
+        return Ok(None);
+    };
+    let duration = problem.grid.end();
+    let (short, long) = (
+        free.shortest / duration - 1.0,
+        free.longest / duration - 1.0,
+    );
+    if short > AT_LIMIT || long < -AT_LIMIT {
+        return Ok(Some(f64::INFINITY));
+    }
+    let at = |change: f64| terms(problem, solution, 1.0 + change);
+    let near = [at(CHANGE)?, at(-CHANGE)?];
+    let far = [at(2.0 * CHANGE)?, at(-2.0 * CHANGE)?];
+    let (mut slope, mut largest) = (0.0, 0.0);
+    for i in 0..N_TERMS {
+        let difference = 8.0 * (near[0][i] - near[1][i]) - (far[0][i] - far[1][i]);
+        let part: f64 = difference / (12.0 * CHANGE);
+        slope += part;
+        largest = f64::max(largest, part.abs());
+    }
+    // At the shortest it may want to fall, at the longest to rise.
+    let held = (short >= -AT_LIMIT && slope > 0.0) || (long <= AT_LIMIT && slope < 0.0);
+    let unexplained = if held { 0.0 } else { slope.abs() };
+    Ok(Some(unexplained / largest.max(f64::MIN_POSITIVE)))
+}
+
+/// Effort and rate, price of the duration, costs over states, goals, path, and bounds on rates.
+const N_TERMS: usize = 6;
+
+/// The terms of the Lagrangian with the solution's controls and multipliers over `stretch` times the duration.
+fn terms(
+    problem: &OptimalControlProblem,
+    solution: &Solution,
+    stretch: f64,
+) -> Result<[f64; N_TERMS], CheckError> {
+    let problem = &problem.stretched(stretch);
+    let Motion { trajectory, end } = roll_out(problem, &problem.initial, solution.coefficients)?;
+    let control = problem.signal(&problem.control, solution.coefficients);
+    let path = problem.path_constraints();
+    let conditions = Conditions {
+        problem,
+        trajectory: &trajectory,
+        control: &control,
+        path: &path,
+    };
+    let multipliers = &solution.multipliers;
+    let residuals = conditions.residuals(&end.linear_momentum, &end.angular_momentum);
+    let goals = (residuals.iter().zip(multipliers.goals)).map(|(r, y)| r * y);
+    let on_path = (multipliers.path.iter()).map(|row| row.multiplier * conditions.row_value(row));
+    let (effort, _) = control_cost(problem, solution.coefficients);
+    let (_, states) = conditions.outcome(multipliers);
+    Ok([
+        effort,
+        price(problem),
+        states,
+        goals.sum(),
+        on_path.sum(),
+        -rate_room(problem, multipliers.rates),
+    ])
+}
+
+/// `Σ |z| limit`: what bounds on rates leave to controls, at their multipliers.
+fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
+    let n = problem.actuators.len();
+    let gaps = problem.control.rate_gaps();
+    let mut sum = 0.0;
+    for (i, normals) in rates.iter().enumerate() {
+        let (step, a) = (i / n, i % n);
+        let bounds = [
+            problem.actuators[a].force.rate_bound,
+            problem.actuators[a].moment.rate_bound,
+        ];
+        for (c, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+            let normal = Vector3::from_column_slice(&normals[3 * c..3 * c + 3]);
+            let room = match bounds[c] {
+                Some(Bound::PerAxis(limits)) => normal.abs().dot(&limits),
+                Some(Bound::Norm(limit)) => normal.norm() * limit,
+                None => 0.0,
+            };
+            sum += room * gaps[step] / scale;
+        }
+    }
+    sum
+}

@@ -1,0 +1,264 @@
+//! Tasks whose duration may be chosen: derivatives, bounds that grow with time, the check, and scenes that do not go with it.
+
+use std::ops::ControlFlow;
+
+use softarm::control::{LiftedPoint, OptimalControlProblem, Transcription, search, simulated};
+use softarm::derivatives::{Verdict, check};
+use softarm::mechanics::Wrench;
+use softarm::output::MultiplierRecord;
+use softarm::scene::{OptimalControl, Scene};
+use softarm::sqp::{IterationRecord, SqpOutcome, SqpStatus, solve};
+use softarm::verify::{CheckItem, ForwardCheck, Solution};
+
+const SCENE: &str = "\
+[rod]
+length_m = 1.0
+elements = 6
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[damping]
+viscous_1_s = 1.0
+[time]
+end_s = 0.5
+[task]
+position_m = [0.15, 0.05, 0.97]
+[task.free_duration]
+shortest_s = 0.25
+longest_s = 0.9
+price = 2.0
+[control]
+blocks = 8
+hold = \"linear\"
+force_max_n = 20.0
+moment_max_n_m = 5.0
+[objective]
+effort = 1.0
+rate = 1e-3
+";
+
+/// What may depend on the time step besides the motion: bounds on rates, energies, a path to follow, and a limit of the speed.
+const EVERYTHING: [&str; 5] = [
+    "control.force_rate_max_n_s=[60.0, 60.0, 60.0]",
+    "control.moment_rate_max_n_m_s=[20.0, 20.0, 20.0]",
+    "objective.energy=0.3",
+    "objective.track=[{ node = 2, path_m = [[0.0, 0.0, 0.0, 0.33], [0.2, 0.02, 0.0, 0.33], [0.8, 0.04, 0.02, 0.32]], weight = 3.0 }]",
+    "limit=[{ speed_max_m_s = 0.8 }]",
+];
+
+fn setup(overrides: &[&str]) -> OptimalControl {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let (scene, source) = Scene::from_toml("scene.toml", SCENE, &overrides).unwrap();
+    scene.optimal_control(&source).unwrap()
+}
+
+/// A solution on its own grid.
+struct Found {
+    setup: OptimalControl,
+    outcome: SqpOutcome<LiftedPoint>,
+    coefficients: Vec<Wrench>,
+    multipliers: MultiplierRecord,
+}
+
+impl Found {
+    fn duration(&self) -> f64 {
+        self.setup.problem.grid.end()
+    }
+
+    /// The check of these controls and multipliers over `stretch` times the duration.
+    fn checked(&self, stretch: f64) -> ForwardCheck {
+        let setup = self.setup.stretched(stretch);
+        let motion = simulated(&setup.problem, &self.coefficients).unwrap();
+        let solution = Solution {
+            trajectory: &motion.trajectory,
+            coefficients: &self.coefficients,
+            multipliers: self.multipliers.borrowed(),
+        };
+        setup.certify(&solution).unwrap()
+    }
+}
+
+fn item(check: &ForwardCheck, name: &str) -> CheckItem {
+    let found = check.items.iter().find(|item| item.name == name);
+    found.unwrap_or_else(|| panic!("no {name}")).clone()
+}
+
+#[track_caller]
+fn assert_certified(check: &ForwardCheck) {
+    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
+    assert!(failed.is_empty(), "{failed:?}");
+}
+
+#[track_caller]
+fn solved(setup: &OptimalControl) -> Found {
+    let on = |_: usize, _: &IterationRecord| ControlFlow::Continue(());
+    let mut attempts = search(&setup.problem, &setup.settings, &setup.search, &on).unwrap();
+    let mut outcome = attempts.swap_remove(0).outcome;
+    let residual = outcome.residual;
+    assert_eq!(outcome.status, SqpStatus::Converged, "{residual:?}");
+    let setup = setup.stretched(setup.problem.stretch(&outcome.point.variables));
+    *outcome.point.variables.last_mut().unwrap() = 1.0;
+    Found {
+        coefficients: setup.problem.wrenches(&outcome.point.variables),
+        multipliers: MultiplierRecord::of(&Transcription::new(&setup.problem, 1), &outcome),
+        setup,
+        outcome,
+    }
+}
+
+/// Gradients and exact Hessian along the duration, with everything that depends on the time step, against simulations.
+#[test]
+fn derivatives_along_the_duration_are_right() {
+    for hold in ["constant", "cubic"] {
+        let hold = format!("control.hold={hold}");
+        let setup = setup(&[&EVERYTHING[..], &[&hold]].concat());
+        for seed in 0..2 {
+            for block in &check(&setup.problem, seed).unwrap().blocks {
+                assert_eq!(block.verdict, Verdict::Ok, "{hold}, seed {seed}: {block:?}");
+            }
+        }
+    }
+}
+
+/// A price finds a duration between the limits, at which the check's motions over longer and shorter times agree; a little off they
+/// do not.
+#[test]
+fn duration_is_certified_where_it_is_stationary() {
+    let found = solved(&setup(&[]));
+    assert!(
+        (0.26..0.89).contains(&found.duration()),
+        "{}",
+        found.duration()
+    );
+    let check = found.checked(1.0);
+    assert_certified(&check);
+    let objective = found.outcome.objective;
+    assert!(
+        (check.objective / objective - 1.0).abs() < 1e-9,
+        "{} {objective}",
+        check.objective
+    );
+    for stretch in [0.999, 1.001] {
+        let off = item(&found.checked(stretch), "duration");
+        assert!(!off.holds(), "{off:?} at {stretch}");
+    }
+}
+
+/// The optimum over time is the least of the optima at fixed times around it.
+#[test]
+fn fixed_durations_cost_more() {
+    let found = solved(&setup(&[]));
+    let at = |duration: f64| {
+        let fixed = found.setup.stretched(duration / found.duration());
+        let problem = OptimalControlProblem {
+            duration: None,
+            ..fixed.problem
+        };
+        let program = Transcription::new(&problem, 1);
+        let start = simulated(&problem, &found.coefficients).unwrap();
+        let on = |_: &IterationRecord| ControlFlow::Continue(());
+        let outcome = solve(&program, start, &fixed.settings, &mut { on });
+        assert_eq!(outcome.status, SqpStatus::Converged);
+        outcome.objective + 2.0 * duration
+    };
+    let best = found.outcome.objective;
+    let here = at(found.duration());
+    assert!((here / best - 1.0).abs() < 1e-9, "{here} and {best}");
+    for factor in [0.998, 1.002] {
+        let other = at(factor * found.duration());
+        assert!(other > best, "{other} at {factor}, {best} at the optimum");
+    }
+}
+
+/// With bounds on rates and a limit of the speed that hold something at the solution: their room grows with time, and the check counts
+/// that.
+#[test]
+fn room_that_grows_with_time_is_counted() {
+    let found = solved(&setup(&EVERYTHING));
+    let largest = |rows: &[[f64; 6]]| rows.iter().flatten().fold(0.0, |m: f64, z| m.max(z.abs()));
+    assert!(largest(&found.multipliers.rates) > 1e-3);
+    assert!(
+        found
+            .multipliers
+            .path
+            .iter()
+            .any(|row| row.multiplier > 1e-3)
+    );
+    // Peaks of the speed between samples are another matter.
+    let mut check = found.checked(1.0);
+    check.items.retain(|item| item.name != "between_samples");
+    assert_certified(&check);
+    let without = Found {
+        multipliers: MultiplierRecord {
+            rates: vec![[0.0; 6]; found.multipliers.rates.len()],
+            ..found.multipliers.clone()
+        },
+        ..found
+    };
+    assert!(!item(&without.checked(1.0), "duration").holds());
+}
+
+/// A price that wants less time than there may be: certified at the shortest, but beyond it never.
+#[test]
+fn limits_of_the_duration_hold_it() {
+    let found = solved(&setup(&[
+        "task.free_duration.price=100.0",
+        "task.at_s=0.26",
+    ]));
+    assert!(
+        (found.duration() / 0.25 - 1.0).abs() < 1e-7,
+        "{}",
+        found.duration()
+    );
+    assert_certified(&found.checked(1.0));
+    assert!(!item(&found.checked(0.999), "duration").holds());
+}
+
+/// The scene of a result, read again, describes the grid of the solution.
+#[test]
+fn resolved_scene_has_the_duration_that_was_found() {
+    let found = solved(&setup(&[
+        "task.via=[{ at_s = 0.2, position_m = [0.05, 0.0, 0.99], hard = false }]",
+    ]));
+    let text = found.setup.resolved.to_toml();
+    let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
+    let again = scene.optimal_control(&source).unwrap();
+    let (grid, expected) = (again.problem.grid, found.setup.problem.grid);
+    assert_eq!(grid.n_steps, expected.n_steps);
+    assert!((grid.step / expected.step - 1.0).abs() < 1e-12);
+    assert_eq!(again.problem.goals, found.setup.problem.goals);
+}
+
+/// What does not go with a free duration is refused at its key.
+#[test]
+fn conflicts_are_refused_by_name() {
+    let cases: [(&[&str], &str); 7] = [
+        (
+            &["control.force_rate_max_n_s=60.0"],
+            "a bound on the magnitude of a rate",
+        ),
+        (
+            &["limit=[{ speed_max_m_s = 0.6, soft = { linear = 1.0 } }]"],
+            "soft limit",
+        ),
+        (
+            &["task.free_duration.shortest_s=0.0"],
+            "task.free_duration.shortest_s",
+        ),
+        (&["task.free_duration.longest_s=0.2"], "longest_s"),
+        (&["task.free_duration.price=-1.0"], "price"),
+        (&["time.end_s=2.0"], "the search begins at 2"),
+        (&["time.step_s=0.002"], "task.free_duration.longest_s"),
+    ];
+    for (overrides, words) in cases {
+        let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+        let error = Scene::from_toml("scene.toml", SCENE, &overrides)
+            .and_then(|(scene, source)| scene.optimal_control(&source))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(words), "no `{words}` in {error}");
+    }
+}
