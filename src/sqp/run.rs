@@ -44,6 +44,10 @@ const EXACT_PAUSE: usize = 3;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
+/// Iterations over which an infeasibility above this must fall to this part.
+const CRAWL: usize = 15;
+const CRAWL_INFEASIBILITY: f64 = 1e-4;
+const CRAWL_GAIN: f64 = 0.98;
 /// First trust radius, relative to the first variables (at least to one).
 const FIRST_TRUST_RADIUS: f64 = 2.0;
 /// Step, over the variables (at least one), from which a quasi-Newton matrix learns.
@@ -148,6 +152,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// Inequalities of the last working set that mattered.
     working: Vec<usize>,
     stuck: usize,
+    /// Length of the history when the last restoration began.
+    restored_at: usize,
     rescues: usize,
     refused_in_a_row: usize,
     filter_resets: usize,
@@ -242,6 +248,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             multipliers,
             elastic_weight: None,
             stuck: 0,
+            restored_at: 0,
             rescues: 0,
             refused_in_a_row: 0,
             filter_resets: 0,
@@ -1094,7 +1101,19 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 free.solve().is_ok_and(|free| promises_nothing(free.slack))
             });
         self.stuck = if hopeless { self.stuck + 1 } else { 0 };
-        self.stuck >= INFEASIBLE_PATIENCE
+        self.stuck >= INFEASIBLE_PATIENCE || self.crawls()
+    }
+
+    /// Whether the infeasibility hardly fell over many iterations: the restoration gets on, or proves that there is no way.
+    fn crawls(&self) -> bool {
+        let seen = &self.history[self.restored_at.min(self.history.len())..];
+        let Some(before) = (seen.len().checked_sub(CRAWL + 1)).map(|at| &seen[at..]) else {
+            return false;
+        };
+        let least = (before.iter().map(|row| row.infeasibility)).fold(f64::INFINITY, f64::min);
+        self.restorations < RESTORATIONS
+            && least > CRAWL_INFEASIBILITY
+            && least > CRAWL_GAIN * before[0].infeasibility
     }
 
     /// Infeasibility that the linearization sees here: its slack without a step.
@@ -1164,6 +1183,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     /// Begins the restoration phase.
     fn restore(&mut self, linearization: Linearization) -> Result<Step, Breakdown> {
         self.restorations += 1;
+        self.restored_at = self.history.len();
         self.stuck = 0;
         self.filter.leave(Measure::of(
             self.program,
