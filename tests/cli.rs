@@ -555,6 +555,45 @@ fn unreachable_target_is_infeasible() {
     }
 }
 
+/// The built-in reach past two obstacles: certified, and it leans on both; its report has their names, and the clearances come down to
+/// the margins and not below.
+#[test]
+fn obstacles_are_touched_and_shown() {
+    let desk = Desk::new();
+    let run = desk.run(&["solve", "reach-obstacle", "--out", "run", "--json"]);
+    assert_eq!(run.exits(DONE).summary()["check"]["verdict"], "certified");
+
+    let text = |name: &str| std::fs::read_to_string(desk.path("run").join(name)).unwrap();
+    let multipliers: Value = serde_json::from_str(&text("multipliers.json")).unwrap();
+    let push = |constraint: usize| -> f64 {
+        (multipliers["path"].as_array().unwrap().iter())
+            .filter(|row| row["constraint"] == constraint)
+            .map(|row| row["multiplier"].as_f64().unwrap())
+            .sum()
+    };
+    assert!(push(0) > 0.01 && push(1) > 0.01, "{multipliers}");
+
+    let page = text("report.html");
+    let (_, rest) = page.split_once("type=\"application/json\">").unwrap();
+    let (json, _) = rest.split_once("</script>").unwrap();
+    let data: Value = serde_json::from_str(json).unwrap();
+    let bodies = data["obstacles"]["bodies"].as_array().unwrap();
+    let rows = data["obstacles"]["t"].as_array().unwrap().len();
+    for (body, (name, kind)) in (bodies.iter()).zip([("ball", "sphere"), ("beam", "capsule")]) {
+        assert_eq!(
+            (&body["name"], &body["shape"]["kind"]),
+            (&name.into(), &kind.into())
+        );
+        let clearance = body["clearance"].as_array().unwrap();
+        assert_eq!(clearance.len(), rows);
+        let least = (clearance.iter().map(|c| c.as_f64().unwrap())).fold(f64::INFINITY, f64::min);
+        let beyond = least - body["margin"].as_f64().unwrap();
+        // Single precision below, and above at most the motion between two rows.
+        assert!((-1e-7..1e-3).contains(&beyond), "{name}: {beyond}");
+    }
+    assert_eq!(bodies.len(), 2);
+}
+
 /// A ball in the plane of the reach: a solver that may not leave saddles stops at one, and neither `solve` nor `verify` certifies it.
 #[test]
 fn saddles_are_rejected() {

@@ -736,8 +736,8 @@ fn unknown_scene_names() {
     let expected = "\
 error: no file and no built-in scene of this name
   --> raech.toml
-help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, paper-arm, swing, \
-shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence";
+help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, paper-arm, \
+swing, shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

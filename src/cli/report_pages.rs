@@ -1,12 +1,15 @@
 //! What the report page of a simulation and of a solve shows.
 
+use nalgebra::{Matrix3, Vector3};
+
 use super::solve::findings;
-use crate::control::{Bound, Feedback, Hold, OptimalControlProblem};
-use crate::mechanics::{BaseCondition, Rod, Wrench};
+use crate::control::{Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape};
+use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
     self, MotionRecord, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportSensitivity, ReportTarget, ReportVerdict,
+    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
+    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
 use crate::scene::{OptimalControl, Scene, Simulation};
@@ -15,6 +18,7 @@ use crate::verify::{CheckItem, ForwardCheck};
 
 const FRAMES: usize = 240;
 const ENERGY_ROWS: usize = 600;
+const CLEARANCE_ROWS: usize = 600;
 
 pub(super) fn simulation_page(
     scene: &Scene,
@@ -66,6 +70,7 @@ pub(super) fn simulation_page(
         arm: arm(scene, &setup.rod),
         motion: ReportMotion::thinned(record, FRAMES),
         target: None,
+        obstacles: obstacles(scene, &setup.rod, record),
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
         sensitivity: None,
@@ -117,6 +122,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         arm: arm(page.scene, &problem.rod),
         motion: ReportMotion::thinned(page.record, FRAMES),
         target: Some(target(problem)),
+        obstacles: obstacles(page.scene, &problem.rod, page.record),
         controls: Some(controls(problem, page.coefficients)),
         energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
         sensitivity: page.feedback.map(|feedback| ReportSensitivity {
@@ -194,6 +200,80 @@ fn target(problem: &OptimalControlProblem) -> ReportTarget {
         directions: goals()
             .find_map(|goal| goal.rotation.as_ref())
             .map(directors),
+    }
+}
+
+/// The obstacles, and the arm's clearance of each; `None` where there are none.
+fn obstacles(scene: &Scene, rod: &Rod, record: &MotionRecord) -> Option<ReportObstacles> {
+    let limits = scene.clearances(rod);
+    if limits.is_empty() {
+        return None;
+    }
+    let rows = record.thinned_rows(CLEARANCE_ROWS);
+    let radii = scene.display_radii();
+    let mut clearances = vec![Vec::with_capacity(rows.len()); limits.len()];
+    for row in &rows {
+        let coordinates = record.x.chunks_exact(3 * rod.n_nodes()).nth(*row)?;
+        let positions = coordinates.chunks_exact(3).map(Vector3::from_column_slice);
+        let trajectory = Trajectory {
+            n_nodes: rod.n_nodes(),
+            positions: positions.collect(),
+            rotations: vec![Matrix3::identity(); rod.n_nodes()],
+        };
+        let posture = Posture {
+            rod,
+            radii: &radii,
+            trajectory: &trajectory,
+            step: 0.0,
+        };
+        for ((_, _, limit), clearance) in limits.iter().zip(&mut clearances) {
+            let worst = (0..limit.n_items(rod))
+                .map(|item| limit.value(&posture, 0, item))
+                .fold(f64::NEG_INFINITY, f64::max);
+            clearance.push(-worst * limit.scale(rod));
+        }
+    }
+    let bodies = (limits.into_iter().zip(clearances)).filter_map(|((_, name, limit), beyond)| {
+        let PathLimit::Clearance { shape, margin, .. } = limit else {
+            return None;
+        };
+        Some(ReportObstacle {
+            name,
+            shape: drawn(&shape),
+            margin,
+            clearance: beyond.iter().map(|c| (c + margin) as f32).collect(),
+        })
+    });
+    Some(ReportObstacles {
+        t: rows.iter().map(|&row| record.t[row]).collect(),
+        bodies: bodies.collect(),
+    })
+}
+
+fn drawn(shape: &Shape) -> ReportShape {
+    match *shape {
+        Shape::Sphere { center, radius } => ReportShape::Sphere {
+            center: center.into(),
+            radius,
+        },
+        Shape::Capsule { from, to, radius } => ReportShape::Capsule {
+            from: from.into(),
+            to: to.into(),
+            radius,
+        },
+        Shape::HalfSpace { point, normal } => ReportShape::HalfSpace {
+            point: point.into(),
+            normal: normal.into(),
+        },
+        Shape::Cuboid {
+            center,
+            rotation,
+            half_size,
+        } => ReportShape::Box {
+            center: center.into(),
+            axes: directors(&rotation),
+            half_size: half_size.into(),
+        },
     }
 }
 

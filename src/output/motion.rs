@@ -85,7 +85,7 @@ impl MotionRecord {
     /// Row numbers of at most `max_rows` rows, evenly spread, the first and the last among them.
     ///
     /// A record of two rows or more keeps at least these two.
-    pub(super) fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
+    pub(crate) fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
         let n = self.n_rows();
         let kept = max_rows.max(2).min(n);
         if kept < 2 {

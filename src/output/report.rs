@@ -22,6 +22,8 @@ pub struct ReportData {
     pub motion: ReportMotion,
     /// Where the tip should go.
     pub target: Option<ReportTarget>,
+    /// What the arm should stay clear of.
+    pub obstacles: Option<ReportObstacles>,
     /// Force and moment on the tip.
     pub controls: Option<ReportControls>,
     /// Energies over time.
@@ -114,6 +116,66 @@ pub struct ReportTarget {
     pub position: Option<[f64; 3]>,
     /// Directors `d1, d2, d3` in the spatial frame.
     pub directions: Option<[[f64; 3]; 3]>,
+}
+
+/// The obstacles, and how near the arm comes to them.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportObstacles {
+    /// `[n]` times in seconds.
+    pub t: Vec<f64>,
+    /// At least one.
+    pub bodies: Vec<ReportObstacle>,
+}
+
+/// A body that the arm should stay clear of.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportObstacle {
+    /// As the scene calls it.
+    pub name: String,
+    /// What it looks like.
+    pub shape: ReportShape,
+    /// Distance in meters that should be kept.
+    pub margin: f64,
+    /// `[n]` distances in meters between its surface and that of the arm, negative where they overlap.
+    pub clearance: Vec<f32>,
+}
+
+/// A convex body, in meters.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum ReportShape {
+    /// All points within `radius` of `center`.
+    Sphere {
+        /// Center.
+        center: [f64; 3],
+        /// Radius.
+        radius: f64,
+    },
+    /// All points within `radius` of the segment from `from` to `to`.
+    Capsule {
+        /// One end of the axis.
+        from: [f64; 3],
+        /// The other end.
+        to: [f64; 3],
+        /// Radius.
+        radius: f64,
+    },
+    /// All points behind a plane.
+    HalfSpace {
+        /// A point of the plane.
+        point: [f64; 3],
+        /// Unit normal, out of the body.
+        normal: [f64; 3],
+    },
+    /// A box.
+    Box {
+        /// Center.
+        center: [f64; 3],
+        /// Unit vectors along its edges.
+        axes: [[f64; 3]; 3],
+        /// Half its edges.
+        half_size: [f64; 3],
+    },
 }
 
 /// How a control runs between its values.
@@ -301,6 +363,7 @@ mod tests {
                 position: Some([0.3, 0.0, 0.1]),
                 directions: None,
             }),
+            obstacles: None,
             controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
             sensitivity: None,
@@ -327,6 +390,18 @@ mod tests {
         spoiled.verdict.text = hostile.into();
         spoiled.facts = vec![(hostile.into(), hostile.into())];
         spoiled.summary = serde_json::json!({ hostile: hostile });
+        spoiled.obstacles = Some(ReportObstacles {
+            t: vec![0.0],
+            bodies: vec![ReportObstacle {
+                name: hostile.into(),
+                shape: ReportShape::HalfSpace {
+                    point: [0.0; 3],
+                    normal: [0.0, 0.0, 1.0],
+                },
+                margin: 0.0,
+                clearance: vec![0.5],
+            }],
+        });
         let page = render_report(&spoiled);
         let tags = |text: &str| text.matches('<').count();
         assert_eq!(tags(&page), tags(TEMPLATE));
@@ -336,6 +411,9 @@ mod tests {
         assert_eq!(json["verdict"]["text"], hostile);
         assert_eq!(json["facts"][0][1], hostile);
         assert_eq!(json["summary"][hostile], hostile);
+        let body = &json["obstacles"]["bodies"][0];
+        assert_eq!(body["name"], hostile);
+        assert_eq!(body["shape"]["kind"], "half_space");
     }
 
     /// The same data give the same bytes.

@@ -1,7 +1,7 @@
 //! The scenes that come with the program.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 12] = [
+const SCENES: [(&str, &str); 13] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -10,6 +10,10 @@ const SCENES: [(&str, &str); 12] = [
     (
         "reach-3d",
         include_str!("../../examples/scenes/reach-3d.toml"),
+    ),
+    (
+        "reach-obstacle",
+        include_str!("../../examples/scenes/reach-obstacle.toml"),
     ),
     (
         "paper-arm",

@@ -403,28 +403,12 @@ impl Scene {
                 quadratic: price.quadratic,
             })
         };
-        let radii = self.display_radii();
-        let thinnest = thinnest(&radii);
-        let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
-        let obstacles = self
-            .obstacle
-            .iter()
-            .enumerate()
-            .filter_map(|(index, obstacle)| {
-                let shape = shape(obstacle)?;
-                Some(PathConstraint {
-                    name: (obstacle.name.clone()).unwrap_or_else(|| format!("obstacle {index}")),
-                    limit: PathLimit::Clearance {
-                        shape,
-                        margin: obstacle.margin_m,
-                        points: PathLimit::points_per_element(
-                            chord,
-                            shape.least_radius() + thinnest + obstacle.margin_m,
-                        ),
-                    },
-                    time_nodes: time_nodes(obstacle.rate_hz),
-                    enforcement: price(obstacle.soft),
-                })
+        let obstacles =
+            (self.clearances(rod).into_iter()).map(|(obstacle, name, limit)| PathConstraint {
+                name,
+                limit,
+                time_nodes: time_nodes(obstacle.rate_hz),
+                enforcement: price(obstacle.soft),
             });
         let limits = self.limit.iter().filter_map(|limit| {
             let (key, definition) = if let Some([least, largest]) = limit.stretch {
@@ -446,6 +430,27 @@ impl Scene {
             })
         });
         obstacles.chain(limits).collect()
+    }
+
+    /// The obstacles with their names in reports, each as a limit on the scene's own rod.
+    #[must_use]
+    pub fn clearances(&self, rod: &Rod) -> Vec<(&model::Obstacle, String, PathLimit)> {
+        let thinnest = thinnest(&self.display_radii());
+        let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+        (self.obstacle.iter().enumerate())
+            .filter_map(|(index, obstacle)| {
+                let name = (obstacle.name.clone()).unwrap_or_else(|| format!("obstacle {index}"));
+                let shape = shape(obstacle)?;
+                let margin = obstacle.margin_m;
+                let radius = shape.least_radius() + thinnest + margin;
+                let limit = PathLimit::Clearance {
+                    shape,
+                    margin,
+                    points: PathLimit::points_per_element(chord, radius),
+                };
+                Some((obstacle, name, limit))
+            })
+            .collect()
     }
 
     /// Whether the arm, as it is at the start, keeps all that is hard: nothing could be done about it.
