@@ -521,7 +521,7 @@ impl Outcome {
 }
 
 /// Finer discretizations that are tried, at most.
-const REFINEMENTS: usize = 2;
+const REFINEMENTS: usize = 3;
 
 /// The problem on a discretization that what failed in the check asks for; `None` where it asks for something else.
 fn finer(

@@ -594,6 +594,53 @@ fn obstacles_are_touched_and_shown() {
     assert_eq!(bodies.len(), 2);
 }
 
+/// A free duration: found, said, kept in the scene of the result, verified from the files, and taken up again by a solve from them.
+#[test]
+fn a_free_duration_is_found_and_verified() {
+    let desk = Desk::new();
+    let scene = (SCENE.replace("elements = 4", "elements = 8"))
+        .replace("at_rest = false", "at_rest = true");
+    let free = "[task.free_duration]\nshortest_s = 0.2\nlongest_s = 0.6\nprice = 1.0\n";
+    desk.write("scene.toml", &(scene + free));
+    let run = desk.run(&["solve", "scene.toml", "--out", "run", "--json"]);
+    let summary = run.exits(DONE).summary();
+    let duration = summary["duration_s"].as_f64().unwrap();
+    assert!(
+        (0.2..0.6).contains(&duration) && duration != 0.3,
+        "{duration}"
+    );
+    let steps = summary["steps"].as_f64().unwrap();
+    assert!((steps * summary["step_s"].as_f64().unwrap() / duration - 1.0).abs() < 1e-12);
+
+    desk.run(&["verify", "run"]).exits(DONE);
+    let dearer = desk.run(&[
+        "verify",
+        "run",
+        "--json",
+        "--set",
+        "task.free_duration.price=2.0",
+    ]);
+    let failed = dearer.exits(REJECTED).summary()["check"]["failed"].clone();
+    assert_eq!(failed, serde_json::json!(["duration"]));
+
+    let again = desk.run(&[
+        "solve",
+        "scene.toml",
+        "--from",
+        "run",
+        "--out",
+        "again",
+        "--json",
+    ]);
+    let summary = again.exits(DONE).summary();
+    assert!(summary["iterations"].as_u64().unwrap() <= 3, "{summary}");
+    let other = summary["duration_s"].as_f64().unwrap();
+    assert!(
+        (other / duration - 1.0).abs() < 1e-6,
+        "{other} and {duration}"
+    );
+}
+
 /// A ball in the plane of the reach: a solver that may not leave saddles stops at one, and neither `solve` nor `verify` certifies it.
 #[test]
 fn saddles_are_rejected() {

@@ -278,10 +278,36 @@ fn attempt(
             break;
         }
     }
-    match best {
-        Some(best) => Ok(best),
-        None => unreachable!("the last first point is solved from, or its error returned"),
+    let Some(best) = best else {
+        unreachable!("the last first point is solved from, or its error returned")
+    };
+    let cut = best.outcome.status == SqpStatus::IterationLimit
+        && iterations(&best.outcome) < settings.max_iterations;
+    if !cut || search.continuation.is_some() || problem.duration.is_some() {
+        return Ok(best);
     }
+    // Given up for first points that were no better: it goes on.
+    let mut settings = settings.clone();
+    settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
+    settings.max_iterations -= iterations(&best.outcome);
+    let program = Transcription::new(problem, n_threads);
+    let point = best.outcome.point.clone();
+    let outcome = solve(&program, point, &settings, &mut |row| observer(start, row));
+    let mut resumed = Attempt {
+        start,
+        from: best.from,
+        outcome,
+        abandoned: best.abandoned.clone(),
+    };
+    if !resumed.improves_on(&best) {
+        return Ok(best);
+    }
+    resumed.abandoned.push(Abandoned {
+        from: best.from,
+        infeasible: false,
+        iterations: iterations(&best.outcome),
+    });
+    Ok(resumed)
 }
 
 /// A solve, and those that led to it.

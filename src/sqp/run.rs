@@ -1206,6 +1206,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let n = self.variables().len();
         let sets = self.program.sets().to_vec();
         let before = self.infeasibility();
+        // What states that do not obey their equations promise or deny says nothing about constraints.
+        if self.evaluation.defect > INFEASIBLE_PROGRESS * before
+            && let Some(settled) = Filter::restored(self.program, &self.point, &vec![0.0; n], 0)
+        {
+            phase.began_with = self.program.infeasibility(&settled.evaluation);
+            self.note_step(&settled, 0.0);
+            self.arrive(settled);
+            self.departed = None;
+            self.restoration = Some(phase);
+            return Ok(Step::Taken);
+        }
         for _ in 0..=SHRINKAGES {
             let mut matrix = Mat::<f64>::identity(n, n);
             matrix *= faer::Scale(before / (phase.radius * phase.radius));
