@@ -135,9 +135,9 @@ impl Feedback {
         let edges = problem.control.edges();
         let horizon = problem.grid.end();
         let (trajectory, reference) = reference_motion(problem, coefficients)?;
-        let norms = (reference.iter().enumerate())
-            .map(|(block, state)| Norm::at(rod, &state.configuration, block))
-            .collect::<Result<Vec<_>, _>>()?;
+        // One norm is as large as a stage: they are made where they are needed.
+        let norm_at = |block: usize| Norm::at(rod, &reference[block].configuration, block);
+        let mut norm = norm_at(0)?;
         let motion = problem.motion();
         let mut stages = Vec::with_capacity(edges.len() - 1);
         for (j, edge) in edges.windows(2).enumerate() {
@@ -147,16 +147,18 @@ impl Feedback {
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
             });
+            let next = norm_at(j + 1)?;
             stages.push(Stage {
-                state: norms[j + 1].out_of(&norms[j].columns_over(&state)),
-                input: norms[j + 1].out_of(&input),
+                state: next.out_of(&norm.columns_over(&state)),
+                input: next.out_of(&input),
                 state_weight: weights.state * lasting / rod.scales.moment,
                 input_weight: weights.input * lasting,
             });
+            norm = next;
         }
         let program = Transcription::new(problem, n_threads);
         let rows = terminal_rows(&program, &trajectory, weights.tolerance);
-        let rows = norms[norms.len() - 1].columns_over(&rows);
+        let rows = norm.columns_over(&rows);
         let mut terminal = rows.transpose() * &rows;
         for i in 0..terminal.nrows() {
             terminal[(i, i)] += weights.state / rod.scales.moment;
@@ -177,6 +179,14 @@ impl Feedback {
             }
             out
         };
+        let mut gains = Vec::with_capacity(stages.len());
+        for (block, gain) in regulator.gains.iter().enumerate() {
+            let gain = gain * norm_at(block)?.lower.transpose();
+            gains.push(Mat::from_fn(gain.nrows(), gain.ncols(), |i, j| {
+                gain[(i, j)] * scales[i]
+            }));
+        }
+        let first = norm_at(0)?;
         Ok(Self {
             times: (edges[..edges.len() - 1].iter())
                 .map(|&edge| problem.grid.time(edge))
@@ -185,13 +195,8 @@ impl Feedback {
             first_node: rod.first_free_node(),
             open_loop: growth(false),
             closed_loop: growth(true),
-            gains: (regulator.gains.iter().zip(&norms))
-                .map(|(gain, norm)| {
-                    let gain = gain * norm.lower.transpose();
-                    Mat::from_fn(gain.nrows(), gain.ncols(), |i, j| gain[(i, j)] * scales[i])
-                })
-                .collect(),
-            cost_to_go: &norms[0].lower * &regulator.cost_to_go * norms[0].lower.transpose(),
+            gains,
+            cost_to_go: &first.lower * &regulator.cost_to_go * first.lower.transpose(),
             reference: reference[..edges.len() - 1].to_vec(),
         })
     }
