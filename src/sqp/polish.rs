@@ -347,3 +347,115 @@ impl<'a> Conditions<'a> {
 fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
     variables.iter().zip(change).map(|(v, d)| v + d).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::quadratic_program::LinearInequalities;
+    use super::*;
+
+    /// Problems with all kinds of sets and rows at once: conditions to rounding where Clarabel ends orders above it, and multipliers of
+    /// balls that point outward exactly.
+    #[test]
+    fn conditions_hold_to_rounding() {
+        const N: usize = 9;
+        let mut rng = fastrand::Rng::with_seed(11);
+        let mut number = move || 2.0 * rng.f64() - 1.0;
+        let mut polished = 0;
+        for _ in 0..40 {
+            let root = Mat::from_fn(N, N, |_, _| number());
+            let mut hessian = root.transpose() * &root;
+            for i in 0..N {
+                hessian[(i, i)] += 0.1;
+            }
+            let gradient: Vec<f64> = (0..N).map(|_| 10.0 * number()).collect();
+            let jacobian = Mat::from_fn(2, N, |_, _| number());
+            let rows = Mat::from_fn(4, N, |_, _| number());
+            let softness = [
+                Softness::Hard,
+                Softness::Hard,
+                Softness::Soft {
+                    linear: 0.3,
+                    quadratic: 2.0,
+                },
+                Softness::Soft {
+                    linear: 100.0,
+                    quadratic: 0.0,
+                },
+            ];
+            let sets = [
+                ConvexSet::ball([0, 1, 2], 0.4),
+                ConvexSet::ball([3, 4], 0.5),
+                ConvexSet::Interval {
+                    index: 5,
+                    lower: -0.2,
+                    upper: 0.3,
+                },
+                ConvexSet::HalfSpace {
+                    direction: vec![(6, 1.0), (7, -2.0)],
+                    limit: 0.2,
+                },
+            ];
+            let qp = QuadraticProgram {
+                hessian: &hessian,
+                gradient: &gradient,
+                jacobian: &jacobian,
+                offset: &[0.1 * number(), 0.1 * number()],
+                inequalities: LinearInequalities {
+                    jacobian: &rows,
+                    offset: &[0.1, -0.1, 0.2, 0.1],
+                    softness: &softness,
+                    groups: &[0, 1, 2, 3],
+                    first: &[],
+                },
+                variables: &[0.0; N],
+                sets: &sets,
+                elastic_weight: 1e4,
+                trust_radius: f64::INFINITY,
+                row_tolerance: 1e-9,
+                time_limit: 10.0,
+                states: None,
+            };
+            let solution = qp.solve().expect("solvable");
+            if solution.slack > SLACK {
+                continue;
+            }
+            let multipliers = &solution.multipliers;
+            let mut rest = gradient.clone();
+            for (i, r) in rest.iter_mut().enumerate() {
+                *r += (0..N)
+                    .map(|j| hessian[(i, j)] * solution.change[j])
+                    .sum::<f64>();
+                *r += (0..2)
+                    .map(|k| jacobian[(k, i)] * multipliers.constraints[k])
+                    .sum::<f64>();
+                *r += (0..4)
+                    .map(|k| rows[(k, i)] * multipliers.inequalities[k])
+                    .sum::<f64>();
+            }
+            for (set, normal) in sets.iter().zip(&multipliers.normals) {
+                match set {
+                    ConvexSet::Ball { rows, .. } => {
+                        let inside: Vec<f64> = rows
+                            .iter()
+                            .map(|row| along(row, &solution.change))
+                            .collect();
+                        let outward: f64 = inside.iter().zip(normal).map(|(u, z)| u * z).sum();
+                        let lost = norm(&inside) * norm(normal) - outward;
+                        assert!(lost <= 1e-13, "{lost:e}");
+                        for (row, z) in rows.iter().zip(normal) {
+                            rest[row[0].0] += z;
+                        }
+                    }
+                    ConvexSet::Interval { index, .. } => rest[*index] += normal[0],
+                    ConvexSet::HalfSpace { direction, .. } => {
+                        for &(index, c) in direction {
+                            rest[index] += c * normal[0];
+                        }
+                    }
+                }
+            }
+            polished += usize::from(infinity_norm(&rest) <= 1e-11);
+        }
+        assert!(polished >= 30, "{polished} of 40");
+    }
+}
