@@ -141,21 +141,27 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
 /// Size of the start of a second opinion, in that of the solution.
 const AWAY: f64 = 0.9;
 
-/// The optimum by another method.
+/// The optimum by another method; of a free duration, at the one that was found.
 fn other_opinion(
     setup: &OptimalControl,
     solution: &Solved,
     console: &Console,
 ) -> Result<SecondOpinionSummary, CliError> {
     let outcome = &solution.attempt.outcome;
-    let ours = &outcome.point.variables;
+    let price = (setup.problem.duration).map_or(0.0, |free| free.price * setup.problem.grid.end());
+    let problem = OptimalControlProblem {
+        duration: None,
+        ..setup.problem.clone()
+    };
+    let ours = &outcome.point.variables[..problem.n_variables()];
     let start: Vec<f64> = ours.iter().map(|v| AWAY * v).collect();
-    let found = second_opinion(&setup.problem, &start, &SecondOpinionSettings::default())?;
-    let n_controls = setup.problem.n_controls();
+    let found = second_opinion(&problem, &start, &SecondOpinionSettings::default())?;
+    let n_controls = problem.n_controls();
+    let objective = found.objective + price;
     let summary = SecondOpinionSummary {
         status: found.status.name(),
-        objective: found.objective,
-        relative_difference: (found.objective / outcome.objective - 1.0).abs(),
+        objective,
+        relative_difference: (objective / outcome.objective - 1.0).abs(),
         iterations: found.evaluations,
         largest_control_difference: (found.variables.iter().zip(ours))
             .take(n_controls)
