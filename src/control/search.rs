@@ -289,7 +289,6 @@ fn attempt(
     // Given up for first points that were no better: it goes on.
     let mut settings = settings.clone();
     settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
-    settings.max_iterations -= iterations(&best.outcome);
     let program = Transcription::new(problem, n_threads);
     let point = best.outcome.point.clone();
     let outcome = solve(&program, point, &settings, &mut |row| observer(start, row));
