@@ -101,7 +101,7 @@ impl CheckItem {
                 "the files were changed, or the motion is so unstable that it cannot be replayed"
             }
             "between_samples" => {
-                "use a shorter time.step_s, more rod.elements, or a margin around what is limited"
+                "use a shorter time.step_s, more rod.elements, or a higher rate_hz of what is limited"
             }
             _ => "solve again, with a smaller solver.tolerance",
         }
