@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use softarm::control::{LiftedPoint, OptimalControlProblem, Transcription, search, simulated};
+use softarm::control::{LiftedPoint, Transcription, search, simulated};
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::Wrench;
 use softarm::output::MultiplierRecord;
@@ -99,8 +99,7 @@ fn solved(setup: &OptimalControl) -> Found {
     let mut outcome = attempts.swap_remove(0).outcome;
     let residual = outcome.residual;
     assert_eq!(outcome.status, SqpStatus::Converged, "{residual:?}");
-    let setup = setup.stretched(setup.problem.stretch(&outcome.point.variables));
-    *outcome.point.variables.last_mut().unwrap() = 1.0;
+    let setup = setup.on_own_grid(&mut outcome.point.variables);
     Found {
         coefficients: setup.problem.wrenches(&outcome.point.variables),
         multipliers: MultiplierRecord::of(&Transcription::new(&setup.problem, 1), &outcome),
@@ -153,10 +152,7 @@ fn fixed_durations_cost_more() {
     let found = solved(&setup(&[]));
     let at = |duration: f64| {
         let fixed = found.setup.stretched(duration / found.duration());
-        let problem = OptimalControlProblem {
-            duration: None,
-            ..fixed.problem
-        };
+        let problem = fixed.problem.held();
         let program = Transcription::new(&problem, 1);
         let start = simulated(&problem, &found.coefficients).unwrap();
         let on = |_: &IterationRecord| ControlFlow::Continue(());

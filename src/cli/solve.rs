@@ -148,16 +148,12 @@ fn other_opinion(
     console: &Console,
 ) -> Result<SecondOpinionSummary, CliError> {
     let outcome = &solution.attempt.outcome;
-    let price = (setup.problem.duration).map_or(0.0, |free| free.price * setup.problem.grid.end());
-    let problem = OptimalControlProblem {
-        duration: None,
-        ..setup.problem.clone()
-    };
+    let problem = setup.problem.held();
     let ours = &outcome.point.variables[..problem.n_variables()];
     let start: Vec<f64> = ours.iter().map(|v| AWAY * v).collect();
     let found = second_opinion(&problem, &start, &SecondOpinionSettings::default())?;
     let n_controls = problem.n_controls();
-    let objective = found.objective + price;
+    let objective = found.objective + setup.problem.duration_price();
     let summary = SecondOpinionSummary {
         status: found.status.name(),
         objective,
@@ -272,11 +268,7 @@ fn best(
         let worth =
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
-            let variables = &mut attempt.outcome.point.variables;
-            let setup = described.stretched(described.problem.stretch(variables));
-            if let Some(duration) = setup.problem.duration_variable() {
-                variables[duration] = 1.0;
-            }
+            let setup = described.on_own_grid(&mut attempt.outcome.point.variables);
             let program = Transcription::new(&setup.problem, 1);
             let mut solved = Solved::of(&setup, &program, attempt);
             match certify(&setup, &solved, deep) {

@@ -9,14 +9,42 @@ use super::problem::{GoalRow, OptimalControlProblem};
 /// fixed.
 #[derive(Clone, Debug)]
 pub(super) struct ControlCost {
+    /// `E + R + W`.
+    fixed: Mat<f64>,
+    /// What a free duration changes.
+    timed: Option<Timed>,
+}
+
+#[derive(Clone, Debug)]
+struct Timed {
+    /// Variable of the duration.
+    at: usize,
+    /// `w`
+    price: f64,
     /// `E`: weighted effort.
     effort: Mat<f64>,
     /// `R`: weighted rate.
     rate: Mat<f64>,
-    /// `E + R + W`.
-    fixed: Mat<f64>,
-    /// Variable of the duration, and `w`.
-    duration: Option<(usize, f64)>,
+}
+
+/// `Ev`, `Rv`, and their products with `v`.
+struct Along {
+    by_effort: Vec<f64>,
+    by_rate: Vec<f64>,
+    effort: f64,
+    rate: f64,
+}
+
+impl Timed {
+    fn along(&self, variables: &[f64]) -> Along {
+        let [by_effort, by_rate] = [&self.effort, &self.rate].map(|m| product(m, variables));
+        Along {
+            effort: dot(variables, &by_effort),
+            rate: dot(variables, &by_rate),
+            by_effort,
+            by_rate,
+        }
+    }
 }
 
 impl ControlCost {
@@ -47,12 +75,13 @@ impl ControlCost {
             }
         }
         Self {
-            effort,
-            rate,
             fixed,
-            duration: (problem.duration)
-                .zip(problem.duration_variable())
-                .map(|(free, variable)| (variable, free.price * problem.grid.end())),
+            timed: problem.duration_variable().map(|at| Timed {
+                at,
+                price: problem.duration_price(),
+                effort,
+                rate,
+            }),
         }
     }
 
@@ -60,15 +89,15 @@ impl ControlCost {
     pub(super) fn value(&self, variables: &[f64]) -> (f64, Vec<f64>) {
         let mut gradient = product(&self.fixed, variables);
         let mut value = 0.5 * dot(variables, &gradient);
-        if let Some((at, price)) = self.duration {
-            let s = variables[at];
-            let [by_effort, by_rate] = [&self.effort, &self.rate].map(|m| product(m, variables));
-            let [effort, rate] = [&by_effort, &by_rate].map(|g| dot(variables, g));
-            for (g, (e, r)) in gradient.iter_mut().zip(by_effort.iter().zip(&by_rate)) {
-                *g += (s - 1.0) * e + (1.0 / s - 1.0) * r;
+        if let Some(timed) = &self.timed {
+            let s = variables[timed.at];
+            let along = timed.along(variables);
+            for (i, g) in gradient.iter_mut().enumerate() {
+                *g += (s - 1.0) * along.by_effort[i] + (1.0 / s - 1.0) * along.by_rate[i];
             }
-            value += 0.5 * ((s - 1.0) * effort + (1.0 / s - 1.0) * rate) + price * s;
-            gradient[at] = 0.5 * (effort - rate / (s * s)) + price;
+            let (effort, rate) = (along.effort, along.rate);
+            value += 0.5 * ((s - 1.0) * effort + (1.0 / s - 1.0) * rate) + timed.price * s;
+            gradient[timed.at] = 0.5 * (effort - rate / (s * s)) + timed.price;
         }
         (value, gradient)
     }
@@ -76,22 +105,21 @@ impl ControlCost {
     /// Positive semidefinite Hessian: of the least squares `|√s √E v|²` and `|√(R/s) v|²`; exact where the duration is fixed.
     pub(super) fn gauss_newton(&self, variables: &[f64]) -> Mat<f64> {
         let mut out = self.fixed.clone();
-        if let Some((at, _)) = self.duration {
-            let s = variables[at];
-            let [by_effort, by_rate] = [&self.effort, &self.rate].map(|m| product(m, variables));
-            let [effort, rate] = [&by_effort, &by_rate].map(|g| dot(variables, g));
+        if let Some(timed) = &self.timed {
+            let (at, s) = (timed.at, variables[timed.at]);
+            let along = timed.along(variables);
             for j in 0..out.ncols() {
                 for i in 0..out.nrows() {
                     out[(i, j)] +=
-                        (s - 1.0) * self.effort[(i, j)] + (1.0 / s - 1.0) * self.rate[(i, j)];
+                        (s - 1.0) * timed.effort[(i, j)] + (1.0 / s - 1.0) * timed.rate[(i, j)];
                 }
             }
             for i in 0..at {
-                let across = 0.5 * (by_effort[i] - by_rate[i] / (s * s));
+                let across = 0.5 * (along.by_effort[i] - along.by_rate[i] / (s * s));
                 out[(i, at)] = across;
                 out[(at, i)] = across;
             }
-            out[(at, at)] = 0.25 * (effort / s + rate / (s * s * s));
+            out[(at, at)] = 0.25 * (along.effort / s + along.rate / (s * s * s));
         }
         out
     }

@@ -5,7 +5,6 @@ use faer::Mat;
 use super::cost::CostRow;
 use super::path::Posture;
 use super::transcription::{LiftedDirection, LiftedPoint, Transcription, describe};
-use crate::mechanics::ControlSignal;
 use crate::mechanics::linearization::Sources;
 use crate::mechanics::sensitivity::direction;
 use crate::mechanics::step_derivative::step_sources;
@@ -62,11 +61,11 @@ impl Transcription<'_> {
         point: &LiftedPoint,
         path_rows: &[usize],
         costs: &[CostRow],
-        values: &Mat<f64>,
+        values: Mat<f64>,
         answers: &Mat<f64>,
     ) -> Mat<f64> {
         if self.duration_variable.is_none() {
-            return values.clone();
+            return values;
         }
         let posture = self.posture(point);
         let n_goals = self.goal_rows().len();
@@ -96,17 +95,25 @@ impl Transcription<'_> {
         &self,
         point: &LiftedPoint,
         multipliers: &Multipliers,
+        stretching: &Sources,
         linearization: &mut Linearization,
     ) -> Result<(), Failure> {
-        let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) else {
+        let (Some(at), Some(curvature)) =
+            (self.duration_variable, linearization.curvature.as_mut())
+        else {
             return Ok(());
         };
-        let Some(curvature) = linearization.curvature.as_mut() else {
-            return Ok(());
-        };
+        // The direction in which the duration's variable grows by 1 and the motion follows.
+        let mut variables = vec![0.0; point.variables.len()];
+        let none = self.signal(&variables);
+        variables[at] = 1.0;
         let motion = self.motion(&point.variables);
-        let none = self.signal(&vec![0.0; point.variables.len()]);
-        let along = answer(&motion, point, &stretching, &none, at)?;
+        let (trajectory, _) =
+            direction(&motion, &point.trajectory, Some(stretching), &none).map_err(describe)?;
+        let along = LiftedDirection {
+            variables,
+            trajectory,
+        };
         let furthest = (along.trajectory.positions.iter())
             .map(|v| v.norm() / self.problem().rod.scales.length)
             .fold(along.trajectory.largest_rotation(), f64::max);
@@ -126,22 +133,4 @@ impl Transcription<'_> {
         }
         Ok(())
     }
-}
-
-/// Direction in which the duration's variable grows by 1 and the motion follows.
-fn answer(
-    motion: &crate::mechanics::linearization::Motion,
-    point: &LiftedPoint,
-    stretching: &Sources,
-    none: &ControlSignal,
-    at: usize,
-) -> Result<LiftedDirection, Failure> {
-    let (trajectory, _) =
-        direction(motion, &point.trajectory, Some(stretching), none).map_err(describe)?;
-    let mut variables = vec![0.0; point.variables.len()];
-    variables[at] = 1.0;
-    Ok(LiftedDirection {
-        variables,
-        trajectory,
-    })
 }

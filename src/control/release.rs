@@ -64,14 +64,6 @@ impl Held {
     }
 }
 
-/// The same problem with a duration that is fixed at `stretch` times that of the grid.
-pub(super) fn held_problem(problem: &OptimalControlProblem, stretch: f64) -> OptimalControlProblem {
-    OptimalControlProblem {
-        duration: None,
-        ..problem.stretched(stretch)
-    }
-}
-
 impl Releasing<'_> {
     /// From the outcome of the problem held at `stretch`; the solves before the last one are counted in `before`.
     pub(super) fn release(
@@ -98,7 +90,7 @@ impl Releasing<'_> {
         };
         before.push(counted("free duration", &first));
         let lowest = self.descend(&program, held, began, before);
-        let settings = self.remaining(began);
+        let settings = self.settings.remaining(began);
         let both = self.solve_both(&program, &settings, lowest.stretch, &lowest.outcome)?;
         let is_lower = both.objective <= lowest.value + FLAT * lowest.value.abs();
         if lowest.is_flat() && !(both.status == SqpStatus::Converged && is_lower) {
@@ -114,12 +106,6 @@ impl Releasing<'_> {
         Some([free.shortest, free.longest].map(|limit| limit / self.problem.grid.end()))
     }
 
-    fn remaining(&self, began: Instant) -> SqpSettings {
-        let mut settings = self.settings.clone();
-        settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
-        settings
-    }
-
     /// Controls and duration together, from a solution or an attempt with a fixed one.
     fn solve_both(
         &self,
@@ -128,7 +114,7 @@ impl Releasing<'_> {
         stretch: f64,
         held: &SqpOutcome<LiftedPoint>,
     ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
-        let problem = held_problem(self.problem, stretch);
+        let problem = self.problem.stretched(stretch).held();
         let control = problem.signal(&problem.control, &problem.wrenches(&held.point.variables));
         let mut variables = held.point.variables.clone();
         variables.push(stretch);
@@ -147,7 +133,7 @@ impl Releasing<'_> {
         stretch: f64,
         outcome: SqpOutcome<LiftedPoint>,
     ) -> Option<Held> {
-        let (free, at) = (self.problem.duration?, self.problem.duration_variable()?);
+        let at = self.problem.duration_variable()?;
         let mut point = outcome.point.clone();
         point.variables.push(stretch);
         // The duration's own limits are the first set of the free program.
@@ -163,7 +149,7 @@ impl Releasing<'_> {
         };
         Some(Held {
             held_slope: if is_held { slope } else { 0.0 },
-            value: outcome.objective + free.price * self.problem.grid.end() * stretch,
+            value: outcome.objective + self.problem.duration_price() * stretch,
             stretch,
             outcome,
             slope,
@@ -193,7 +179,7 @@ impl Releasing<'_> {
                 if stretch == here.stretch {
                     break;
                 }
-                let problem = held_problem(self.problem, stretch);
+                let problem = self.problem.stretched(stretch).held();
                 let held_program = Transcription::new(&problem, self.n_threads);
                 let none = vec![0.0; here.outcome.point.variables.len()];
                 let Ok(start) = held_program.restored_step(&here.outcome.point, &none) else {
@@ -203,7 +189,7 @@ impl Releasing<'_> {
                 let mut observer = |row: &IterationRecord| (self.observer)(row);
                 let settings = SqpSettings {
                     max_iterations: self.settings.max_iterations.min(PATIENCE),
-                    ..self.remaining(began)
+                    ..self.settings.remaining(began)
                 };
                 let outcome = solve(&held_program, start, &settings, &mut observer);
                 before.push(counted("held duration", &outcome));

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use super::guess::{Guess, GuessError, first_point, simulated};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
-use super::release::{Releasing, held_problem};
+use super::release::Releasing;
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
@@ -232,12 +232,11 @@ fn attempt(
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
     for (i, &first) in firsts.iter().enumerate() {
-        let mut settings = settings.clone();
+        let mut settings = settings.remaining(began);
         let is_static = matches!(first, First::Guess(Guess::StaticPath));
         if i + 1 < firsts.len() && !is_static {
             settings.max_iterations = settings.max_iterations.min(PATIENCE);
         }
-        settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
         let staged = match staged(problem, &settings, search, first, n_threads, &|row| {
             observer(start, row)
         }) {
@@ -287,8 +286,7 @@ fn attempt(
         return Ok(best);
     }
     // Given up for first points that were no better: it goes on.
-    let mut settings = settings.clone();
-    settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
+    let settings = settings.remaining(began);
     let program = Transcription::new(problem, n_threads);
     let point = best.outcome.point.clone();
     let outcome = solve(&program, point, &settings, &mut |row| observer(start, row));
@@ -400,13 +398,11 @@ fn released(
         }
         _ => 1.0,
     };
-    let held = held_problem(problem, stretch);
+    let held = problem.stretched(stretch).held();
     let mut found = staged(&held, settings, search, first, n_threads, observer)?;
-    let mut settings = settings.clone();
-    settings.deadline = (settings.deadline).map(|limit| limit.saturating_sub(began.elapsed()));
     let releasing = Releasing {
         problem,
-        settings: &settings,
+        settings: &settings.remaining(began),
         n_threads,
         observer,
     };

@@ -687,12 +687,12 @@ impl LiftedProgram for Transcription<'_> {
         let values = gathered.rows_of(&found.forms, &place);
         let answers = gathered.rows_of(&found.form_sources, &place);
         add_curvature_across(&across, n_rows, &values, &answers, &mut found);
-        let rows = self.along_driven(point, request.rows, &costs, &values, &answers);
+        let rows = self.along_driven(point, request.rows, &costs, values, &answers);
         let mut linearization = self.assemble(
             point, evaluation, request, &costs, n_goals, &rows, &answers, found,
         );
-        if let Some(multipliers) = request.multipliers {
-            self.bend_duration(point, multipliers, &mut linearization)?;
+        if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
+            self.bend_duration(point, multipliers, stretching, &mut linearization)?;
         }
         Ok(linearization)
     }

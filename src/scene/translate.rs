@@ -71,6 +71,16 @@ pub struct OptimalControl {
 }
 
 impl OptimalControl {
+    /// The same problem on the grid of a solution, whose free duration then is that of the grid.
+    #[must_use]
+    pub fn on_own_grid(&self, variables: &mut [f64]) -> Self {
+        let out = self.stretched(self.problem.stretch(variables));
+        if let Some(duration) = self.problem.duration_variable() {
+            variables[duration] = 1.0;
+        }
+        out
+    }
+
     /// The same problem around a solution whose duration is `stretch` times that of the grid: its scene, read again, describes that grid.
     #[must_use]
     pub fn stretched(&self, stretch: f64) -> Self {

@@ -1,7 +1,7 @@
 //! The loop.
 
 use std::ops::ControlFlow;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::hessian::{HessianChoice, HessianKind};
 use super::program::LiftedProgram;
@@ -44,6 +44,15 @@ impl Default for SqpSettings {
 }
 
 impl SqpSettings {
+    /// The same with what is left of the time at most since `began`.
+    #[must_use]
+    pub fn remaining(&self, began: Instant) -> Self {
+        Self {
+            deadline: (self.deadline).map(|limit| limit.saturating_sub(began.elapsed())),
+            ..self.clone()
+        }
+    }
+
     /// Feasibility that a converged point must have, where states that were computed leave defects of the size `rounding`.
     fn feasibility_tolerance(&self, rounding: f64) -> f64 {
         (FEASIBILITY_PART * self.tolerance)

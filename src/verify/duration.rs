@@ -13,11 +13,6 @@ const CHANGE: f64 = 1e-4;
 /// Distance from a limit, over the duration, at which that limit may hold it.
 const AT_LIMIT: f64 = 1e-6;
 
-/// What a free duration adds to the objective.
-pub(super) fn price(problem: &OptimalControlProblem) -> f64 {
-    (problem.duration).map_or(0.0, |free| free.price * problem.grid.end())
-}
-
 /// Derivative of the Lagrangian along the logarithm of a free duration that its limits do not explain, over its largest term; infinite
 /// outside the limits, `None` where the duration is fixed.
 ///
@@ -80,7 +75,7 @@ fn terms(
     let (_, states) = conditions.outcome(multipliers);
     Ok([
         effort,
-        price(problem),
+        problem.duration_price(),
         states,
         goals.sum(),
         on_path.sum(),

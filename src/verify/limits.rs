@@ -40,7 +40,7 @@ fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
             half_size,
         } => {
             let local = rotation.transpose() * (x - center);
-            let nearest = Vector3::from_fn(|i, _| local[i].clamp(-half_size[i], half_size[i]));
+            let nearest = nearest_in_box(&local, half_size);
             if nearest != local {
                 return (local - nearest).norm();
             }
@@ -156,47 +156,27 @@ impl Measure<'_> {
             let slope = self.position_slope(limit, item, node, poses, along_before);
             cx[node] += slope * weight;
             let here = poses[1];
-            let Some((vector, along)) = self.turning(limit, item).filter(|_| !along_before) else {
+            let Some(vector) = (self.turning(limit, item, here)).filter(|_| !along_before) else {
                 continue;
             };
-            let direction = along(&vector(here));
+            let outward = outward(limit, item, &vector);
             for axis in 0..3 {
                 let turned = |angle: f64| {
                     let mut here = here.clone();
                     here.r[node] *= exp(&Vector3::ith(axis, angle));
-                    direction.dot(&vector(&here))
+                    (self.turning(limit, item, &here)).map_or(f64::NAN, |v| outward.dot(&v))
                 };
                 ceta[node][axis] += weight * slope_at_zero(turned, TURN);
             }
         }
     }
 
-    /// Of a limit on rotations: the vector that it measures, which is smooth, and the direction in which the excess grows with it.
-    #[expect(clippy::type_complexity, reason = "two functions")]
-    fn turning<'b>(
-        &'b self,
-        limit: &'b PathLimit,
-        item: usize,
-    ) -> Option<(
-        Box<dyn Fn(&Pose) -> Vector3<f64> + 'b>,
-        Box<dyn Fn(&Vector3<f64>) -> Vector3<f64>>,
-    )> {
+    /// The vector, smooth in rotations, that a limit on them measures; `None` of limits on positions.
+    fn turning(&self, limit: &PathLimit, item: usize, pose: &Pose) -> Option<Vector3<f64>> {
         match limit {
-            PathLimit::Curvature { .. } => Some((
-                Box::new(move |pose| self.bend(pose, item)),
-                Box::new(|bend| unit(&Vector3::new(bend.x, bend.y, 0.0))),
-            )),
-            PathLimit::Twist { .. } => {
-                let side = if item.is_multiple_of(2) { 1.0 } else { -1.0 };
-                Some((
-                    Box::new(move |pose| self.bend(pose, item / 2)),
-                    Box::new(move |_| Vector3::z() * side),
-                ))
-            }
-            PathLimit::Angle { node, from, .. } => Some((
-                Box::new(move |pose| log(&(from.transpose() * pose.r[*node]))),
-                Box::new(unit),
-            )),
+            PathLimit::Curvature { .. } => Some(self.bend(pose, item)),
+            PathLimit::Twist { .. } => Some(self.bend(pose, item / 2)),
+            PathLimit::Angle { node, from, .. } => Some(log(&(from.transpose() * pose.r[*node]))),
             _ => None,
         }
     }
@@ -245,6 +225,16 @@ impl Measure<'_> {
     }
 }
 
+/// The direction in which the excess grows with the vector of a limit on rotations.
+fn outward(limit: &PathLimit, item: usize, vector: &Vector3<f64>) -> Vector3<f64> {
+    match limit {
+        PathLimit::Curvature { .. } => unit(&Vector3::new(vector.x, vector.y, 0.0)),
+        PathLimit::Twist { .. } if item.is_multiple_of(2) => Vector3::z(),
+        PathLimit::Twist { .. } => -Vector3::z(),
+        _ => unit(vector),
+    }
+}
+
 /// Turn of the differences along rotations, rad.
 const TURN: f64 = 1e-3;
 
@@ -269,7 +259,7 @@ fn away(shape: &Shape, x: &Vector3<f64>) -> Vector3<f64> {
             half_size,
         } => {
             let local = rotation.transpose() * (x - center);
-            let nearest = Vector3::from_fn(|i, _| local[i].clamp(-half_size[i], half_size[i]));
+            let nearest = nearest_in_box(&local, half_size);
             if nearest != local {
                 return rotation * unit(&(local - nearest));
             }
@@ -288,6 +278,11 @@ fn nearest_on_segment(from: &Vector3<f64>, to: &Vector3<f64>, x: &Vector3<f64>) 
         0.0
     };
     from + s * axis
+}
+
+/// In the frame of the box.
+fn nearest_in_box(x: &Vector3<f64>, half_size: &Vector3<f64>) -> Vector3<f64> {
+    x.zip_map(half_size, |x, half| x.clamp(-half, half))
 }
 
 /// Value of the costs over states at a pose, and their slopes, where a sample at time `t` stands for `duration` seconds.

@@ -19,7 +19,7 @@ pub use self::rows::{KktPart, NamedRow};
 use self::controls::ControlConditions;
 use self::motion::Conditions;
 use self::rows::{AXES, Place, Worst};
-use super::{SolutionMultipliers, duration};
+use super::SolutionMultipliers;
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{Trajectory, Wrench};
 use crate::sqp::KktResidual;
@@ -112,7 +112,7 @@ pub fn recompute(
             complementarity.part("complementarity"),
         ],
         bound_violation: controls.violation,
-        objective: controls.cost + soft_cost + state_cost + on_path.cost + duration::price(problem),
+        objective: controls.cost + soft_cost + state_cost + on_path.cost + problem.duration_price(),
         scale,
     }
 }
