@@ -231,11 +231,16 @@ fn single_sweeps_equal_the_clear_ones() {
                 initial: &initial,
             };
             let case = format!("{method:?} {base:?}");
-            for times in [vec![], vec![40], vec![0, 13, 13, 64, 69], vec![31, 70]] {
+            for (times, n_threads) in [
+                (vec![], 1),
+                (vec![40], 2),
+                (vec![0, 13, 13, 64, 69], 3),
+                (vec![31, 70], 1),
+            ] {
                 let forms: Vec<StateForm> = (times.iter())
                     .map(|k| StateForm::of_covector(*k, &random_tangent(&rod, &mut dice)))
                     .collect();
-                let found = adjoint(&motion, &trajectory, &forms).unwrap();
+                let found = adjoint(&motion, &trajectory, &forms, n_threads).unwrap();
                 let clear = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
                 assert!(close(&found.linear, &clear.linear), "{case}");
                 assert!(close(&found.angular, &clear.angular), "{case}");
@@ -262,8 +267,9 @@ fn single_sweeps_equal_the_clear_ones() {
                 "{case}"
             );
             let sources = random_sources(&rod, grid.n_steps, 1e-3, &mut dice);
-            for sources in [None, Some(&sources)] {
-                let (found, end) = direction(&motion, &trajectory, sources, &change).unwrap();
+            for (sources, n_threads) in [(None, 1), (Some(&sources), 3)] {
+                let (found, end) =
+                    direction(&motion, &trajectory, sources, &change, n_threads).unwrap();
                 let (clear, clear_end) =
                     forward_sweep(&motion, &trajectory, sources, &change).unwrap();
                 assert!(close(&found.positions, &clear.positions), "{case}");

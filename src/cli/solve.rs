@@ -1,6 +1,7 @@
 //! `softarm solve SCENE [--out DIR]`
 
 use std::ops::ControlFlow;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -17,8 +18,8 @@ use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
-    Attempt, Feedback, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement, PathRow, Search,
-    Transcription, search,
+    Attempt, Feedback, FeedbackError, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement,
+    PathRow, Search, Transcription, search,
 };
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
@@ -98,12 +99,14 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             ControlFlow::Continue(())
         }
     })?;
-    let clock = Instant::now();
-    let (setup, solution, starts) = best(&described, attempts, arguments.deep, console);
-    let certify_time = clock.elapsed().as_secs_f64();
-    let clock = Instant::now();
-    let feedback = feedback_of(&setup, &solution, global, console);
-    let feedback_time = clock.elapsed().as_secs_f64();
+    let Chosen {
+        setup,
+        solved: solution,
+        starts,
+        feedback,
+        certify_time,
+        feedback_time,
+    } = best(&described, attempts, arguments.deep, global, console);
     let other = (arguments.second_opinion)
         .then(|| other_opinion(&setup, &solution, console))
         .transpose()?;
@@ -175,24 +178,10 @@ fn other_opinion(
 }
 
 /// The regulator around a converged solution, where the scene wants one.
-fn feedback_of(
-    setup: &OptimalControl,
-    solution: &Solved,
-    global: &Global,
-    console: &Console,
-) -> Option<Feedback> {
+fn feedback_of(setup: &OptimalControl, solution: &Solved, n_threads: usize) -> FoundFeedback {
     let weights = setup.feedback.as_ref()?;
-    if solution.attempt.outcome.status != SqpStatus::Converged {
-        return None;
-    }
-    let coefficients = &solution.coefficients;
-    match Feedback::along(&setup.problem, coefficients, weights, global.n_threads()) {
-        Ok(feedback) => Some(feedback),
-        Err(error) => {
-            console.warn(&format!("no feedback gains: {error}"));
-            None
-        }
-    }
+    let converged = solution.attempt.outcome.status == SqpStatus::Converged;
+    converged.then(|| Feedback::along(&setup.problem, &solution.coefficients, weights, n_threads))
 }
 
 /// An earlier solution.
@@ -241,21 +230,37 @@ impl Earlier {
     }
 }
 
-/// The best attempt that the check certifies, or else the best, with the problem on its own grid; and how all of them fared.
+/// What a search ends with.
+struct Chosen {
+    /// The problem, on the grid of the solution.
+    setup: OptimalControl,
+    solved: Solved,
+    feedback: Option<Feedback>,
+    /// How all attempts fared.
+    starts: Vec<StartSummary>,
+    /// Of all checks, s.
+    certify_time: f64,
+    /// Of the solution's feedback, s.
+    feedback_time: f64,
+}
+
+/// The best attempt that the check certifies, or else the best.
 fn best(
     described: &OptimalControl,
     attempts: Vec<Attempt>,
     deep: bool,
+    global: &Global,
     console: &Console,
-) -> (OptimalControl, Solved, Vec<StartSummary>) {
+) -> Chosen {
     let mut starts = Vec::new();
-    let mut chosen: Option<(OptimalControl, Solved)> = None;
+    let mut chosen: Option<(OptimalControl, Solved, Timed<FoundFeedback>)> = None;
+    let mut certify_time = 0.0;
     for mut attempt in attempts {
         let certified = |solved: &Solved| {
             (solved.check.as_ref()).is_some_and(ForwardCheck::is_certified)
                 && solved.attempt.outcome.status == SqpStatus::Converged
         };
-        let settled = (chosen.as_ref()).is_some_and(|(_, solved)| certified(solved));
+        let settled = (chosen.as_ref()).is_some_and(|(_, solved, _)| certified(solved));
         let mut start = StartSummary {
             start: attempt.start,
             from: attempt.from,
@@ -271,7 +276,9 @@ fn best(
             let setup = described.on_own_grid(&mut attempt.outcome.point.variables);
             let program = Transcription::new(&setup.problem, 1);
             let mut solved = Solved::of(&setup, &program, attempt);
-            match certify(&setup, &solved, deep) {
+            let (check, feedback) = examine(&setup, &solved, deep, global.n_threads());
+            certify_time += check.seconds;
+            match check.found {
                 Ok(check) => {
                     start.verdict = Some(check.verdict());
                     solved.check = Some(check);
@@ -279,16 +286,71 @@ fn best(
                 Err(error) => console.warn(&format!("the check could not be made: {error}")),
             }
             if chosen.is_none() || certified(&solved) {
-                chosen = Some((setup, solved));
+                chosen = Some((setup, solved, feedback));
             }
         }
         starts.push(start);
     }
     starts.sort_by_key(|start| start.start);
-    let Some((setup, solved)) = chosen else {
+    let Some((setup, solved, feedback)) = chosen else {
         unreachable!("a search has at least one attempt")
     };
-    (setup, solved, starts)
+    let feedback_time = feedback.seconds;
+    let feedback = (feedback.found.transpose()).unwrap_or_else(|error| {
+        console.warn(&format!("no feedback gains: {error}"));
+        None
+    });
+    Chosen {
+        setup,
+        solved,
+        feedback,
+        starts,
+        certify_time,
+        feedback_time,
+    }
+}
+
+/// What was found, and the time that it took.
+struct Timed<T> {
+    found: T,
+    seconds: f64,
+}
+
+impl<T> Timed<T> {
+    fn of(find: impl FnOnce() -> T) -> Self {
+        let clock = Instant::now();
+        let found = find();
+        Self {
+            found,
+            seconds: clock.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+type FoundFeedback = Option<Result<Feedback, FeedbackError>>;
+
+/// The check and the feedback, beside each other if there is more than one thread.
+fn examine(
+    setup: &OptimalControl,
+    solved: &Solved,
+    deep: bool,
+    n_threads: usize,
+) -> (
+    Timed<Result<ForwardCheck, CheckError>>,
+    Timed<FoundFeedback>,
+) {
+    let certify = || Timed::of(|| certify(setup, solved, deep));
+    let others = n_threads.saturating_sub(1).max(1);
+    let feedback = || Timed::of(|| feedback_of(setup, solved, others));
+    if n_threads == 1 {
+        return (certify(), feedback());
+    }
+    std::thread::scope(|scope| {
+        let feedback = scope.spawn(feedback);
+        let check = certify();
+        let feedback = feedback.join();
+        (check, feedback.unwrap_or_else(|panic| resume_unwind(panic)))
+    })
 }
 
 /// The check, with the second-order condition where it is asked for, or where the solver's last Hessian was not positive by itself:

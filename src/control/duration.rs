@@ -108,8 +108,14 @@ impl Transcription<'_> {
         let none = self.signal(&variables);
         variables[at] = 1.0;
         let motion = self.motion(&point.variables);
-        let (trajectory, _) =
-            direction(&motion, &point.trajectory, Some(stretching), &none).map_err(describe)?;
+        let (trajectory, _) = direction(
+            &motion,
+            &point.trajectory,
+            Some(stretching),
+            &none,
+            self.n_threads,
+        )
+        .map_err(describe)?;
         let along = LiftedDirection {
             variables,
             trajectory,

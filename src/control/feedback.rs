@@ -21,17 +21,15 @@
 //! the norm in which growth is measured.
 
 use faer::linalg::solvers::Solve as _;
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::{Col, Mat, Par, Side};
-use nalgebra::{DMatrix, Vector3};
+use faer::{ColRef, Mat, Side};
+use nalgebra::{DMatrix, DVector};
 
 use super::problem::{Enforcement, OptimalControlProblem};
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::log;
 use crate::mechanics::sensitivity::{Transition, transition};
-use crate::mechanics::strain::IntervalStress;
-use crate::mechanics::{Configuration, Rod, State, StepError, Stepper, Trajectory, Wrench};
+use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 
 /// What a regulator weighs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,9 +133,14 @@ impl Feedback {
         let edges = problem.control.edges();
         let horizon = problem.grid.end();
         let (trajectory, reference) = reference_motion(problem, coefficients)?;
-        // One norm is as large as a stage: they are made where they are needed.
-        let norm_at = |block: usize| Norm::at(rod, &reference[block].configuration, block);
-        let mut norm = norm_at(0)?;
+        let mut norms = Vec::with_capacity(reference.len());
+        for (block, state) in reference.iter().enumerate() {
+            let norm = EnergyNorm::at(rod, &state.configuration);
+            norms.push(norm.ok_or(FeedbackError::IllPosed {
+                block,
+                what: "energy of deviations",
+            })?);
+        }
         let motion = problem.motion();
         let mut stages = Vec::with_capacity(edges.len() - 1);
         for (j, edge) in edges.windows(2).enumerate() {
@@ -147,18 +150,16 @@ impl Feedback {
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
             });
-            let next = norm_at(j + 1)?;
             stages.push(Stage {
-                state: next.out_of(&norm.columns_over(&state)),
-                input: next.out_of(&input),
+                state: norms[j + 1].out_of(norms[j].columns_over(&state)),
+                input: norms[j + 1].out_of(input),
                 state_weight: weights.state * lasting / rod.scales.moment,
                 input_weight: weights.input * lasting,
             });
-            norm = next;
         }
         let program = Transcription::new(problem, n_threads);
         let rows = terminal_rows(&program, &trajectory, weights.tolerance);
-        let rows = norm.columns_over(&rows);
+        let rows = norms[stages.len()].columns_over(&rows);
         let mut terminal = rows.transpose() * &rows;
         for i in 0..terminal.nrows() {
             terminal[(i, i)] += weights.state / rod.scales.moment;
@@ -180,13 +181,13 @@ impl Feedback {
             out
         };
         let mut gains = Vec::with_capacity(stages.len());
-        for (block, gain) in regulator.gains.iter().enumerate() {
-            let gain = gain * norm_at(block)?.lower.transpose();
+        for (norm, gain) in norms.iter().zip(&regulator.gains) {
+            let gain = norm.columns_of(gain);
             gains.push(Mat::from_fn(gain.nrows(), gain.ncols(), |i, j| {
                 gain[(i, j)] * scales[i]
             }));
         }
-        let first = norm_at(0)?;
+        let half = norms[0].columns_of(&regulator.cost_to_go);
         Ok(Self {
             times: (edges[..edges.len() - 1].iter())
                 .map(|&edge| problem.grid.time(edge))
@@ -196,7 +197,7 @@ impl Feedback {
             open_loop: growth(false),
             closed_loop: growth(true),
             gains,
-            cost_to_go: &first.lower * &regulator.cost_to_go * first.lower.transpose(),
+            cost_to_go: norms[0].columns_of(&half.transpose().to_owned()),
             reference: reference[..edges.len() - 1].to_vec(),
         })
     }
@@ -338,80 +339,6 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
     out
 }
 
-/// `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation.
-struct Norm {
-    lower: Mat<f64>,
-}
-
-impl Norm {
-    fn at(rod: &Rod, at: &Configuration, block: usize) -> Result<Self, FeedbackError> {
-        let first = rod.first_free_node();
-        let n = NODE_COMPONENTS * (rod.n_nodes() - first);
-        let mut energy = Mat::zeros(n, n);
-        let nothing = IntervalStress {
-            linear: [Vector3::zeros(); 2],
-            angular: Vector3::zeros(),
-        };
-        for (q, element) in rod.elements.iter().enumerate() {
-            let pose = Rod::element_pose(q, &at.positions, &at.rotations);
-            let stiffness = element.stiffness_under(rod.strain_rule, &pose, &nothing, 1.0);
-            // Component of the state, row of the element's (dx, ζ_a, ζ_b), and sign.
-            let mut places = Vec::new();
-            for (node, row, sign, part) in [
-                (q, 0, -1.0, 0),
-                (q + 1, 0, 1.0, 0),
-                (q, 3, 1.0, 3),
-                (q + 1, 6, 1.0, 3),
-            ] {
-                if let Some(free) = node.checked_sub(first) {
-                    let component = NODE_COMPONENTS * free + part;
-                    places.extend((0..3).map(|axis| (component + axis, row + axis, sign)));
-                }
-            }
-            for &(i, row, a) in &places {
-                for &(j, column, b) in &places {
-                    energy[(i, j)] += a * b * stiffness[(row, column)];
-                }
-            }
-        }
-        let rotary = rod.rotary_at(&at.positions);
-        for q in first..rod.n_nodes() {
-            let node = NODE_COMPONENTS * (q - first);
-            for axis in 0..3 {
-                energy[(node + 6 + axis, node + 6 + axis)] = 1.0 / rod.nodes[q].mass;
-                energy[(node + 9 + axis, node + 9 + axis)] = 1.0 / rotary[q][axis];
-            }
-        }
-        if first == 0 {
-            for axis in 0..3 {
-                energy[(axis, axis)] += rod.scales.force / rod.scales.length;
-                energy[(3 + axis, 3 + axis)] += rod.scales.moment;
-            }
-        }
-        let factor = energy
-            .llt(Side::Lower)
-            .map_err(|_| FeedbackError::IllPosed {
-                block,
-                what: "energy of deviations",
-            })?;
-        Ok(Self {
-            lower: factor.L().to_owned(),
-        })
-    }
-
-    /// `M L⁻ᵀ`: the columns of a map from deviations, as one from `z = Lᵀ dx`.
-    fn columns_over(&self, map: &Mat<f64>) -> Mat<f64> {
-        let mut transposed = map.transpose().to_owned();
-        solve_lower_triangular_in_place(self.lower.as_ref(), transposed.as_mut(), Par::Seq);
-        transposed.transpose().to_owned()
-    }
-
-    /// `Lᵀ M`: deviations that a map gives, as `z`.
-    fn out_of(&self, map: &Mat<f64>) -> Mat<f64> {
-        self.lower.transpose() * map
-    }
-}
-
 /// One stage of a linear-quadratic problem, `z⁺ = A z + B v` at the cost `state_weight |z|² + input_weight |v|²`.
 #[derive(Clone, Debug)]
 pub struct Stage {
@@ -481,46 +408,65 @@ pub fn riccati(stages: &[Stage], terminal: Mat<f64>) -> Result<Regulator, Feedba
 
 /// Vectors that Lanczos' method takes, at most.
 const LANCZOS_LIMIT: usize = 40;
+/// Steps of the method from one look at what it has found to the next.
+const LANCZOS_LOOK: usize = 4;
+/// Part of the eigenvalue that its residual may be: a bound of its error, which mostly is the square of it.
+const LANCZOS_ACCURACY: f64 = 1e-3;
 
 /// Largest singular value of a matrix by Lanczos' method on `MᵀM`, orthogonalized fully: a lower bound, good to three digits and
 /// mostly to many more.
 #[must_use]
 pub fn largest_singular_value(matrix: &Mat<f64>) -> f64 {
     let n = matrix.ncols();
-    let dot = |a: &Col<f64>, b: &Col<f64>| -> f64 { (0..n).map(|i| a[i] * b[i]).sum() };
     // Nothing special: neither sparse nor smooth.
-    let mut v = Col::from_fn(n, |i| 1.0 + 0.5 * ((i * i) as f64).sin());
-    let mut basis: Vec<Col<f64>> = Vec::new();
+    let mut v = DVector::from_fn(n, |i, _| 1.0 + 0.5 * ((i * i) as f64).sin());
+    let mut basis: Vec<DVector<f64>> = Vec::new();
     let (mut diagonal, mut beside): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    let mut largest = 0.0_f64;
     for _ in 0..LANCZOS_LIMIT.min(n) {
-        let size = dot(&v, &v).sqrt();
-        let largest = diagonal.iter().fold(0.0, |m: f64, d| m.max(d.abs()));
+        let size = v.norm();
         // Nothing new is left.
         if !(size > 1e-12 * largest) {
             break;
         }
+        if basis.len().is_multiple_of(LANCZOS_LOOK) && !basis.is_empty() {
+            let (found, last) = largest_eigenpair(&diagonal, &beside);
+            if size * last <= LANCZOS_ACCURACY * found {
+                break;
+            }
+        }
         if !basis.is_empty() {
             beside.push(size);
         }
-        let unit = Col::from_fn(n, |i| v[i] / size);
-        let image = matrix * &unit;
-        v = matrix.transpose() * &image;
-        diagonal.push(dot(&unit, &v));
+        let unit = v / size;
+        let image = matrix * ColRef::from_slice(unit.as_slice());
+        let image = matrix.transpose() * image;
+        v = DVector::from_fn(n, |i, _| image[i]);
+        let along = unit.dot(&v);
+        largest = largest.max(along);
+        diagonal.push(along);
         basis.push(unit);
         for old in basis.iter().chain(&basis) {
-            let along = dot(old, &v);
-            for i in 0..n {
-                v[i] -= along * old[i];
-            }
+            v.axpy(-old.dot(&v), old, 1.0);
         }
     }
+    largest_eigenpair(&diagonal, &beside).0.max(0.0).sqrt()
+}
+
+/// The largest eigenvalue of a symmetric tridiagonal matrix, and the last component of its unit eigenvector; (0, 0) of an empty one.
+fn largest_eigenpair(diagonal: &[f64], beside: &[f64]) -> (f64, f64) {
     let m = diagonal.len();
     let tridiagonal = DMatrix::from_fn(m, m, |i, j| match i.abs_diff(j) {
         0 => diagonal[i],
         1 => beside[i.min(j)],
         _ => 0.0,
     });
-    tridiagonal.symmetric_eigenvalues().max().max(0.0).sqrt()
+    let found = tridiagonal.symmetric_eigen();
+    (found.eigenvalues.iter().enumerate())
+        .max_by(|a, b| a.1.total_cmp(b.1))
+        .map_or((0.0, 0.0), |(at, value)| {
+            (*value, found.eigenvectors[(m - 1, at)].abs())
+        })
 }
 
 #[cfg(test)]

@@ -87,7 +87,7 @@ pub struct Transcription<'a> {
     control_cost: ControlCost,
     pub(super) n_controls: usize,
     pub(super) duration_variable: Option<usize>,
-    n_threads: usize,
+    pub(super) n_threads: usize,
 }
 
 impl<'a> Transcription<'a> {
@@ -662,7 +662,7 @@ impl LiftedProgram for Transcription<'_> {
             .multipliers
             .map(|multipliers| {
                 let outcome = self.outcome(point, &costs, multipliers);
-                adjoint(&motion, &point.trajectory, &outcome)
+                adjoint(&motion, &point.trajectory, &outcome, self.n_threads)
             })
             .transpose()
             .map_err(describe)?;
@@ -815,8 +815,14 @@ impl LiftedProgram for Transcription<'_> {
             sources.add(change[at], &stretching);
         }
         let motion = self.motion(&point.variables);
-        let (trajectory, _) =
-            direction(&motion, &point.trajectory, Some(&sources), &control).map_err(describe)?;
+        let (trajectory, _) = direction(
+            &motion,
+            &point.trajectory,
+            Some(&sources),
+            &control,
+            self.n_threads,
+        )
+        .map_err(describe)?;
         Ok(LiftedDirection {
             variables: change.to_vec(),
             trajectory,
@@ -840,7 +846,7 @@ impl LiftedProgram for Transcription<'_> {
             trajectory: if direction.trajectory.largest_rotation() > SMALL_TURN {
                 point
                     .trajectory
-                    .retract_strains(&direction.trajectory, step_length)
+                    .retract_strains(&direction.trajectory, step_length, self.n_threads)
             } else {
                 point.trajectory.retract(&direction.trajectory, step_length)
             },
@@ -885,7 +891,8 @@ impl Transcription<'_> {
         let costs = self.state_costs(point);
         let outcome = self.outcome(point, &costs, multipliers);
         let motion = self.motion(&point.variables);
-        let sweep = adjoint(&motion, &point.trajectory, &outcome).map_err(describe)?;
+        let sweep =
+            adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)?;
         let columns = Columns {
             problem: self.problem,
             components: &self.components,

@@ -412,7 +412,7 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
                 _ => wrench.force = Vector3::zeros(),
             }
         }
-        let (_, answer) = direction(motion, &trajectory, None, &change)?;
+        let (_, answer) = direction(motion, &trajectory, None, &change, 1)?;
         let analytic = parts(&answer, free.clone());
         let mut moved = |s: f64| {
             let mut control = change.clone();
@@ -462,7 +462,7 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
     let clear: f64 = form_values(motion, &trajectory, Some(&sources), &control, &forms)?
         .iter()
         .sum();
-    let (way, end) = direction(motion, &trajectory, Some(&sources), &control)?;
+    let (way, end) = direction(motion, &trajectory, Some(&sources), &control, 1)?;
     let by_kernel: f64 = (forms.iter())
         .map(|form| {
             let here = form.time_node * n..(form.time_node + 1) * n;
@@ -478,7 +478,7 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
         .sum();
     let pulled = [
         adjoint_sweep(motion, &trajectory, &forms)?,
-        adjoint(motion, &trajectory, &forms)?,
+        adjoint(motion, &trajectory, &forms, 1)?,
     ]
     .map(|sweep| pairing(motion, &sweep, &control, &sources));
     let identities = [clear, by_kernel].into_iter().flat_map(|forward| {

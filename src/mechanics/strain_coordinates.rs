@@ -67,19 +67,37 @@ pub fn between(from: &Configuration, to: &Configuration, fraction: f64) -> Confi
 
 impl Trajectory {
     /// Moves every configuration along `direction`: its base by `x + α δx` and `R exp(α ζ)`, the strains of its elements linearly. To
-    /// first order the same as [`retract`](Self::retract).
+    /// first order the same as [`retract`](Self::retract). `n_threads` changes the time only.
     #[must_use]
-    pub fn retract_strains(&self, direction: &TrajectoryTangent, step_length: f64) -> Self {
+    pub fn retract_strains(
+        &self,
+        direction: &TrajectoryTangent,
+        step_length: f64,
+        n_threads: usize,
+    ) -> Self {
         let mut moved = self.clone();
-        for first in (0..self.positions.len()).step_by(self.n_nodes) {
-            moved.positions[first] += direction.positions[first] * step_length;
-            moved.rotations[first] *= exp(&(direction.rotations[first] * step_length));
-            for a in first..first + self.n_nodes - 1 {
-                let helix = self.moved_element(a, direction, step_length);
-                (moved.positions[a + 1], moved.rotations[a + 1]) =
-                    helix.end(&moved.positions[a], &moved.rotations[a]);
+        let n = self.n_nodes;
+        let share = n * self.n_times().div_ceil(n_threads.max(1)).max(1);
+        let shares = (moved.positions.chunks_mut(share)).zip(moved.rotations.chunks_mut(share));
+        let mut shares = shares.zip((0..).step_by(share));
+        let own = shares.next();
+        let retract = |((x, r), start): ((&mut [Vector3<f64>], &mut [Matrix3<f64>]), usize)| {
+            let shapes = x.chunks_exact_mut(n).zip(r.chunks_exact_mut(n));
+            for ((x, r), first) in shapes.zip((start..).step_by(n)) {
+                x[0] += direction.positions[first] * step_length;
+                r[0] *= exp(&(direction.rotations[first] * step_length));
+                for a in 0..n - 1 {
+                    let helix = self.moved_element(first + a, direction, step_length);
+                    (x[a + 1], r[a + 1]) = helix.end(&x[a], &r[a]);
+                }
             }
-        }
+        };
+        std::thread::scope(|scope| {
+            for share in shares {
+                scope.spawn(move || retract(share));
+            }
+            own.into_iter().for_each(retract);
+        });
         moved
     }
 

@@ -13,21 +13,26 @@
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
+mod conveyor;
 mod linearize;
 mod packed;
 mod reduction;
 mod residual;
 mod reverse;
+mod team;
 mod tile;
 
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError, RwLock};
 
 use faer::Mat;
 use pulp::Arch;
 
+use self::conveyor::{Conveyor, PIECE, Sense, parts_of};
 use self::packed::PackedStep;
 use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
+use self::team::{lock, read, write};
 use self::tile::Tile;
 use super::configuration::{Trajectory, TrajectoryTangent};
 use super::constitutive::RodModel;
@@ -44,11 +49,11 @@ pub use self::residual::defects;
 pub const TILE: usize = 16;
 /// Components of a node's increments: those of `ζ`, and the arriving `π`.
 const INCREMENT_ROWS: usize = 6;
-/// Time nodes whose linearizations are kept at once: enough to amortize the threads, small enough for the cache.
-const CHUNK: usize = 32;
 /// Time nodes whose rows are added to the blocks of `H` at once: few enough that all tiles' rows stay in the
 /// second-level cache, many enough to amortize loading and storing the blocks.
 const BATCH: usize = 4;
+/// Time nodes that tiles record before their blocks are added to, where several threads meet in between.
+const SHARED_ROUND: usize = 8;
 
 /// Which columns there are: each is a set of wrench components on nodes, with a weight at every time node.
 pub trait ControlColumns: Sync {
@@ -138,6 +143,7 @@ pub fn adjoint(
     motion: &Motion,
     trajectory: &Trajectory,
     forms: &[StateForm],
+    n_threads: usize,
 ) -> Result<AdjointSweep, StepError> {
     let n_times = motion.grid.n_steps + 1;
     let nothing = ControlSignal::default();
@@ -147,22 +153,26 @@ pub fn adjoint(
         sources: &[],
         columns: &OneColumn(&nothing),
         forms,
-        n_threads: 1,
+        n_threads,
     };
     if forms.is_empty() {
         return Ok(AdjointSweep::zeros(motion.rod.n_nodes() * n_times));
     }
-    let mut tile = ReverseTile::of_sum(&task);
+    let tile = Mutex::new(ReverseTile::of_sum(&task));
     let arch = Arch::new();
-    let mut steps = Vec::new();
-    for start in (0..n_times).step_by(CHUNK).rev() {
-        let end = (start + CHUNK).min(n_times);
-        task.linearize(None, start..end, 1, &mut steps)?;
-        for (step, k) in steps.iter().zip(start..end).rev() {
-            tile.advance(arch, step, k, &task);
-        }
-    }
-    Ok(tile.sum.unwrap_or_else(|| AdjointSweep::zeros(0)))
+    (task.conveyor(None, 0..n_times, Sense::Backward)).run(
+        1,
+        |_| 1,
+        |_, _| (),
+        |_, _, group| {
+            let mut tile = lock(&tile);
+            for (k, step) in group.steps().rev() {
+                tile.advance(arch, step, k, &task);
+            }
+        },
+    )?;
+    let sum = lock(&tile).sum.take();
+    Ok(sum.unwrap_or_else(|| AdjointSweep::zeros(0)))
 }
 
 /// [`forward_sweep`](super::linearization::forward_sweep) by the kernels: the same to rounding.
@@ -174,6 +184,7 @@ pub fn direction(
     trajectory: &Trajectory,
     sources: Option<&Sources>,
     control_change: &ControlSignal,
+    n_threads: usize,
 ) -> Result<(TrajectoryTangent, StateTangent), StepError> {
     let n_nodes = motion.rod.n_nodes();
     let n_times = motion.grid.n_steps + 1;
@@ -183,25 +194,29 @@ pub fn direction(
         sources: sources.as_slice(),
         columns: &OneColumn(control_change),
         forms: &[],
-        n_threads: 1,
+        n_threads,
     };
-    // What answers to the sources and what answers to the control are its first two columns.
-    let mut tile = Tile::new(&task, 0, None);
-    let arch = Arch::new();
-    let mut direction = TrajectoryTangent {
+    let nothing = TrajectoryTangent {
         positions: Vec::with_capacity(n_nodes * n_times),
         rotations: Vec::with_capacity(n_nodes * n_times),
     };
-    let mut steps = Vec::new();
-    for start in (0..n_times).step_by(CHUNK) {
-        let end = (start + CHUNK).min(n_times);
-        task.linearize(None, start..end, 1, &mut steps)?;
-        for (step, k) in steps.iter().zip(start..) {
-            (direction.positions).extend((0..n_nodes).map(|node| tile.sum(node, 0)));
-            (direction.rotations).extend((0..n_nodes).map(|node| tile.sum(node, 3)));
-            tile.advance(arch, step, k, &task);
-        }
-    }
+    // What answers to the sources and what answers to the control are its first two columns.
+    let sweep = Mutex::new((Tile::new(&task, 0, None), nothing));
+    let arch = Arch::new();
+    (task.conveyor(None, 0..n_times, Sense::Forward)).run(
+        1,
+        |_| 1,
+        |_, _| (),
+        |_, _, group| {
+            let (tile, direction) = &mut *lock(&sweep);
+            for (k, step) in group.steps() {
+                (direction.positions).extend((0..n_nodes).map(|node| tile.sum(node, 0)));
+                (direction.rotations).extend((0..n_nodes).map(|node| tile.sum(node, 3)));
+                tile.advance(arch, step, k, &task);
+            }
+        },
+    )?;
+    let (tile, direction) = sweep.into_inner().unwrap_or_else(PoisonError::into_inner);
     let part = |part: usize| (0..n_nodes).map(|node| tile.sum(node, part)).collect();
     let end = StateTangent {
         positions: part(0),
@@ -253,35 +268,38 @@ pub fn transition(
         n_threads: n_threads.max(1),
     };
     let n_tiles = columns.n_columns().div_ceil(TILE);
-    let mut tiles: Vec<Tile> = (0..n_tiles)
+    let tiles: Vec<RwLock<Tile>> = (0..n_tiles)
         .map(|index| {
             let mut tile = Tile::new(&task, index * TILE, None);
             for column in (index * TILE..size).take(TILE) {
                 tile.set_unit(first * NODE_COMPONENTS + column, column % TILE);
             }
-            tile
+            RwLock::new(tile)
         })
         .collect();
-    let n_threads = task.n_threads.min(n_tiles);
     let arch = Arch::new();
-    let mut steps = Vec::new();
-    let n_times = range.end + 1;
-    for start in (range.start..n_times).step_by(CHUNK) {
-        let end = (start + CHUNK).min(n_times);
-        task.linearize(None, start..end, n_threads, &mut steps)?;
-        if start == range.start {
-            steps[0].replace_kick(&motion.kick(0));
+    let last = range.end;
+    let half_kicks = |k: usize, step: &mut PackedStep| {
+        if k == range.start {
+            step.replace_kick(&motion.kick(0));
         }
-        if let Some(last) = steps.last_mut().filter(|_| end == n_times) {
-            last.replace_kick(&motion.kick(motion.grid.n_steps));
-            last.drifts.clear();
+        if k == last {
+            step.replace_kick(&motion.kick(motion.grid.n_steps));
+            step.drifts.clear();
         }
-        deal(&mut tiles, n_threads, |tile| {
-            for (step, k) in steps.iter().zip(start..) {
+    };
+    (task.conveyor(None, range.start..last + 1, Sense::Forward)).run(
+        1,
+        |_| n_tiles,
+        half_kicks,
+        |_, index, group| {
+            let mut tile = write(&tiles[index]);
+            for (k, step) in group.steps() {
                 tile.advance(arch, step, k, &task);
             }
-        });
-    }
+        },
+    )?;
+    let tiles: Vec<_> = tiles.iter().map(read).collect();
     let of = |row: usize, column: usize| {
         tiles[column / TILE].component(first * NODE_COMPONENTS + row, column % TILE)
     };
@@ -391,39 +409,73 @@ impl Task<'_> {
         }
     }
 
+    fn conveyor<'a>(
+        &'a self,
+        multipliers: Option<&'a Multipliers<'a>>,
+        range: Range<usize>,
+        sense: Sense,
+    ) -> Conveyor<'a> {
+        Conveyor {
+            motion: self.motion,
+            trajectory: self.trajectory,
+            multipliers,
+            range,
+            sense,
+            n_threads: self.n_threads,
+        }
+    }
+
     fn forward(&self, multipliers: Option<&Multipliers>) -> Result<Sensitivities, StepError> {
         let n_nodes = self.motion.rod.n_nodes();
         let n_tiles = self.n_all().div_ceil(TILE);
-        let n_threads = self.n_threads.min(n_tiles.max(1));
-        // One thread alternates between tiles and blocks while the rows are in its cache; several meet once a chunk.
-        let round = if n_threads == 1 { BATCH } else { CHUNK };
-        let mut tiles: Vec<Tile> = (0..n_tiles)
+        // One thread alternates between tiles and blocks while the rows are in its cache; several have to meet in between.
+        let round = match (multipliers, self.n_threads) {
+            (None, _) => PIECE,
+            (Some(_), 1) => BATCH,
+            (Some(_), _) => SHARED_ROUND,
+        };
+        let tiles: Vec<RwLock<Tile>> = (0..n_tiles)
             .map(|index| {
                 let record =
                     multipliers.map(|multipliers| Record::new(n_nodes, round, multipliers.own));
-                Tile::new(self, index * TILE, record)
+                RwLock::new(Tile::new(self, index * TILE, record))
             })
             .collect();
-        let mut blocks = multipliers.map_or_else(Vec::new, |_| Block::all(n_tiles));
+        // Those of one right tile belong together, and to the thread that has its rows.
+        let blocks: Vec<Mutex<Vec<Block>>> = match multipliers {
+            Some(_) => (0..n_tiles)
+                .map(|right| Mutex::new((0..=right).map(|left| Block::new(left, right)).collect()))
+                .collect(),
+            None => Vec::new(),
+        };
         let arch = Arch::new();
-        let mut steps = Vec::new();
         let n_times = match multipliers {
             Some(_) => self.motion.grid.n_steps + 1,
             None => self.n_times(),
         };
-        for start in (0..n_times).step_by(CHUNK) {
-            let end = (start + CHUNK).min(n_times);
-            self.linearize(multipliers, start..end, n_threads, &mut steps)?;
-            for (steps, first) in steps.chunks(round).zip((start..).step_by(round)) {
-                // Early tiles are busy from the start, late ones only at the end: they are dealt out alternately.
-                deal(&mut tiles, n_threads, |tile| {
-                    tile.advance_all(arch, steps, first, self);
-                });
-                deal(&mut blocks, n_threads, |block| {
-                    block.add(arch, &tiles, steps.len());
-                });
-            }
-        }
+        let n_phases = if blocks.is_empty() { 1 } else { 2 };
+        (self.conveyor(multipliers, 0..n_times, Sense::Forward)).run(
+            n_phases * parts_of(round),
+            |phase| [n_tiles, blocks.len()][phase % n_phases],
+            |_, _| (),
+            |phase, task, group| {
+                let Some((first, steps)) = group.part(phase / n_phases, round) else {
+                    return;
+                };
+                if phase % n_phases == 0 {
+                    write(&tiles[task]).advance_all(arch, steps, first, self);
+                } else {
+                    let right = read(&tiles[task]);
+                    for (block, left) in lock(&blocks[task]).iter_mut().zip(&tiles) {
+                        block.add(arch, &read(left), &right, steps.len());
+                    }
+                }
+            },
+        )?;
+        let tiles: Vec<_> = tiles.iter().map(read).collect();
+        let blocks: Vec<Block> = (blocks.into_iter())
+            .flat_map(|blocks| blocks.into_inner().unwrap_or_else(PoisonError::into_inner))
+            .collect();
         let n_sources = self.sources.len();
         let of =
             |form: usize, column: usize| tiles[column / TILE].values[form * TILE + column % TILE];
@@ -450,22 +502,22 @@ impl Task<'_> {
 
     fn reverse(&self) -> Result<Sensitivities, StepError> {
         let n_tiles = self.forms.len().div_ceil(TILE);
-        let n_threads = self.n_threads.min(n_tiles.max(1));
-        let mut tiles: Vec<ReverseTile> = (0..n_tiles)
-            .map(|index| ReverseTile::new(self, index * TILE))
+        let tiles: Vec<Mutex<ReverseTile>> = (0..n_tiles)
+            .map(|index| Mutex::new(ReverseTile::new(self, index * TILE)))
             .collect();
         let arch = Arch::new();
-        let mut steps = Vec::new();
-        let n_times = self.n_times();
-        for start in (0..n_times).step_by(CHUNK).rev() {
-            let end = (start + CHUNK).min(n_times);
-            self.linearize(None, start..end, n_threads, &mut steps)?;
-            deal(&mut tiles, n_threads, |tile| {
-                for (step, k) in steps.iter().zip(start..end).rev() {
+        (self.conveyor(None, 0..self.n_times(), Sense::Backward)).run(
+            1,
+            |_| n_tiles,
+            |_, _| (),
+            |_, index, group| {
+                let mut tile = lock(&tiles[index]);
+                for (k, step) in group.steps().rev() {
                     tile.advance(arch, step, k, self);
                 }
-            });
-        }
+            },
+        )?;
+        let tiles: Vec<_> = tiles.iter().map(lock).collect();
         let n_sources = self.sources.len();
         let of =
             |form: usize, column: usize| tiles[form / TILE].values[column * TILE + form % TILE];
@@ -480,66 +532,6 @@ impl Task<'_> {
             flops: tiles.iter().map(|tile| tile.flops).sum(),
         })
     }
-
-    /// Linearizes a run of time nodes, in parallel; `steps` serve again.
-    fn linearize(
-        &self,
-        multipliers: Option<&Multipliers>,
-        range: Range<usize>,
-        n_threads: usize,
-        steps: &mut Vec<PackedStep>,
-    ) -> Result<(), StepError> {
-        let arch = Arch::new();
-        steps.resize_with(range.len(), PackedStep::default);
-        let share = range.len().div_ceil(n_threads).max(1);
-        let parts = steps.chunks_mut(share).zip(range.step_by(share));
-        let linearize = |steps: &mut [PackedStep], first: usize| {
-            linearize::linearize(
-                arch,
-                self.motion,
-                self.trajectory,
-                multipliers,
-                first,
-                steps,
-            )
-        };
-        if n_threads == 1 {
-            for (steps, first) in parts {
-                linearize(steps, first)?;
-            }
-            return Ok(());
-        }
-        std::thread::scope(|scope| {
-            let handles: Vec<_> = parts
-                .map(|(steps, first)| scope.spawn(move || linearize(steps, first)))
-                .collect();
-            let join = |handle: std::thread::ScopedJoinHandle<_>| {
-                handle
-                    .join()
-                    .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            };
-            // The error of the first time node that has one.
-            handles.into_iter().try_for_each(join)
-        })
-    }
-}
-
-/// Works on every item, dealt out alternately to the threads.
-fn deal<T: Send>(items: &mut [T], n_threads: usize, work: impl Fn(&mut T) + Sync) {
-    if n_threads == 1 || items.is_empty() {
-        items.iter_mut().for_each(work);
-        return;
-    }
-    let work = &work;
-    std::thread::scope(|scope| {
-        let mut hands: Vec<Vec<&mut T>> = (0..n_threads).map(|_| Vec::new()).collect();
-        for (index, item) in items.iter_mut().enumerate() {
-            hands[index % n_threads].push(item);
-        }
-        for hand in hands {
-            scope.spawn(move || hand.into_iter().for_each(work));
-        }
-    });
 }
 
 /// Floating-point operations of one time node on the columns of a tile: 9×9 per element (multiply and add) with its scatter, four

@@ -258,27 +258,22 @@ pub(super) struct Block {
 }
 
 impl Block {
-    pub fn all(n_tiles: usize) -> Vec<Self> {
-        (0..n_tiles)
-            .flat_map(|right| {
-                (0..=right).map(move |left| Self {
-                    left,
-                    right,
-                    data: Buffer::zeros(TILE * TILE),
-                    flops: 0,
-                })
-            })
-            .collect()
+    pub fn new(left: usize, right: usize) -> Self {
+        Self {
+            left,
+            right,
+            data: Buffer::zeros(TILE * TILE),
+            flops: 0,
+        }
     }
 
     pub fn flops(&self) -> u64 {
         self.flops
     }
 
-    /// Adds `Zᵀ Q Z` of one round of `n_steps` time nodes.
-    pub fn add(&mut self, arch: Arch, tiles: &[Tile], n_steps: usize) {
-        let (Some(left), Some(right)) = (&tiles[self.left].record, &tiles[self.right].record)
-        else {
+    /// Adds `Zᵀ Q Z` of one round of `n_steps` time nodes that its tiles have recorded.
+    pub fn add(&mut self, arch: Arch, left: &Tile, right: &Tile, n_steps: usize) {
+        let (Some(left), Some(right)) = (&left.record, &right.record) else {
             return;
         };
         if !(left.active && right.active) {

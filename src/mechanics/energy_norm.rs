@@ -1,0 +1,127 @@
+//! The energy of small deviations from a motion, as a norm.
+
+use faer::Mat;
+use nalgebra::{Matrix6, Vector3, Vector6};
+
+use super::block_tridiagonal::BlockCholesky;
+use super::configuration::Configuration;
+use super::forms::NODE_COMPONENTS;
+use super::rod::Rod;
+use super::strain::IntervalStress;
+
+/// Components of a node's deviation that belong to its pose; its momenta follow.
+const POSE: usize = NODE_COMPONENTS / 2;
+
+/// `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation `(δx, ζ, δp, δπ)` of every free node, kinetic, and that of the strains that
+/// it adds to the elements; on a free base also that of springs `EI/L³`, `EI/L` at node 0. What maps deviations can be had over
+/// `z = Lᵀ dx`, whose Euclidean norm this is.
+pub struct EnergyNorm {
+    /// `L` over the poses.
+    poses: BlockCholesky,
+    /// Its diagonal over the momenta, node by node.
+    momenta: Vec<Vector6<f64>>,
+}
+
+impl EnergyNorm {
+    /// The norm at a configuration; `None` where the energy is not positive definite.
+    #[must_use]
+    pub fn at(rod: &Rod, at: &Configuration) -> Option<Self> {
+        let first = rod.first_free_node();
+        let n_free = rod.n_nodes() - first;
+        let mut diagonal = vec![Matrix6::zeros(); n_free];
+        let mut below = vec![Matrix6::zeros(); n_free.saturating_sub(1)];
+        let nothing = IntervalStress {
+            linear: [Vector3::zeros(); 2],
+            angular: Vector3::zeros(),
+        };
+        for (q, element) in rod.elements.iter().enumerate() {
+            let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+            let stiffness = element.stiffness_under(rod.strain_rule, &pose, &nothing, 1.0);
+            // Of the element's (dx, ζ_a, ζ_b), the row and the sign of a component of its ends.
+            let place = |end: usize, component: usize| match component.checked_sub(3) {
+                None => (component, [-1.0, 1.0][end]),
+                Some(axis) => (3 + 3 * end + axis, 1.0),
+            };
+            let block = |a: usize, b: usize| {
+                Matrix6::from_fn(|i, j| {
+                    let ((row, left), (column, right)) = (place(a, i), place(b, j));
+                    left * right * stiffness[(row, column)]
+                })
+            };
+            let start = q.checked_sub(first);
+            diagonal[q + 1 - first] += block(1, 1);
+            if let Some(start) = start {
+                diagonal[start] += block(0, 0);
+                below[start] += block(1, 0);
+            }
+        }
+        if first == 0 {
+            for axis in 0..3 {
+                diagonal[0][(axis, axis)] += rod.scales.force / rod.scales.length;
+                diagonal[0][(3 + axis, 3 + axis)] += rod.scales.moment;
+            }
+        }
+        let rotary = rod.rotary_at(&at.positions);
+        let momenta = (first..rod.n_nodes()).map(|q| {
+            let (mass, rotary) = (rod.nodes[q].mass, &rotary[q]);
+            Vector6::from_fn(|i, _| match i.checked_sub(3) {
+                None => 1.0 / mass,
+                Some(axis) => 1.0 / rotary[axis],
+            })
+            .map(f64::sqrt)
+        });
+        Some(Self {
+            momenta: momenta.collect(),
+            poses: BlockCholesky::new(&diagonal, &below)?,
+        })
+    }
+
+    /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
+    #[must_use]
+    pub fn columns_over(&self, map: &Mat<f64>) -> Mat<f64> {
+        let solve = |poses: &mut [Vector6<f64>]| self.poses.solve_lower(poses);
+        let over = |momentum: f64, root: f64| momentum / root;
+        let rows = self.columns(map.transpose().to_owned(), solve, over);
+        rows.transpose().to_owned()
+    }
+
+    /// `M Lᵀ`: a map of `z`, as one of deviations.
+    #[must_use]
+    pub fn columns_of(&self, map: &Mat<f64>) -> Mat<f64> {
+        let times = |poses: &mut [Vector6<f64>]| self.poses.times_lower(poses);
+        let of = |momentum: f64, root: f64| momentum * root;
+        let rows = self.columns(map.transpose().to_owned(), times, of);
+        rows.transpose().to_owned()
+    }
+
+    /// `Lᵀ M`: a map to deviations, as one to `z`.
+    #[must_use]
+    pub fn out_of(&self, map: Mat<f64>) -> Mat<f64> {
+        let times = |poses: &mut [Vector6<f64>]| self.poses.times_lower_transposed(poses);
+        self.columns(map, times, |momentum, root| momentum * root)
+    }
+
+    /// A triangular matrix of the pattern of `L` on every column: on the poses, and by its diagonal on the momenta.
+    fn columns(
+        &self,
+        mut map: Mat<f64>,
+        on_poses: impl Fn(&mut [Vector6<f64>]),
+        on_momentum: impl Fn(f64, f64) -> f64,
+    ) -> Mat<f64> {
+        let mut poses = vec![Vector6::zeros(); self.momenta.len()];
+        for mut column in map.col_iter_mut() {
+            for (node, pose) in poses.iter_mut().enumerate() {
+                *pose = Vector6::from_fn(|i, _| column[node * NODE_COMPONENTS + i]);
+            }
+            on_poses(&mut poses);
+            for (node, (pose, roots)) in poses.iter().zip(&self.momenta).enumerate() {
+                for i in 0..POSE {
+                    let row = node * NODE_COMPONENTS + i;
+                    column[row] = pose[i];
+                    column[row + POSE] = on_momentum(column[row + POSE], roots[i]);
+                }
+            }
+        }
+        map
+    }
+}
