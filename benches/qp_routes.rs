@@ -122,6 +122,7 @@ fn step(bencher: divan::Bencher, size: Size, with_states: bool) {
             linearization: &kept,
             replaces_hessian: true,
         }),
+        expected: None,
     };
     bencher.bench_local(|| subproblem.solve());
 }

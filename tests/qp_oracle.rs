@@ -394,6 +394,7 @@ fn solve_condensed(
         row_tolerance: 1e-9,
         time_limit: f64::INFINITY,
         states: None,
+        expected: None,
     }
     .solve()
     .unwrap()

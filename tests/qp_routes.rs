@@ -217,6 +217,7 @@ fn steps_are_the_same() {
             row_tolerance: 1e-9,
             time_limit: f64::INFINITY,
             states: None,
+            expected: None,
         };
         let one = dense.solve().unwrap();
         let sparse = QuadraticProgram {

@@ -3,13 +3,18 @@
 //! An interior point ends at a small product of slack and multiplier. On a second-order cone that product is the square of the angle
 //! between the control and its multiplier, so that 1e-11 of it leaves 3e-6 of the gradient unexplained, however often the subproblem is
 //! repeated. What is active is known well before; with that, the conditions are smooth equations.
+//!
+//! Near a solution the same is active in one subproblem after the other. Then the multipliers of the last one say what, and the equations
+//! give the solution without an interior point.
+
+use std::collections::BTreeMap;
 
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
 use super::program::{ConvexSet, Softness, along};
 use super::quadratic_program::{QpSolution, QuadraticProgram};
-use super::residual::{infinity_norm, norm};
+use super::residual::{Multipliers, infinity_norm, norm};
 
 /// Slack of the elastic rows above which there is nothing to polish.
 const SLACK: f64 = 1e-9;
@@ -17,6 +22,12 @@ const SLACK: f64 = 1e-9;
 const INSIDE: f64 = 0.999;
 /// Newton iterations.
 const ITERATIONS: usize = 4;
+/// The same from multipliers of another subproblem.
+const EXPECTED_ITERATIONS: usize = 8;
+/// Part of the pull on the variables that counts as no multiplier of another subproblem.
+const NO_MULTIPLIER: f64 = 1e-8;
+/// Residual of the conditions that is rounding, over their terms.
+const EXACT: f64 = 1e-12;
 /// Regularization of dependent rows, relative to the largest entry of the Hessian; iterations take its effect back.
 const REGULARIZATION: f64 = 1e-11;
 /// Largest change of the step, over its size and one: beyond, what is active was guessed wrong.
@@ -34,6 +45,15 @@ enum Active {
     Set(usize),
     /// One row of a ball without radius.
     Center(usize, usize),
+}
+
+/// What tells whether something is active.
+#[derive(Clone, Copy)]
+enum Clue {
+    /// A slack smaller than the multiplier over the largest pull on the variables.
+    Slack,
+    /// A multiplier.
+    Multiplier,
 }
 
 /// The conditions with what is active as equations.
@@ -54,7 +74,7 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     if qp.states.is_some() || solution.slack > SLACK || !inside {
         return None;
     }
-    let conditions = Conditions::of(qp, solution);
+    let conditions = Conditions::of(qp, solution, Clue::Slack);
     let mut change = solution.change.clone();
     let mut multipliers: Vec<f64> = (conditions.active.iter())
         .map(|&active| conditions.multiplier(active, solution))
@@ -62,19 +82,9 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     let mut residual = conditions.residual(&change, &multipliers);
     let before = infinity_norm(&residual);
     for _ in 0..ITERATIONS {
-        let matrix = conditions.matrix(&change, &multipliers);
-        let right = Mat::from_fn(residual.len(), 1, |i, _| -residual[i]);
-        let step = matrix.partial_piv_lu().solve(&right);
-        for (i, v) in change.iter_mut().chain(&mut multipliers).enumerate() {
-            *v += step[(i, 0)];
-        }
-        let next = conditions.residual(&change, &multipliers);
-        let (was, is) = (infinity_norm(&residual), infinity_norm(&next));
-        if !is.is_finite() {
-            return None;
-        }
-        residual = next;
-        if !(is < 0.5 * was) {
+        let was = infinity_norm(&residual);
+        residual = conditions.improve(&mut change, &mut multipliers, &residual)?;
+        if !(infinity_norm(&residual) < 0.5 * was) {
             break;
         }
     }
@@ -89,8 +99,45 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     Some(conditions.solution(solution, change, &multipliers))
 }
 
+/// The solution, if what `expected` says is active is; `None` otherwise.
+pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Option<QpSolution> {
+    if qp.states.is_some() {
+        return None;
+    }
+    let start = QpSolution {
+        change: vec![0.0; qp.gradient.len()],
+        multipliers: expected.clone(),
+        slack: 0.0,
+        iterations: 0,
+        working: (0..qp.inequalities.offset.len()).collect(),
+        slacks: BTreeMap::new(),
+    };
+    let conditions = Conditions::of(qp, &start, Clue::Multiplier);
+    let mut change = start.change.clone();
+    let mut multipliers: Vec<f64> = (conditions.active.iter())
+        .map(|&active| conditions.multiplier(active, &start))
+        .collect();
+    let mut residual = conditions.residual(&change, &multipliers);
+    // And one more, for sets may be left by less than equations may be off.
+    for _ in 0..EXPECTED_ITERATIONS {
+        let was_exact = conditions.is_exact(&residual, &change, &multipliers);
+        residual = conditions.improve(&mut change, &mut multipliers, &residual)?;
+        if was_exact {
+            break;
+        }
+    }
+    let holds = conditions.is_exact(&residual, &change, &multipliers)
+        && norm(&change) <= INSIDE * qp.trust_radius
+        && conditions.allows(&change, &multipliers)
+        && conditions.are_cheaper_than_slack(&multipliers);
+    holds.then(|| QpSolution {
+        working: qp.first_rows(),
+        ..conditions.solution(&start, change, &multipliers)
+    })
+}
+
 impl<'a> Conditions<'a> {
-    fn of(qp: &'a QuadraticProgram<'a>, solution: &QpSolution) -> Self {
+    fn of(qp: &'a QuadraticProgram<'a>, solution: &QpSolution, clue: Clue) -> Self {
         let multipliers = &solution.multipliers;
         let largest = |values: &[f64]| infinity_norm(values);
         // What multipliers are measured in; slacks are in the units of the rows, which are scaled to about one.
@@ -98,7 +145,10 @@ impl<'a> Conditions<'a> {
             .fold(largest(&multipliers.inequalities), f64::max)
             .max(largest(qp.gradient))
             .max(f64::MIN_POSITIVE);
-        let holds = |multiplier: f64, slack: f64| multiplier / unit > slack;
+        let holds = |multiplier: f64, slack: f64| match clue {
+            Clue::Slack => multiplier / unit > slack,
+            Clue::Multiplier => multiplier / unit > NO_MULTIPLIER,
+        };
         let mut active: Vec<Active> = (0..qp.offset.len()).map(Active::Constraint).collect();
         let mut paid = Vec::new();
         let rows = &qp.inequalities;
@@ -109,7 +159,11 @@ impl<'a> Conditions<'a> {
                 Softness::Soft { linear, quadratic } if holds(linear.max(z), -values[at]) => {
                     // Violated, or at its limit with a multiplier below the price.
                     let left = linear + quadratic * values[at].max(0.0) - z;
-                    if values[at] > 0.0 && left <= values[at] * unit {
+                    let is_paid = match clue {
+                        Clue::Slack => values[at] > 0.0 && left <= values[at] * unit,
+                        Clue::Multiplier => z >= linear * (1.0 - NO_MULTIPLIER),
+                    };
+                    if is_paid {
                         paid.push((at, linear, quadratic));
                     } else if holds(z, -values[at]) {
                         active.push(Active::Inequality(at));
@@ -244,6 +298,48 @@ impl<'a> Conditions<'a> {
         out
     }
 
+    /// One step of Newton's method, and the residual after it; `None` where that is not finite.
+    fn improve(
+        &self,
+        change: &mut [f64],
+        multipliers: &mut [f64],
+        residual: &[f64],
+    ) -> Option<Vec<f64>> {
+        let matrix = self.matrix(change, multipliers);
+        let right = Mat::from_fn(residual.len(), 1, |i, _| -residual[i]);
+        let step = matrix.partial_piv_lu().solve(&right);
+        for (i, v) in change.iter_mut().chain(multipliers.iter_mut()).enumerate() {
+            *v += step[(i, 0)];
+        }
+        let next = self.residual(change, multipliers);
+        next.iter().all(|r| r.is_finite()).then_some(next)
+    }
+
+    /// Whether nothing is left but rounding.
+    fn is_exact(&self, residual: &[f64], change: &[f64], multipliers: &[f64]) -> bool {
+        let (gradient, rows) = residual.split_at(change.len());
+        let pull = infinity_norm(&self.gradient).max(infinity_norm(multipliers));
+        let size = infinity_norm(&moved(self.qp.variables, change)).max(1.0);
+        infinity_norm(gradient) <= EXACT * pull && infinity_norm(rows) <= EXACT * size
+    }
+
+    /// Whether no row could be given up for the price of its slack, with some room; those of a group share one.
+    fn are_cheaper_than_slack(&self, multipliers: &[f64]) -> bool {
+        let limit = INSIDE * self.qp.elastic_weight;
+        let mut of_groups: BTreeMap<usize, f64> = BTreeMap::new();
+        (self.active.iter().zip(multipliers)).all(|(active, y)| match *active {
+            Active::Constraint(_) => y.abs() <= limit,
+            Active::Inequality(at) if self.qp.inequalities.softness[at] == Softness::Hard => {
+                let sum = of_groups
+                    .entry(self.qp.inequalities.groups[at])
+                    .or_default();
+                *sum += y.max(0.0);
+                *sum <= limit
+            }
+            Active::Inequality(_) | Active::Set(_) | Active::Center(..) => true,
+        })
+    }
+
     fn matrix(&self, change: &[f64], multipliers: &[f64]) -> Mat<f64> {
         let n = change.len();
         let size = n + self.active.len();
@@ -300,7 +396,11 @@ impl<'a> Conditions<'a> {
         let paid = |at: usize| self.paid.iter().any(|(row, ..)| *row == at);
         let rows = (values.iter().enumerate()).all(|(at, h)| {
             let is_free = qp.inequalities.softness[at] == Softness::FREE;
-            is_free || (paid(at) && *h >= -ROUNDING) || *h <= qp.row_tolerance.max(ROUNDING)
+            if paid(at) {
+                *h >= -ROUNDING
+            } else {
+                is_free || *h <= qp.row_tolerance.max(ROUNDING)
+            }
         });
         // No farther outside than rounding of the variables is, or Clarabel was.
         let rounding = SET_ROUNDING * infinity_norm(&there).max(1.0);
@@ -350,6 +450,7 @@ fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::program::affine;
     use super::super::quadratic_program::LinearInequalities;
     use super::*;
 
@@ -360,7 +461,7 @@ mod tests {
         const N: usize = 9;
         let mut rng = fastrand::Rng::with_seed(11);
         let mut number = move || 2.0 * rng.f64() - 1.0;
-        let mut polished = 0;
+        let (mut polished, mut expected) = (0, 0);
         for _ in 0..40 {
             let root = Mat::from_fn(N, N, |_, _| number());
             let mut hessian = root.transpose() * &root;
@@ -407,19 +508,51 @@ mod tests {
                     groups: &[0, 1, 2, 3],
                     first: &[],
                 },
-                variables: &[0.0; N],
+                variables: &[0.1; N],
                 sets: &sets,
                 elastic_weight: 1e4,
                 trust_radius: f64::INFINITY,
                 row_tolerance: 1e-9,
                 time_limit: 10.0,
                 states: None,
+                expected: None,
             };
             let solution = qp.solve().expect("solvable");
             if solution.slack > SLACK {
                 continue;
             }
+            // From near the solution its multipliers, a little off, say what is active as well; those of nothing are not believed.
+            let way: Vec<f64> = solution.change.iter().map(|d| 0.98 * d).collect();
+            let moved_gradient = affine(&gradient, &hessian, &way);
+            let moved_offset = affine(qp.offset, &jacobian, &way);
+            let moved_rows = affine(qp.inequalities.offset, &rows, &way);
+            let nearer = QuadraticProgram {
+                gradient: &moved_gradient,
+                offset: &moved_offset,
+                inequalities: LinearInequalities {
+                    offset: &moved_rows,
+                    ..qp.inequalities
+                },
+                variables: &moved(qp.variables, &way),
+                ..qp.clone()
+            };
+            let mut near = solution.multipliers.clone();
+            near.constraints.iter_mut().for_each(|y| *y *= 1.1);
+            near.normals.iter_mut().flatten().for_each(|z| *z *= 0.9);
+            if let Some(again) = as_expected(&nearer, &near) {
+                let apart = (again.change.iter().zip(&way).zip(&solution.change))
+                    .fold(0.0, |m: f64, ((a, b), c)| m.max((a + b - c).abs()));
+                assert!(apart < 1e-9, "{apart:e}");
+                assert_eq!(again.iterations, 0);
+                expected += 1;
+            }
+            let mut none = near;
+            none.inequalities.fill(0.0);
+            none.normals.iter_mut().for_each(|normal| normal.fill(0.0));
+            let active = solution.multipliers.inequalities.iter().any(|z| *z > 1e-3);
+            assert!(!active || as_expected(&nearer, &none).is_none());
             let multipliers = &solution.multipliers;
+            let there = moved(qp.variables, &solution.change);
             let mut rest = gradient.clone();
             for (i, r) in rest.iter_mut().enumerate() {
                 *r += (0..N)
@@ -435,10 +568,7 @@ mod tests {
             for (set, normal) in sets.iter().zip(&multipliers.normals) {
                 match set {
                     ConvexSet::Ball { rows, .. } => {
-                        let inside: Vec<f64> = rows
-                            .iter()
-                            .map(|row| along(row, &solution.change))
-                            .collect();
+                        let inside: Vec<f64> = rows.iter().map(|row| along(row, &there)).collect();
                         let outward: f64 = inside.iter().zip(normal).map(|(u, z)| u * z).sum();
                         let lost = norm(&inside) * norm(normal) - outward;
                         assert!(lost <= 1e-13, "{lost:e}");
@@ -457,5 +587,6 @@ mod tests {
             polished += usize::from(infinity_norm(&rest) <= 1e-11);
         }
         assert!(polished >= 30, "{polished} of 40");
+        assert!(expected >= 35, "{expected} of 40");
     }
 }

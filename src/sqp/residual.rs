@@ -33,6 +33,14 @@ impl Multipliers {
 }
 
 impl Multipliers {
+    /// With the inequalities of the given rows only, by their place among these.
+    pub(super) fn at_rows(&self, rows: &[usize]) -> Self {
+        Self {
+            inequalities: rows.iter().map(|&row| self.inequalities[row]).collect(),
+            ..self.clone()
+        }
+    }
+
     /// `yᵀc + Σ z h` over the hard ones of the given rows.
     pub(super) fn work<P: LiftedProgram>(
         &self,

@@ -938,10 +938,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         weight: f64,
     ) -> Result<QpSolution, QpError> {
         let first = self.first_rows(linearization);
-        let mut solution = self
-            .subproblem(linearization, model, sets, weight, &first)
-            .solve()?;
         let rows = &linearization.rows;
+        let expected = self.multipliers.at_rows(rows);
+        let mut solution = QuadraticProgram {
+            expected: Some(&expected),
+            ..self.subproblem(linearization, model, sets, weight, &first)
+        }
+        .solve()?;
         self.working = solution.working.iter().map(|&at| rows[at]).collect();
         let mut inequalities = vec![0.0; self.evaluation.inequalities.len()];
         for (&row, z) in rows.iter().zip(&solution.multipliers.inequalities) {
@@ -1074,6 +1077,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 linearization: kept,
                 replaces_hessian: model.kind == HessianKind::GaussNewton,
             }),
+            expected: None,
         }
     }
 
@@ -1418,6 +1422,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         row_tolerance: ROW_TOLERANCE,
         time_limit: f64::INFINITY,
         states: None,
+        expected: None,
     };
     Ok(norm(&projection.solve()?.change))
 }
