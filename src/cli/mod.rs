@@ -57,9 +57,9 @@ struct Global {
     /// Override a scene key by its dotted path; any number of times
     #[arg(long, global = true, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Threads to compute with (changes the time, not the result)
-    #[arg(long, global = true, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
-    threads: u16,
+    /// Threads to compute with; changes the time, not the result [default: as many as the machine has cores]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
     /// Seed of everything random: the detours of several starts, the point where derivatives are checked
     #[arg(long, global = true, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -128,7 +128,10 @@ fn scene_name(scene: &str) -> String {
 
 impl Global {
     fn n_threads(&self) -> usize {
-        usize::from(self.threads)
+        match self.threads {
+            Some(threads) => usize::from(threads),
+            None => std::thread::available_parallelism().map_or(1, usize::from),
+        }
     }
 }
 

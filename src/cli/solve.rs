@@ -133,6 +133,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         &solution,
         feedback.as_ref(),
         &summary,
+        global.n_threads(),
     )?;
     let written = directory.finish()?;
     let check = solution.check.as_ref();
@@ -342,14 +343,23 @@ fn examine(
     let certify = || Timed::of(|| certify(setup, solved, deep));
     let others = n_threads.saturating_sub(1).max(1);
     let feedback = || Timed::of(|| feedback_of(setup, solved, others));
+    beside(n_threads, certify, feedback)
+}
+
+/// Both results, the second from a thread of its own if there may be more than one.
+fn beside<A, B: Send>(
+    n_threads: usize,
+    first: impl FnOnce() -> A,
+    second: impl FnOnce() -> B + Send,
+) -> (A, B) {
     if n_threads == 1 {
-        return (certify(), feedback());
+        return (first(), second());
     }
     std::thread::scope(|scope| {
-        let feedback = scope.spawn(feedback);
-        let check = certify();
-        let feedback = feedback.join();
-        (check, feedback.unwrap_or_else(|panic| resume_unwind(panic)))
+        let second = scope.spawn(second);
+        let first = first();
+        let second = second.join();
+        (first, second.unwrap_or_else(|panic| resume_unwind(panic)))
     })
 }
 
@@ -694,10 +704,30 @@ fn write(
     solution: &Solved,
     feedback: Option<&Feedback>,
     summary: &SolveSummary,
+    n_threads: usize,
+) -> Result<(), OutputError> {
+    let record = motion_record(&setup.problem, solution);
+    let write_rest = || {
+        write_other_files(
+            directory, scene, setup, solution, feedback, summary, &record,
+        )
+    };
+    let write_motion = || record.write_npz(&directory.path().join("trajectory.npz"));
+    let (rest, motion) = beside(n_threads, write_rest, write_motion);
+    motion.and(rest)
+}
+
+/// All but the motion.
+fn write_other_files(
+    directory: &ResultDirectory,
+    scene: &Scene,
+    setup: &OptimalControl,
+    solution: &Solved,
+    feedback: Option<&Feedback>,
+    summary: &SolveSummary,
+    record: &MotionRecord,
 ) -> Result<(), OutputError> {
     let outcome = &solution.attempt.outcome;
-    let record = motion_record(&setup.problem, solution);
-    record.write_npz(&directory.path().join("trajectory.npz"))?;
     write_controls(
         &directory.path().join("controls.csv"),
         &control_rows(&setup.problem, &solution.coefficients),
@@ -716,7 +746,7 @@ fn write(
     let page = solve_page(&SolvePage {
         scene,
         setup,
-        record: &record,
+        record,
         coefficients: &solution.coefficients,
         history: &outcome.history,
         check: solution.check.as_ref(),

@@ -20,8 +20,9 @@
 //! reference (`½ δs·C δs` of the strains they add; on a free base also springs `EI/L³`, `EI/L` at node 0); `E₀ = EI/L`. Its square root is
 //! the norm in which growth is measured.
 
+use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::Solve as _;
-use faer::{ColRef, Mat, Side};
+use faer::{Accum, ColRef, Mat, Par, Side};
 use nalgebra::{DMatrix, DVector};
 
 use super::problem::{Enforcement, OptimalControlProblem};
@@ -385,8 +386,18 @@ pub fn riccati(stages: &[Stage], terminal: Mat<f64>) -> Result<Regulator, Feedba
         let factor = inner.llt(Side::Lower).map_err(|_| ill_posed.clone())?;
         let gain = factor.solve(&(&pushed * a));
         let closed = a - b * &gain;
-        let mut next = closed.transpose() * (&cost * &closed);
-        next += gain.transpose() * &gain * faer::Scale(stage.input_weight);
+        let mut next = gain.transpose() * &gain * faer::Scale(stage.input_weight);
+        triangular::matmul(
+            &mut next,
+            BlockStructure::TriangularLower,
+            Accum::Add,
+            closed.transpose(),
+            BlockStructure::Rectangular,
+            &cost * &closed,
+            BlockStructure::Rectangular,
+            1.0,
+            Par::Seq,
+        );
         for i in 0..next.nrows() {
             next[(i, i)] += stage.state_weight;
             for j in 0..i {
@@ -456,6 +467,9 @@ pub fn largest_singular_value(matrix: &Mat<f64>) -> f64 {
 /// The largest eigenvalue of a symmetric tridiagonal matrix, and the last component of its unit eigenvector; (0, 0) of an empty one.
 fn largest_eigenpair(diagonal: &[f64], beside: &[f64]) -> (f64, f64) {
     let m = diagonal.len();
+    if m == 0 {
+        return (0.0, 0.0);
+    }
     let tridiagonal = DMatrix::from_fn(m, m, |i, j| match i.abs_diff(j) {
         0 => diagonal[i],
         1 => beside[i.min(j)],

@@ -36,6 +36,16 @@ impl BlockCholesky {
         Some(factor)
     }
 
+    /// Diagonal blocks of `L`.
+    pub(super) fn diagonal(&self) -> &[Matrix6<f64>] {
+        &self.diagonal
+    }
+
+    /// Blocks of `L` below the diagonal.
+    pub(super) fn below(&self) -> &[Matrix6<f64>] {
+        &self.below
+    }
+
     /// `L⁻¹ b`, in place.
     pub fn solve_lower(&self, b: &mut [Vector6<f64>]) {
         for i in 0..b.len() {

@@ -1,6 +1,9 @@
 //! The energy of small deviations from a motion, as a norm.
 
-use faer::Mat;
+use faer::linalg::matmul::matmul;
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::prelude::*;
+use faer::{Accum, Mat, MatRef, Par};
 use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockCholesky;
@@ -79,10 +82,30 @@ impl EnergyNorm {
     /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
     #[must_use]
     pub fn columns_over(&self, map: &Mat<f64>) -> Mat<f64> {
-        let solve = |poses: &mut [Vector6<f64>]| self.poses.solve_lower(poses);
-        let over = |momentum: f64, root: f64| momentum / root;
-        let rows = self.columns(map.transpose().to_owned(), solve, over);
-        rows.transpose().to_owned()
+        let mut over = map.clone();
+        for node in 0..self.momenta.len() {
+            let (before, mut own) = over.as_mut().split_at_col_mut(node * NODE_COMPONENTS);
+            if let Some(below) = node.checked_sub(1).map(|at| &self.poses.below()[at]) {
+                matmul(
+                    own.rb_mut().subcols_mut(0, POSE),
+                    Accum::Add,
+                    before.rb().subcols((node - 1) * NODE_COMPONENTS, POSE),
+                    block(below).transpose(),
+                    -1.0,
+                    Par::Seq,
+                );
+            }
+            // X Lᵀ = M, by its transpose.
+            let poses = own.rb_mut().subcols_mut(0, POSE).transpose_mut();
+            solve_lower_triangular_in_place(block(&self.poses.diagonal()[node]), poses, Par::Seq);
+            for (i, root) in self.momenta[node].iter().enumerate() {
+                own.rb_mut()
+                    .col_mut(POSE + i)
+                    .iter_mut()
+                    .for_each(|m| *m /= root);
+            }
+        }
+        over
     }
 
     /// `M Lᵀ`: a map of `z`, as one of deviations.
@@ -124,4 +147,8 @@ impl EnergyNorm {
         }
         map
     }
+}
+
+fn block(matrix: &Matrix6<f64>) -> MatRef<'_, f64> {
+    MatRef::from_column_major_slice(matrix.as_slice(), POSE, POSE)
 }

@@ -1,5 +1,7 @@
 //! The integrator that simulations use: in lanes where it can be, and the plain one for the rest.
 
+use nalgebra::Vector3;
+
 use super::configuration::{State, Trajectory};
 use super::integrator::{Integrator, StepError};
 use super::lanes::LaneIntegrator;
@@ -79,6 +81,18 @@ impl<'a> Stepper<'a> {
         match &self.engine {
             Engine::Lanes(lanes) => lanes.state(),
             Engine::Plain(plain) => plain.state().clone(),
+        }
+    }
+
+    /// Position of a node at the current time node, m.
+    #[must_use]
+    pub fn position(&self, node: usize) -> Vector3<f64> {
+        if self.step() == self.seat.0 {
+            return self.seat.1.configuration.positions[node];
+        }
+        match &self.engine {
+            Engine::Lanes(lanes) => lanes.position(node),
+            Engine::Plain(plain) => plain.state().configuration.positions[node],
         }
     }
 

@@ -94,6 +94,7 @@ struct Level<'a> {
     signal: ControlSignal,
     /// Steps per step of the solution.
     factor: usize,
+    n_nodes: usize,
     /// Nodes per node of the solution.
     stride: usize,
     which: &'static str,
@@ -113,6 +114,7 @@ impl<'a> Level<'a> {
             stepper: Stepper::new(rod, grid.step, start),
             signal: refined_signal(problem, &problem.control.refined(factor), rod, solution),
             factor,
+            n_nodes: rod.n_nodes(),
             stride: rod.n_elements() / problem.rod.n_elements(),
             which,
         }
@@ -134,17 +136,20 @@ impl<'a> Level<'a> {
     }
 
     /// Positions of the solution's nodes.
-    fn positions(&self) -> Vec<Vector3<f64>> {
-        let state = self.stepper.state();
-        (state.configuration.positions.iter().copied())
+    fn positions(&self) -> impl Iterator<Item = Vector3<f64>> {
+        (0..self.n_nodes)
             .step_by(self.stride)
-            .collect()
+            .map(|node| self.stepper.position(node))
     }
 }
 
 /// Larger of `so_far` and the largest distance; NaN if any is.
-fn farthest(so_far: f64, a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
-    a.iter().zip(b).fold(so_far, |m, (a, b)| {
+fn farthest(
+    so_far: f64,
+    a: impl Iterator<Item = Vector3<f64>>,
+    b: impl Iterator<Item = Vector3<f64>>,
+) -> f64 {
+    a.zip(b).fold(so_far, |m, (a, b)| {
         let distance = (a - b).norm();
         if distance.is_nan() || m.is_nan() {
             f64::NAN
@@ -208,9 +213,8 @@ pub fn refine(
             })?;
         }
         for (levels, changes) in [&in_time[..], &in_space[..]].into_iter().zip(&mut changes) {
-            let positions: Vec<_> = levels.iter().map(Level::positions).collect();
-            for (pair, change) in positions.windows(2).zip(changes) {
-                *change = farthest(*change, &pair[0], &pair[1]);
+            for (pair, change) in levels.windows(2).zip(changes) {
+                *change = farthest(*change, pair[0].positions(), pair[1].positions());
             }
         }
     }
