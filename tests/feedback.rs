@@ -300,8 +300,20 @@ fn closed_loops_end_where_the_linear_one_does() {
         let (_, problem) = reach(hold);
         let coefficients = optimum(&problem);
         let weights = FeedbackWeights::default();
-        let feedback = Feedback::along(&problem, &coefficients, &weights, 1).unwrap();
         let rod = &problem.rod;
+        let (signal, edges) = (
+            problem.signal(&problem.control, &coefficients),
+            problem.control.edges(),
+        );
+        let (trajectory, _) = states(
+            rod,
+            problem.grid.step,
+            (&problem.initial, 0),
+            &signal,
+            None,
+            problem.grid.n_steps,
+        );
+        let feedback = Feedback::along(&problem, &trajectory, &coefficients, &weights, 1).unwrap();
         let reference = end_of(&problem, &coefficients, None, &problem.initial);
         let mut dice = Dice(2);
         // A smooth push: velocities of some 0.1 m/s, growing towards the tip.
@@ -315,18 +327,6 @@ fn closed_loops_end_where_the_linear_one_does() {
                 0.0
             }
         });
-        let (signal, edges) = (
-            problem.signal(&problem.control, &coefficients),
-            problem.control.edges(),
-        );
-        let (trajectory, _) = states(
-            rod,
-            problem.grid.step,
-            (&problem.initial, 0),
-            &signal,
-            None,
-            problem.grid.n_steps,
-        );
         let motion = Motion {
             rod,
             grid: problem.grid,
@@ -398,7 +398,11 @@ fn growth_is_that_of_the_energy() {
     problem.rod.viscous_damping = 0.0;
     let nothing = vec![Wrench::default(); 5];
     let weights = FeedbackWeights::default();
-    let feedback = Feedback::along(&problem, &nothing, &weights, 1).unwrap();
+    let signal = problem.signal(&problem.control, &nothing);
+    let (step, n_steps) = (problem.grid.step, problem.grid.n_steps);
+    let start = (&problem.initial, 0);
+    let (trajectory, _) = states(&problem.rod, step, start, &signal, None, n_steps);
+    let feedback = Feedback::along(&problem, &trajectory, &nothing, &weights, 1).unwrap();
     assert_eq!(feedback.open_loop.len(), 6);
     assert!((feedback.open_loop[0] - 1.0).abs() < 1e-12);
     // An explicit step keeps ½p²/m + ½kx²(1 - (hω/2)²) of every wave, hω/2 at most the step over the stable one; the norm is the

@@ -182,7 +182,9 @@ fn other_opinion(
 fn feedback_of(setup: &OptimalControl, solution: &Solved, n_threads: usize) -> FoundFeedback {
     let weights = setup.feedback.as_ref()?;
     let converged = solution.attempt.outcome.status == SqpStatus::Converged;
-    converged.then(|| Feedback::along(&setup.problem, &solution.coefficients, weights, n_threads))
+    let trajectory = &solution.attempt.outcome.point.trajectory;
+    let coefficients = &solution.coefficients;
+    converged.then(|| Feedback::along(&setup.problem, trajectory, coefficients, weights, n_threads))
 }
 
 /// An earlier solution.

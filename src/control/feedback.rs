@@ -109,12 +109,13 @@ pub struct Feedback {
 }
 
 impl Feedback {
-    /// The regulator around the motion of a problem under the controls of a solution.
+    /// The regulator around the motion of a problem under the controls of a solution, `trajectory`.
     ///
     /// # Errors
     /// [`FeedbackError`] for weights out of range, and where the equations cannot be solved.
     pub fn along(
         problem: &OptimalControlProblem,
+        trajectory: &Trajectory,
         coefficients: &[Wrench],
         weights: &FeedbackWeights,
         n_threads: usize,
@@ -133,7 +134,7 @@ impl Feedback {
         let rod = &problem.rod;
         let edges = problem.control.edges();
         let horizon = problem.grid.end();
-        let (trajectory, reference) = reference_motion(problem, coefficients)?;
+        let reference = states_at_edges(problem, coefficients)?;
         let mut norms = Vec::with_capacity(reference.len());
         for (block, state) in reference.iter().enumerate() {
             let norm = EnergyNorm::at(rod, &state.configuration);
@@ -146,7 +147,7 @@ impl Feedback {
         let mut stages = Vec::with_capacity(edges.len() - 1);
         for (j, edge) in edges.windows(2).enumerate() {
             let Transition { state, input } =
-                transition(&motion, &trajectory, edge[0]..edge[1], &inputs, n_threads)?;
+                transition(&motion, trajectory, edge[0]..edge[1], &inputs, n_threads)?;
             let lasting = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
@@ -159,7 +160,7 @@ impl Feedback {
             });
         }
         let program = Transcription::new(problem, n_threads);
-        let rows = terminal_rows(&program, &trajectory, weights.tolerance);
+        let rows = terminal_rows(&program, trajectory, weights.tolerance);
         let rows = norms[stages.len()].columns_over(&rows);
         let mut terminal = rows.transpose() * &rows;
         for i in 0..terminal.nrows() {
@@ -270,26 +271,23 @@ fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {
     require("tolerance", tolerance, tolerance > 0.0, "a positive number")
 }
 
-/// The motion under the controls, and its states at the edges of the blocks.
-fn reference_motion(
+/// States of the motion under the controls at the edges of the blocks.
+fn states_at_edges(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
-) -> Result<(Trajectory, Vec<State>), StepError> {
+) -> Result<Vec<State>, StepError> {
     let control = problem.signal(&problem.control, coefficients);
-    let n_steps = problem.grid.n_steps;
-    let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), n_steps + 1);
+    let edges = problem.control.edges();
     let mut stepper = Stepper::new(&problem.rod, problem.grid.step, problem.initial.clone());
-    let mut states = Vec::new();
-    for k in 0..=n_steps {
-        stepper.record(&mut trajectory);
-        if problem.control.edges().contains(&k) {
-            states.push(stepper.state());
-        }
-        if k < n_steps {
+    let mut states = Vec::with_capacity(edges.len());
+    for &edge in edges {
+        while stepper.step() < edge {
+            let k = stepper.step();
             stepper.advance([control.at(k), control.at(k + 1)])?;
         }
+        states.push(stepper.state());
     }
-    Ok((trajectory, states))
+    Ok(states)
 }
 
 /// The goals at the end of the horizon as rows over the last deviation, over their tolerances.
