@@ -5,6 +5,7 @@ use faer::Mat;
 use super::cost::CostRow;
 use super::path::Posture;
 use super::transcription::{LiftedDirection, LiftedPoint, Transcription, describe};
+use crate::mechanics::differences;
 use crate::mechanics::linearization::Sources;
 use crate::mechanics::sensitivity::direction;
 use crate::mechanics::step_derivative::step_sources;
@@ -131,8 +132,8 @@ impl Transcription<'_> {
         let (plus, minus) = (gradient(step)?, gradient(-step)?);
         let (plus_far, minus_far) = (gradient(2.0 * step)?, gradient(-2.0 * step)?);
         for i in 0..plus.len() {
-            let far = plus_far[i] - minus_far[i];
-            let exact = (8.0 * (plus[i] - minus[i]) - far) / (12.0 * step);
+            let far = [plus_far[i], minus_far[i]];
+            let exact = differences::slope([plus[i], minus[i]], far, step);
             let bent = exact - linearization.gauss_newton[(i, at)];
             curvature[(i, at)] = bent;
             curvature[(at, i)] = bent;

@@ -7,6 +7,7 @@ pub mod configuration;
 pub mod constitutive;
 pub mod curvature;
 pub mod diagnostics;
+pub mod differences;
 pub mod energy;
 mod energy_norm;
 pub mod equilibrium;

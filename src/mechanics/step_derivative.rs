@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::configuration::Trajectory;
+use super::differences;
 use super::integrator::StepError;
 use super::linearization::{Defects, Motion, Sources};
 use super::sensitivity::defects;
@@ -35,8 +36,7 @@ pub fn step_sources(
         let [near, far] = [&near, &far].map(|pair| (part(&pair[0]), part(&pair[1])));
         (0..near.0.len())
             .map(|i| {
-                let difference = 8.0 * (near.0[i] - near.1[i]) - (far.0[i] - far.1[i]);
-                difference * (sign / (12.0 * CHANGE))
+                sign * differences::slope([near.0[i], near.1[i]], [far.0[i], far.1[i]], CHANGE)
             })
             .collect()
     };

@@ -79,9 +79,9 @@ impl Trajectory {
         let n = self.n_nodes;
         let share = n * self.n_times().div_ceil(n_threads.max(1)).max(1);
         let shares = (moved.positions.chunks_mut(share)).zip(moved.rotations.chunks_mut(share));
-        let mut shares = shares.zip((0..).step_by(share));
+        let mut shares = (0..).step_by(share).zip(shares);
         let own = shares.next();
-        let retract = |((x, r), start): ((&mut [Vector3<f64>], &mut [Matrix3<f64>]), usize)| {
+        let retract = |start: usize, x: &mut [Vector3<f64>], r: &mut [Matrix3<f64>]| {
             let shapes = x.chunks_exact_mut(n).zip(r.chunks_exact_mut(n));
             for ((x, r), first) in shapes.zip((start..).step_by(n)) {
                 x[0] += direction.positions[first] * step_length;
@@ -93,10 +93,13 @@ impl Trajectory {
             }
         };
         std::thread::scope(|scope| {
-            for share in shares {
-                scope.spawn(move || retract(share));
+            let retract = &retract;
+            for (start, (x, r)) in shares {
+                scope.spawn(move || retract(start, x, r));
             }
-            own.into_iter().for_each(retract);
+            if let Some((start, (x, r))) = own {
+                retract(start, x, r);
+            }
         });
         moved
     }

@@ -7,6 +7,7 @@ use super::kkt::motion::Conditions;
 use super::probe::{Motion, roll_out};
 use super::{CheckError, Solution};
 use crate::control::{Bound, OptimalControlProblem};
+use crate::mechanics::differences;
 
 /// Relative change of the duration in the differences, which are of fourth order.
 const CHANGE: f64 = 1e-4;
@@ -37,8 +38,8 @@ pub(super) fn examine(
     let far = [at(2.0 * CHANGE)?, at(-2.0 * CHANGE)?];
     let (mut slope, mut largest) = (0.0, 0.0);
     for i in 0..N_TERMS {
-        let difference = 8.0 * (near[0][i] - near[1][i]) - (far[0][i] - far[1][i]);
-        let part: f64 = difference / (12.0 * CHANGE);
+        let part: f64 =
+            differences::slope([near[0][i], near[1][i]], [far[0][i], far[1][i]], CHANGE);
         slope += part;
         largest = f64::max(largest, part.abs());
     }

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::dual;
 use crate::control::{OptimalControlProblem, PathLimit, Shape};
+use crate::mechanics::differences;
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Rod, StrainRule, Trajectory};
 
@@ -240,7 +241,7 @@ const TURN: f64 = 1e-3;
 
 /// `f'(0)` by central differences of fourth order.
 pub(super) fn slope_at_zero(f: impl Fn(f64) -> f64, step: f64) -> f64 {
-    (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
+    differences::slope([f(step), f(-step)], [f(2.0 * step), f(-2.0 * step)], step)
 }
 
 fn unit(v: &Vector3<f64>) -> Vector3<f64> {

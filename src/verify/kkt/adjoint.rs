@@ -3,11 +3,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::motion::{
-    Conditions, chord, energy_gradient, j_d, kick, momentum_after, momentum_before,
+    Conditions, Gradient, chord, energy_gradient, j_d, kick, momentum_after, momentum_before,
 };
 use super::outcome::Outcome;
 use super::stresses::StressLink;
 use crate::control::GoalPart;
+use crate::mechanics::differences;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{RodModel, Wrench};
 use crate::verify::{dual, interval};
@@ -263,17 +264,17 @@ impl Conditions<'_> {
             energy_gradient(rod, &positions, &rotations)
         };
         let [plus, minus, plus_far, minus_far] = [1.0, -1.0, 2.0, -2.0].map(moved);
-        let slope = |plus: &Vector3<f64>, minus: &Vector3<f64>, far: Vector3<f64>| {
-            (8.0 * (plus - minus) - far) / (12.0 * step)
-        };
         for q in rod.first_free_node()..rod.n_nodes() {
-            let far = plus_far.x[q] - minus_far.x[q];
-            cx[q] -= weight * slope(&plus.x[q], &minus.x[q], far);
+            let slope = |of: fn(&Gradient) -> &[Vector3<f64>]| {
+                let [near, far] =
+                    [[&plus, &minus], [&plus_far, &minus_far]].map(|pair| pair.map(|at| of(at)[q]));
+                differences::slope(near, far, step)
+            };
+            cx[q] -= weight * slope(|at| &at.x);
             // E_b E_λ U = E_λ E_b U + E_{b×λ} U: the fields do not commute. The mean of all sides is the gradient itself.
             let far = plus_far.eta[q] + minus_far.eta[q];
             let here = (4.0 * (plus.eta[q] + minus.eta[q]) - far) / 6.0;
-            let far = plus_far.eta[q] - minus_far.eta[q];
-            ceta[q] -= weight * (slope(&plus.eta[q], &minus.eta[q], far) + lr[q].cross(&here));
+            ceta[q] -= weight * (slope(|at| &at.eta) + lr[q].cross(&here));
         }
     }
 
