@@ -1,13 +1,15 @@
 //! A solve in progress: what one iteration of the loop does, and what it remembers.
 
-use std::collections::BTreeMap;
+mod restoration;
+mod subproblem;
+
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 use faer::Mat;
 
-use super::balls::change_into_balls;
-use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure};
+use self::restoration::Restoration;
+use super::globalization::{Accepted, Departure, FEASIBLE, Filter};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
 use super::program::{
@@ -15,7 +17,7 @@ use super::program::{
     sum_of_largest,
 };
 use super::quadratic_program::{
-    KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
+    LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
 };
 use super::quasi_newton::{Formula, QuasiNewton};
 use super::residual::{KktResidual, Multipliers, norm};
@@ -24,16 +26,6 @@ use super::solver::{
     Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
 };
 
-/// Smallest and first elastic weight, relative to the size of the cost gradient.
-const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
-const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
-const ELASTIC_FACTOR: f64 = 10.0;
-/// A heavier weight must bring the slack below this part of what it was.
-const ELASTIC_GAIN: f64 = 0.9;
-/// The weight is kept this much above the largest multiplier, so that it can come down again.
-const ELASTIC_MARGIN: f64 = 10.0;
-/// Slack that counts as none.
-const NO_SLACK: f64 = 1e-8;
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
@@ -52,8 +44,6 @@ const CRAWL_GAIN: f64 = 0.98;
 const FIRST_TRUST_RADIUS: f64 = 2.0;
 /// Step, over the variables (at least one), from which a quasi-Newton matrix learns.
 const LEAST_LESSON: f64 = 1e-10;
-/// Room that a trust region leaves around the nearest point of the sets.
-const SET_ROOM: f64 = 2.0;
 /// A set may be violated by this much before the trust region makes room for the way back.
 const SET_TOLERANCE: f64 = 1e-9;
 const SHRINK: f64 = 0.3;
@@ -75,17 +65,9 @@ const REFUSALS_IN_A_ROW: usize = 4;
 const FILTER_RESETS: usize = 5;
 /// Refused trials of an iteration whose violated rows join the subproblem at the same trust radius.
 const TRIAL_JOINS: usize = 2;
-/// Rows that are linearized from the start, peaks and active ones apart.
-const MOST_CANDIDATES: usize = 500;
 /// Part of the promise that a step refused by the filter must deliver, and how many such steps there may be.
 const MERIT_RATIO: f64 = 0.2;
 const MERIT_STEPS: usize = 40;
-/// The screening margin grows by this when a step violates what was screened out.
-const MARGIN_GROWTH: f64 = 2.0;
-/// A step of the restoration must deliver this part of what it promised.
-const RESTORATION_RATIO: f64 = 0.1;
-/// The restoration ends where the filter lets it, once the infeasibility is this part of what it was.
-const RESTORATION_GAIN: f64 = 0.5;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
 
@@ -118,13 +100,6 @@ pub(super) enum Breakdown {
     Subproblem(#[from] QpError),
     #[error(transparent)]
     Model(#[from] Failure),
-}
-
-/// The restoration phase: the infeasibility alone is minimized, close to where it began.
-#[derive(Clone, Copy)]
-struct Restoration {
-    began_with: f64,
-    radius: f64,
 }
 
 /// A solve in progress.
@@ -338,44 +313,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.kept = self.program.keep_states(&self.point, rows)?;
         }
         Ok(())
-    }
-
-    /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
-    /// those with multipliers. What is missing joins when a step violates it.
-    fn candidates(&self) -> Vec<usize> {
-        let values = self.evaluation.inequalities.iter();
-        let near: Vec<(usize, f64)> = (values.zip(&self.multipliers.inequalities).enumerate())
-            .filter(|&(_, (&h, &z))| h > -self.screening_margin || z > 0.0)
-            .map(|(row, (&h, _))| (row, h))
-            .collect();
-        let stride = near.len().div_ceil(MOST_CANDIDATES);
-        let mut rows: Vec<usize> = near
-            .iter()
-            .step_by(stride.max(1))
-            .map(|row| row.0)
-            .collect();
-        if stride > 1 {
-            rows.extend(peaks(&near).iter().map(|row| row.0));
-            let held = self.multipliers.inequalities.iter().enumerate();
-            rows.extend(held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row));
-            rows.sort_unstable();
-            rows.dedup();
-        }
-        rows
-    }
-
-    /// How much a subproblem may violate rows that it has not seen.
-    fn row_tolerance(&self) -> f64 {
-        let off = (self.history.last()).map_or(1.0, |row| {
-            row.residual.stationarity.max(row.residual.feasibility)
-        });
-        (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
-    }
-
-    fn note_rows(&mut self, linearization: &Linearization) {
-        let rows = &linearization.rows;
-        self.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
-        self.groups = rows.iter().map(|&row| self.program.group(row)).collect();
     }
 
     pub(super) fn residual(&self, linearization: &Linearization) -> KktResidual {
@@ -825,21 +762,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         2.0 * self.largest_multiplier(solution)
     }
 
-    /// Of constraints and hard inequalities: those that the elastic weight must exceed.
-    fn largest_multiplier(&self, solution: &QpSolution) -> f64 {
-        let rows = solution.multipliers.inequalities.iter().enumerate();
-        let hard =
-            rows.filter(|&(row, &z)| z > 0.0 && self.program.softness(row) == Softness::Hard);
-        // One slack answers for a whole group.
-        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
-        for (row, z) in hard {
-            *groups.entry(self.program.group(row)).or_insert(0.0) += z;
-        }
-        (solution.multipliers.constraints.iter())
-            .chain(groups.values())
-            .fold(0.0, |m: f64, y| m.max(y.abs()))
-    }
-
     /// What the subproblem promised to take off the merit `J + weight · infeasibility`.
     fn promise(
         &self,
@@ -871,213 +793,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             linearization,
             softness: &self.softness,
             multipliers: &solution.multipliers,
-        }
-    }
-
-    /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
-    fn subproblem_sets(&self, model: &ModelHessian) -> Vec<ConvexSet> {
-        let mut sets = self.program.sets().to_vec();
-        for tangent in &model.tangents {
-            sets[tangent.set] = tangent.tangent(self.variables());
-        }
-        sets
-    }
-
-    /// Solves the subproblem with all rows that its step violates, whether they were linearized at first or not.
-    fn solve_subproblem(
-        &mut self,
-        linearization: &mut Linearization,
-        model: &ModelHessian,
-        sets: &[ConvexSet],
-    ) -> Result<QpSolution, Breakdown> {
-        loop {
-            let clock = Instant::now();
-            let solution = self.solve_elastic(linearization, model, sets);
-            self.phases.qp += clock.elapsed().as_secs_f64();
-            let solution = solution?;
-            if !self.join_predicted(linearization, &solution)? {
-                return Ok(solution);
-            }
-        }
-    }
-
-    /// Adapts the elastic weight.
-    fn solve_elastic(
-        &mut self,
-        linearization: &Linearization,
-        model: &ModelHessian,
-        sets: &[ConvexSet],
-    ) -> Result<QpSolution, QpError> {
-        let unit = linearization.cost_unit();
-        let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
-        let mut solution = self.solve_once(linearization, model, sets, weight)?;
-        // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
-        while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
-            let heavier = self.solve_once(linearization, model, sets, weight * ELASTIC_FACTOR)?;
-            if heavier.slack > ELASTIC_GAIN * solution.slack {
-                break;
-            }
-            weight *= ELASTIC_FACTOR;
-            solution = heavier;
-        }
-        if solution.slack <= NO_SLACK {
-            weight = (ELASTIC_MARGIN * self.largest_multiplier(&solution))
-                .clamp(FIRST_ELASTIC_WEIGHT * unit, LARGEST_ELASTIC_WEIGHT * unit);
-        }
-        self.return_to_balls(model, &mut solution);
-        self.elastic_weight = Some(weight);
-        Ok(solution)
-    }
-
-    /// One quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
-    fn solve_once(
-        &mut self,
-        linearization: &Linearization,
-        model: &ModelHessian,
-        sets: &[ConvexSet],
-        weight: f64,
-    ) -> Result<QpSolution, QpError> {
-        let first = self.first_rows(linearization);
-        let rows = &linearization.rows;
-        let expected = self.multipliers.at_rows(rows);
-        let mut solution = QuadraticProgram {
-            expected: Some(&expected),
-            ..self.subproblem(linearization, model, sets, weight, &first)
-        }
-        .solve()?;
-        self.working = solution.working.iter().map(|&at| rows[at]).collect();
-        let mut inequalities = vec![0.0; self.evaluation.inequalities.len()];
-        for (&row, z) in rows.iter().zip(&solution.multipliers.inequalities) {
-            inequalities[row] = *z;
-        }
-        solution.multipliers.inequalities = inequalities;
-        Ok(solution)
-    }
-
-    /// Places, among the linearized rows, of those that mattered last.
-    fn first_rows(&self, linearization: &Linearization) -> Vec<usize> {
-        (self.working.iter())
-            .filter_map(|row| linearization.rows.binary_search(row).ok())
-            .collect()
-    }
-
-    /// Linearizes what a step violates to first order and what was screened out. Whether there was any.
-    fn join_predicted(
-        &mut self,
-        linearization: &mut Linearization,
-        solution: &QpSolution,
-    ) -> Result<bool, Breakdown> {
-        if linearization.rows.len() == self.evaluation.inequalities.len() {
-            return Ok(false);
-        }
-        let clock = Instant::now();
-        let predicted = self
-            .program
-            .expand(&self.point, &self.evaluation.defects, &solution.change)
-            .and_then(|direction| {
-                self.program
-                    .predict_inequalities(&self.point, &self.evaluation, &direction)
-            })?;
-        // What the slack of its group covers is known already.
-        let beyond = |(row, h): (usize, f64)| match self.program.softness(row) {
-            Softness::Hard => {
-                let slack = solution.slacks.get(&self.program.group(row));
-                h - slack.copied().unwrap_or(0.0)
-            }
-            Softness::Soft { .. } => h,
-        };
-        let predicted: Vec<f64> = predicted.into_iter().enumerate().map(beyond).collect();
-        self.phases.linearize += clock.elapsed().as_secs_f64();
-        self.join(linearization, &predicted)
-    }
-
-    /// Linearizes what is violated and was screened out. Whether there was any.
-    fn join(
-        &mut self,
-        linearization: &mut Linearization,
-        values: &[f64],
-    ) -> Result<bool, Breakdown> {
-        let clock = Instant::now();
-        let tolerance = self.row_tolerance();
-        let violated: Vec<(usize, f64)> = (values.iter().enumerate())
-            .filter(|&(row, &h)| {
-                h > tolerance
-                    && linearization.rows.binary_search(&row).is_err()
-                    && self.program.softness(row) != Softness::FREE
-            })
-            .map(|(row, &h)| (row, h))
-            .collect();
-        // Only a row of its own price counts by itself; of a group, the worst are enough.
-        let missing: Vec<usize> = peaks(&violated).into_iter().map(|(row, _)| row).collect();
-        if missing.is_empty() {
-            return Ok(false);
-        }
-        self.screening_margin *= MARGIN_GROWTH;
-        let request = LinearizationRequest {
-            multipliers: None,
-            rows: &missing,
-        };
-        let more = self
-            .program
-            .linearize(&self.point, &self.evaluation, &request)?;
-        linearization.join_rows(&more);
-        self.note_rows(linearization);
-        self.keep_states(linearization)?;
-        self.phases.linearize += clock.elapsed().as_secs_f64();
-        Ok(true)
-    }
-
-    /// After a subproblem with tangents: the step ends on the balls themselves, and their normals are vectors again.
-    fn return_to_balls(&self, model: &ModelHessian, solution: &mut QpSolution) {
-        if model.tangents.is_empty() {
-            return;
-        }
-        for tangent in &model.tangents {
-            let length = solution.multipliers.normals[tangent.set][0];
-            solution.multipliers.normals[tangent.set] =
-                tangent.outward.iter().map(|n| n * length).collect();
-        }
-        let sets = (model.tangents.iter()).map(|tangent| &self.program.sets()[tangent.set]);
-        solution.change = change_into_balls(self.variables(), &solution.change, sets);
-    }
-
-    fn subproblem<'b>(
-        &'b self,
-        linearization: &'b Linearization,
-        model: &'b ModelHessian,
-        sets: &'b [ConvexSet],
-        elastic_weight: f64,
-        first: &'b [usize],
-    ) -> QuadraticProgram<'b> {
-        let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
-            deadline
-                .saturating_sub(self.started.elapsed())
-                .as_secs_f64()
-                .max(1e-3)
-        });
-        QuadraticProgram {
-            hessian: &model.matrix,
-            gradient: &model.gradient,
-            jacobian: &linearization.jacobian,
-            offset: &linearization.offset,
-            inequalities: LinearInequalities {
-                jacobian: &linearization.inequality_jacobian,
-                offset: &linearization.inequality_offset,
-                softness: &self.softness,
-                groups: &self.groups,
-                first,
-            },
-            variables: self.variables(),
-            sets,
-            elastic_weight,
-            row_tolerance: self.row_tolerance(),
-            trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
-            time_limit,
-            states: self.kept.as_ref().map(|kept| KeptStates {
-                linearization: kept,
-                replaces_hessian: model.kind == HessianKind::GaussNewton,
-            }),
-            expected: None,
         }
     }
 
@@ -1182,159 +897,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let delivered = merit(self.program, &self.evaluation, weight)
             - merit(self.program, &refused.evaluation, weight);
         promise > 0.0 && delivered >= MERIT_RATIO * promise
-    }
-
-    /// Begins the restoration phase.
-    fn restore(&mut self, linearization: Linearization) -> Result<Step, Breakdown> {
-        self.restorations += 1;
-        self.restored_at = self.history.len();
-        self.stuck = 0;
-        self.filter.leave(Measure::of(
-            self.program,
-            &self.evaluation,
-            &self.multipliers,
-        ));
-        self.restoration = Some(Restoration {
-            began_with: self.infeasibility(),
-            radius: first_trust_radius(self.variables()),
-        });
-        self.restoration_step(linearization)
-    }
-
-    /// A step towards feasibility: `½ ρ |δ|²` and the slacks, without the objective; `ρ` is such that a step as long as the
-    /// trust radius costs half of the infeasibility. Soft rows may be violated.
-    fn restoration_step(&mut self, mut linearization: Linearization) -> Result<Step, Breakdown> {
-        let Some(mut phase) = self.restoration else {
-            return Ok(Step::Refused);
-        };
-        let n = self.variables().len();
-        let sets = self.program.sets().to_vec();
-        let before = self.infeasibility();
-        // What states that do not obey their equations promise or deny says nothing about constraints.
-        if self.evaluation.defect > INFEASIBLE_PROGRESS * before
-            && let Some(settled) = Filter::restored(self.program, &self.point, &vec![0.0; n], 0)
-        {
-            phase.began_with = self.program.infeasibility(&settled.evaluation);
-            self.note_step(&settled, 0.0);
-            self.arrive(settled);
-            self.departed = None;
-            self.restoration = Some(phase);
-            return Ok(Step::Taken);
-        }
-        for _ in 0..=SHRINKAGES {
-            let mut matrix = Mat::<f64>::identity(n, n);
-            matrix *= faer::Scale(before / (phase.radius * phase.radius));
-            let model = ModelHessian::proximal(matrix);
-            let solution = self.solve_feasibility(&mut linearization, &model, &sets, phase.radius);
-            let solution = match solution {
-                Ok(solution) => solution,
-                Err(_) if self.out_of_time().is_some() => return Ok(Step::Refused),
-                Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
-                    Recovery::Smaller => {
-                        phase.radius *= SHRINK;
-                        continue;
-                    }
-                    Recovery::Restored => return Ok(Step::Restored),
-                },
-                Err(error) => return Err(error),
-            };
-            self.note_subproblem(HessianKind::Proximal, &linearization, &solution);
-            let promise = before - solution.slack;
-            let length = norm(&solution.change);
-            if promise < INFEASIBLE_PROGRESS * before {
-                let is_free = length < 0.5 * phase.radius || {
-                    let far = 1e3 * phase.radius;
-                    let free = self.solve_feasibility(&mut linearization, &model, &sets, far)?;
-                    before - free.slack < INFEASIBLE_PROGRESS * before
-                };
-                if is_free && before > self.settings.tolerance {
-                    self.blame(&linearization, solution.multipliers);
-                    return Ok(Step::Infeasible);
-                }
-            }
-            let clock = Instant::now();
-            let trial = Filter::restored(self.program, &self.point, &solution.change, 0);
-            self.phases.globalize += clock.elapsed().as_secs_f64();
-            let Some(trial) = trial else {
-                phase.radius = SHRINK * length.min(phase.radius);
-                continue;
-            };
-            let after = self.program.infeasibility(&trial.evaluation);
-            let ratio = (before - after) / promise;
-            if !(promise > 0.0 && ratio >= RESTORATION_RATIO) {
-                if !self.join(&mut linearization, &trial.evaluation.inequalities)? {
-                    phase.radius = SHRINK * length.min(phase.radius);
-                }
-                continue;
-            }
-            if ratio > GOOD_RATIO && length > 0.5 * phase.radius {
-                phase.radius *= GROW;
-            }
-            let done = after <= self.settings.tolerance
-                || (after <= RESTORATION_GAIN * phase.began_with
-                    && self.filter.allows(
-                        Measure::of(self.program, &trial.evaluation, &self.multipliers),
-                        0.0,
-                    ));
-            self.note_step(&trial, length);
-            self.arrive(trial);
-            self.departed = None;
-            self.restoration = Some(phase);
-            if done {
-                self.restoration = None;
-                self.trust_radius = phase.radius.max(self.trust_radius);
-                if after > self.settings.tolerance {
-                    return Ok(Step::Taken);
-                }
-                // Feasible: nothing that the filter remembers is worth more.
-                self.filter = Filter::new(after);
-            }
-            return Ok(Step::Taken);
-        }
-        Ok(Step::Refused)
-    }
-
-    /// Where the infeasibility is stationary: what pulls against each other, in units of it. This point is the one to show, unless
-    /// a better one was passed.
-    fn blame(&mut self, linearization: &Linearization, multipliers: Multipliers) {
-        let infeasibility = self.infeasibility() + self.outside;
-        if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
-            self.multipliers = multipliers;
-            self.best = Best {
-                point: self.point.clone(),
-                multipliers: self.multipliers.clone(),
-                residual: self.residual(linearization),
-                objective: self.program.total_objective(&self.evaluation),
-                infeasibility,
-            };
-        }
-    }
-
-    /// The restoration's subproblem, with all rows that its step violates.
-    fn solve_feasibility(
-        &mut self,
-        linearization: &mut Linearization,
-        model: &ModelHessian,
-        sets: &[ConvexSet],
-        radius: f64,
-    ) -> Result<QpSolution, Breakdown> {
-        loop {
-            let clock = Instant::now();
-            for softness in &mut self.softness {
-                if *softness != Softness::Hard {
-                    *softness = Softness::FREE;
-                }
-            }
-            let trust_radius = std::mem::replace(&mut self.trust_radius, radius);
-            let solution = self.solve_once(linearization, model, sets, 1.0);
-            self.trust_radius = trust_radius;
-            self.note_rows(linearization);
-            self.phases.qp += clock.elapsed().as_secs_f64();
-            let solution = solution?;
-            if !self.join_predicted(linearization, &solution)? {
-                return Ok(solution);
-            }
-        }
     }
 
     pub(super) fn show(

@@ -1,0 +1,293 @@
+//! The subproblem of an iteration: which rows it sees, at what elastic weight, and what joins it.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use super::super::balls::change_into_balls;
+use super::super::hessian::{HessianKind, ModelHessian};
+use super::super::program::{
+    ConvexSet, LiftedProgram, Linearization, LinearizationRequest, Softness,
+};
+use super::super::quadratic_program::{
+    KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
+};
+use super::{Breakdown, Run};
+
+/// Smallest and first elastic weight, relative to the size of the cost gradient.
+const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
+const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
+const ELASTIC_FACTOR: f64 = 10.0;
+/// A heavier weight must bring the slack below this part of what it was.
+const ELASTIC_GAIN: f64 = 0.9;
+/// The weight is kept this much above the largest multiplier, so that it can come down again.
+const ELASTIC_MARGIN: f64 = 10.0;
+/// Slack that counts as none.
+const NO_SLACK: f64 = 1e-8;
+/// Room that a trust region leaves around the nearest point of the sets.
+const SET_ROOM: f64 = 2.0;
+/// Rows that are linearized from the start, peaks and active ones apart.
+const MOST_CANDIDATES: usize = 500;
+/// The screening margin grows by this when a step violates what was screened out.
+const MARGIN_GROWTH: f64 = 2.0;
+
+impl<P: LiftedProgram> Run<'_, P> {
+    /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
+    /// those with multipliers. What is missing joins when a step violates it.
+    pub(super) fn candidates(&self) -> Vec<usize> {
+        let values = self.evaluation.inequalities.iter();
+        let near: Vec<(usize, f64)> = (values.zip(&self.multipliers.inequalities).enumerate())
+            .filter(|&(_, (&h, &z))| h > -self.screening_margin || z > 0.0)
+            .map(|(row, (&h, _))| (row, h))
+            .collect();
+        let stride = near.len().div_ceil(MOST_CANDIDATES);
+        let mut rows: Vec<usize> = near
+            .iter()
+            .step_by(stride.max(1))
+            .map(|row| row.0)
+            .collect();
+        if stride > 1 {
+            rows.extend(peaks(&near).iter().map(|row| row.0));
+            let held = self.multipliers.inequalities.iter().enumerate();
+            rows.extend(held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row));
+            rows.sort_unstable();
+            rows.dedup();
+        }
+        rows
+    }
+
+    /// How much a subproblem may violate rows that it has not seen.
+    pub(super) fn row_tolerance(&self) -> f64 {
+        let off = (self.history.last()).map_or(1.0, |row| {
+            row.residual.stationarity.max(row.residual.feasibility)
+        });
+        (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
+    }
+
+    pub(super) fn note_rows(&mut self, linearization: &Linearization) {
+        let rows = &linearization.rows;
+        self.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
+        self.groups = rows.iter().map(|&row| self.program.group(row)).collect();
+    }
+
+    /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
+    pub(super) fn subproblem_sets(&self, model: &ModelHessian) -> Vec<ConvexSet> {
+        let mut sets = self.program.sets().to_vec();
+        for tangent in &model.tangents {
+            sets[tangent.set] = tangent.tangent(self.variables());
+        }
+        sets
+    }
+
+    /// Solves the subproblem with all rows that its step violates, whether they were linearized at first or not.
+    pub(super) fn solve_subproblem(
+        &mut self,
+        linearization: &mut Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+    ) -> Result<QpSolution, Breakdown> {
+        loop {
+            let clock = Instant::now();
+            let solution = self.solve_elastic(linearization, model, sets);
+            self.phases.qp += clock.elapsed().as_secs_f64();
+            let solution = solution?;
+            if !self.join_predicted(linearization, &solution)? {
+                return Ok(solution);
+            }
+        }
+    }
+
+    /// Adapts the elastic weight.
+    pub(super) fn solve_elastic(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+    ) -> Result<QpSolution, QpError> {
+        let unit = linearization.cost_unit();
+        let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
+        let mut solution = self.solve_once(linearization, model, sets, weight)?;
+        // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
+        while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
+            let heavier = self.solve_once(linearization, model, sets, weight * ELASTIC_FACTOR)?;
+            if heavier.slack > ELASTIC_GAIN * solution.slack {
+                break;
+            }
+            weight *= ELASTIC_FACTOR;
+            solution = heavier;
+        }
+        if solution.slack <= NO_SLACK {
+            weight = (ELASTIC_MARGIN * self.largest_multiplier(&solution))
+                .clamp(FIRST_ELASTIC_WEIGHT * unit, LARGEST_ELASTIC_WEIGHT * unit);
+        }
+        self.return_to_balls(model, &mut solution);
+        self.elastic_weight = Some(weight);
+        Ok(solution)
+    }
+
+    /// Of constraints and hard inequalities: those that the elastic weight must exceed.
+    pub(super) fn largest_multiplier(&self, solution: &QpSolution) -> f64 {
+        let rows = solution.multipliers.inequalities.iter().enumerate();
+        let hard =
+            rows.filter(|&(row, &z)| z > 0.0 && self.program.softness(row) == Softness::Hard);
+        // One slack answers for a whole group.
+        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
+        for (row, z) in hard {
+            *groups.entry(self.program.group(row)).or_insert(0.0) += z;
+        }
+        (solution.multipliers.constraints.iter())
+            .chain(groups.values())
+            .fold(0.0, |m: f64, y| m.max(y.abs()))
+    }
+
+    /// One quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
+    pub(super) fn solve_once(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+        weight: f64,
+    ) -> Result<QpSolution, QpError> {
+        let first = self.first_rows(linearization);
+        let rows = &linearization.rows;
+        let expected = self.multipliers.at_rows(rows);
+        let mut solution = QuadraticProgram {
+            expected: Some(&expected),
+            ..self.subproblem(linearization, model, sets, weight, &first)
+        }
+        .solve()?;
+        self.working = solution.working.iter().map(|&at| rows[at]).collect();
+        let mut inequalities = vec![0.0; self.evaluation.inequalities.len()];
+        for (&row, z) in rows.iter().zip(&solution.multipliers.inequalities) {
+            inequalities[row] = *z;
+        }
+        solution.multipliers.inequalities = inequalities;
+        Ok(solution)
+    }
+
+    /// Places, among the linearized rows, of those that mattered last.
+    pub(super) fn first_rows(&self, linearization: &Linearization) -> Vec<usize> {
+        (self.working.iter())
+            .filter_map(|row| linearization.rows.binary_search(row).ok())
+            .collect()
+    }
+
+    /// Linearizes what a step violates to first order and what was screened out. Whether there was any.
+    pub(super) fn join_predicted(
+        &mut self,
+        linearization: &mut Linearization,
+        solution: &QpSolution,
+    ) -> Result<bool, Breakdown> {
+        if linearization.rows.len() == self.evaluation.inequalities.len() {
+            return Ok(false);
+        }
+        let clock = Instant::now();
+        let predicted = self
+            .program
+            .expand(&self.point, &self.evaluation.defects, &solution.change)
+            .and_then(|direction| {
+                self.program
+                    .predict_inequalities(&self.point, &self.evaluation, &direction)
+            })?;
+        // What the slack of its group covers is known already.
+        let beyond = |(row, h): (usize, f64)| match self.program.softness(row) {
+            Softness::Hard => {
+                let slack = solution.slacks.get(&self.program.group(row));
+                h - slack.copied().unwrap_or(0.0)
+            }
+            Softness::Soft { .. } => h,
+        };
+        let predicted: Vec<f64> = predicted.into_iter().enumerate().map(beyond).collect();
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        self.join(linearization, &predicted)
+    }
+
+    /// Linearizes what is violated and was screened out. Whether there was any.
+    pub(super) fn join(
+        &mut self,
+        linearization: &mut Linearization,
+        values: &[f64],
+    ) -> Result<bool, Breakdown> {
+        let clock = Instant::now();
+        let tolerance = self.row_tolerance();
+        let violated: Vec<(usize, f64)> = (values.iter().enumerate())
+            .filter(|&(row, &h)| {
+                h > tolerance
+                    && linearization.rows.binary_search(&row).is_err()
+                    && self.program.softness(row) != Softness::FREE
+            })
+            .map(|(row, &h)| (row, h))
+            .collect();
+        // Only a row of its own price counts by itself; of a group, the worst are enough.
+        let missing: Vec<usize> = peaks(&violated).into_iter().map(|(row, _)| row).collect();
+        if missing.is_empty() {
+            return Ok(false);
+        }
+        self.screening_margin *= MARGIN_GROWTH;
+        let request = LinearizationRequest {
+            multipliers: None,
+            rows: &missing,
+        };
+        let more = self
+            .program
+            .linearize(&self.point, &self.evaluation, &request)?;
+        linearization.join_rows(&more);
+        self.note_rows(linearization);
+        self.keep_states(linearization)?;
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        Ok(true)
+    }
+
+    /// After a subproblem with tangents: the step ends on the balls themselves, and their normals are vectors again.
+    pub(super) fn return_to_balls(&self, model: &ModelHessian, solution: &mut QpSolution) {
+        if model.tangents.is_empty() {
+            return;
+        }
+        for tangent in &model.tangents {
+            let length = solution.multipliers.normals[tangent.set][0];
+            solution.multipliers.normals[tangent.set] =
+                tangent.outward.iter().map(|n| n * length).collect();
+        }
+        let sets = (model.tangents.iter()).map(|tangent| &self.program.sets()[tangent.set]);
+        solution.change = change_into_balls(self.variables(), &solution.change, sets);
+    }
+
+    pub(super) fn subproblem<'b>(
+        &'b self,
+        linearization: &'b Linearization,
+        model: &'b ModelHessian,
+        sets: &'b [ConvexSet],
+        elastic_weight: f64,
+        first: &'b [usize],
+    ) -> QuadraticProgram<'b> {
+        let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
+            deadline
+                .saturating_sub(self.started.elapsed())
+                .as_secs_f64()
+                .max(1e-3)
+        });
+        QuadraticProgram {
+            hessian: &model.matrix,
+            gradient: &model.gradient,
+            jacobian: &linearization.jacobian,
+            offset: &linearization.offset,
+            inequalities: LinearInequalities {
+                jacobian: &linearization.inequality_jacobian,
+                offset: &linearization.inequality_offset,
+                softness: &self.softness,
+                groups: &self.groups,
+                first,
+            },
+            variables: self.variables(),
+            sets,
+            elastic_weight,
+            row_tolerance: self.row_tolerance(),
+            trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
+            time_limit,
+            states: self.kept.as_ref().map(|kept| KeptStates {
+                linearization: kept,
+                replaces_hessian: model.kind == HessianKind::GaussNewton,
+            }),
+            expected: None,
+        }
+    }
+}
