@@ -12,8 +12,12 @@
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
 //! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
 //!
+//! `--routes` solves nothing: it compares the step of one subproblem of every problem over the controls with the one that keeps all
+//! configurations, and fails where they are apart. That takes long beyond few elements and some hundred steps.
+//!
 //! ```text
 //! cargo run --release --example reach_suite -- --seed 1 --count 200
+//! cargo run --release --example reach_suite -- --seed 1 --count 60 --routes --set rod.elements=3
 //! ```
 
 use std::error::Error;
@@ -27,11 +31,14 @@ use std::time::Instant;
 
 use clap::Parser;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use softarm::control::{Attempt, Search, Shape, Transcription, search};
+use softarm::control::{Attempt, Guess, Search, Shape, Transcription, first_point, search};
 use softarm::mechanics::{Configuration, Wrench};
 use softarm::output::MultiplierRecord;
 use softarm::scene::{OptimalControl, Scene};
-use softarm::sqp::{SqpSettings, SqpStatus};
+use softarm::sqp::quadratic_program::{KeptStates, LinearInequalities, QuadraticProgram};
+use softarm::sqp::{
+    self, LiftedProgram as _, LinearizationRequest, QpRoute, Softness, SqpSettings, SqpStatus,
+};
 use softarm::verify::Solution;
 
 #[derive(Parser)]
@@ -57,6 +64,9 @@ struct Arguments {
     /// Changes a key of every scene, as in solver.guess=slow
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Compares the steps of the two routes of the quadratic subproblem
+    #[arg(long)]
+    routes: bool,
     /// Writes the problems as scene files here
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
@@ -75,6 +85,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             })
             .collect(),
     };
+    if arguments.routes {
+        return compare_routes(&indices, &arguments);
+    }
     let next = AtomicUsize::new(0);
     let found = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
@@ -731,6 +744,118 @@ fn certify(
             (item.name, text)
         })
         .collect())
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Routes
+
+/// Difference of the steps over their length that is to be reached.
+const SAME_STEP: f64 = 1e-7;
+/// Iterations before the subproblem that is compared.
+const ITERATIONS_BEFORE: usize = 2;
+/// Value of a path row from which it is near its limit, and how many such rows there may be.
+const NEAR: f64 = -0.05;
+const MOST_ROWS: usize = 30;
+
+fn compare_routes(indices: &[usize], arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+    let (mut compared, mut apart) = (0, 0);
+    let mut worst = 0.0_f64;
+    for &index in indices {
+        let Problem {
+            family,
+            kind,
+            setup,
+            ..
+        } = problem(index, arguments)?;
+        let (n, k) = (setup.problem.grid.n_steps, setup.problem.rod.n_elements());
+        let found = difference_of_routes(&setup);
+        eprintln!(
+            "{index:4} {family:8} {:8} K {k} N {n} {}",
+            kind.name(),
+            match &found {
+                Ok((difference, rows)) => format!("{difference:.1e} with {rows} path rows"),
+                Err(error) => format!("not compared: {error}"),
+            }
+        );
+        if let Ok((difference, _)) = found {
+            compared += 1;
+            apart += usize::from(!(difference <= SAME_STEP));
+            worst = if difference.is_nan() {
+                difference
+            } else {
+                worst.max(difference)
+            };
+        }
+    }
+    println!(
+        "steps of both routes: {compared} of {} compared, {apart} apart by more than {SAME_STEP:.0e} of their length, at most {worst:.1e}",
+        indices.len()
+    );
+    if apart > 0 {
+        return Err("the routes lead to different steps".into());
+    }
+    Ok(())
+}
+
+/// Of the steps over their length, after some iterations from rest; and the number of path rows in the subproblem.
+fn difference_of_routes(setup: &OptimalControl) -> Result<(f64, usize), Box<dyn Error>> {
+    let program = Transcription::new(&setup.problem, 1);
+    let (start, _) = first_point(&setup.problem, Guess::Rest, None)?;
+    let settings = SqpSettings {
+        max_iterations: ITERATIONS_BEFORE,
+        qp: QpRoute::Condensed,
+        ..setup.settings.clone()
+    };
+    let point = sqp::solve(&program, start, &settings, &mut |_| {
+        ControlFlow::Continue(())
+    })
+    .point;
+    let evaluation = program.evaluate(&point)?;
+    let near: Vec<usize> = (evaluation.inequalities.iter().enumerate())
+        .filter_map(|(row, h)| (*h > NEAR).then_some(row))
+        .collect();
+    let stride = near.len().div_ceil(MOST_ROWS).max(1);
+    let rows: Vec<usize> = near.into_iter().step_by(stride).collect();
+    let request = LinearizationRequest {
+        multipliers: None,
+        rows: &rows,
+    };
+    let linearization = program.linearize(&point, &evaluation, &request)?;
+    let kept = (program.keep_states(&point, &rows)?).ok_or("configurations cannot be kept")?;
+    let softness: Vec<Softness> = rows.iter().map(|&row| program.softness(row)).collect();
+    let groups: Vec<usize> = rows.iter().map(|&row| program.group(row)).collect();
+    let condensed = QuadraticProgram {
+        hessian: &linearization.gauss_newton,
+        gradient: &linearization.model_gradient,
+        jacobian: &linearization.jacobian,
+        offset: &linearization.offset,
+        inequalities: LinearInequalities {
+            jacobian: &linearization.inequality_jacobian,
+            offset: &linearization.inequality_offset,
+            softness: &softness,
+            groups: &groups,
+            first: &[],
+        },
+        variables: &point.variables,
+        sets: program.sets(),
+        elastic_weight: 1e3 * linearization.cost_unit(),
+        trust_radius: f64::INFINITY,
+        row_tolerance: 1e-9,
+        time_limit: f64::INFINITY,
+        states: None,
+        expected: None,
+    };
+    let sparse = QuadraticProgram {
+        states: Some(KeptStates {
+            linearization: &kept,
+            replaces_hessian: true,
+        }),
+        ..condensed.clone()
+    };
+    let (one, other) = (condensed.solve()?.change, sparse.solve()?.change);
+    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
+    let apart = norm(&mut one.iter().zip(&other).map(|(a, b)| a - b));
+    Ok((apart / norm(&mut one.iter().copied()), rows.len()))
 }
 
 // ---------------------------------------------------------------------------------------------------------------------

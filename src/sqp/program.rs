@@ -210,7 +210,8 @@ impl Linearization {
     }
 
     /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
-    pub(crate) fn cost_unit(&self) -> f64 {
+    #[must_use]
+    pub fn cost_unit(&self) -> f64 {
         self.least_curvature().max(infinity_norm(&self.gradient))
     }
 
