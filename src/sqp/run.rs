@@ -28,6 +28,10 @@ use super::solver::{
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
+/// After this many iterations it uses it below this infeasibility already, wherever the last subproblem met its constraints: where these
+/// bend more than the objective, Gauss-Newton's steps do not contract.
+const SLOW_ITERATIONS: usize = 20;
+const EXACT_BELOW_WHEN_SLOW: f64 = 1.0;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
 const NEARLY_DONE: f64 = 1e-4;
 /// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
@@ -265,9 +269,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
-                self.exact_pause == 0
-                    && last.residual.stationarity < EXACT_BELOW
-                    && self.infeasibility() < EXACT_BELOW
+                let infeasibility = self.infeasibility();
+                let is_near =
+                    last.residual.stationarity < EXACT_BELOW && infeasibility < EXACT_BELOW;
+                // What the elastic weight limits is no multiplier.
+                let is_slow = self.history.len() > SLOW_ITERATIONS
+                    && last.slack < NO_SLACK
+                    && infeasibility < EXACT_BELOW_WHEN_SLOW;
+                self.exact_pause == 0 && (is_near || is_slow)
             }),
         }
     }
