@@ -9,6 +9,7 @@ use std::time::Instant;
 use faer::Mat;
 
 use self::restoration::Restoration;
+use self::subproblem::NO_SLACK;
 use super::globalization::{Accepted, Departure, FEASIBLE, Filter};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
