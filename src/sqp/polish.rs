@@ -68,10 +68,14 @@ struct Conditions<'a> {
     gradient: Vec<f64>,
 }
 
-/// The polished solution; `None` where what is active cannot be told, or the result is no better.
+/// Whether a solution meets its rows inside the trust region: what is active there are rows and sets.
+pub(super) fn can_be_polished(qp: &QuadraticProgram, solution: &QpSolution) -> bool {
+    solution.slack <= SLACK && norm(&solution.change) <= INSIDE * qp.trust_radius
+}
+
+/// The polished solution, of the condensed conditions; `None` where what is active cannot be told, or the result is no better.
 pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpSolution> {
-    let inside = norm(&solution.change) <= INSIDE * qp.trust_radius;
-    if qp.states.is_some() || solution.slack > SLACK || !inside {
+    if !can_be_polished(qp, solution) {
         return None;
     }
     let conditions = Conditions::of(qp, solution, Clue::Slack);

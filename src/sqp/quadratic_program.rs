@@ -24,7 +24,7 @@ use clarabel::solver::{
 use faer::Mat;
 
 use super::kept_states::{StateLinearization, StateRow};
-use super::polish::{as_expected, polish};
+use super::polish::{as_expected, can_be_polished, polish};
 use super::program::{ConvexSet, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
 
@@ -220,7 +220,14 @@ impl QuadraticProgram<'_> {
             if violated.is_empty() {
                 solution.iterations = iterations;
                 solution.working = working;
-                return Ok(polish(self, &solution).unwrap_or(solution));
+                return match polish(self, &solution) {
+                    Some(polished) => Ok(polished),
+                    // Not near the solution of the condensed conditions.
+                    None if self.states.is_some() && can_be_polished(self, &solution) => {
+                        self.condensed().solve()
+                    }
+                    None => Ok(solution),
+                };
             }
             let joining = if round < PEAK_ROUNDS {
                 peaks(&violated)
@@ -241,11 +248,7 @@ impl QuadraticProgram<'_> {
             if let Some(solution) = found {
                 return Ok(solution);
             }
-            let condensed = Self {
-                states: None,
-                ..self.clone()
-            };
-            return condensed.solve_with(working);
+            return self.condensed().solve_with(working);
         }
         let mut last = None;
         for (at, attempt) in LADDER.iter().enumerate() {
@@ -255,6 +258,14 @@ impl QuadraticProgram<'_> {
             }
         }
         Err(last.unwrap_or(QpError::NotFinite("ladder")))
+    }
+
+    /// The same without the states.
+    fn condensed(&self) -> Self {
+        Self {
+            states: None,
+            ..self.clone()
+        }
     }
 
     fn check_finite(&self) -> Result<(), QpError> {
