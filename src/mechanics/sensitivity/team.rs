@@ -1,7 +1,7 @@
 //! Threads that share out the tasks of one round after the other.
 //!
 //! A sweep has hundreds of rounds of some microseconds each: the threads stay from the first to the last, and wait for each other without
-//! going to sleep.
+//! going to sleep. None waits for one that has nothing begun: a thread that gets no core leaves its tasks to the others.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -10,15 +10,16 @@ use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockW
 const PATIENCE: usize = 2000;
 
 /// Calls `work(round, task)` for `n_tasks(round)` tasks of every round; a round begins when the one before has ended. A task of the same
-/// number always belongs to the same of up to `n_threads` threads, whose cache holds what it left there, and every thread takes its own
-/// in their order.
+/// number belongs to the same of up to `n_threads` threads, whose cache holds what it left there; who has finished takes over what
+/// others have not begun.
 pub(super) fn rounds(
     n_threads: usize,
     n_rounds: usize,
     n_tasks: impl Fn(usize) -> usize + Sync,
     work: impl Fn(usize, usize) + Sync,
 ) {
-    let n_threads = n_threads.min((0..n_rounds).map(&n_tasks).max().unwrap_or(0));
+    let most = (0..n_rounds).map(&n_tasks).max().unwrap_or(0);
+    let n_threads = n_threads.min(most);
     if n_threads <= 1 {
         for round in 0..n_rounds {
             for task in 0..n_tasks(round) {
@@ -27,16 +28,35 @@ pub(super) fn rounds(
         }
         return;
     }
-    let meeting = Meeting::of(n_threads);
+    let begins = |round: usize| {
+        let next = (round..n_rounds).find(|&round| n_tasks(round) > 0);
+        next.unwrap_or(n_rounds)
+    };
+    let progress = Progress {
+        round: AtomicUsize::new(begins(0)),
+        begun: (0..most).map(|_| AtomicUsize::new(0)).collect(),
+        done: AtomicUsize::new(0),
+        is_abandoned: AtomicBool::new(false),
+    };
     let member = |index: usize| {
-        let _leaving = Leaving(&meeting);
-        for round in 0..n_rounds {
-            for task in (0..n_tasks(round)).filter(|task| owner(*task, n_threads) == index) {
-                work(round, task);
+        let _leaving = Leaving(&progress);
+        while let Some(round) = progress.round_before(n_rounds) {
+            let n_tasks = n_tasks(round);
+            let is_own = |task: &usize| owner(*task, n_threads) == index;
+            let own = (0..n_tasks).filter(is_own);
+            // From the end, which their owners come to last.
+            let others = (0..n_tasks).rev().filter(|task| !is_own(task));
+            for task in own.chain(others) {
+                if progress.begins(round, task) {
+                    work(round, task);
+                    if progress.done.fetch_add(1, Ordering::AcqRel) + 1 == n_tasks {
+                        progress.done.store(0, Ordering::Relaxed);
+                        let next = begins(round + 1);
+                        progress.round.store(next, Ordering::Release);
+                    }
+                }
             }
-            if !meeting.waits() {
-                return;
-            }
+            progress.wait_for_end_of(round);
         }
     };
     std::thread::scope(|scope| {
@@ -54,37 +74,39 @@ fn owner(task: usize, n_threads: usize) -> usize {
     place.min(2 * n_threads - 1 - place)
 }
 
-/// Where all threads wait for the last one.
-struct Meeting {
-    size: usize,
-    arrived: AtomicUsize,
-    held: AtomicUsize,
+/// How far all threads have come.
+struct Progress {
+    round: AtomicUsize,
+    /// Of every task, the first round in which it has not begun.
+    begun: Vec<AtomicUsize>,
+    /// Tasks of the round that have ended.
+    done: AtomicUsize,
     /// A thread has panicked: nobody is to wait for it.
     is_abandoned: AtomicBool,
 }
 
-impl Meeting {
-    fn of(size: usize) -> Self {
-        Self {
-            size,
-            arrived: AtomicUsize::new(0),
-            held: AtomicUsize::new(0),
-            is_abandoned: AtomicBool::new(false),
-        }
+impl Progress {
+    /// The present round, unless all have ended or one never will.
+    fn round_before(&self, n_rounds: usize) -> Option<usize> {
+        let round = self.round.load(Ordering::Acquire);
+        (round < n_rounds && !self.is_abandoned.load(Ordering::Relaxed)).then_some(round)
     }
 
-    /// Returns when all have come, or false when one never will.
-    fn waits(&self) -> bool {
-        let held = self.held.load(Ordering::Acquire);
-        if self.arrived.fetch_add(1, Ordering::AcqRel) + 1 == self.size {
-            self.arrived.store(0, Ordering::Relaxed);
-            self.held.fetch_add(1, Ordering::Release);
-        }
+    /// Whether this call is the one that begins a task. Those of a round that has ended have all begun.
+    fn begins(&self, round: usize, task: usize) -> bool {
+        let begun = &self.begun[task];
+        let seen = begun.load(Ordering::Relaxed);
+        seen <= round
+            && (begun.compare_exchange(seen, round + 1, Ordering::AcqRel, Ordering::Relaxed))
+                .is_ok()
+    }
+
+    /// Returns when the others have ended what they have begun, or when one never will.
+    fn wait_for_end_of(&self, round: usize) {
         let mut looks = 0;
-        while self.held.load(Ordering::Acquire) == held {
-            if self.is_abandoned.load(Ordering::Relaxed) {
-                return false;
-            }
+        while self.round.load(Ordering::Acquire) == round
+            && !self.is_abandoned.load(Ordering::Relaxed)
+        {
             if looks < PATIENCE {
                 looks += 1;
                 std::hint::spin_loop();
@@ -92,12 +114,11 @@ impl Meeting {
                 std::thread::yield_now();
             }
         }
-        true
     }
 }
 
 /// Tells the others when a thread panics.
-struct Leaving<'a>(&'a Meeting);
+struct Leaving<'a>(&'a Progress);
 
 impl Drop for Leaving<'_> {
     fn drop(&mut self) {
@@ -142,6 +163,27 @@ mod tests {
                 assert_eq!(done.load(Ordering::Relaxed), sizes(round));
             }
         }
+    }
+
+    /// While one thread is held up in a task, the others do all the rest of its round.
+    #[test]
+    fn nobody_waits_for_what_has_not_begun() {
+        let done = AtomicUsize::new(0);
+        rounds(
+            2,
+            1,
+            |_| 9,
+            |_, task| {
+                if task == 0 {
+                    while done.load(Ordering::Relaxed) < 8 {
+                        std::thread::yield_now();
+                    }
+                } else {
+                    done.fetch_add(1, Ordering::Relaxed);
+                }
+            },
+        );
+        assert_eq!(done.load(Ordering::Relaxed), 8);
     }
 
     /// A panic reaches the caller; the other threads do not wait for ever.
