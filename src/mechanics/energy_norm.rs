@@ -111,26 +111,19 @@ impl EnergyNorm {
     /// `M Lᵀ`: a map of `z`, as one of deviations.
     #[must_use]
     pub fn columns_of(&self, map: &Mat<f64>) -> Mat<f64> {
-        let times = |poses: &mut [Vector6<f64>]| self.poses.times_lower(poses);
-        let of = |momentum: f64, root: f64| momentum * root;
-        let rows = self.columns(map.transpose().to_owned(), times, of);
+        let rows = map.transpose().to_owned();
+        let rows = self.times(rows, |poses| self.poses.times_lower(poses));
         rows.transpose().to_owned()
     }
 
     /// `Lᵀ M`: a map to deviations, as one to `z`.
     #[must_use]
     pub fn out_of(&self, map: Mat<f64>) -> Mat<f64> {
-        let times = |poses: &mut [Vector6<f64>]| self.poses.times_lower_transposed(poses);
-        self.columns(map, times, |momentum, root| momentum * root)
+        self.times(map, |poses| self.poses.times_lower_transposed(poses))
     }
 
-    /// A triangular matrix of the pattern of `L` on every column: on the poses, and by its diagonal on the momenta.
-    fn columns(
-        &self,
-        mut map: Mat<f64>,
-        on_poses: impl Fn(&mut [Vector6<f64>]),
-        on_momentum: impl Fn(f64, f64) -> f64,
-    ) -> Mat<f64> {
+    /// `L`, or its transpose, on every column: as `on_poses` has it, and by the diagonal over the momenta.
+    fn times(&self, mut map: Mat<f64>, on_poses: impl Fn(&mut [Vector6<f64>])) -> Mat<f64> {
         let mut poses = vec![Vector6::zeros(); self.momenta.len()];
         for mut column in map.col_iter_mut() {
             for (node, pose) in poses.iter_mut().enumerate() {
@@ -141,7 +134,7 @@ impl EnergyNorm {
                 for i in 0..POSE {
                     let row = node * NODE_COMPONENTS + i;
                     column[row] = pose[i];
-                    column[row + POSE] = on_momentum(column[row + POSE], roots[i]);
+                    column[row + POSE] *= roots[i];
                 }
             }
         }
@@ -151,4 +144,64 @@ impl EnergyNorm {
 
 fn block(matrix: &Matrix6<f64>) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(matrix.as_slice(), POSE, POSE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::rotation::exp;
+    use crate::mechanics::{Energy, Material, RodParameters, Section, SectionProfile, State};
+
+    fn rod() -> Rod {
+        let material = Material::isotropic(1e6, 0.5, 1000.0);
+        let section = SectionProfile::Uniform(Section::circle(&material, 0.05));
+        Rod::new(&RodParameters::straight(1.0, 5, section)).expect("a rod")
+    }
+
+    /// At rest, the square of the norm of a small deviation is twice the energy that the moved arm has.
+    #[test]
+    fn the_square_is_twice_the_energy() {
+        let rod = rod();
+        let norm = EnergyNorm::at(&rod, &rod.rest).expect("positive");
+        let n = NODE_COMPONENTS * rod.n_elements();
+        let mut random = fastrand::Rng::with_seed(3);
+        let size = |row: usize| match row % NODE_COMPONENTS {
+            0..6 => 1e-6,
+            6..9 => 1e-6 * rod.nodes[1].mass,
+            _ => 1e-6 * rod.nodes[1].rotary.x,
+        };
+        let change = Mat::from_fn(n, 1, |row, _| size(row) * (2.0 * random.f64() - 1.0));
+        let part = |q: usize, part: usize| {
+            Vector3::from_fn(|i, _| change[((q - 1) * NODE_COMPONENTS + part + i, 0)])
+        };
+        let mut state = State::at_rest(rod.rest.clone());
+        for q in 1..rod.n_nodes() {
+            state.configuration.positions[q] += part(q, 0);
+            state.configuration.rotations[q] *= exp(&part(q, 3));
+            state.linear_momentum[q] = part(q, 6);
+            state.angular_momentum[q] = part(q, 9);
+        }
+        let energy = Energy::of(&rod, &state);
+        let found = norm.out_of(change).squared_norm_l2();
+        let exact = 2.0 * (energy.kinetic + energy.elastic);
+        assert!((found - exact).abs() < 1e-5 * exact, "{found:e} {exact:e}");
+    }
+
+    /// A map over `z` and back is the map; along `z` it gives what it gave along the deviation.
+    #[test]
+    fn maps_go_over_and_back() {
+        let rod = rod();
+        let norm = EnergyNorm::at(&rod, &rod.rest).expect("positive");
+        let n = NODE_COMPONENTS * rod.n_elements();
+        let mut random = fastrand::Rng::with_seed(4);
+        let map = Mat::from_fn(7, n, |_, _| 2.0 * random.f64() - 1.0);
+        let change = Mat::from_fn(n, 1, |_, _| 2.0 * random.f64() - 1.0);
+        let over = norm.columns_over(&map);
+        let close = |a: &Mat<f64>, b: &Mat<f64>| (a - b).norm_l2() < 1e-12 * b.norm_l2();
+        assert!(close(&norm.columns_of(&over), &map));
+        assert!(close(
+            &(over * norm.out_of(change.clone())),
+            &(map * change)
+        ));
+    }
 }

@@ -207,13 +207,13 @@ pub struct PhaseSummary {
     pub linearize: f64,
     /// Hessian of the subproblem.
     pub condense: f64,
-    /// Clarabel.
+    /// Subproblems.
     pub qp: f64,
     /// Trial points and corrections.
     pub globalize: f64,
     /// The forward check.
     pub certify: f64,
-    /// Feedback gains and sensitivity.
+    /// Feedback gains and sensitivity; with several threads beside the check.
     pub feedback: f64,
 }
 
