@@ -12,6 +12,9 @@ use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
 use super::rotation::{InverseTangentCoefficients, exp, exp_tangent, log, log_tangent};
 use super::strain::{ElementPose, StrainRule};
 
+/// Poses that are worth a thread of their own: some hundred microseconds.
+const LEAST_SHARE: usize = 2048;
+
 /// `w` and `ψ` of one element.
 #[derive(Clone, Copy)]
 struct Helix {
@@ -77,7 +80,8 @@ impl Trajectory {
     ) -> Self {
         let mut moved = self.clone();
         let n = self.n_nodes;
-        let share = n * self.n_times().div_ceil(n_threads.max(1)).max(1);
+        let n_threads = n_threads.clamp(1, (self.positions.len() / LEAST_SHARE).max(1));
+        let share = n * self.n_times().div_ceil(n_threads).max(1);
         let shares = (moved.positions.chunks_mut(share)).zip(moved.rotations.chunks_mut(share));
         let mut shares = (0..).step_by(share).zip(shares);
         let own = shares.next();
