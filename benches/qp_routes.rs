@@ -11,7 +11,7 @@ use softarm::control::{
 };
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
-use softarm::sqp::quadratic_program::{KeptStates, LinearInequalities, QuadraticProgram};
+use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
 use softarm::sqp::route::predict;
 use softarm::sqp::{LiftedProgram as _, LinearizationRequest};
 
@@ -101,28 +101,12 @@ fn step(bencher: divan::Bencher, size: Size, with_states: bool) {
         .expect("numbers");
     let kept = (program.keep_states(&point, &[]).expect("numbers")).expect("explicit steps");
     let subproblem = QuadraticProgram {
-        hessian: &linearization.gauss_newton,
-        gradient: &linearization.model_gradient,
-        jacobian: &linearization.jacobian,
-        offset: &linearization.offset,
-        inequalities: LinearInequalities {
-            jacobian: &linearization.inequality_jacobian,
-            offset: &[],
-            softness: &[],
-            groups: &[],
-            first: &[],
-        },
-        variables: &point.variables,
-        sets: program.sets(),
         elastic_weight: 1e3,
-        trust_radius: f64::INFINITY,
-        row_tolerance: 1e-9,
-        time_limit: f64::INFINITY,
         states: with_states.then_some(KeptStates {
             linearization: &kept,
             replaces_hessian: true,
         }),
-        expected: None,
+        ..QuadraticProgram::of(&linearization, &point.variables, program.sets(), &[], &[])
     };
     bencher.bench_local(|| subproblem.solve());
 }

@@ -24,7 +24,7 @@ use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{TimeGrid, TimeScheme, TrajectoryTangent};
 use softarm::sqp::hessian::{ActiveSet, ModelHessian};
-use softarm::sqp::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
+use softarm::sqp::quadratic_program::{QpSolution, QuadraticProgram};
 use softarm::sqp::{
     ConvexSet, Evaluation, HessianKind, LiftedProgram as _, Linearization, LinearizationRequest,
     Multipliers,
@@ -378,23 +378,9 @@ fn solve_condensed(
     QuadraticProgram {
         hessian: &model.matrix,
         gradient: &model.gradient,
-        jacobian: &linearization.jacobian,
-        offset: &linearization.offset,
-        inequalities: LinearInequalities {
-            jacobian: &linearization.inequality_jacobian,
-            offset: &linearization.inequality_offset,
-            softness: &[],
-            groups: &[],
-            first: &[],
-        },
-        variables: &point.variables,
-        sets: program.sets(),
         elastic_weight,
         trust_radius,
-        row_tolerance: 1e-9,
-        time_limit: f64::INFINITY,
-        states: None,
-        expected: None,
+        ..QuadraticProgram::of(linearization, &point.variables, program.sets(), &[], &[])
     }
     .solve()
     .unwrap()

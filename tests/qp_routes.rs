@@ -13,7 +13,7 @@ use softarm::control::{
     PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
 use softarm::mechanics::{BaseCondition, Rod, RodModel, RodParameters, StrainRule};
-use softarm::sqp::quadratic_program::{KeptStates, LinearInequalities, QuadraticProgram};
+use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
 use softarm::sqp::{
     HessianChoice, LiftedProgram, LinearizationRequest, QpRoute, Softness, SqpSettings, StateRow,
     solve,
@@ -198,26 +198,11 @@ fn steps_are_the_same() {
         let kept = (program.keep_states(&point, &rows).unwrap()).unwrap();
         let softness: Vec<Softness> = rows.iter().map(|&row| program.softness(row)).collect();
         let groups: Vec<usize> = rows.iter().map(|&row| program.group(row)).collect();
+        let sets = program.sets();
         let dense = QuadraticProgram {
-            hessian: &condensed.gauss_newton,
-            gradient: &condensed.model_gradient,
-            jacobian: &condensed.jacobian,
-            offset: &condensed.offset,
-            inequalities: LinearInequalities {
-                jacobian: &condensed.inequality_jacobian,
-                offset: &condensed.inequality_offset,
-                softness: &softness,
-                groups: &groups,
-                first: &[],
-            },
-            variables: &point.variables,
-            sets: program.sets(),
             elastic_weight: 1e3,
             trust_radius: 10.0,
-            row_tolerance: 1e-9,
-            time_limit: f64::INFINITY,
-            states: None,
-            expected: None,
+            ..QuadraticProgram::of(&condensed, &point.variables, sets, &softness, &groups)
         };
         let one = dense.solve().unwrap();
         let sparse = QuadraticProgram {

@@ -709,53 +709,38 @@ fn write(
     n_threads: usize,
 ) -> Result<(), OutputError> {
     let record = motion_record(&setup.problem, solution);
-    let write_rest = || {
-        write_other_files(
-            directory, scene, setup, solution, feedback, summary, &record,
-        )
-    };
     let write_motion = || record.write_npz(&directory.path().join("trajectory.npz"));
+    let write_rest = || {
+        let outcome = &solution.attempt.outcome;
+        write_controls(
+            &directory.path().join("controls.csv"),
+            &control_rows(&setup.problem, &solution.coefficients),
+        )?;
+        write_iterations(&directory.path().join("iterations.csv"), &outcome.history)?;
+        directory.write_text("scene.toml", &setup.resolved.to_toml())?;
+        directory.write_json("multipliers.json", &solution.multipliers)?;
+        if let Some(feedback) = feedback {
+            let path = directory.path().join("feedback.npz");
+            write_feedback(&path, feedback, setup.problem.grid.end())?;
+        }
+        directory.write_json("summary.json", summary)?;
+        if let Some(problem) = &outcome.failed_subproblem {
+            directory.write_text("failed-subproblem.json", problem)?;
+        }
+        let page = solve_page(&SolvePage {
+            scene,
+            setup,
+            record: &record,
+            coefficients: &solution.coefficients,
+            history: &outcome.history,
+            check: solution.check.as_ref(),
+            feedback,
+            summary,
+        });
+        directory.write_text("report.html", &render_report(&page))
+    };
     let (rest, motion) = beside(n_threads, write_rest, write_motion);
     motion.and(rest)
-}
-
-/// All but the motion.
-fn write_other_files(
-    directory: &ResultDirectory,
-    scene: &Scene,
-    setup: &OptimalControl,
-    solution: &Solved,
-    feedback: Option<&Feedback>,
-    summary: &SolveSummary,
-    record: &MotionRecord,
-) -> Result<(), OutputError> {
-    let outcome = &solution.attempt.outcome;
-    write_controls(
-        &directory.path().join("controls.csv"),
-        &control_rows(&setup.problem, &solution.coefficients),
-    )?;
-    write_iterations(&directory.path().join("iterations.csv"), &outcome.history)?;
-    directory.write_text("scene.toml", &setup.resolved.to_toml())?;
-    directory.write_json("multipliers.json", &solution.multipliers)?;
-    if let Some(feedback) = feedback {
-        let path = directory.path().join("feedback.npz");
-        write_feedback(&path, feedback, setup.problem.grid.end())?;
-    }
-    directory.write_json("summary.json", summary)?;
-    if let Some(problem) = &outcome.failed_subproblem {
-        directory.write_text("failed-subproblem.json", problem)?;
-    }
-    let page = solve_page(&SolvePage {
-        scene,
-        setup,
-        record,
-        coefficients: &solution.coefficients,
-        history: &outcome.history,
-        check: solution.check.as_ref(),
-        feedback,
-        summary,
-    });
-    directory.write_text("report.html", &render_report(&page))
 }
 
 /// The solution's own configurations, with the energies of its replay.

@@ -68,21 +68,17 @@ struct Conditions<'a> {
     gradient: Vec<f64>,
 }
 
-/// Whether a solution meets its rows inside the trust region: what is active there are rows and sets.
+/// Whether a solution meets its rows, well inside the trust region: what is active there are rows and sets.
 pub(super) fn can_be_polished(qp: &QuadraticProgram, solution: &QpSolution) -> bool {
     solution.slack <= SLACK && norm(&solution.change) <= INSIDE * qp.trust_radius
 }
 
-/// The polished solution, of the condensed conditions; `None` where what is active cannot be told, or the result is no better.
+/// The polished form of a solution that [can be](can_be_polished), of the condensed conditions; `None` where what is active cannot be
+/// told, or the result is no better.
 pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpSolution> {
-    if !can_be_polished(qp, solution) {
-        return None;
-    }
     let conditions = Conditions::of(qp, solution, Clue::Slack);
     let mut change = solution.change.clone();
-    let mut multipliers: Vec<f64> = (conditions.active.iter())
-        .map(|&active| conditions.multiplier(active, solution))
-        .collect();
+    let mut multipliers = conditions.multipliers(solution);
     let mut residual = conditions.residual(&change, &multipliers);
     let before = infinity_norm(&residual);
     for _ in 0..ITERATIONS {
@@ -118,9 +114,7 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
     };
     let conditions = Conditions::of(qp, &start, Clue::Multiplier);
     let mut change = start.change.clone();
-    let mut multipliers: Vec<f64> = (conditions.active.iter())
-        .map(|&active| conditions.multiplier(active, &start))
-        .collect();
+    let mut multipliers = conditions.multipliers(&start);
     let mut residual = conditions.residual(&change, &multipliers);
     // And one more, for sets may be left by less than equations may be off.
     for _ in 0..EXPECTED_ITERATIONS {
@@ -131,12 +125,20 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
         }
     }
     let holds = conditions.is_exact(&residual, &change, &multipliers)
-        && norm(&change) <= INSIDE * qp.trust_radius
-        && conditions.allows(&change, &multipliers)
-        && conditions.are_cheaper_than_slack(&multipliers);
-    holds.then(|| QpSolution {
+        && conditions.allows(&change, &multipliers);
+    if !holds {
+        return None;
+    }
+    let found = conditions.solution(&start, change, &multipliers);
+    let rows = &qp.inequalities;
+    let on_slack = found
+        .multipliers
+        .largest_on_slack(|at| (rows.softness[at] == Softness::Hard).then(|| rows.groups[at]));
+    // No row could be given up for the price of its slack.
+    let keeps_rows = on_slack <= INSIDE * qp.elastic_weight;
+    (can_be_polished(qp, &found) && keeps_rows).then(|| QpSolution {
         working: qp.first_rows(),
-        ..conditions.solution(&start, change, &multipliers)
+        ..found
     })
 }
 
@@ -224,7 +226,13 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// The multiplier of an active row at Clarabel's solution.
+    /// The multipliers of the active rows at a solution.
+    fn multipliers(&self, solution: &QpSolution) -> Vec<f64> {
+        (self.active.iter())
+            .map(|&active| self.multiplier(active, solution))
+            .collect()
+    }
+
     fn multiplier(&self, active: Active, solution: &QpSolution) -> f64 {
         let multipliers = &solution.multipliers;
         match active {
@@ -325,23 +333,6 @@ impl<'a> Conditions<'a> {
         let pull = infinity_norm(&self.gradient).max(infinity_norm(multipliers));
         let size = infinity_norm(&moved(self.qp.variables, change)).max(1.0);
         infinity_norm(gradient) <= EXACT * pull && infinity_norm(rows) <= EXACT * size
-    }
-
-    /// Whether no row could be given up for the price of its slack, with some room; those of a group share one.
-    fn are_cheaper_than_slack(&self, multipliers: &[f64]) -> bool {
-        let limit = INSIDE * self.qp.elastic_weight;
-        let mut of_groups: BTreeMap<usize, f64> = BTreeMap::new();
-        (self.active.iter().zip(multipliers)).all(|(active, y)| match *active {
-            Active::Constraint(_) => y.abs() <= limit,
-            Active::Inequality(at) if self.qp.inequalities.softness[at] == Softness::Hard => {
-                let sum = of_groups
-                    .entry(self.qp.inequalities.groups[at])
-                    .or_default();
-                *sum += y.max(0.0);
-                *sum <= limit
-            }
-            Active::Inequality(_) | Active::Set(_) | Active::Center(..) => true,
-        })
     }
 
     fn matrix(&self, change: &[f64], multipliers: &[f64]) -> Mat<f64> {

@@ -210,8 +210,7 @@ impl Linearization {
     }
 
     /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
-    #[must_use]
-    pub fn cost_unit(&self) -> f64 {
+    pub(crate) fn cost_unit(&self) -> f64 {
         self.least_curvature().max(infinity_norm(&self.gradient))
     }
 

@@ -25,7 +25,7 @@ use faer::Mat;
 
 use super::kept_states::{StateLinearization, StateRow};
 use super::polish::{as_expected, can_be_polished, polish};
-use super::program::{ConvexSet, Softness, affine, along};
+use super::program::{ConvexSet, Linearization, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
 
 /// The data of one subproblem.
@@ -198,7 +198,43 @@ const PEAK_ROUNDS: usize = 8;
 /// A multiplier this much smaller than the slack of its row, both scaled, is what the interior point is off by.
 const NEGLIGIBLE_MULTIPLIER: f64 = 1e-8;
 
-impl QuadraticProgram<'_> {
+/// First elastic weight, relative to the size of the cost's derivatives.
+pub(super) const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
+
+impl<'a> QuadraticProgram<'a> {
+    /// The condensed subproblem of a linearization with its Gauss-Newton Hessian, at the first elastic weight, without limits of step and
+    /// time; `softness` and `groups` are those of the linearized rows.
+    #[must_use]
+    pub fn of(
+        linearization: &'a Linearization,
+        variables: &'a [f64],
+        sets: &'a [ConvexSet],
+        softness: &'a [Softness],
+        groups: &'a [usize],
+    ) -> Self {
+        Self {
+            hessian: &linearization.gauss_newton,
+            gradient: &linearization.model_gradient,
+            jacobian: &linearization.jacobian,
+            offset: &linearization.offset,
+            inequalities: LinearInequalities {
+                jacobian: &linearization.inequality_jacobian,
+                offset: &linearization.inequality_offset,
+                softness,
+                groups,
+                first: &[],
+            },
+            variables,
+            sets,
+            elastic_weight: FIRST_ELASTIC_WEIGHT * linearization.cost_unit(),
+            trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
+            time_limit: f64::INFINITY,
+            states: None,
+            expected: None,
+        }
+    }
+
     /// Solves the subproblem.
     ///
     /// # Errors
@@ -220,12 +256,13 @@ impl QuadraticProgram<'_> {
             if violated.is_empty() {
                 solution.iterations = iterations;
                 solution.working = working;
+                if !can_be_polished(self, &solution) {
+                    return Ok(solution);
+                }
                 return match polish(self, &solution) {
                     Some(polished) => Ok(polished),
                     // Not near the solution of the condensed conditions.
-                    None if self.states.is_some() && can_be_polished(self, &solution) => {
-                        self.condensed().solve()
-                    }
+                    None if self.states.is_some() => self.condensed().solve(),
                     None => Ok(solution),
                 };
             }

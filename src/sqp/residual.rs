@@ -1,5 +1,7 @@
 //! The optimality conditions and how far a point is from them.
 
+use std::collections::BTreeMap;
+
 use super::program::{ConvexSet, Evaluation, LiftedProgram, Linearization, Softness, along};
 
 /// Multipliers of the constraints, the inequalities and the convex sets.
@@ -39,6 +41,25 @@ impl Multipliers {
             inequalities: rows.iter().map(|&row| self.inequalities[row]).collect(),
             ..self.clone()
         }
+    }
+
+    /// Largest pull on a slack at the elastic weight, which must exceed it: a constraint has one of its own, the inequalities of a group
+    /// share one. `group_of` has no group for rows without such a slack.
+    pub(super) fn largest_on_slack(&self, group_of: impl Fn(usize) -> Option<usize>) -> f64 {
+        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
+        let pushing = self
+            .inequalities
+            .iter()
+            .enumerate()
+            .filter(|(_, z)| **z > 0.0);
+        for (row, z) in pushing {
+            if let Some(group) = group_of(row) {
+                *groups.entry(group).or_insert(0.0) += z;
+            }
+        }
+        (self.constraints.iter())
+            .chain(groups.values())
+            .fold(0.0, |m: f64, y| m.max(y.abs()))
     }
 
     /// `yᵀc + Σ z h` over the hard ones of the given rows.

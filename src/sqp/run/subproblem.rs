@@ -1,6 +1,5 @@
 //! The subproblem of an iteration: which rows it sees, at what elastic weight, and what joins it.
 
-use std::collections::BTreeMap;
 use std::time::Instant;
 
 use super::super::balls::change_into_balls;
@@ -9,12 +8,12 @@ use super::super::program::{
     ConvexSet, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };
 use super::super::quadratic_program::{
-    KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE, peaks,
+    FIRST_ELASTIC_WEIGHT, KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram,
+    ROW_TOLERANCE, peaks,
 };
 use super::{Breakdown, Run};
 
-/// Smallest and first elastic weight, relative to the size of the cost gradient.
-const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
+/// Largest elastic weight, in the unit of the [first](FIRST_ELASTIC_WEIGHT), which is also the smallest.
 const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
 const ELASTIC_FACTOR: f64 = 10.0;
 /// A heavier weight must bring the slack below this part of what it was.
@@ -124,19 +123,11 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(solution)
     }
 
-    /// Of constraints and hard inequalities: those that the elastic weight must exceed.
+    /// Of constraints and hard inequalities: what the elastic weight must exceed.
     pub(super) fn largest_multiplier(&self, solution: &QpSolution) -> f64 {
-        let rows = solution.multipliers.inequalities.iter().enumerate();
-        let hard =
-            rows.filter(|&(row, &z)| z > 0.0 && self.program.softness(row) == Softness::Hard);
-        // One slack answers for a whole group.
-        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
-        for (row, z) in hard {
-            *groups.entry(self.program.group(row)).or_insert(0.0) += z;
-        }
-        (solution.multipliers.constraints.iter())
-            .chain(groups.values())
-            .fold(0.0, |m: f64, y| m.max(y.abs()))
+        (solution.multipliers).largest_on_slack(|row| {
+            (self.program.softness(row) == Softness::Hard).then(|| self.program.group(row))
+        })
     }
 
     /// One quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
@@ -265,20 +256,20 @@ impl<P: LiftedProgram> Run<'_, P> {
                 .as_secs_f64()
                 .max(1e-3)
         });
+        let plain = QuadraticProgram::of(
+            linearization,
+            self.variables(),
+            sets,
+            &self.softness,
+            &self.groups,
+        );
         QuadraticProgram {
             hessian: &model.matrix,
             gradient: &model.gradient,
-            jacobian: &linearization.jacobian,
-            offset: &linearization.offset,
             inequalities: LinearInequalities {
-                jacobian: &linearization.inequality_jacobian,
-                offset: &linearization.inequality_offset,
-                softness: &self.softness,
-                groups: &self.groups,
                 first,
+                ..plain.inequalities
             },
-            variables: self.variables(),
-            sets,
             elastic_weight,
             row_tolerance: self.row_tolerance(),
             trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
@@ -287,7 +278,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 linearization: kept,
                 replaces_hessian: model.kind == HessianKind::GaussNewton,
             }),
-            expected: None,
+            ..plain
         }
     }
 }
