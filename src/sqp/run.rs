@@ -10,6 +10,7 @@ use faer::Mat;
 
 use self::restoration::Restoration;
 use self::subproblem::NO_SLACK;
+use super::balls::change_into_balls;
 use super::globalization::{Accepted, Departure, FEASIBLE, Filter};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
@@ -29,10 +30,9 @@ use super::solver::{
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
-/// After this many iterations it uses it below this infeasibility already, wherever the last subproblem met its constraints: where these
-/// bend more than the objective, Gauss-Newton's steps do not contract.
-const SLOW_ITERATIONS: usize = 20;
-const EXACT_BELOW_WHEN_SLOW: f64 = 1.0;
+/// It uses it below this infeasibility already where the last subproblem met its constraints, whose multipliers then are no mere
+/// limits: where constraints bend more than the objective, Gauss-Newton's steps do not contract.
+const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
 const NEARLY_DONE: f64 = 1e-4;
 /// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
@@ -83,6 +83,10 @@ const NO_STEP: f64 = 1e-9;
 /// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
 const ESCAPE_GAIN: f64 = 0.1;
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
+/// Part of the objective that a step past a saddle promises on the way, and how far it may go of the trust radius or of the variables (at
+/// least one).
+const PASSING_GAIN: f64 = 3e-3;
+const PASSING_REACH: f64 = 0.3;
 
 /// What was done about a subproblem without a solution.
 enum Recovery {
@@ -274,10 +278,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 let is_near =
                     last.residual.stationarity < EXACT_BELOW && infeasibility < EXACT_BELOW;
                 // What the elastic weight limits is no multiplier.
-                let is_slow = self.history.len() > SLOW_ITERATIONS
-                    && last.slack < NO_SLACK
-                    && infeasibility < EXACT_BELOW_WHEN_SLOW;
-                self.exact_pause == 0 && (is_near || is_slow)
+                let has_multipliers =
+                    last.slack < NO_SLACK && infeasibility < EXACT_BELOW_WITH_MULTIPLIERS;
+                self.exact_pause == 0 && (is_near || has_multipliers)
             }),
         }
     }
@@ -488,6 +491,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             if self.is_stuck(&linearization, &model, &sets, &solution) {
                 return self.restore(linearization);
             }
+            let solution = if refusals == 0 {
+                self.past_saddle(&model, solution)
+            } else {
+                solution
+            };
             let clock = Instant::now();
             let found = self.search(&linearization, &model, &sets, &solution);
             self.phases.globalize += clock.elapsed().as_secs_f64();
@@ -523,6 +531,40 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return Ok(Step::Restored);
         }
         Ok(Step::Refused)
+    }
+
+    /// The step, longer along the most negative curvature where it hardly goes that way. Near a saddle its part along it only
+    /// doubles from one iteration to the next, and where the problem is symmetric it begins with rounding.
+    fn past_saddle(&self, model: &ModelHessian, mut solution: QpSolution) -> QpSolution {
+        let Some(NegativeCurvature { direction, value }) = &model.descent else {
+            return solution;
+        };
+        if self.settings.saddle_escapes == 0 {
+            return solution;
+        }
+        let promising = (2.0 * PASSING_GAIN * self.evaluation.objective.abs() / -value).sqrt();
+        let reach = self.trust_radius.min(norm(self.variables()).max(1.0));
+        let length = promising.min(PASSING_REACH * reach);
+        let has: f64 = (direction.iter().zip(&solution.change))
+            .map(|(d, c)| d * c)
+            .sum();
+        if has.abs() >= length {
+            return solution;
+        }
+        let missing = length.copysign(has) - has;
+        let change: Vec<f64> = (solution.change.iter().zip(direction))
+            .map(|(c, d)| c + missing * d)
+            .collect();
+        let sets = self.program.sets();
+        let change = change_into_balls(self.variables(), &change, sets.iter());
+        let there: Vec<f64> = (self.variables().iter().zip(&change))
+            .map(|(v, c)| v + c)
+            .collect();
+        let size = norm(&there).max(1.0);
+        if (sets.iter()).all(|set| set.violation(&there) <= SET_TOLERANCE * size) {
+            solution.change = change;
+        }
+        solution
     }
 
     /// Begins anew from here, with an empty filter and the first trust region.
