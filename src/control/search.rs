@@ -1,5 +1,6 @@
 //! From a problem to solutions: guesses, continuation, and several starts.
 
+use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::time::Instant;
@@ -118,8 +119,13 @@ impl Attempt {
     }
 }
 
-/// Iterations after which another first point is tried, where there is one left.
+/// Iterations after which another first point is tried, where there is one left and this solve does not get on.
 const PATIENCE: usize = 50;
+/// It gets on where over so many iterations the least infeasibility falls to this part, or where it is small already: what is left then is
+/// the objective.
+const RECENT: usize = 25;
+const RECENT_GAIN: f64 = 0.9;
+const NEARLY_FEASIBLE: f64 = 1e-2;
 /// Part of the infeasibility of an attempt that was proven infeasible at which an unfinished one says more.
 const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
@@ -220,6 +226,34 @@ fn first_points<'a>(
     firsts
 }
 
+/// Gives a solve up for another first point once it does not get on.
+#[derive(Default)]
+struct Patience {
+    /// Least infeasibility up to every iteration of the present solve.
+    least: RefCell<Vec<f64>>,
+    is_lost: Cell<bool>,
+}
+
+impl Patience {
+    fn lasts(&self, row: &IterationRecord) -> ControlFlow<Stop> {
+        let mut least = self.least.borrow_mut();
+        if row.iteration == 0 {
+            least.clear();
+        }
+        let before = least.last().copied().unwrap_or(f64::INFINITY);
+        least.push(before.min(row.infeasibility));
+        if row.iteration < PATIENCE || least.len() <= RECENT {
+            return ControlFlow::Continue(());
+        }
+        let [then, now] = [least[least.len() - 1 - RECENT], least[least.len() - 1]];
+        if now <= NEARLY_FEASIBLE || now < RECENT_GAIN * then {
+            return ControlFlow::Continue(());
+        }
+        self.is_lost.set(true);
+        ControlFlow::Break(Stop::Interrupted)
+    }
+}
+
 fn attempt(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -232,15 +266,23 @@ fn attempt(
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
     for (i, &first) in firsts.iter().enumerate() {
-        let mut settings = settings.remaining(began);
+        let settings = settings.remaining(began);
         let is_static = matches!(first, First::Guess(Guess::StaticPath));
-        if i + 1 < firsts.len() && !is_static {
-            settings.max_iterations = settings.max_iterations.min(PATIENCE);
-        }
+        let may_give_up = i + 1 < firsts.len() && !is_static;
+        let patience = Patience::default();
         let staged = match staged(problem, &settings, search, first, n_threads, &|row| {
-            observer(start, row)
+            observer(start, row)?;
+            if may_give_up {
+                patience.lasts(row)?;
+            }
+            ControlFlow::Continue(())
         }) {
-            Ok(found) => found,
+            Ok(mut found) => {
+                if patience.is_lost.get() {
+                    found.outcome.status = SqpStatus::IterationLimit;
+                }
+                found
+            }
             Err(error) if best.is_none() && i + 1 == firsts.len() => return Err(error),
             Err(_) => continue,
         };

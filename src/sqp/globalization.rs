@@ -23,7 +23,7 @@ const LIFTED_INFEASIBILITY: f64 = 1.0;
 pub(super) const FEASIBLE: f64 = 1e-8;
 /// Of the objective, relatively.
 const ROUNDING: f64 = 10.0 * f64::EPSILON;
-const CORRECTIONS: usize = 3;
+const CORRECTIONS: usize = 8;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
 
@@ -37,6 +37,12 @@ pub struct Measure {
 }
 
 impl Measure {
+    /// `J + weight · infeasibility`
+    #[must_use]
+    pub fn merit(&self, weight: f64) -> f64 {
+        self.objective + weight * self.infeasibility
+    }
+
     /// Of a point's values: [`LiftedProgram::infeasibility`], [`LiftedProgram::total_objective`], and that with `yᵀc + zᵀh`
     /// over the hard rows.
     #[must_use]
@@ -95,6 +101,14 @@ pub struct Accepted<P: LiftedProgram> {
     pub restored: bool,
     /// Second-order corrections it took.
     pub corrections: usize,
+}
+
+/// What was a refused step's restored point; the point itself is as large as all else together.
+pub struct Refused {
+    /// Its path inequalities.
+    pub inequalities: Vec<f64>,
+    /// What the filter compared.
+    pub measure: Measure,
 }
 
 impl Filter {
@@ -172,7 +186,7 @@ impl Filter {
     /// equations under the same variables, then second-order corrections of that.
     ///
     /// # Errors
-    /// When all are refused: the restored point, uncorrected, if it could be computed. Unless that serves some other
+    /// When all are refused: the restored point's values, uncorrected, if it could be computed. Unless that point serves some other
     /// measure, the trust region must shrink.
     pub fn accept<P: LiftedProgram>(
         &mut self,
@@ -180,7 +194,7 @@ impl Filter {
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-    ) -> Result<Accepted<P>, Option<Accepted<P>>> {
+    ) -> Result<Accepted<P>, Option<Refused>> {
         let slope = from.first_order(program, change);
         if let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
@@ -192,8 +206,25 @@ impl Filter {
             self.pass(passage, here);
             return Ok(trial);
         }
-        self.correct(program, from, subproblem, change, &trial.evaluation, slope)
-            .ok_or(Some(trial))
+        let Evaluation {
+            constraints,
+            inequalities,
+            ..
+        } = trial.evaluation;
+        let refused = Refused {
+            inequalities,
+            measure: there,
+        };
+        self.correct(
+            program,
+            from,
+            subproblem,
+            change,
+            constraints,
+            &refused,
+            slope,
+        )
+        .ok_or(Some(refused))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
@@ -256,15 +287,15 @@ impl Filter {
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-        refused: &Evaluation<P::Defects>,
+        mut constraints: Vec<f64>,
+        refused: &Refused,
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
         let mut change = change.to_vec();
-        let mut constraints = refused.constraints.clone();
         let mut inequalities = refused.inequalities.clone();
         let here = from.measure(program, from.evaluation);
-        let mut infeasibility = program.infeasibility(refused);
+        let mut infeasibility = refused.measure.infeasibility;
         for count in 1..=CORRECTIONS {
             // The states of the trial obey their equations, so only the rows' own curvature is left.
             let offset: Vec<f64> = (linearization.constraints_along(&change).iter())

@@ -4,6 +4,7 @@ mod restoration;
 mod subproblem;
 
 use std::ops::ControlFlow;
+use std::rc::Rc;
 use std::time::Instant;
 
 use faer::Mat;
@@ -11,7 +12,7 @@ use faer::Mat;
 use self::restoration::Restoration;
 use self::subproblem::NO_SLACK;
 use super::balls::change_into_balls;
-use super::globalization::{Accepted, Departure, FEASIBLE, Filter};
+use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure, Refused};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
 use super::program::{
@@ -116,7 +117,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     program: &'a P,
     settings: &'a SqpSettings,
     started: Instant,
-    point: P::Point,
+    point: Rc<P::Point>,
     evaluation: Evaluation<P::Defects>,
     multipliers: Multipliers,
     filter: Filter,
@@ -171,7 +172,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
 /// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
 #[derive(Clone)]
 struct Best<Point> {
-    point: Point,
+    point: Rc<Point>,
     multipliers: Multipliers,
     residual: KktResidual,
     objective: f64,
@@ -202,6 +203,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Err(Box::new(SqpOutcome::without_start(point, words)));
             }
         };
+        let point = Rc::new(point);
         let multipliers = Multipliers::zeros(
             evaluation.constraints.len(),
             evaluation.inequalities.len(),
@@ -213,7 +215,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             started,
             filter: Filter::new(program.infeasibility(&evaluation)),
             best: Best {
-                point: point.clone(),
+                point: Rc::clone(&point),
                 multipliers: multipliers.clone(),
                 residual: UNKNOWN_RESIDUAL,
                 objective: program.total_objective(&evaluation),
@@ -369,7 +371,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         if better {
             self.best = Best {
-                point: self.point.clone(),
+                point: Rc::clone(&self.point),
                 multipliers: self.multipliers.clone(),
                 residual,
                 objective,
@@ -804,7 +806,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if accepted.restored {
             self.rounding = accepted.evaluation.defect;
         }
-        self.point = accepted.point;
+        self.point = Rc::new(accepted.point);
         self.evaluation = accepted.evaluation;
         self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
@@ -897,14 +899,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// The accepted step, or the values of the trial that was refused.
-    #[allow(clippy::type_complexity)]
     fn search(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         sets: &[ConvexSet],
         solution: &QpSolution,
-    ) -> Result<Accepted<P>, Option<Evaluation<P::Defects>>> {
+    ) -> Result<Accepted<P>, Option<Refused>> {
         let weight = self.elastic_weight.unwrap_or(0.0);
         let mut filter = self.filter.clone();
         let verdict = filter.accept(
@@ -917,12 +918,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         match verdict {
             Ok(accepted) => Ok(accepted),
             Err(Some(refused)) => {
-                if self.passes_by_merit(linearization, model, solution, &refused) {
+                if self.passes_by_merit(linearization, model, solution, refused.measure)
+                    && let Some(there) =
+                        Filter::restored(self.program, &self.point, &solution.change, 0)
+                {
                     self.merit_steps += 1;
                     self.filter = Filter::new(self.infeasibility());
-                    Ok(refused)
+                    Ok(there)
                 } else {
-                    Err(Some(refused.evaluation))
+                    Err(Some(refused))
                 }
             }
             Err(None) => Err(None),
@@ -937,7 +941,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
-        refused: &Accepted<P>,
+        refused: Measure,
     ) -> bool {
         let Some(weight) = self.elastic_weight else {
             return false;
@@ -946,8 +950,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return false;
         }
         let promise = self.promise(linearization, model, solution, weight);
-        let delivered = merit(self.program, &self.evaluation, weight)
-            - merit(self.program, &refused.evaluation, weight);
+        let delivered = merit(self.program, &self.evaluation, weight) - refused.merit(weight);
         promise > 0.0 && delivered >= MERIT_RATIO * promise
     }
 
@@ -985,9 +988,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             SqpStatus::Converged => None,
             _ => self.failed_subproblem,
         };
+        drop((self.point, self.saddle));
         SqpOutcome {
             status,
-            point: self.best.point,
+            point: Rc::unwrap_or_clone(self.best.point),
             multipliers: self.best.multipliers,
             residual: self.best.residual,
             objective: self.best.objective,

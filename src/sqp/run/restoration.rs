@@ -1,5 +1,6 @@
 //! The way back towards feasibility, where no step is acceptable or subproblems promise nothing.
 
+use std::rc::Rc;
 use std::time::Instant;
 
 use faer::Mat;
@@ -147,7 +148,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
             self.multipliers = multipliers;
             self.best = Best {
-                point: self.point.clone(),
+                point: Rc::clone(&self.point),
                 multipliers: self.multipliers.clone(),
                 residual: self.residual(linearization),
                 objective: self.program.total_objective(&self.evaluation),
