@@ -278,7 +278,8 @@ fn attempt(
             ControlFlow::Continue(())
         }) {
             Ok(mut found) => {
-                if patience.is_lost.get() {
+                let stopped = found.outcome.status == SqpStatus::Stopped(Stop::Interrupted);
+                if stopped && patience.is_lost.get() {
                     found.outcome.status = SqpStatus::IterationLimit;
                 }
                 found

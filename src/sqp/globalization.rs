@@ -103,7 +103,7 @@ pub struct Accepted<P: LiftedProgram> {
     pub corrections: usize,
 }
 
-/// What was a refused step's restored point; the point itself is as large as all else together.
+/// Values of a refused step's restored point. The point itself, as large as all else together, is not kept.
 pub struct Refused {
     /// Its path inequalities.
     pub inequalities: Vec<f64>,
