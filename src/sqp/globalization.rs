@@ -105,6 +105,8 @@ pub struct Accepted<P: LiftedProgram> {
 
 /// Values of a refused step's restored point. The point itself, as large as all else together, is not kept.
 pub struct Refused {
+    /// Its constraints.
+    pub constraints: Vec<f64>,
     /// Its path inequalities.
     pub inequalities: Vec<f64>,
     /// What the filter compared.
@@ -212,19 +214,12 @@ impl Filter {
             ..
         } = trial.evaluation;
         let refused = Refused {
+            constraints,
             inequalities,
             measure: there,
         };
-        self.correct(
-            program,
-            from,
-            subproblem,
-            change,
-            constraints,
-            &refused,
-            slope,
-        )
-        .ok_or(Some(refused))
+        self.correct(program, from, subproblem, change, &refused, slope)
+            .ok_or(Some(refused))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
@@ -287,12 +282,12 @@ impl Filter {
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-        mut constraints: Vec<f64>,
         refused: &Refused,
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
         let mut change = change.to_vec();
+        let mut constraints = refused.constraints.clone();
         let mut inequalities = refused.inequalities.clone();
         let here = from.measure(program, from.evaluation);
         let mut infeasibility = refused.measure.infeasibility;
