@@ -235,14 +235,14 @@ struct Patience {
 }
 
 impl Patience {
-    fn lasts(&self, row: &IterationRecord) -> ControlFlow<Stop> {
+    fn lasts(&self, iteration: usize, infeasibility: f64) -> ControlFlow<Stop> {
         let mut least = self.least.borrow_mut();
-        if row.iteration == 0 {
+        if iteration == 0 {
             least.clear();
         }
         let before = least.last().copied().unwrap_or(f64::INFINITY);
-        least.push(before.min(row.infeasibility));
-        if row.iteration < PATIENCE || least.len() <= RECENT {
+        least.push(before.min(infeasibility));
+        if iteration < PATIENCE || least.len() <= RECENT {
             return ControlFlow::Continue(());
         }
         let [then, now] = [least[least.len() - 1 - RECENT], least[least.len() - 1]];
@@ -273,7 +273,7 @@ fn attempt(
         let staged = match staged(problem, &settings, search, first, n_threads, &|row| {
             observer(start, row)?;
             if may_give_up {
-                patience.lasts(row)?;
+                patience.lasts(row.iteration, row.infeasibility)?;
             }
             ControlFlow::Continue(())
         }) {
@@ -502,4 +502,43 @@ fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f
 /// Starts are apart in the seed by an odd constant, so that no two share a sequence.
 fn random(seed: u64, start: usize) -> fastrand::Rng {
     fastrand::Rng::with_seed(seed ^ (start as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The iteration at which a solve with these infeasibilities is given up.
+    fn given_up(infeasibility: impl Fn(usize) -> f64) -> Option<usize> {
+        let patience = Patience::default();
+        let at = (0..300).find(|&k| patience.lasts(k, infeasibility(k)).is_break());
+        assert_eq!(patience.is_lost.get(), at.is_some());
+        at
+    }
+
+    /// What stands still is given up once the patience is over, what stops getting on a little later, and what falls by more than a tenth
+    /// in 25 iterations, or is nearly feasible, never.
+    #[test]
+    fn what_gets_on_is_not_given_up() {
+        let falling = |rate: f64| move |k: usize| rate.powf(k as f64 / RECENT as f64);
+        assert_eq!(given_up(|_| 1.0), Some(PATIENCE));
+        assert_eq!(given_up(falling(0.95)), Some(PATIENCE));
+        assert_eq!(given_up(falling(0.85)), None);
+        assert_eq!(given_up(|k| 0.9 * NEARLY_FEASIBLE + (k % 2) as f64), None);
+        let stopping = |k: usize| falling(0.5)(k.min(70));
+        let at = given_up(stopping).expect("it stands still");
+        assert!((70..=70 + RECENT).contains(&at), "{at}");
+    }
+
+    /// Every solve has the patience anew.
+    #[test]
+    fn patience_begins_with_a_solve() {
+        let patience = Patience::default();
+        for _ in 0..3 {
+            for k in 0..PATIENCE {
+                assert!(patience.lasts(k, 1.0).is_continue());
+            }
+        }
+        assert!(patience.lasts(PATIENCE, 1.0).is_break());
+    }
 }
