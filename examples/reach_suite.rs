@@ -535,7 +535,7 @@ impl Outcome {
 }
 
 /// Finer discretizations that are tried, at most.
-const REFINEMENTS: usize = 3;
+const REFINEMENTS: usize = 5;
 
 /// The problem on a discretization that what failed in the check asks for; `None` where it asks for something else.
 fn finer(

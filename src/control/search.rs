@@ -226,6 +226,12 @@ fn first_points<'a>(
     firsts
 }
 
+/// Iterations for the next solve after `used` of them: all together have as many as one may take, but each has its chance.
+fn share(settings: &SqpSettings, used: usize) -> usize {
+    let most = settings.max_iterations;
+    most.saturating_sub(used).max(most.min(2 * PATIENCE))
+}
+
 /// Gives a solve up for another first point once it does not get on.
 #[derive(Default)]
 struct Patience {
@@ -266,7 +272,9 @@ fn attempt(
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
     for (i, &first) in firsts.iter().enumerate() {
-        let settings = settings.remaining(began);
+        let mut settings = settings.remaining(began);
+        let used = best.as_ref().map_or(0, Attempt::iterations);
+        settings.max_iterations = share(&settings, used);
         let is_static = matches!(first, First::Guess(Guess::StaticPath));
         let may_give_up = i + 1 < firsts.len() && !is_static;
         let patience = Patience::default();
@@ -329,7 +337,10 @@ fn attempt(
         return Ok(best);
     }
     // Given up for first points that were no better: it goes on.
-    let settings = settings.remaining(began);
+    let settings = SqpSettings {
+        max_iterations: share(settings, best.iterations()),
+        ..settings.remaining(began)
+    };
     let program = Transcription::new(problem, n_threads);
     let point = best.outcome.point.clone();
     let outcome = solve(&program, point, &settings, &mut |row| observer(start, row));
