@@ -7,7 +7,7 @@
 //! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
 //!
 //! Every problem is solved from the default start and certified. What converges but is rejected for its discretization is solved again as the
-//! check advises, from its solution, with half as many elements again, half the step, or twice the samples of an obstacle, at most three
+//! check advises, from its solution, with half as many elements again, half the step, or twice the samples of an obstacle, at most five
 //! times.
 //! `--starts` more are tried from detours, to see whether the
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast

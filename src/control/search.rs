@@ -246,13 +246,10 @@ impl Patience {
         if iteration == 0 {
             least.clear();
         }
-        let before = least.last().copied().unwrap_or(f64::INFINITY);
-        least.push(before.min(infeasibility));
-        if iteration < PATIENCE || least.len() <= RECENT {
-            return ControlFlow::Continue(());
-        }
-        let [then, now] = [least[least.len() - 1 - RECENT], least[least.len() - 1]];
-        if now <= NEARLY_FEASIBLE || now < RECENT_GAIN * then {
+        let now = (least.last().copied().unwrap_or(f64::INFINITY)).min(infeasibility);
+        least.push(now);
+        let gets_on = (least.iter().rev().nth(RECENT)).is_none_or(|then| now < RECENT_GAIN * then);
+        if iteration < PATIENCE || now <= NEARLY_FEASIBLE || gets_on {
             return ControlFlow::Continue(());
         }
         self.is_lost.set(true);

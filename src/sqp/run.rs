@@ -562,8 +562,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let there: Vec<f64> = (self.variables().iter().zip(&change))
             .map(|(v, c)| v + c)
             .collect();
-        let size = norm(&there).max(1.0);
-        if (sets.iter()).all(|set| set.violation(&there) <= SET_TOLERANCE * size) {
+        if is_within(sets, &there) {
             solution.change = change;
         }
         solution
@@ -1013,11 +1012,15 @@ fn first_trust_radius(variables: &[f64]) -> f64 {
     FIRST_TRUST_RADIUS * norm(variables).max(1.0)
 }
 
+/// Whether variables are in all sets, but for rounding; those that are no numbers are not.
+fn is_within(sets: &[ConvexSet], variables: &[f64]) -> bool {
+    let size = norm(variables).max(1.0);
+    (sets.iter()).all(|set| set.violation(variables) <= SET_TOLERANCE * size)
+}
+
 /// How far variables are from the intersection of the sets; 0 inside.
 fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpError> {
-    let size = norm(variables).max(1.0);
-    // `max` would drop a NaN, which the subproblem must see.
-    if (sets.iter()).all(|set| set.violation(variables) <= SET_TOLERANCE * size) {
+    if is_within(sets, variables) {
         return Ok(0.0);
     }
     let n = variables.len();
