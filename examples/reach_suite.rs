@@ -40,7 +40,7 @@ use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
 use softarm::sqp::{
     self, LiftedProgram as _, LinearizationRequest, QpRoute, Softness, SqpSettings, SqpStatus,
 };
-use softarm::verify::Solution;
+use softarm::verify::{CheckError, ReplayKind, Solution};
 
 #[derive(Parser)]
 struct Arguments {
@@ -629,7 +629,18 @@ impl Outcome {
             }
             Err(error) => {
                 self.detail = error.to_string();
-                None
+                let name = match error {
+                    CheckError::Replay {
+                        which: ReplayKind::ShorterSteps,
+                        ..
+                    } => "refined_time_m",
+                    CheckError::Replay {
+                        which: ReplayKind::MoreElements,
+                        ..
+                    } => "refined_space_m",
+                    _ => return None,
+                };
+                converged.then(|| (vec![name], ocp.wrenches(&attempt.outcome.point.variables)))
             }
         }
     }
@@ -727,7 +738,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
 fn certify(
     setup: &OptimalControl,
     attempt: &Attempt,
-) -> Result<Vec<(&'static str, String)>, Box<dyn Error>> {
+) -> Result<Vec<(&'static str, String)>, CheckError> {
     let program = Transcription::new(&setup.problem, 1);
     let outcome = &attempt.outcome;
     let check = setup.certify(&Solution {

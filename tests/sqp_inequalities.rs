@@ -991,6 +991,33 @@ fn nearly_active_limits_do_not_hold() {
     }
 }
 
+/// Two rows that hardly differ, as those of an obstacle at neighboring times do, `±x / 200 ≤ y`: at (0, 0) each holds a direction of its own,
+/// and `y - x²/40 + x⁴/4` has its minimum there. To a Hessian that held one of them only, it would be a saddle to be turned round and left.
+#[test]
+fn neighbors_hold_what_is_their_own() {
+    let program = Program {
+        n_variables: 2,
+        ..plain(
+            |x| {
+                let bowl = [(-0.025, &[0, 0][..]), (0.25, &[0, 0, 0, 0])];
+                p(x, &bowl) + x[1].clone() + p(x, &[(0.5, &[1, 1])])
+            },
+            |x| {
+                let slope = |a: f64| p(x, &[(a, &[0]), (-1.0, &[1]), (0.1, &[1, 1])]);
+                vec![slope(0.005), slope(-0.005)]
+            },
+            Vec::new(),
+        )
+    };
+    for hessian in [HessianChoice::Auto, HessianChoice::Exact] {
+        let outcome = go(&program, &[0.01, 0.3], &settings(hessian));
+        assert_eq!(outcome.status, SqpStatus::Converged, "{hessian:?}");
+        near(&outcome.point.v, &[0.0, 0.0], 1e-8);
+        near(&outcome.multipliers.inequalities, &[0.5, 0.5], 1e-6);
+        assert!(outcome.history.len() <= 10, "{}", outcome.history.len());
+    }
+}
+
 /// The smallest programs: one variable without any rows; sets that fix variables; a ball of radius zero.
 #[test]
 fn small_programs_are_solved() {

@@ -7,6 +7,7 @@ One thread each, one solve at a time, every solve in a process of its own.
 
 import argparse
 import csv
+import functools
 import json
 import os
 import platform
@@ -37,6 +38,7 @@ HIT = 1e-5
 
 PEERS = {
     "ipopt": full_space.solve_configurations,
+    "ipopt-rest": functools.partial(full_space.solve_configurations, from_rest=True),
     "fatrop": full_space.solve_stages,
     "gn-sqp": shooting.solve,
 }

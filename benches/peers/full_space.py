@@ -364,7 +364,7 @@ def _orientation_kernel(rotation):
     return Kernel("orientation", z, ca.SX(0, 1), discrete.logarithm(discrete.product(discrete.conjugate(target), discrete.quaternion(z))))
 
 
-def configurations(problem):
+def configurations(problem, from_rest=False):
     """The same program over configurations alone: discrete Euler-Lagrange equations between three time nodes, as DMOC states it.
 
     Every force is that of one element at one time node and every inertia that of one node in one interval, so all derivatives are
@@ -431,16 +431,16 @@ def configurations(problem):
         clear = program.new_rows(K * N, problem.sphere[3] ** 2, np.inf)
         _add_sphere(program, problem, place[:3, 1:, 1:], clear.reshape(K, N), 1.0)
     # The short motions of few elements are nearer to rest than to static shapes: from those IPOPT diverges at K = 2.
-    path, holds = static_path(problem, 1.0 if K > 4 else NEARLY_REST)
+    path, holds = static_path(problem, NEARLY_REST if from_rest or K <= 4 else 1.0)
     program.start[place[:, 1:, 1:]] = (path[1:] - discrete.rest(rod).reshape(K, 6)).T
     program.start[controls] = holds.T
     program.weights[controls] = h * per
     return program, controls
 
 
-def solve_configurations(problem, max_iterations=1000, verbose=0):
+def solve_configurations(problem, from_rest=False, max_iterations=1000, verbose=0):
     """By IPOPT; adds `u` [n_blocks, 6] in N and N m to the answer."""
-    program, controls = configurations(problem)
+    program, controls = configurations(problem, from_rest)
     options = {f"ipopt.{k}": v for k, v in ipopt_options(max_iterations, verbose).items()}
     found = program.solve("ipopt", options)
     found["u"] = found["w"][controls].T * problem.scales

@@ -269,6 +269,10 @@ struct Held {
 /// the one with the larger multiplier holds that direction, and what the other is off by would be magnified.
 const INDEPENDENT_PART: f64 = 1e-8;
 const INDEPENDENT_PART_OF_ROWS: f64 = 1e-2;
+/// Where it is magnified to no more than this, as near a solution, neighbors hold what is their own from this part on: at an optimum that both
+/// hold, the curvature there need not be positive.
+const NEAR_TARGET: f64 = 1e-3;
+const LEAST_PART: f64 = 1e-5;
 
 impl Held {
     fn of(linearization: &Linearization, active: &ActiveSet) -> Self {
@@ -320,7 +324,8 @@ fn hold(
         }
     }
     let left = norm(&row);
-    if left > independent_part * size {
+    let holds_its_own = left > LEAST_PART * size && target.abs() <= NEAR_TARGET * left;
+    if left > independent_part * size || holds_its_own {
         held.0.push(row.iter().map(|r| r / left).collect());
         held.1.push(target / left);
     }

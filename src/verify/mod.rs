@@ -251,14 +251,53 @@ pub struct Replay {
     pub balance: EnergyBalance,
 }
 
+/// Which replay of a solution broke down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReplayKind {
+    /// On the solution's own grid.
+    SameGrid,
+    /// With shorter time steps.
+    ShorterSteps,
+    /// With more elements.
+    MoreElements,
+    /// Slightly perturbed.
+    Perturbed,
+}
+
+impl ReplayKind {
+    /// What is to be done, to follow the error's own words.
+    fn advice(self) -> &'static str {
+        match self {
+            Self::SameGrid | Self::Perturbed => "",
+            Self::ShorterSteps => {
+                "; shorter steps lead elsewhere: solve again with a smaller time.step_s"
+            }
+            Self::MoreElements => {
+                "; more elements lead elsewhere: solve again with more rod.elements"
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for ReplayKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::SameGrid => "same grid",
+            Self::ShorterSteps => "shorter steps",
+            Self::MoreElements => "more elements",
+            Self::Perturbed => "a small perturbation",
+        })
+    }
+}
+
 /// Why a solution could not be checked at all.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum CheckError {
     /// A replay broke down.
-    #[error("replay ({which}): {source}")]
+    #[error("replay ({which}): {source}{}", which.advice())]
     Replay {
         /// Which replay.
-        which: &'static str,
+        which: ReplayKind,
         /// Where and why.
         source: StepError,
     },
@@ -557,8 +596,8 @@ pub fn forward_check(
         })
         .map_err(|source| CheckError::Replay { which, source })
     };
-    let same = run(1, "same grid")?;
-    let half = run(2, "half the step")?;
+    let same = run(1, ReplayKind::SameGrid)?;
+    let half = run(2, ReplayKind::ShorterSteps)?;
     let control = problem.signal(&problem.control, solution.coefficients);
     let refinement = refine(problem, parameters, initial, solution)?;
     let mut check = ForwardCheck {

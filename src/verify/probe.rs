@@ -6,7 +6,7 @@ use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_ba
 use super::kkt::motion::Conditions;
 use super::kkt::outcome::AT_LIMIT;
 use super::limits::Pose;
-use super::{CheckError, Solution, SolutionMultipliers};
+use super::{CheckError, ReplayKind, Solution, SolutionMultipliers};
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathMultiplier};
 use crate::mechanics::{State, Stepper, Trajectory, Wrench};
 
@@ -53,7 +53,7 @@ pub(super) fn roll_out(
     for k in 0..n {
         (stepper.advance([control.at(k), control.at(k + 1)])).map_err(|source| {
             CheckError::Replay {
-                which: "a small perturbation",
+                which: ReplayKind::Perturbed,
                 source,
             }
         })?;

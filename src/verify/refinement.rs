@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::limits::{Measure, Pose};
-use super::{CheckError, Solution, refined_grid, refined_signal};
+use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
 use crate::mechanics::stability::stable_step;
@@ -97,7 +97,7 @@ struct Level<'a> {
     n_nodes: usize,
     /// Nodes per node of the solution.
     stride: usize,
-    which: &'static str,
+    which: ReplayKind,
 }
 
 impl<'a> Level<'a> {
@@ -107,7 +107,7 @@ impl<'a> Level<'a> {
         rod: &'a Rod,
         start: State,
         factor: usize,
-        which: &'static str,
+        which: ReplayKind,
     ) -> Self {
         let grid = refined_grid(problem.grid, factor);
         Self {
@@ -175,7 +175,8 @@ pub fn refine(
     let level =
         |rod, start, factor, which| Level::new(problem, solution, rod, start, factor, which);
     let start = || problem.initial.clone();
-    let mut in_time = [1, 2, 4].map(|factor| level(coarse, start(), factor, "a shorter step"));
+    let mut in_time =
+        [1, 2, 4].map(|factor| level(coarse, start(), factor, ReplayKind::ShorterSteps));
 
     let node_steps = coarse.n_nodes() * problem.grid.n_steps;
     let twice =
@@ -185,15 +186,20 @@ pub fn refine(
     let finest = divided_rod(parameters, finest_factor)?;
     let factor = stable_factor(step, &finest, finest_factor);
     let mut in_space = vec![
-        level(coarse, start(), factor, "the finest rod's step"),
-        level(&doubled, initial(&doubled), factor, "twice the elements"),
+        level(coarse, start(), factor, ReplayKind::ShorterSteps),
+        level(
+            &doubled,
+            initial(&doubled),
+            factor,
+            ReplayKind::MoreElements,
+        ),
     ];
     if twice {
         in_space.push(level(
             &finest,
             initial(&finest),
             factor,
-            "four times the elements",
+            ReplayKind::MoreElements,
         ));
     }
 
