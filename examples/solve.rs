@@ -116,7 +116,7 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
     let start = problem.initial.configuration.positions[tip];
     let ahead = (Vector3::from(TARGET) - start).normalize();
     let wind_up = (0..=grid.n_steps)
-        .map(|k| -ahead.dot(&(check.replay.trajectory.positions_at(k)[tip] - start)))
+        .map(|k| -ahead.dot(&(outcome.point.trajectory.positions_at(k)[tip] - start)))
         .fold(0.0, f64::max);
     let squares: f64 = wrenches.iter().map(|u| u.force.norm_squared()).sum();
     Ok(Reach {

@@ -13,6 +13,8 @@
 //! Geometrically Exact Rod with Circular Cross-Section Incorporating Cross-Sectional Deformation" ("the paper"; its
 //! equation numbers stand in round brackets). All quantities are in SI units.
 
+#![forbid(unsafe_code)]
+
 pub mod cli;
 pub mod control;
 pub mod derivatives;

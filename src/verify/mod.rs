@@ -161,7 +161,7 @@ pub struct ForwardCheck {
     pub growth: Option<Growth>,
     /// Largest violation of a bound, N or N m.
     pub bound_violation: f64,
-    /// The replay on the same grid, with its states.
+    /// The replay on the same grid; its trajectory, which is the solution's to within `same_grid`, is left out.
     pub replay: Replay,
     /// Every criterion with its limit.
     pub items: Vec<CheckItem>,
@@ -596,21 +596,26 @@ pub fn forward_check(
         })
         .map_err(|source| CheckError::Replay { which, source })
     };
-    let same = run(1, ReplayKind::SameGrid)?;
-    let half = run(2, ReplayKind::ShorterSteps)?;
+    let mut same = run(1, ReplayKind::SameGrid)?;
     let control = problem.signal(&problem.control, solution.coefficients);
+    let same_grid = largest_distance(solution.trajectory, &same.trajectory);
+    let strains = PeakStrains::of(&problem.rod, &same.trajectory);
+    let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
+    // As large as the solution's, and of no use to what follows.
+    same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
+    let half = run(2, ReplayKind::ShorterSteps)?;
     let refinement = refine(problem, parameters, initial, solution)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
         kkt_parts: conditions.parts,
         objective: conditions.objective,
-        same_grid: largest_distance(solution.trajectory, &same.trajectory),
+        same_grid,
         refined_time: refinement.time.error,
         refined_space: refinement.space.error,
         order_time: refinement.time.order,
         order_space: refinement.space.order,
         between: refinement.between,
-        strains: PeakStrains::of(&problem.rod, &same.trajectory),
+        strains,
         tip_error: 0.0,
         tip_angle: 0.0,
         tip_speed: 0.0,
@@ -618,7 +623,7 @@ pub fn forward_check(
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
         energy_halving: halving(&same.balance, &half.balance),
-        momentum: MomentumBalance::of(problem, &same.trajectory, &control),
+        momentum,
         second_order: None,
         growth: None,
         bound_violation: conditions.bound_violation,
