@@ -125,6 +125,15 @@ impl Filter {
         }
     }
 
+    /// An empty filter that allows no larger infeasibility than this.
+    #[must_use]
+    pub fn within(largest: f64) -> Self {
+        Self {
+            largest,
+            ..Self::new(0.0)
+        }
+    }
+
     /// Whether it remembers any point.
     #[must_use]
     pub fn has_entries(&self) -> bool {

@@ -76,6 +76,11 @@ const MERIT_RATIO: f64 = 0.2;
 const MERIT_STEPS: usize = 40;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
+/// A solve that ends further from feasibility than it has been, by this factor, turns back, at most so many times, and stays within this
+/// infeasibility from then on.
+const ASTRAY: f64 = 1e2;
+const RETURNS: usize = 2;
+const RETURN_INFEASIBILITY: f64 = 0.1;
 
 /// Models of an iteration that are made anew because a step leaves what they hold.
 const RELEASES: usize = 3;
@@ -151,6 +156,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     bets_on_end: bool,
     restoration: Option<Restoration>,
     restorations: usize,
+    returns: usize,
     quasi_newton: Option<QuasiNewton>,
     /// Variables and linearization that the last step left.
     departed: Option<(Vec<f64>, Linearization)>,
@@ -177,6 +183,7 @@ struct Best<Point> {
     residual: KktResidual,
     objective: f64,
     infeasibility: f64,
+    trust_radius: f64,
 }
 
 const UNKNOWN_RESIDUAL: KktResidual = KktResidual {
@@ -220,6 +227,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 residual: UNKNOWN_RESIDUAL,
                 objective: program.total_objective(&evaluation),
                 infeasibility: f64::INFINITY,
+                trust_radius: first_trust_radius(program.variables(&point)),
             },
             trust_radius: first_trust_radius(program.variables(&point)),
             outside,
@@ -245,6 +253,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             bets_on_end: false,
             restoration: None,
             restorations: 0,
+            returns: 0,
             quasi_newton: None,
             departed: None,
             rounding: 0.0,
@@ -376,6 +385,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 residual,
                 objective,
                 infeasibility,
+                trust_radius: self.trust_radius,
             };
         }
     }
@@ -438,6 +448,36 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             }
         }
         false
+    }
+
+    /// Goes back to the best point where that was far nearer to feasibility, to go on from it more carefully; whether it did. What could not be
+    /// met here could be met there.
+    pub(super) fn turn_back(&mut self) -> bool {
+        let is_astray = self.infeasibility()
+            > self
+                .settings
+                .tolerance
+                .max(ASTRAY * self.best.infeasibility);
+        if !is_astray || self.returns >= RETURNS {
+            return false;
+        }
+        let Ok(evaluation) = self.program.evaluate(&self.best.point) else {
+            return false;
+        };
+        self.returns += 1;
+        self.point = Rc::clone(&self.best.point);
+        self.evaluation = evaluation;
+        self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
+        self.multipliers = self.best.multipliers.clone();
+        self.forget();
+        self.trust_radius = self.best.trust_radius;
+        self.filter = Filter::within(RETURN_INFEASIBILITY.max(ASTRAY * self.best.infeasibility));
+        self.elastic_weight = None;
+        self.restoration = None;
+        self.restored_at = self.history.len();
+        self.stuck = 0;
+        self.departed = None;
+        true
     }
 
     /// Defects that rounding leaves; 0 as long as no states have been computed.

@@ -281,6 +281,7 @@ pub fn solve<P: LiftedProgram>(
         };
         match step {
             Step::Taken | Step::Restored => {}
+            Step::Refused | Step::Infeasible if run.turn_back() => {}
             Step::Refused => {
                 let status = match run.out_of_time() {
                     // At rounding no step can be an improvement any more.

@@ -153,6 +153,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 residual: self.residual(linearization),
                 objective: self.program.total_objective(&self.evaluation),
                 infeasibility,
+                trust_radius: self.trust_radius,
             };
         }
     }
