@@ -158,6 +158,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     restorations: usize,
     returns: usize,
     quasi_newton: Option<QuasiNewton>,
+    /// Of the last step's linearization.
+    curvature: Option<Mat<f64>>,
     /// Variables and linearization that the last step left.
     departed: Option<(Vec<f64>, Linearization)>,
     /// Defects of the last states that were computed from their variables.
@@ -255,6 +257,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             restorations: 0,
             returns: 0,
             quasi_newton: None,
+            curvature: None,
             departed: None,
             rounding: 0.0,
             descent: None,
@@ -498,13 +501,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return self.restoration_step(linearization);
         }
         if self.bets_on_end {
-            // The bet is lost: a Gauss-Newton step from here would lose more than a linearization.
-            linearization = self.linearize_with(true)?;
+            linearization = self.with_curvature(linearization)?;
         }
         let clock = Instant::now();
         self.rows_let_go.clear();
         self.sets_let_go.clear();
         let mut model = self.model_hessian(&linearization);
+        self.curvature.clone_from(&linearization.curvature);
         match model.kind {
             HessianKind::Exact => self.descent = None,
             HessianKind::Convexified => self.descent = model.descent.clone(),
@@ -573,6 +576,21 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return Ok(Step::Restored);
         }
         Ok(Step::Refused)
+    }
+
+    /// After a lost bet, where a Gauss-Newton step would lose more than a linearization. A point that is optimal already is only to be made
+    /// feasible: a step so short that the curvature of the point before does.
+    fn with_curvature(
+        &mut self,
+        mut linearization: Linearization,
+    ) -> Result<Linearization, Failure> {
+        let is_optimal = (self.history.last())
+            .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
+        if is_optimal && self.curvature.is_some() {
+            linearization.curvature.clone_from(&self.curvature);
+            return Ok(linearization);
+        }
+        self.linearize_with(true)
     }
 
     /// The step, longer along the most negative curvature where it hardly goes that way. Near a saddle its part along it only
