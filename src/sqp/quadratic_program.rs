@@ -393,6 +393,11 @@ impl<'a> QuadraticProgram<'a> {
         h <= 0.1 * ROW_TOLERANCE && h + most <= 0.1 * ROW_TOLERANCE
     }
 
+    /// `c + Cδ`
+    pub(super) fn constraints_along(&self, change: &[f64]) -> Vec<f64> {
+        affine(self.offset, self.jacobian, change)
+    }
+
     /// Rows outside the working set that a step violates by more than the slack of their group, ascending, and by how much.
     fn violated(&self, solution: &QpSolution, working: &[usize]) -> Vec<(usize, f64)> {
         let LinearInequalities {
