@@ -2,7 +2,7 @@
 
     python compare.py --softarm ../../target/release/softarm
 
-One thread each, one solve at a time, every solve in a process of its own.
+One thread each (`softarm-rest-2`: two), one solve at a time, every solve in a process of its own.
 """
 
 import argparse
@@ -42,7 +42,10 @@ PEERS = {
     "fatrop": full_space.solve_stages,
     "gn-sqp": shooting.solve,
 }
-SOFTARM = {"softarm": "static", "softarm-rest": "rest"}
+SOFTARM = {"softarm": ("static", 1), "softarm-rest": ("rest", 1), "softarm-rest-2": ("rest", 2)}
+"""First guess and threads."""
+SOLVER_CALL = ("linearize", "condense", "qp", "globalize")
+"""Phases of softarm that a peer's solver has as well: no first guess, no check, no gains, no files."""
 FATROP_ELEMENTS = 2
 """By default fatrop is left out of problems with more elements, which it did not solve."""
 LONG = 5.0
@@ -60,12 +63,13 @@ def replay(problem, controls):
     return states[:, : 6 * K].reshape(-1, K, 6), np.array(goal(states[-1])).ravel()
 
 
-def softarm(problem, binary, guess, limit):
+def softarm(problem, binary, variant, limit):
     """One run of the program, timed from outside."""
+    guess, threads = variant
     with tempfile.TemporaryDirectory() as folder:
         scene, out = Path(folder) / "scene.toml", Path(folder) / "out"
         scene.write_text(problem.scene(guess))
-        command = [binary, "solve", str(scene), "--json", "--quiet", "--threads", "1", "--out", str(out)]
+        command = [binary, "solve", str(scene), "--json", "--quiet", "--threads", str(threads), "--out", str(out)]
         before, wall = os.times(), time.perf_counter()
         try:
             run = subprocess.run(command, capture_output=True, text=True, timeout=limit)
@@ -89,7 +93,7 @@ def softarm(problem, binary, guess, limit):
             "iterations": summary["iterations"],
             "wall_s": wall,
             "cpu_s": after.children_user + after.children_system - before.children_user - before.children_system,
-            "certify_s": phases["certify"],
+            "call_s": sum(phases[phase] for phase in SOLVER_CALL),
             "objective": summary["objective"],
             "model_difference": float(max(positions, rotations)),
             "verdict": (summary["check"] or {}).get("verdict"),
@@ -116,6 +120,7 @@ def peer(problem, name, limit):
 def one(name, problem):
     """In the child: solves and prints the answer as JSON."""
     found = PEERS[name](problem)
+    found["call_s"] = found["wall_s"]
     found.pop("w", None)
     found["u"] = np.asarray(found["u"]).tolist()
     print("RESULT " + json.dumps(found), flush=True)
@@ -132,8 +137,8 @@ def measure(name, problem, arguments):
         if not runs[-1]["wall_s"] < LONG:
             break
     found = runs[0]
-    for key in ("wall_s", "cpu_s"):
-        found[key] = statistics.median(run[key] for run in runs)
+    for key in ("wall_s", "cpu_s", "call_s"):
+        found[key] = statistics.median(run.get(key, float("nan")) for run in runs)
     found["runs"] = len(runs)
     if "u" in found:
         controls = np.array(found["u"])
@@ -172,8 +177,8 @@ def main():
         return
     print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, CasADi {ca.__version__}")
     print(f"load when started: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
-    print("| problem | solver | iterations | wall s | CPU s | ratio | objective | replay | remark |")
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    print("| problem | solver | iterations | wall s | CPU s | ratio | solver's call s | objective | replay | remark |")
+    print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     results = {}
     for problem in (PROBLEMS[name] for name in arguments.problems):
         reference = None
@@ -185,6 +190,7 @@ def main():
                 reference = found
             ratio = found["cpu_s"] / reference["cpu_s"] if reference else float("nan")
             cells = [problem.name, name, f"{found['iterations']}", f"{found['wall_s']:.2f}", f"{found['cpu_s']:.2f}", f"{ratio:.1f}"]
+            cells.append(f"{found['call_s']:.3f}" if found["call_s"] == found["call_s"] else "-")
             cells += [f"{found[key]:{form}}" if key in found else "" for key, form in (("objective", ".6f"), ("goal", ".0e"))]
             cells.append(remark(found, reference and reference["objective"]))
             print("| " + " | ".join(cells) + " |", flush=True)

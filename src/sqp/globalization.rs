@@ -6,7 +6,7 @@
 use super::balls::change_into_balls;
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
-use super::residual::Multipliers;
+use super::residual::{Multipliers, norm};
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
 const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
@@ -24,6 +24,8 @@ pub(super) const FEASIBLE: f64 = 1e-8;
 /// Of the objective, relatively.
 const ROUNDING: f64 = 10.0 * f64::EPSILON;
 const CORRECTIONS: usize = 8;
+/// Part of the trust radius from which a correction of a step may reach its end.
+const INSIDE: f64 = 0.9;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
 
@@ -300,6 +302,9 @@ impl Filter {
         let mut inequalities = refused.inequalities.clone();
         let here = from.measure(program, from.evaluation);
         let mut infeasibility = refused.measure.infeasibility;
+        // As a rule the same is active, which saves the interior point; the trust region can be no part of that.
+        let active = from.multipliers.at_rows(&linearization.rows);
+        let expected = (norm(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
         for count in 1..=CORRECTIONS {
             // The states of the trial obey their equations, so only the rows' own curvature is left.
             let offset: Vec<f64> = (linearization.constraints_along(&change).iter())
@@ -318,6 +323,7 @@ impl Filter {
                     offset: &inequality_offset,
                     ..subproblem.inequalities
                 },
+                expected,
                 ..subproblem.clone()
             };
             let corrected =

@@ -1,6 +1,7 @@
 //! The Hessian of the quadratic subproblem: Gauss-Newton, the exact one made convex where it must be, or a quasi-Newton
 //! matrix.
 
+use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
 use super::program::{ConvexSet, Linearization, Softness, along};
@@ -201,8 +202,12 @@ impl ModelHessian {
         let mut constant = 0.0;
         let mut cross_terms = Mat::zeros(m, m);
         let mut descent = None;
-        if n > m {
-            let reduced = null.transpose() * &full * null;
+        let reduced = null.transpose() * &full * null;
+        if n > m && is_positive(&reduced, floor) {
+            let cross = null.transpose() * &full * &range;
+            let inverse = reduced.llt(Side::Lower).ok()?;
+            cross_terms = cross.transpose() * inverse.solve(&cross);
+        } else if n > m {
             let eigen = reduced.self_adjoint_eigen(Side::Lower).ok()?;
             let values: Vec<f64> = (0..n - m).map(|i| eigen.S()[i]).collect();
             if !values.iter().all(|v| v.is_finite()) {
