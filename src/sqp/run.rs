@@ -158,7 +158,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     restorations: usize,
     returns: usize,
     quasi_newton: Option<QuasiNewton>,
-    /// Of the last step's linearization.
+    /// The last one that was computed, until it is used again.
     curvature: Option<Mat<f64>>,
     /// Variables and linearization that the last step left.
     departed: Option<(Vec<f64>, Linearization)>,
@@ -327,6 +327,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 rows: &rows,
             },
         )?;
+        if linearization.curvature.is_some() {
+            self.curvature.clone_from(&linearization.curvature);
+        }
         self.note_rows(&linearization);
         self.keep_states(&linearization)?;
         self.phases.linearize += clock.elapsed().as_secs_f64();
@@ -479,6 +482,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.restoration = None;
         self.restored_at = self.history.len();
         self.stuck = 0;
+        self.curvature = None;
         self.departed = None;
         true
     }
@@ -507,7 +511,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.rows_let_go.clear();
         self.sets_let_go.clear();
         let mut model = self.model_hessian(&linearization);
-        self.curvature.clone_from(&linearization.curvature);
         match model.kind {
             HessianKind::Exact => self.descent = None,
             HessianKind::Convexified => self.descent = model.descent.clone(),
@@ -579,15 +582,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// After a lost bet, where a Gauss-Newton step would lose more than a linearization. A point that is optimal already is only to be made
-    /// feasible: a step so short that the curvature of the point before does.
+    /// feasible: a step so short that the curvature of the point before does, once.
     fn with_curvature(
         &mut self,
         mut linearization: Linearization,
     ) -> Result<Linearization, Failure> {
         let is_optimal = (self.history.last())
             .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
-        if is_optimal && self.curvature.is_some() {
-            linearization.curvature.clone_from(&self.curvature);
+        if is_optimal && let Some(before) = self.curvature.take() {
+            linearization.curvature = Some(before);
             return Ok(linearization);
         }
         self.linearize_with(true)
