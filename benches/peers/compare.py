@@ -2,7 +2,7 @@
 
     python compare.py --softarm ../../target/release/softarm
 
-One thread each (`softarm-rest-2`: two), one solve at a time, every solve in a process of its own.
+One thread each (`softarm`: two), one solve at a time, every solve in a process of its own.
 """
 
 import argparse
@@ -42,8 +42,8 @@ PEERS = {
     "fatrop": full_space.solve_stages,
     "gn-sqp": shooting.solve,
 }
-SOFTARM = {"softarm": ("static", 1), "softarm-rest": ("rest", 1), "softarm-rest-2": ("rest", 2)}
-"""First guess and threads."""
+SOFTARM = {"softarm": ("rest", 2), "softarm-1": ("rest", 1), "softarm-static": ("static", 1)}
+"""First guess and threads; the first are its defaults on two cores."""
 SOLVER_CALL = ("linearize", "condense", "qp", "globalize")
 """Phases of softarm that a peer's solver has as well: no first guess, no check, no gains, no files."""
 FATROP_ELEMENTS = 2
@@ -177,7 +177,7 @@ def main():
         return
     print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, CasADi {ca.__version__}")
     print(f"load when started: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
-    print("| problem | solver | iterations | wall s | CPU s | ratio | solver's call s | objective | replay | remark |")
+    print("| problem | solver | iterations | wall s | CPU s | solver's call s | ratio | objective | replay | remark |")
     print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     results = {}
     for problem in (PROBLEMS[name] for name in arguments.problems):
@@ -188,9 +188,9 @@ def main():
             results.setdefault(problem.name, {})[name] = found
             if reference is None and found["success"]:
                 reference = found
-            ratio = found["cpu_s"] / reference["cpu_s"] if reference else float("nan")
-            cells = [problem.name, name, f"{found['iterations']}", f"{found['wall_s']:.2f}", f"{found['cpu_s']:.2f}", f"{ratio:.1f}"]
-            cells.append(f"{found['call_s']:.3f}" if found["call_s"] == found["call_s"] else "-")
+            ratio = found["call_s"] / reference["call_s"] if reference else float("nan")
+            cells = [problem.name, name, f"{found['iterations']}", f"{found['wall_s']:.2f}", f"{found['cpu_s']:.2f}"]
+            cells += [f"{found['call_s']:.3f}", f"{ratio:.1f}"]
             cells += [f"{found[key]:{form}}" if key in found else "" for key, form in (("objective", ".6f"), ("goal", ".0e"))]
             cells.append(remark(found, reference and reference["objective"]))
             print("| " + " | ".join(cells) + " |", flush=True)
