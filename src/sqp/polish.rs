@@ -13,7 +13,7 @@ use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
 use super::program::{ConvexSet, Softness, along};
-use super::quadratic_program::{QpSolution, QuadraticProgram};
+use super::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
 use super::residual::{Multipliers, infinity_norm, norm};
 
 /// Part of the trust radius that a step must leave: beyond, its cone is active as well.
@@ -191,9 +191,8 @@ impl<'a> Conditions<'a> {
             .collect();
         let mut values = rows.along(&solution.change);
         for (at, value) in values.iter_mut().enumerate() {
-            let group = rows.groups[at];
-            if rows.softness[at] == Softness::Hard && slack_groups.contains(&group) {
-                *value -= solution.slacks[&group];
+            if open_slack(rows, &slack_groups, at).is_some() {
+                *value -= solution.slacks[&rows.groups[at]];
             }
         }
         for &at in &solution.working {
@@ -276,11 +275,7 @@ impl<'a> Conditions<'a> {
 
     /// Unknown of the slack that a hard row has, where that is positive.
     fn slack_of(&self, at: usize) -> Option<usize> {
-        let rows = &self.qp.inequalities;
-        let place = |group: usize| self.slack_groups.iter().position(|&open| open == group);
-        (rows.softness[at] == Softness::Hard)
-            .then(|| place(rows.groups[at]))
-            .flatten()
+        open_slack(&self.qp.inequalities, &self.slack_groups, at)
             .map(|place| self.qp.gradient.len() + place)
     }
 
@@ -522,6 +517,14 @@ impl<'a> Conditions<'a> {
     }
 }
 
+/// Which of the groups whose slack is positive a hard row belongs to.
+fn open_slack(rows: &LinearInequalities, slack_groups: &[usize], at: usize) -> Option<usize> {
+    let group = rows.groups[at];
+    (rows.softness[at] == Softness::Hard)
+        .then(|| slack_groups.iter().position(|&open| open == group))
+        .flatten()
+}
+
 fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
     variables.iter().zip(change).map(|(v, d)| v + d).collect()
 }
@@ -529,7 +532,6 @@ fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::program::affine;
-    use super::super::quadratic_program::LinearInequalities;
     use super::*;
 
     /// Problems with all kinds of sets and rows at once, half of them with rows that are not worth their elastic weight: conditions to rounding

@@ -475,7 +475,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.evaluation = evaluation;
         self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
         self.multipliers = self.best.multipliers.clone();
-        self.forget();
+        self.quasi_newton = None;
         self.trust_radius = self.best.trust_radius;
         self.filter = Filter::within(RETURN_INFEASIBILITY.max(ASTRAY * self.best.infeasibility));
         self.elastic_weight = None;
