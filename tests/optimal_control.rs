@@ -17,8 +17,8 @@ use softarm::mechanics::{
     RodParameters, Section, SectionProfile, State, StrainRule, TimeGrid, TimeScheme, Wrench,
 };
 use softarm::sqp::{
-    HessianChoice, LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus,
-    solve,
+    HessianChoice, IterationRecord, LiftedProgram as _, LinearizationRequest, SqpOutcome,
+    SqpSettings, SqpStatus, solve,
 };
 use softarm::verify::{
     CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay,
@@ -666,6 +666,44 @@ fn hessians_agree() {
         // At an optimum the objective is off by the square of the residual over the curvature.
         assert!((other / objectives[0] - 1.0).abs() < 1e-6, "{objectives:?}");
     }
+}
+
+/// Near the end, once steps of the exact Hessian are short, states answer them as they are, and no step leaves defects. Otherwise a step is
+/// lifted; where that was refused, only a shorter one is lifted again.
+#[test]
+fn lifted_steps_are_left_to_long_ones() {
+    let steps = |hessian: HessianChoice, x: f64| -> Vec<IterationRecord> {
+        let target = Vector3::new(x, 0.03, 0.985);
+        let case = Case::pass().with(|p| p.goals[0].position = Some(target));
+        let (start, _) = first_point(&case.problem, Guess::Rest, None).unwrap();
+        let settings = SqpSettings {
+            hessian,
+            ..SqpSettings::default()
+        };
+        let program = Transcription::new(&case.problem, 1);
+        let outcome = solve(&program, start, &settings, &mut |_| {
+            ControlFlow::Continue(())
+        });
+        assert_eq!(outcome.status, SqpStatus::Converged, "{hessian:?} {x}");
+        let taken = outcome.history.into_iter();
+        taken.filter(|row| row.step_norm > 0.0).collect()
+    };
+    let (mut short, mut again) = (0, 0);
+    for x in [0.05, 0.1] {
+        for row in steps(HessianChoice::Auto, x) {
+            if row.hessian.is_second_order() && row.step_norm < 0.1 {
+                assert!(row.restored, "{x}: {:e}", row.step_norm);
+                short += 1;
+            }
+        }
+        for pair in steps(HessianChoice::GaussNewton, x).windows(2) {
+            if pair[0].restored && !pair[1].restored {
+                assert!(pair[1].step_norm < pair[0].step_norm);
+                again += 1;
+            }
+        }
+    }
+    assert!(short >= 4 && again >= 2, "{short} {again}");
 }
 
 /// A reach while the base is carried aside, shaken and turned, with a payload and a line load: solved from a path

@@ -646,7 +646,8 @@ fn extreme_weights() {
     );
     for (weight, factor) in [("1e-12", 1e-12), ("1e12", 1e12)] {
         let effort = desk.solve(&[&format!("objective.effort={weight}")], "", &[DONE]);
-        assert!((of(&effort) / (factor * plain) - 1.0).abs() < 1e-9);
+        // To the multipliers times what the target may be missed by, 1e-9 of its scale.
+        assert!((of(&effort) / (factor * plain) - 1.0).abs() < 1e-8);
         let soft = format!("task.weight={weight}");
         let soft = desk.solve(&["task.hard=false", &soft], "", &[DONE]);
         let off = soft["tip_error_m"].as_f64().unwrap();

@@ -19,6 +19,10 @@ const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
 /// A lifted step is tried when its turns are within what the charts allow, and kept when it is no less feasible than the point it
 /// leaves or than this: beyond, its defects are worse than what restored states cost.
 const LIFTED_INFEASIBILITY: f64 = 1.0;
+/// Part of the variables (at least of one) up to which a step is short.
+const SHORT: f64 = 0.1;
+/// After a lifted step was refused, one of this part of its length is tried next: longer ones would be computed to be refused as well.
+const SHORTER: f64 = 0.5;
 /// Infeasibility at which only optimality is left to be gained.
 pub(super) const FEASIBLE: f64 = 1e-8;
 /// Of the objective, relatively.
@@ -82,6 +86,8 @@ pub struct Filter {
     entries: Vec<(f64, f64)>,
     largest: f64,
     small: f64,
+    /// Length of the step whose lifted point was refused last; infinite after one was not.
+    refused_lift: f64,
 }
 
 /// How a trial point passed.
@@ -124,6 +130,7 @@ impl Filter {
             entries: Vec::new(),
             largest: LARGEST_INFEASIBILITY * unit,
             small: SMALL_INFEASIBILITY * unit,
+            refused_lift: f64::INFINITY,
         }
     }
 
@@ -195,8 +202,9 @@ impl Filter {
         self.entries.push(entry);
     }
 
-    /// Tries the step `change` of a subproblem: the lifted point first, then the point whose states obey their
-    /// equations under the same variables, then second-order corrections of that.
+    /// Tries the step `change` of a subproblem: its lifted point, and the point whose states obey their equations under the same
+    /// variables; then second-order corrections of that. As a rule the lifted point comes first, since it is linear where the states'
+    /// answer is not; of a short step of second order the other, which costs a third and leaves no defects.
     ///
     /// # Errors
     /// When all are refused: the restored point's values, uncorrected, if it could be computed. Unless that point serves some other
@@ -209,9 +217,30 @@ impl Filter {
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
         let slope = from.first_order(program, change);
-        if let Some(accepted) = self.try_lifted(program, from, change, slope) {
+        let is_short = from.is_second_order
+            && norm(change) <= SHORT * norm(program.variables(from.point)).max(1.0);
+        if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
         }
+        let refused = match self.try_restored(program, from, change, slope) {
+            Ok(accepted) => return Ok(accepted),
+            Err(refused) => refused,
+        };
+        if is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
+            return Ok(accepted);
+        }
+        let refused = refused.ok_or(None)?;
+        self.correct(program, from, subproblem, change, &refused, slope)
+            .ok_or(Some(refused))
+    }
+
+    fn try_restored<P: LiftedProgram>(
+        &mut self,
+        program: &P,
+        from: &Departure<P>,
+        change: &[f64],
+        slope: Slope,
+    ) -> Result<Accepted<P>, Option<Refused>> {
         let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &trial.evaluation);
@@ -224,13 +253,11 @@ impl Filter {
             inequalities,
             ..
         } = trial.evaluation;
-        let refused = Refused {
+        Err(Some(Refused {
             constraints,
             inequalities,
             measure: there,
-        };
-        self.correct(program, from, subproblem, change, &refused, slope)
-            .ok_or(Some(refused))
+        }))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
@@ -250,7 +277,28 @@ impl Filter {
         })
     }
 
+    /// Unless a step of about this length was refused before.
     fn try_lifted<P: LiftedProgram>(
+        &mut self,
+        program: &P,
+        from: &Departure<P>,
+        change: &[f64],
+        slope: Slope,
+    ) -> Option<Accepted<P>> {
+        let length = norm(change);
+        if length > SHORTER * self.refused_lift {
+            return None;
+        }
+        let accepted = self.lifted(program, from, change, slope);
+        self.refused_lift = if accepted.is_some() {
+            f64::INFINITY
+        } else {
+            length
+        };
+        accepted
+    }
+
+    fn lifted<P: LiftedProgram>(
         &mut self,
         program: &P,
         from: &Departure<P>,
@@ -371,6 +419,8 @@ pub struct Departure<'a, P: LiftedProgram> {
     pub softness: &'a [Softness],
     /// Of the subproblem whose step is judged.
     pub multipliers: &'a Multipliers,
+    /// Whether that held the second derivative of the Lagrangian.
+    pub is_second_order: bool,
 }
 
 impl<P: LiftedProgram> Departure<'_, P> {

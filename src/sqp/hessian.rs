@@ -54,6 +54,14 @@ pub enum HessianKind {
     Proximal,
 }
 
+impl HessianKind {
+    /// Whether it holds the second derivative of the Lagrangian, so that steps near a solution contract by themselves.
+    #[must_use]
+    pub fn is_second_order(self) -> bool {
+        matches!(self, Self::Exact | Self::Convexified)
+    }
+}
+
 /// A positive semidefinite Hessian and the gradient that goes with it.
 #[derive(Clone, Debug)]
 pub struct ModelHessian {

@@ -734,9 +734,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     /// it is emptied (Wächter and Biegler 2006, section 3.4), at most a few times.
     fn note_refusals(&mut self, refusals: usize) {
         let last = self.history.last().map(|row| row.hessian);
-        if refusals >= EXACT_REFUSALS
-            && matches!(last, Some(HessianKind::Exact | HessianKind::Convexified))
-        {
+        if refusals >= EXACT_REFUSALS && last.is_some_and(HessianKind::is_second_order) {
             self.exact_pause = EXACT_PAUSE;
         }
         self.refused_in_a_row = if refusals > 0 {
@@ -818,7 +816,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         // exact Hessian contract until rounding, or lead away from a saddle.
         let is_blind = promise.abs() <= noise
             || (!accepted.restored
-                && !matches!(model.kind, HessianKind::Exact | HessianKind::Convexified)
+                && !model.kind.is_second_order()
                 && accepted.evaluation.defect > 0.0
                 && self.infeasibility() <= FEASIBLE
                 && self.program.infeasibility(&accepted.evaluation) <= FEASIBLE);
@@ -892,13 +890,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let held = model.gradient[i] - linearization.model_gradient[i];
             bending += change[i] * (held + 0.5 * bent);
         }
-        let slope = self.departure(linearization, solution).slope(change);
+        let slope = self.departure(linearization, model, solution).slope(change);
         weight * (self.infeasibility() - solution.slack) - bending - slope
     }
 
     fn departure<'b>(
         &'b self,
         linearization: &'b Linearization,
+        model: &ModelHessian,
         solution: &'b QpSolution,
     ) -> Departure<'b, P> {
         Departure {
@@ -907,6 +906,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             linearization,
             softness: &self.softness,
             multipliers: &solution.multipliers,
+            is_second_order: model.kind.is_second_order(),
         }
     }
 
@@ -970,7 +970,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let mut filter = self.filter.clone();
         let verdict = filter.accept(
             self.program,
-            &self.departure(linearization, solution),
+            &self.departure(linearization, model, solution),
             &self.subproblem(linearization, model, sets, weight, &solution.working),
             &solution.change,
         );
