@@ -1024,7 +1024,7 @@ impl Default for Solver {
     fn default() -> Solver {
         Solver {
             tolerance: 1e-6,
-            max_iterations: 300,
+            max_iterations: 600,
             saddle_escapes: 3,
             hessian: Hessian::default(),
             qp: Qp::default(),

@@ -191,7 +191,7 @@ fn defaults_are_as_documented() {
             Solver::default().tolerance,
             Solver::default().max_iterations
         ),
-        (1e-6, 300)
+        (1e-6, 600)
     );
     assert_eq!(
         scene.damping,

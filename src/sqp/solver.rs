@@ -33,7 +33,7 @@ impl Default for SqpSettings {
     fn default() -> Self {
         Self {
             tolerance: 1e-6,
-            max_iterations: 300,
+            max_iterations: 600,
             saddle_escapes: 3,
             hessian: HessianChoice::Auto,
             qp: QpRoute::Auto,
