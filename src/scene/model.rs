@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::sqp::SqpSettings;
+
 /// A soft arm, what acts on it, and what it should do. SI units throughout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -1022,10 +1024,11 @@ impl Default for Objective {
 
 impl Default for Solver {
     fn default() -> Solver {
+        let settings = SqpSettings::default();
         Solver {
-            tolerance: 1e-6,
-            max_iterations: 600,
-            saddle_escapes: 3,
+            tolerance: settings.tolerance,
+            max_iterations: settings.max_iterations,
+            saddle_escapes: settings.saddle_escapes,
             hessian: Hessian::default(),
             qp: Qp::default(),
             guess: Guess::default(),

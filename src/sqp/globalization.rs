@@ -244,8 +244,7 @@ impl Filter {
         let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &trial.evaluation);
-        if let Some(passage) = self.passage(here, there, slope) {
-            self.pass(passage, here);
+        if self.lets_pass(here, there, slope) {
             return Ok(trial);
         }
         let Evaluation {
@@ -277,7 +276,7 @@ impl Filter {
         })
     }
 
-    /// Unless a step of about this length was refused before.
+    /// The lifted point, unless one at about this length was refused before.
     fn try_lifted<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -318,9 +317,7 @@ impl Filter {
         if there.infeasibility > LIFTED_INFEASIBILITY.max(here.infeasibility) {
             return None;
         }
-        let passage = self.passage(here, there, slope)?;
-        self.pass(passage, here);
-        Some(Accepted {
+        (self.lets_pass(here, there, slope)).then_some(Accepted {
             point: trial,
             evaluation: values,
             restored: false,
@@ -328,10 +325,13 @@ impl Filter {
         })
     }
 
-    fn pass(&mut self, passage: Passage, from: Measure) {
-        if passage == Passage::Filter {
+    /// Whether a trial point passes; the filter remembers the point it leaves where it must.
+    fn lets_pass(&mut self, from: Measure, to: Measure, slope: Slope) -> bool {
+        let passage = self.passage(from, to, slope);
+        if passage == Some(Passage::Filter) {
             self.leave(from);
         }
+        passage.is_some()
     }
 
     /// Second-order corrections of a refused step, while they reduce its infeasibility.
@@ -378,8 +378,7 @@ impl Filter {
                 within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
             let trial = Self::restored(program, from.point, &corrected, count)?;
             let there = from.measure(program, &trial.evaluation);
-            if let Some(passage) = self.passage(here, there, slope) {
-                self.pass(passage, here);
+            if self.lets_pass(here, there, slope) {
                 return Some(trial);
             }
             if there.infeasibility > CORRECTION_PROGRESS * infeasibility {
