@@ -639,3 +639,36 @@ fn convergence_is_quadratic() {
         assert!(seen > 0, "{name}: {residuals:?}");
     }
 }
+
+/// A kick sets off a wave whose phase at the end turns by 150 rad on the way to the best shape; a second, strong kick, whose phase turns
+/// twice as fast, must cancel it. The linearization that a step leaves holds for a radian; that of its end shows how to cancel the wave
+/// there, however far away that is.
+#[test]
+fn steps_are_as_long_as_waves_can_be_cancelled() {
+    const TURNS: f64 = 50.0; // rad a unit of shape
+    const GAIN: f64 = 1e3;
+    let cos = |angle: &Jet| (angle.clone() + std::f64::consts::FRAC_PI_2).sin();
+    let program = Program {
+        n_variables: 3,
+        residuals: Box::new(|x| vec![x[0].clone() - 3.0, x[1].clone(), x[2].clone()]),
+        constraints: Box::new(move |x| {
+            let (phase, faster) = (x[0].clone() * TURNS, x[0].clone() * (2.0 * TURNS));
+            let (a, b) = (x[1].clone() * GAIN, x[2].clone() * GAIN);
+            vec![
+                cos(&phase) + a.clone() * cos(&faster) - b.clone() * faster.sin(),
+                phase.sin() + a * faster.sin() + b * cos(&faster),
+            ]
+        }),
+        ..Program::default()
+    };
+    for choice in [HessianChoice::GaussNewton, HessianChoice::Auto] {
+        let outcome = go(&program, &[0.0; 3], &settings(choice));
+        assert_eq!(outcome.status, SqpStatus::Converged, "{choice:?}");
+        // The cancelling kick is as strong for every shape.
+        let [s, a, b] = [0, 1, 2].map(|i| outcome.point.v[i]);
+        assert!((s - 3.0).abs() < 1e-6, "{choice:?}: shape {s}");
+        assert!((a.hypot(b) - 1.0 / GAIN).abs() < 1e-9, "{choice:?}");
+        let iterations = outcome.history.len() - 1;
+        assert!(iterations <= 30, "{choice:?}: {iterations} iterations");
+    }
+}

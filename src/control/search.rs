@@ -204,14 +204,13 @@ fn first_points<'a>(
     if start > 0 {
         return vec![First::Detour(start)];
     }
-    if let Some(previous) = &search.previous {
-        return vec![First::Previous(previous)];
-    }
+    let mut firsts: Vec<First> = search.previous.iter().map(|p| First::Previous(p)).collect();
     if let Some(guess) = search.guess {
-        return vec![First::Guess(guess)];
+        firsts.push(First::Guess(guess));
+        return firsts;
     }
     // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.
-    let mut firsts = vec![First::Guess(Guess::Rest)];
+    firsts.push(First::Guess(Guess::Rest));
     let is_obstacle = |limit: &PathLimit| matches!(limit, PathLimit::Clearance { .. });
     let around = problem.path.iter().any(|path| is_obstacle(&path.limit));
     if around && search.starts <= 1 {

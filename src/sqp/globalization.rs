@@ -1,11 +1,12 @@
-//! Which steps are taken: a filter on (infeasibility, objective), lifted and restored trial points, and a second-order
-//! correction. Who refuses a step shrinks the trust region.
+//! Which steps are taken: a filter on (infeasibility, objective), lifted and restored trial points, second-order corrections, and
+//! [refits](super::refit). Who refuses a step shrinks the trust region.
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
 
 use super::balls::change_into_balls;
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
+use super::refit::Promise;
 use super::residual::{Multipliers, norm};
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
@@ -32,6 +33,12 @@ const CORRECTIONS: usize = 8;
 const INSIDE: f64 = 0.9;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
+/// Newton steps of a refit, at most, and what one must leave of what the promise is missed by, at most.
+const REFITS: usize = 6;
+const REFIT_PROGRESS: f64 = 0.7;
+/// A careful step misses its promise by no more than this, or by this part of the infeasibility that it leaves.
+pub(super) const CAREFUL_MISS: f64 = 1e-5;
+const CAREFUL_MISS_PART: f64 = 0.1;
 
 /// What the filter compares.
 #[derive(Clone, Copy, Debug)]
@@ -88,6 +95,8 @@ pub struct Filter {
     small: f64,
     /// Length of the step whose lifted point was refused last; infinite after one was not.
     refused_lift: f64,
+    /// Whether steps must keep what they promise, which lifted points cannot show.
+    is_careful: bool,
 }
 
 /// How a trial point passed.
@@ -131,6 +140,7 @@ impl Filter {
             largest: LARGEST_INFEASIBILITY * unit,
             small: SMALL_INFEASIBILITY * unit,
             refused_lift: f64::INFINITY,
+            is_careful: false,
         }
     }
 
@@ -141,6 +151,22 @@ impl Filter {
             largest,
             ..Self::new(0.0)
         }
+    }
+
+    /// That, for careful steps: the states of every point obey their equations, and a step keeps what it promises, by as many
+    /// [refits](super::refit) as that takes.
+    #[must_use]
+    pub fn careful(largest: f64) -> Self {
+        Self {
+            is_careful: true,
+            ..Self::within(largest)
+        }
+    }
+
+    /// Whether steps must keep what they promise.
+    #[must_use]
+    pub fn is_careful(&self) -> bool {
+        self.is_careful
     }
 
     /// Whether it remembers any point.
@@ -216,6 +242,9 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
+        if self.is_careful {
+            return self.careful_step(program, from, subproblem, change);
+        }
         let slope = from.first_order(program, change);
         let is_short = from.is_second_order
             && norm(change) <= SHORT * norm(program.variables(from.point)).max(1.0);
@@ -231,7 +260,70 @@ impl Filter {
         }
         let refused = refused.ok_or(None)?;
         self.correct(program, from, subproblem, change, &refused, slope)
+            .or_else(|| {
+                let trial = Self::restored(program, from.point, change, 0)?;
+                self.refit(program, from, subproblem, change, trial, f64::INFINITY)
+            })
             .ok_or(Some(refused))
+    }
+
+    fn careful_step<P: LiftedProgram>(
+        &mut self,
+        program: &P,
+        from: &Departure<P>,
+        subproblem: &QuadraticProgram,
+        change: &[f64],
+    ) -> Result<Accepted<P>, Option<Refused>> {
+        let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
+        let refused = Refused {
+            constraints: trial.evaluation.constraints.clone(),
+            inequalities: trial.evaluation.inequalities.clone(),
+            measure: from.measure(program, &trial.evaluation),
+        };
+        let here = program.infeasibility(from.evaluation);
+        let miss = CAREFUL_MISS.max(CAREFUL_MISS_PART * here);
+        self.refit(program, from, subproblem, change, trial, miss)
+            .ok_or(Some(refused))
+    }
+
+    /// Refits of a trial point until one that misses its promise by no more than `miss` passes.
+    fn refit<P: LiftedProgram>(
+        &mut self,
+        program: &P,
+        from: &Departure<P>,
+        subproblem: &QuadraticProgram,
+        change: &[f64],
+        mut trial: Accepted<P>,
+        miss: f64,
+    ) -> Option<Accepted<P>> {
+        let promise = Promise::of(from.linearization, from.softness, change);
+        let here = from.measure(program, from.evaluation);
+        let mut change = change.to_vec();
+        let mut missed = promise.missed_by(&trial.evaluation);
+        for count in 1.. {
+            let there = from.measure(program, &trial.evaluation);
+            let slope = from.first_order(program, &change);
+            if missed <= miss && self.lets_pass(here, there, slope) {
+                return Some(trial);
+            }
+            if count > REFITS {
+                break;
+            }
+            let correction = promise.correction(program, &trial.point, &trial.evaluation)?;
+            if !(norm(&correction) <= subproblem.trust_radius) {
+                break;
+            }
+            let next = Self::restored(program, &trial.point, &correction, count)?;
+            let left = promise.missed_by(&next.evaluation);
+            if !(left < REFIT_PROGRESS * missed) {
+                break;
+            }
+            for (all, own) in change.iter_mut().zip(&correction) {
+                *all += own;
+            }
+            (trial, missed) = (next, left);
+        }
+        None
     }
 
     fn try_restored<P: LiftedProgram>(

@@ -8,6 +8,7 @@ mod polish;
 pub mod program;
 pub mod quadratic_program;
 pub mod quasi_newton;
+mod refit;
 pub mod residual;
 pub mod route;
 mod run;

@@ -1,5 +1,6 @@
 //! A solve in progress: what one iteration of the loop does, and what it remembers.
 
+mod rescue;
 mod restoration;
 mod subproblem;
 
@@ -9,10 +10,10 @@ use std::time::Instant;
 
 use faer::Mat;
 
+use self::rescue::{Care, Recovery};
 use self::restoration::Restoration;
 use self::subproblem::NO_SLACK;
-use super::balls::change_into_balls;
-use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Measure, Refused};
+use super::globalization::{Accepted, CAREFUL_MISS, Departure, FEASIBLE, Filter, Measure, Refused};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::StateLinearization;
 use super::program::{
@@ -65,8 +66,6 @@ const LEAST_TRUST_RADIUS: f64 = 1e-9;
 /// Steps that shrink by less than this no longer converge by themselves.
 const SLOW_CONTRACTION: f64 = 0.95;
 const SHRINKAGES: usize = 12;
-/// Subproblems without a solution, in all, after which a solve gives up.
-const RESCUES: usize = 8;
 const REFUSALS_IN_A_ROW: usize = 4;
 const FILTER_RESETS: usize = 5;
 /// Refused trials of an iteration whose violated rows join the subproblem at the same trust radius.
@@ -76,30 +75,10 @@ const MERIT_RATIO: f64 = 0.2;
 const MERIT_STEPS: usize = 40;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
-/// A solve that ends further from feasibility than it has been, by this factor, turns back, at most so many times, and stays within this
-/// infeasibility from then on.
-const ASTRAY: f64 = 1e2;
-const RETURNS: usize = 2;
-const RETURN_INFEASIBILITY: f64 = 0.1;
-
 /// Models of an iteration that are made anew because a step leaves what they hold.
 const RELEASES: usize = 3;
 /// Steps shorter than this, relative to the variables (at least to one), go nowhere.
 const NO_STEP: f64 = 1e-9;
-/// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
-const ESCAPE_GAIN: f64 = 0.1;
-const ESCAPE_INFEASIBILITY: f64 = 0.3;
-/// Part of the objective that a step past a saddle promises on the way, and how far it may go of the trust radius or of the variables (at
-/// least one).
-const PASSING_GAIN: f64 = 3e-3;
-const PASSING_REACH: f64 = 0.3;
-
-/// What was done about a subproblem without a solution.
-enum Recovery {
-    Smaller,
-    Restored,
-}
-
 /// What an iteration did.
 pub(super) enum Step {
     Taken,
@@ -126,6 +105,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     evaluation: Evaluation<P::Defects>,
     multipliers: Multipliers,
     filter: Filter,
+    care: Care,
     elastic_weight: Option<f64>,
     trust_radius: f64,
     /// Distance of the variables from the sets; positive at most at the start.
@@ -223,6 +203,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             settings,
             started,
             filter: Filter::new(program.infeasibility(&evaluation)),
+            care: Care::NotYet,
             best: Best {
                 point: Rc::clone(&point),
                 multipliers: multipliers.clone(),
@@ -396,95 +377,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
+    /// KKT residual of the best point.
+    pub(super) fn best_residual(&self) -> KktResidual {
+        self.best.residual
+    }
+
     /// KKT residual of the point before.
     pub(super) fn last_residual(&self) -> Option<KktResidual> {
         self.history.last().map(|row| row.residual)
-    }
-
-    /// Computes the states from the variables, once; whether it did.
-    pub(super) fn settle(&mut self) -> bool {
-        if self.is_settled {
-            return false;
-        }
-        self.is_settled = true;
-        let stay = vec![0.0; self.variables().len()];
-        Filter::restored(self.program, &self.point, &stay, 0)
-            .map(|settled| self.arrive(settled))
-            .is_some()
-    }
-
-    /// Leaves a saddle, along its most negative curvature, to where that promises a part of the objective; whether it did. The other
-    /// way is as good: by symmetry, as a rule.
-    pub(super) fn escape(&mut self) -> bool {
-        if self.escapes >= self.settings.saddle_escapes {
-            return false;
-        }
-        let Some(NegativeCurvature { direction, value }) = self.descent.take() else {
-            return false;
-        };
-        self.escapes += 1;
-        let mut length = (2.0 * ESCAPE_GAIN * self.evaluation.objective.abs() / -value).sqrt();
-        length = length.min(first_trust_radius(self.variables()));
-        // A limit without a multiplier stands in one of the two ways.
-        for attempt in 0..2 * SHRINKAGES {
-            let signed = if attempt % 2 == 0 { length } else { -length };
-            let change: Vec<f64> = direction.iter().map(|d| signed * d).collect();
-            let is_inside = |point: &P::Point| {
-                let variables = self.program.variables(point);
-                let mut sets = self.program.sets().iter();
-                sets.all(|set| set.violation(variables) <= ESCAPE_INFEASIBILITY)
-            };
-            if let Some(trial) = Filter::restored(self.program, &self.point, &change, 0)
-                && self.program.infeasibility(&trial.evaluation) <= ESCAPE_INFEASIBILITY
-                && is_inside(&trial.point)
-            {
-                self.arrive(trial);
-                let fresh = Best {
-                    residual: UNKNOWN_RESIDUAL,
-                    infeasibility: f64::INFINITY,
-                    ..self.best.clone()
-                };
-                self.saddle = Some(std::mem::replace(&mut self.best, fresh));
-                self.forget();
-                self.trust_radius = length;
-                return true;
-            }
-            if attempt % 2 == 1 {
-                length *= SHRINK;
-            }
-        }
-        false
-    }
-
-    /// Goes back to the best point where that was far nearer to feasibility, to go on from it more carefully; whether it did. What could not be
-    /// met here could be met there.
-    pub(super) fn turn_back(&mut self) -> bool {
-        let is_astray = self.infeasibility()
-            > self
-                .settings
-                .tolerance
-                .max(ASTRAY * self.best.infeasibility);
-        if !is_astray || self.returns >= RETURNS {
-            return false;
-        }
-        let Ok(evaluation) = self.program.evaluate(&self.best.point) else {
-            return false;
-        };
-        self.returns += 1;
-        self.point = Rc::clone(&self.best.point);
-        self.evaluation = evaluation;
-        self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
-        self.multipliers = self.best.multipliers.clone();
-        self.quasi_newton = None;
-        self.trust_radius = self.best.trust_radius;
-        self.filter = Filter::within(RETURN_INFEASIBILITY.max(ASTRAY * self.best.infeasibility));
-        self.elastic_weight = None;
-        self.restoration = None;
-        self.restored_at = self.history.len();
-        self.stuck = 0;
-        self.curvature = None;
-        self.departed = None;
-        true
     }
 
     /// Defects that rounding leaves; 0 as long as no states have been computed.
@@ -510,6 +410,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let clock = Instant::now();
         self.rows_let_go.clear();
         self.sets_let_go.clear();
+        self.take_care();
         let mut model = self.model_hessian(&linearization);
         match model.kind {
             HessianKind::Exact => self.descent = None,
@@ -573,8 +474,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return self.restore(linearization);
         }
         // Not even a short step: forget the past once more, before giving up.
-        if self.filter_resets < FILTER_RESETS && self.filter.has_entries() {
+        let was_careful = self.care == Care::Taken;
+        if self.filter_resets < FILTER_RESETS && (self.filter.has_entries() || was_careful) {
             self.filter_resets += 1;
+            if was_careful {
+                self.care = Care::GivenUp;
+            }
             self.forget();
             return Ok(Step::Restored);
         }
@@ -594,46 +499,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return Ok(linearization);
         }
         self.linearize_with(true)
-    }
-
-    /// The step, longer along the most negative curvature where it hardly goes that way. Near a saddle its part along it only
-    /// doubles from one iteration to the next, and where the problem is symmetric it begins with rounding.
-    fn past_saddle(&self, model: &ModelHessian, mut solution: QpSolution) -> QpSolution {
-        let Some(NegativeCurvature { direction, value }) = &model.descent else {
-            return solution;
-        };
-        if self.settings.saddle_escapes == 0 {
-            return solution;
-        }
-        let promising = (2.0 * PASSING_GAIN * self.evaluation.objective.abs() / -value).sqrt();
-        let reach = self.trust_radius.min(norm(self.variables()).max(1.0));
-        let length = promising.min(PASSING_REACH * reach);
-        let has: f64 = (direction.iter().zip(&solution.change))
-            .map(|(d, c)| d * c)
-            .sum();
-        if has.abs() >= length {
-            return solution;
-        }
-        let missing = length.copysign(has) - has;
-        let change: Vec<f64> = (solution.change.iter().zip(direction))
-            .map(|(c, d)| c + missing * d)
-            .collect();
-        let sets = self.program.sets();
-        let change = change_into_balls(self.variables(), &change, sets.iter());
-        let there: Vec<f64> = (self.variables().iter().zip(&change))
-            .map(|(v, c)| v + c)
-            .collect();
-        if is_within(sets, &there) {
-            solution.change = change;
-        }
-        solution
-    }
-
-    /// Begins anew from here, with an empty filter and the first trust region.
-    fn forget(&mut self) {
-        self.filter = Filter::new(self.infeasibility());
-        self.trust_radius = first_trust_radius(self.variables());
-        self.quasi_newton = None;
     }
 
     /// Hessian of this iteration's subproblems.
@@ -737,7 +602,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if refusals >= EXACT_REFUSALS && last.is_some_and(HessianKind::is_second_order) {
             self.exact_pause = EXACT_PAUSE;
         }
-        self.refused_in_a_row = if refusals > 0 {
+        // Careful steps are as long as they can be.
+        self.refused_in_a_row = if refusals > 0 && self.care != Care::Taken {
             self.refused_in_a_row + 1
         } else {
             0
@@ -747,29 +613,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.refused_in_a_row = 0;
             self.filter = Filter::new(self.infeasibility());
         }
-    }
-
-    /// After a subproblem that Clarabel could not solve: put the states back onto their equations (large defects make
-    /// badly scaled subproblems), or else shrink the trust region.
-    fn recover(&mut self, error: QpError) -> Result<Recovery, QpError> {
-        if let QpError::Status { problem, .. } = &error {
-            self.failed_subproblem.clone_from(problem);
-        }
-        self.rescues += 1;
-        if self.rescues > RESCUES {
-            return Err(error);
-        }
-        let still = vec![0.0; self.variables().len()];
-        if self.evaluation.defect > self.settings.tolerance
-            && let Some(there) = Filter::restored(self.program, &self.point, &still, 0)
-        {
-            self.filter = Filter::new(self.program.infeasibility(&there.evaluation));
-            self.elastic_weight = None;
-            self.arrive(there);
-            return Ok(Recovery::Restored);
-        }
-        self.trust_radius *= SHRINK;
-        Ok(Recovery::Smaller)
     }
 
     fn note_subproblem(
@@ -802,16 +645,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.note_step(&accepted, length);
         let is_optimal = (self.history.last())
             .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
-        if model.holds && !is_optimal && length <= NO_STEP * norm(self.variables()).max(1.0) {
+        if model.holds && !is_optimal && length <= self.negligible() {
             // What is left of the gradient is what the model holds without it being held.
             self.exact_pause = EXACT_PAUSE;
         }
         let weight = self.merit_weight(solution);
         let promise = self.promise(&linearization, model, solution, weight);
-        let delivered = merit(self.program, &self.evaluation, weight)
-            - merit(self.program, &accepted.evaluation, weight);
-        let noise = MERIT_ROUNDING * merit(self.program, &self.evaluation, weight).abs()
-            + solution.multipliers.row_noise();
+        let before = self.merit(&self.evaluation, weight);
+        let delivered = before - self.merit(&accepted.evaluation, weight);
+        let noise = MERIT_ROUNDING * before.abs() + solution.multipliers.row_noise();
         // Lifted states are off by their own second order, which near feasibility is all there is to see. Steps of the
         // exact Hessian contract until rounding, or lead away from a saddle.
         let is_blind = promise.abs() <= noise
@@ -835,7 +677,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         if is_good && length > 0.5 * self.trust_radius {
             self.trust_radius *= GROW;
-        } else if is_poor {
+        } else if is_poor && length > self.negligible() {
             let least = LEAST_TRUST_RADIUS * norm(self.variables()).max(1.0);
             self.trust_radius = self.trust_radius.min((length * POOR_SHRINK).max(least));
         }
@@ -846,6 +688,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         self.multipliers = solution.multipliers.clone();
         self.arrive(accepted);
+    }
+
+    /// Length of a step that goes nowhere.
+    fn negligible(&self) -> f64 {
+        NO_STEP * norm(self.variables()).max(1.0)
     }
 
     fn note_step(&mut self, accepted: &Accepted<P>, length: f64) {
@@ -891,7 +738,23 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             bending += change[i] * (held + 0.5 * bent);
         }
         let slope = self.departure(linearization, model, solution).slope(change);
-        weight * (self.infeasibility() - solution.slack) - bending - slope
+        let [now, then] = [self.infeasibility(), solution.slack].map(|at| self.counted(at));
+        weight * (now - then) - bending - slope
+    }
+
+    /// What of an infeasibility counts in the merit: what careful steps may miss is no loss.
+    fn counted(&self, infeasibility: f64) -> f64 {
+        if self.care == Care::Taken {
+            infeasibility.max(CAREFUL_MISS)
+        } else {
+            infeasibility
+        }
+    }
+
+    /// `J + weight · infeasibility`
+    fn merit(&self, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
+        let infeasibility = self.counted(self.program.infeasibility(values));
+        self.program.total_objective(values) + weight * infeasibility
     }
 
     fn departure<'b>(
@@ -1006,11 +869,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let Some(weight) = self.elastic_weight else {
             return false;
         };
-        if self.merit_steps >= MERIT_STEPS || self.evaluation.defect > self.settings.tolerance {
+        let is_barred = self.merit_steps >= MERIT_STEPS || self.filter.is_careful();
+        if is_barred || self.evaluation.defect > self.settings.tolerance {
             return false;
         }
         let promise = self.promise(linearization, model, solution, weight);
-        let delivered = merit(self.program, &self.evaluation, weight) - refused.merit(weight);
+        let delivered = self.merit(&self.evaluation, weight) - refused.merit(weight);
         promise > 0.0 && delivered >= MERIT_RATIO * promise
     }
 
@@ -1062,11 +926,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             failed_subproblem,
         }
     }
-}
-
-/// `J + weight · infeasibility`
-fn merit<P: LiftedProgram>(program: &P, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
-    program.total_objective(values) + weight * program.infeasibility(values)
 }
 
 fn first_trust_radius(variables: &[f64]) -> f64 {

@@ -265,7 +265,7 @@ pub fn solve<P: LiftedProgram>(
             }
         }
         if iteration == settings.max_iterations {
-            let status = if residual.max() <= settings.tolerance {
+            let status = if run.best_residual().max() <= settings.tolerance {
                 SqpStatus::Converged
             } else {
                 SqpStatus::IterationLimit
@@ -285,7 +285,7 @@ pub fn solve<P: LiftedProgram>(
             Step::Refused => {
                 let status = match run.out_of_time() {
                     // At rounding no step can be an improvement any more.
-                    _ if residual.max() <= settings.tolerance => SqpStatus::Converged,
+                    _ if run.best_residual().max() <= settings.tolerance => SqpStatus::Converged,
                     Some(stop) => SqpStatus::Stopped(stop),
                     None => SqpStatus::StepTooSmall,
                 };

@@ -10,9 +10,10 @@ use super::super::hessian::{HessianKind, ModelHessian};
 use super::super::program::{ConvexSet, LiftedProgram, Linearization, Softness};
 use super::super::quadratic_program::QpSolution;
 use super::super::residual::{Multipliers, norm};
+use super::rescue::Recovery;
 use super::{
-    Best, Breakdown, GOOD_RATIO, GROW, INFEASIBLE_PROGRESS, Recovery, Run, SHRINK, SHRINKAGES,
-    Step, first_trust_radius,
+    Best, Breakdown, GOOD_RATIO, GROW, INFEASIBLE_PROGRESS, Run, SHRINK, SHRINKAGES, Step,
+    first_trust_radius,
 };
 
 /// A step of the restoration must deliver this part of what it promised.
@@ -134,7 +135,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                     return Ok(Step::Taken);
                 }
                 // Feasible: nothing that the filter remembers is worth more.
-                self.filter = Filter::new(after);
+                self.filter = self.fresh_filter(after);
             }
             return Ok(Step::Taken);
         }
