@@ -22,6 +22,9 @@ const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
 const LIFTED_INFEASIBILITY: f64 = 1.0;
 /// Part of the variables (at least of one) up to which a step is short.
 const SHORT: f64 = 0.1;
+/// Part of the variables up to which steps need no care: what simulated states are off by then is their rounding, which lifted ones are free
+/// of.
+const TINY: f64 = 1e-6;
 /// After a lifted step was refused, one of this part of its length is tried next: longer ones would be computed to be refused as well.
 const SHORTER: f64 = 0.5;
 /// Infeasibility at which only optimality is left to be gained.
@@ -242,12 +245,12 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
-        if self.is_careful {
+        let length = norm(change) / norm(program.variables(from.point)).max(1.0);
+        if self.is_careful && length > TINY {
             return self.careful_step(program, from, subproblem, change);
         }
         let slope = from.first_order(program, change);
-        let is_short = from.is_second_order
-            && norm(change) <= SHORT * norm(program.variables(from.point)).max(1.0);
+        let is_short = from.is_second_order && length <= SHORT;
         if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
         }

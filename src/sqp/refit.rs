@@ -16,6 +16,7 @@ use super::balls::change_into_balls;
 use super::program::{
     ConvexSet, Evaluation, LiftedProgram, Linearization, LinearizationRequest, Softness, along,
 };
+use super::quadratic_program::peaks;
 use super::residual::norm;
 
 /// A row, or a set, that is nearer to its limit than this is held.
@@ -65,6 +66,20 @@ impl<'a> Promise<'a> {
         evaluation.inequalities[self.linearization.rows[at]] - self.inequalities[at].max(0.0)
     }
 
+    /// Places, ascending, of the hard inequalities that the step holds, and, among neighbors, of the worst of those that miss their promise.
+    fn held<R>(&self, evaluation: &Evaluation<R>) -> Vec<usize> {
+        let hard = (0..self.inequalities.len()).filter(|&at| self.softness[at] == Softness::Hard);
+        let (mut held, others): (Vec<usize>, Vec<usize>) =
+            hard.partition(|&at| self.inequalities[at].abs() <= HELD);
+        let missed: Vec<(usize, f64)> = (others.into_iter())
+            .map(|at| (at, self.inequality_off(evaluation, at)))
+            .filter(|(_, off)| *off > 0.0)
+            .collect();
+        held.extend(peaks(&missed).into_iter().map(|(at, _)| at));
+        held.sort_unstable();
+        held
+    }
+
     /// The shortest change of the variables of `point` that keeps the promise to first order and leaves no convex set; `None` where there is
     /// none, or the model fails.
     pub(super) fn correction<P: LiftedProgram>(
@@ -73,9 +88,10 @@ impl<'a> Promise<'a> {
         point: &P::Point,
         evaluation: &Evaluation<P::Defects>,
     ) -> Option<Vec<f64>> {
+        let held = self.held(evaluation);
         let request = LinearizationRequest {
             multipliers: None,
-            rows: &self.linearization.rows,
+            rows: &(held.iter().map(|&at| self.linearization.rows[at])).collect::<Vec<usize>>(),
         };
         let here = program.linearize(point, evaluation, &request).ok()?;
         let variables = program.variables(point);
@@ -83,14 +99,10 @@ impl<'a> Promise<'a> {
         let mut rows: Vec<(Vec<f64>, f64)> = (self.constraints_off(evaluation).enumerate())
             .map(|(i, off)| ((0..n).map(|j| here.jacobian[(i, j)]).collect(), -off))
             .collect();
-        for at in 0..self.inequalities.len() {
-            let off = self.inequality_off(evaluation, at);
-            let is_held = self.inequalities[at] > -HELD || off > 0.0;
-            if self.softness[at] == Softness::Hard && is_held {
-                let row = (0..n).map(|j| here.inequality_jacobian[(at, j)]);
-                rows.push((row.collect(), -off));
-            }
-        }
+        rows.extend(held.iter().enumerate().map(|(i, &at)| {
+            let row = (0..n).map(|j| here.inequality_jacobian[(i, j)]);
+            (row.collect(), -self.inequality_off(evaluation, at))
+        }));
         let size = norm(variables).max(1.0);
         let touched = (program.sets().iter())
             .filter(|set| set.violation(variables) > -HELD * set.steepness() * size);
