@@ -8,7 +8,7 @@ use common::{Dice, Method, RULES, bases, busy_arm, exact_methods, methods, shaki
 use nalgebra::Vector3;
 use softarm::control::{
     Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
-    OptimalControlProblem, Transcription, first_point,
+    OptimalControlProblem, Search, Transcription, first_point, search,
 };
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
@@ -487,6 +487,36 @@ fn both_guesses_are_certified() {
         );
         assert!(check.is_certified(), "{guess:?} {:?}", failed(&check));
     }
+}
+
+/// A solution leads to itself; earlier controls that lead nowhere, here within an iteration, give way to the usual first points.
+#[test]
+fn earlier_controls_come_first() {
+    let case = Case::reach();
+    let tried = |previous: Option<Vec<Wrench>>, max_iterations: usize| {
+        let how = Search {
+            previous,
+            ..Search::default()
+        };
+        let settings = SqpSettings {
+            max_iterations,
+            ..SqpSettings::default()
+        };
+        let on = |_, _: &IterationRecord| ControlFlow::Continue(());
+        let mut attempts = search(&case.problem, &settings, &how, &on).unwrap();
+        let best = attempts.swap_remove(0);
+        let mut from: Vec<_> = best.abandoned.iter().map(|tried| tried.from).collect();
+        from.push(best.from);
+        from.sort_unstable();
+        from
+    };
+    let solution = case.problem.wrenches(&case.solved().point.variables);
+    assert_eq!(tried(Some(solution), 600), ["previous"]);
+    let none = vec![Wrench::default(); case.problem.control.n_coefficients()];
+    let mut usual = tried(None, 1);
+    assert_eq!(usual, ["rest", "static"]);
+    usual.insert(0, "previous");
+    assert_eq!(tried(Some(none), 1), usual);
 }
 
 /// The check is not to be fooled: a control off by 1 %, a node moved by 1e-6 m, multipliers off by 1 %, each is refused

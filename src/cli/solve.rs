@@ -49,7 +49,8 @@ pub(super) struct SolveArguments {
     /// Solve from this many starts, detours chosen by --seed after the first, and keep the best that is certified
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1000))]
     starts: u16,
-    /// Start from the controls in the result directory of an earlier solve, of this scene or one like it
+    /// Start from the controls in the result directory of an earlier solve, of this scene or one like it; where that leads nowhere, as
+    /// without
     #[arg(long, value_name = "DIR")]
     from: Option<PathBuf>,
     /// Check as `verify` does: the second-order condition and the growth of disturbances too, which take longer than most solves

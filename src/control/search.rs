@@ -36,7 +36,7 @@ pub enum Continuation {
 pub struct Search {
     /// How the first point is made; `None` tries one after the other until a solve converges.
     pub guess: Option<Guess>,
-    /// Coefficients to start from instead, those of all actuators together: a solution found before.
+    /// Coefficients to start from before that, those of all actuators together: a solution found before.
     pub previous: Option<Vec<Wrench>>,
     /// Easier problems first.
     pub continuation: Option<Continuation>,

@@ -119,7 +119,7 @@ pub struct Accepted<P: LiftedProgram> {
     pub evaluation: Evaluation<P::Defects>,
     /// Whether the states were computed from the variables rather than moved linearly.
     pub restored: bool,
-    /// Second-order corrections it took.
+    /// Second-order corrections it took, or refits.
     pub corrections: usize,
 }
 

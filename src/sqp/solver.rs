@@ -105,7 +105,7 @@ pub struct IterationRecord {
     pub contraction: Option<f64>,
     /// Hessian of the step.
     pub hessian: HessianKind,
-    /// Second-order corrections of the step.
+    /// Second-order corrections of the step, or refits of it.
     pub corrections: usize,
     /// Whether the step's states were computed from its variables rather than moved linearly.
     pub restored: bool,
