@@ -1,5 +1,5 @@
 //! Which steps are taken: a filter on (infeasibility, objective), lifted and restored trial points, second-order corrections, and
-//! [refits](super::refit). Who refuses a step shrinks the trust region.
+//! refits (Newton's method back to what a step promised, with derivatives of its own end). Who refuses a step shrinks the trust region.
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
 
@@ -157,7 +157,7 @@ impl Filter {
     }
 
     /// That, for careful steps: the states of every point obey their equations, and a step keeps what it promises, by as many
-    /// [refits](super::refit) as that takes.
+    /// refits as that takes.
     #[must_use]
     pub fn careful(largest: f64) -> Self {
         Self {
