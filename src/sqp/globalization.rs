@@ -133,6 +133,16 @@ pub struct Refused {
     pub measure: Measure,
 }
 
+impl Refused {
+    fn of<R>(evaluation: &Evaluation<R>, measure: Measure) -> Self {
+        Self {
+            constraints: evaluation.constraints.clone(),
+            inequalities: evaluation.inequalities.clone(),
+            measure,
+        }
+    }
+}
+
 impl Filter {
     /// An empty filter for a start of infeasibility `initial`.
     #[must_use]
@@ -164,12 +174,6 @@ impl Filter {
             is_careful: true,
             ..Self::within(largest)
         }
-    }
-
-    /// Whether steps must keep what they promise.
-    #[must_use]
-    pub fn is_careful(&self) -> bool {
-        self.is_careful
     }
 
     /// Whether it remembers any point.
@@ -278,11 +282,7 @@ impl Filter {
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
         let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
-        let refused = Refused {
-            constraints: trial.evaluation.constraints.clone(),
-            inequalities: trial.evaluation.inequalities.clone(),
-            measure: from.measure(program, &trial.evaluation),
-        };
+        let refused = Refused::of(&trial.evaluation, from.measure(program, &trial.evaluation));
         let here = program.infeasibility(from.evaluation);
         let miss = CAREFUL_MISS.max(CAREFUL_MISS_PART * here);
         self.refit(program, from, subproblem, change, trial, miss)
@@ -342,16 +342,7 @@ impl Filter {
         if self.lets_pass(here, there, slope) {
             return Ok(trial);
         }
-        let Evaluation {
-            constraints,
-            inequalities,
-            ..
-        } = trial.evaluation;
-        Err(Some(Refused {
-            constraints,
-            inequalities,
-            measure: there,
-        }))
+        Err(Some(Refused::of(&trial.evaluation, there)))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.

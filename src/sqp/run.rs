@@ -869,7 +869,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let Some(weight) = self.elastic_weight else {
             return false;
         };
-        let is_barred = self.merit_steps >= MERIT_STEPS || self.filter.is_careful();
+        let is_barred = self.merit_steps >= MERIT_STEPS || self.care == Care::Taken;
         if is_barred || self.evaluation.defect > self.settings.tolerance {
             return false;
         }
