@@ -4,14 +4,17 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use pulp::Arch;
 
 use crate::mechanics::strain::{Element, ElementPose};
 use crate::mechanics::{RodModel, StrainRule};
 
-/// Directions: `δdx`, `η_a`, `η_b`.
-const DIRECTIONS: usize = 9;
+/// Directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. An element knows no more of its pose.
+const DIRECTIONS: usize = 6;
+/// Of the pose: `δdx`, `η_a`, `η_b`.
+const POSE_DIRECTIONS: usize = 9;
 
-/// A value with its derivatives along the nine directions of an element.
+/// A value with its derivatives along the directions of an element.
 #[derive(Clone, Copy, Debug)]
 struct Dual {
     value: f64,
@@ -19,6 +22,7 @@ struct Dual {
 }
 
 impl Dual {
+    #[inline(always)]
     fn constant(value: f64) -> Self {
         Self {
             value,
@@ -27,6 +31,7 @@ impl Dual {
     }
 
     /// Chain rule: `f(self)` from the value and derivative of `f`.
+    #[inline(always)]
     fn chain(self, value: f64, derivative: f64) -> Self {
         let mut slope = self.slope;
         for s in &mut slope {
@@ -35,15 +40,18 @@ impl Dual {
         Self { value, slope }
     }
 
+    #[inline(always)]
     fn ln(self) -> Self {
         self.chain(self.value.ln(), 1.0 / self.value)
     }
 
+    #[inline(always)]
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
         self.chain(root, 0.5 / root)
     }
 
+    #[inline(always)]
     fn scale(self, factor: f64) -> Self {
         self.chain(self.value * factor, factor)
     }
@@ -51,6 +59,7 @@ impl Dual {
 
 impl Add for Dual {
     type Output = Self;
+    #[inline(always)]
     fn add(self, other: Self) -> Self {
         let mut slope = self.slope;
         for (s, o) in slope.iter_mut().zip(other.slope) {
@@ -65,6 +74,7 @@ impl Add for Dual {
 
 impl Neg for Dual {
     type Output = Self;
+    #[inline(always)]
     fn neg(self) -> Self {
         self.scale(-1.0)
     }
@@ -72,6 +82,7 @@ impl Neg for Dual {
 
 impl Sub for Dual {
     type Output = Self;
+    #[inline(always)]
     fn sub(self, other: Self) -> Self {
         self + (-other)
     }
@@ -79,6 +90,7 @@ impl Sub for Dual {
 
 impl Mul for Dual {
     type Output = Self;
+    #[inline(always)]
     fn mul(self, other: Self) -> Self {
         let mut slope = self.slope;
         for (s, o) in slope.iter_mut().zip(other.slope) {
@@ -93,6 +105,7 @@ impl Mul for Dual {
 
 impl Div for Dual {
     type Output = Self;
+    #[inline(always)]
     fn div(self, other: Self) -> Self {
         let inverse = 1.0 / other.value;
         self * other.chain(inverse, -inverse * inverse)
@@ -101,6 +114,7 @@ impl Div for Dual {
 
 type Vector = [Dual; 3];
 
+#[inline(always)]
 fn cross(a: &Vector, b: &Vector) -> Vector {
     [
         a[1] * b[2] - a[2] * b[1],
@@ -109,15 +123,18 @@ fn cross(a: &Vector, b: &Vector) -> Vector {
     ]
 }
 
+#[inline(always)]
 fn dot(a: &Vector, b: &Vector) -> Dual {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+#[inline(always)]
 fn times(a: &Vector, factor: Dual) -> Vector {
     a.map(|x| x * factor)
 }
 
 /// `½ Σ stiffness_i (strain_i - rest_i)²`
+#[inline(always)]
 fn quadratic(strain: &Vector, rest: &Vector3<f64>, stiffness: &Vector3<f64>) -> Dual {
     let mut sum = Dual::constant(0.0);
     for i in 0..3 {
@@ -128,6 +145,7 @@ fn quadratic(strain: &Vector, rest: &Vector3<f64>, stiffness: &Vector3<f64>) -> 
 }
 
 /// Unit quaternion of a rotation by less than half a turn: `w = ½ sqrt(1 + tr A)`, `v = skew(A) / (4 w)`.
+#[inline(always)]
 fn quaternion(a: &[[Dual; 3]; 3]) -> (Dual, Vector) {
     let trace = a[0][0] + a[1][1] + a[2][2];
     let w = (Dual::constant(1.0) + trace).sqrt().scale(0.5);
@@ -137,6 +155,7 @@ fn quaternion(a: &[[Dual; 3]; 3]) -> (Dual, Vector) {
 }
 
 /// `2 asin(√s)/√s`, the factor from a quaternion's vector part to the rotation vector, with its derivative.
+#[inline(always)]
 fn rotation_factor(s: f64) -> (f64, f64) {
     if s < 1e-4 {
         // asin series in s: 1 + s/6 + 3s²/40 + 15s³/336
@@ -151,6 +170,7 @@ fn rotation_factor(s: f64) -> (f64, f64) {
 }
 
 /// `(1 - (θ/2) cot(θ/2))/θ²` over `t = θ²`, with its derivative.
+#[inline(always)]
 fn bending_factor(t: f64) -> (f64, f64) {
     if t < 1e-2 {
         return (
@@ -168,17 +188,22 @@ fn bending_factor(t: f64) -> (f64, f64) {
 
 /// Elastic energy, J.
 pub(super) fn energy_value(element: &Element, rule: StrainRule, pose: &ElementPose) -> f64 {
-    energy(element, rule, pose).value
+    energy(element, rule, &Relative::of(pose)).value
 }
 
-/// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's model.
+/// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's model. It does
+/// not depend on the instruction set.
 pub(super) fn gradient(
     element: &Element,
     rule: StrainRule,
     pose: &ElementPose,
 ) -> [Vector3<f64>; 3] {
-    let energy = energy(element, rule, pose).slope;
-    [0, 3, 6].map(|at| Vector3::new(energy[at], energy[at + 1], energy[at + 2]))
+    let relative = Relative::of(pose);
+    let energy = Arch::new().dispatch(
+        #[inline(always)]
+        || energy(element, rule, &relative),
+    );
+    relative.along_pose(&energy.slope, pose)
 }
 
 /// Strain `(v_a, v_b, κ)` of an element and its derivative along `(δx_b - δx_a, η_a, η_b)`.
@@ -187,16 +212,53 @@ pub(super) fn strain(
     rule: StrainRule,
     pose: &ElementPose,
 ) -> (
-    SVector<f64, DIRECTIONS>,
-    SMatrix<f64, DIRECTIONS, DIRECTIONS>,
+    SVector<f64, POSE_DIRECTIONS>,
+    SMatrix<f64, POSE_DIRECTIONS, POSE_DIRECTIONS>,
 ) {
-    let Strain { linear, curvature } = Strain::of(length, rule, pose);
+    let relative = Relative::of(pose);
+    let Strain { linear, curvature } = Strain::of(length, rule, &relative);
     let all = [linear[0], linear[1], curvature];
     let entry = |i: usize| all[i / 3][i % 3];
-    (
-        SVector::from_fn(|i, _| entry(i).value),
-        SMatrix::from_fn(|i, j| entry(i).slope[j]),
-    )
+    let mut derivative = SMatrix::<f64, POSE_DIRECTIONS, POSE_DIRECTIONS>::zeros();
+    for i in 0..POSE_DIRECTIONS {
+        let parts = relative.along_pose(&entry(i).slope, pose);
+        for (at, part) in parts.iter().enumerate() {
+            derivative
+                .fixed_view_mut::<1, 3>(i, 3 * at)
+                .copy_from(&part.transpose());
+        }
+    }
+    (SVector::from_fn(|i, _| entry(i).value), derivative)
+}
+
+/// What an element knows of its pose.
+struct Relative {
+    /// `R_aᵀ dx`
+    difference: Vector3<f64>,
+    /// `R_aᵀ R_b`
+    turn: Matrix3<f64>,
+}
+
+impl Relative {
+    #[inline(always)]
+    fn of(pose: &ElementPose) -> Self {
+        Self {
+            difference: pose.rotation_a.tr_mul(&pose.dx),
+            turn: pose.rotation_a.tr_mul(pose.rotation_b),
+        }
+    }
+
+    /// Derivatives along `δdx`, `η_a` and `η_b`, of which the element's own directions are `δy = R_aᵀ δdx + y × η_a` and
+    /// `η = η_b - Aᵀ η_a`.
+    #[inline(always)]
+    fn along_pose(&self, slope: &[f64; DIRECTIONS], pose: &ElementPose) -> [Vector3<f64>; 3] {
+        let [shift, turn] = [0, 3].map(|at| Vector3::new(slope[at], slope[at + 1], slope[at + 2]));
+        [
+            pose.rotation_a * shift,
+            shift.cross(&self.difference) - self.turn * turn,
+            turn,
+        ]
+    }
 }
 
 /// The measures of an [`ElementStrain`](crate::mechanics::strain::ElementStrain).
@@ -206,22 +268,20 @@ struct Strain {
 }
 
 impl Strain {
-    fn of(length: f64, rule: StrainRule, pose: &ElementPose) -> Self {
-        let relative = pose.rotation_a.transpose() * pose.rotation_b;
-        // A(η) = (I - η̂_a) A (I + η̂_b) to first order.
+    #[inline(always)]
+    fn of(length: f64, rule: StrainRule, relative: &Relative) -> Self {
+        let turn = &relative.turn;
         let mut a = [[Dual::constant(0.0); 3]; 3];
         for (i, row) in a.iter_mut().enumerate() {
             for (j, entry) in row.iter_mut().enumerate() {
-                entry.value = relative[(i, j)];
-                // Rows of ê_a A: -A_{a+2} in row a + 1, A_{a+1} in row a + 2, none in row a; likewise the columns of A ê_a.
-                entry.slope[3 + (i + 1) % 3] = -relative[((i + 2) % 3, j)];
-                entry.slope[3 + (i + 2) % 3] = relative[((i + 1) % 3, j)];
-                entry.slope[6 + (j + 1) % 3] = -relative[(i, (j + 2) % 3)];
-                entry.slope[6 + (j + 2) % 3] = relative[(i, (j + 1) % 3)];
+                entry.value = turn[(i, j)];
+                // Columns of A ê_c: A_{c+2} in column c + 1, -A_{c+1} in column c + 2, none in column c.
+                entry.slope[3 + (j + 1) % 3] = -turn[(i, (j + 2) % 3)];
+                entry.slope[3 + (j + 2) % 3] = turn[(i, (j + 1) % 3)];
             }
         }
         let (w, v) = quaternion(&a);
-        let near = body_difference(pose, pose.rotation_a, 3);
+        let near = start_difference(&relative.difference);
         let inverse_length = 1.0 / length;
         match rule {
             StrainRule::Helical => {
@@ -241,7 +301,7 @@ impl Strain {
                 }
             }
             StrainRule::Trapezoidal => {
-                let far = body_difference(pose, pose.rotation_b, 6);
+                let far = end_difference(relative);
                 Self {
                     linear: [near, far].map(|d| d.map(|x| x.scale(inverse_length))),
                     curvature: v.map(|x| (x / w).scale(2.0 * inverse_length)),
@@ -251,8 +311,9 @@ impl Strain {
     }
 }
 
-fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
-    let Strain { linear, curvature } = Strain::of(element.length, rule, pose);
+#[inline(always)]
+fn energy(element: &Element, rule: StrainRule, relative: &Relative) -> Dual {
+    let Strain { linear, curvature } = Strain::of(element.length, rule, relative);
     let [near, far] = [0, 1].map(|end| {
         let rest = &element.rest.linear[end];
         quadratic(&linear[end], rest, &element.linear_stiffness)
@@ -266,6 +327,7 @@ fn energy(element: &Element, rule: StrainRule, pose: &ElementPose) -> Dual {
 }
 
 /// Energy per rest length with the dilatation `|v|/|v_rest|` of the model; under the paper's, it is a constant.
+#[inline(always)]
 fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> Dual {
     let rest = element.rest.linear[0].norm();
     let e = dot(strain, strain).sqrt().scale(1.0 / rest);
@@ -283,16 +345,28 @@ fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> D
     thinned + completion.scale(element.linear_stiffness.z * rest * rest)
 }
 
-/// `Rᵀ dx` with its derivatives along `δdx` and the rotation whose directions start at `at`.
-fn body_difference(pose: &ElementPose, rotation: &Matrix3<f64>, at: usize) -> Vector {
-    let y = rotation.transpose() * pose.dx;
-    // δ(Rᵀ dx) = Rᵀ δdx + y × η
+/// `y = R_aᵀ dx` with its derivatives.
+#[inline(always)]
+fn start_difference(y: &Vector3<f64>) -> Vector {
+    [0, 1, 2].map(|i| {
+        let mut out = Dual::constant(y[i]);
+        out.slope[i] = 1.0;
+        out
+    })
+}
+
+/// `R_bᵀ dx = Aᵀ y` with its derivatives.
+#[inline(always)]
+fn end_difference(relative: &Relative) -> Vector {
+    let Relative { difference, turn } = relative;
+    let y = turn.tr_mul(difference);
+    // δ(Aᵀ y) = Aᵀ δy + (Aᵀ y) × η
     let turning = y.cross_matrix();
     [0, 1, 2].map(|i| {
         let mut out = Dual::constant(y[i]);
         for j in 0..3 {
-            out.slope[j] = rotation[(j, i)];
-            out.slope[at + j] = turning[(i, j)];
+            out.slope[j] = turn[(j, i)];
+            out.slope[3 + j] = turning[(i, j)];
         }
         out
     })
@@ -355,7 +429,7 @@ mod tests {
                 );
                 let plain = element.energy(rule, &pose);
                 assert!(
-                    (energy(&element, rule, &pose).value - plain).abs() < 1e-13 * (1.0 + plain)
+                    (energy_value(&element, rule, &pose) - plain).abs() < 1e-13 * (1.0 + plain)
                 );
                 let (analytic, derivative) = rule.strain_derivative(element.length, &pose);
                 let (found, slope) = strain(element.length, rule, &pose);
