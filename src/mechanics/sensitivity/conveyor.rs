@@ -1,5 +1,6 @@
 //! Linearized steps, on their way through a sweep: made a group ahead of where they are used, and never all there at once.
 
+use std::cell::RefCell;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard};
@@ -24,6 +25,14 @@ const GROUP: usize = 2;
 pub(super) enum Sense {
     Forward,
     Backward,
+}
+
+/// The steps of a group in pieces, for the two groups that take turns.
+type Pieces = Vec<RwLock<Vec<PackedStep>>>;
+
+thread_local! {
+    /// Those of the last sweep on this thread: the next one finds their memory in place, and writes all of it anew.
+    static SPARE: RefCell<Pieces> = const { RefCell::new(Vec::new()) };
 }
 
 /// What is linearized, and in which order.
@@ -83,9 +92,8 @@ impl Conveyor<'_> {
     ) -> Result<(), StepError> {
         let n_groups = self.range.len().div_ceil(GROUP * PIECE);
         let arch = Arch::new();
-        // Two groups take turns.
-        let pieces: Vec<RwLock<Vec<PackedStep>>> =
-            (0..2 * GROUP).map(|_| RwLock::default()).collect();
+        let mut pieces = SPARE.take();
+        pieces.resize_with(2 * GROUP, RwLock::default);
         let place = |group: usize, piece: usize| &pieces[(group % 2) * GROUP + piece];
         let failure: Mutex<Option<(usize, StepError)>> = Mutex::new(None);
         // What has begun beside a failure ends as if there were none, so that the same one is always found.
@@ -152,6 +160,7 @@ impl Conveyor<'_> {
                 }
             },
         );
+        SPARE.set(pieces);
         let failure = failure.into_inner();
         match failure.unwrap_or_else(PoisonError::into_inner) {
             None => Ok(()),
