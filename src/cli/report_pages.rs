@@ -335,7 +335,7 @@ fn iteration(row: &IterationRecord) -> ReportIteration {
     }
 }
 
-/// Letters of the iteration table: g Gauss-Newton, x exact, c convexified, b BFGS, s SR1, p restoration; then l lifted or r restored, and a `+` for
+/// Letters of the iteration table: g Gauss-Newton, x exact, e exact of the point before, c convexified, b BFGS, s SR1, p restoration; then l lifted or r restored, and a `+` for
 /// every second-order correction.
 pub(super) fn step_kind(row: &IterationRecord) -> String {
     if row.step_norm == 0.0 {
@@ -344,6 +344,7 @@ pub(super) fn step_kind(row: &IterationRecord) -> String {
     let hessian = match row.hessian {
         HessianKind::GaussNewton => 'g',
         HessianKind::Exact => 'x',
+        HessianKind::Earlier => 'e',
         HessianKind::Convexified => 'c',
         HessianKind::Bfgs => 'b',
         HessianKind::Sr1 => 's',

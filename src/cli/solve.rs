@@ -32,9 +32,7 @@ use crate::output::{
     write_controls, write_feedback,
 };
 use crate::scene::{OptimalControl, Scene};
-use crate::sqp::{
-    Evaluation, HessianKind, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop,
-};
+use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
 use crate::verify::growth::Growth;
 use crate::verify::{CheckError, ForwardCheck, Solution};
 
@@ -376,7 +374,7 @@ fn certify(
     let outcome = &solved.attempt.outcome;
     let mut check = setup.certify(&solved.solution())?;
     let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
-    let doubtful = last.is_some_and(|row| row.hessian != HessianKind::Exact);
+    let doubtful = last.is_some_and(|row| !row.hessian.is_positive());
     if deep || (outcome.status == SqpStatus::Converged && check.is_certified() && doubtful) {
         check.deepen(&setup.problem, &solved.solution())?;
     }

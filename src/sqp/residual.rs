@@ -120,6 +120,16 @@ impl Sum {
 }
 
 impl KktResidual {
+    /// Larger of stationarity and complementarity; NaN if either is.
+    #[must_use]
+    pub fn optimality(&self) -> f64 {
+        Self {
+            feasibility: 0.0,
+            ..*self
+        }
+        .max()
+    }
+
     /// Largest of the three.
     #[must_use]
     pub fn max(&self) -> f64 {

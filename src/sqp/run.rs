@@ -27,7 +27,7 @@ use super::quasi_newton::{Formula, QuasiNewton};
 use super::residual::{KktResidual, Multipliers, norm};
 use super::route::QpRoute;
 use super::solver::{
-    Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
+    Convergence, IterationRecord, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus, Stop,
 };
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -37,6 +37,8 @@ const EXACT_BELOW: f64 = 0.3;
 const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
 const NEARLY_DONE: f64 = 1e-4;
+/// Part of what quadratic convergence leaves that is betted on: a lost bet costs a tenth of the iteration that a won one saves.
+const LIKELY: f64 = 0.3;
 /// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
 const EXACT_REFUSALS: usize = 3;
 const EXACT_PAUSE: usize = 3;
@@ -134,6 +136,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     sets_let_go: Vec<usize>,
     /// Whether the present point's curvature was left out because it was expected to be the last.
     bets_on_end: bool,
+    /// Whether the curvature of this iteration's model is that of the point before.
+    has_earlier_curvature: bool,
     restoration: Option<Restoration>,
     restorations: usize,
     returns: usize,
@@ -234,6 +238,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             rows_let_go: Vec::new(),
             sets_let_go: Vec::new(),
             bets_on_end: false,
+            has_earlier_curvature: false,
             restoration: None,
             restorations: 0,
             returns: 0,
@@ -280,20 +285,36 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Whether the present point is expected to be the last; its curvature would be computed for nothing.
+    /// Whether the present point is expected to be the last, or the last but one whichever curvature its step has; its own would be computed
+    /// for nothing.
     fn expects_to_converge(&self) -> bool {
-        self.settings.hessian == HessianChoice::Auto
-            && self.history.last().is_some_and(|last| {
-                last.residual.stationarity <= self.settings.tolerance
-                    || (last.hessian == HessianKind::Exact
-                        && last.residual.stationarity < NEARLY_DONE)
-            })
+        let mut before = self.history.iter().rev();
+        let (Some(last), HessianChoice::Auto) = (before.next(), self.settings.hessian) else {
+            return false;
+        };
+        if last.residual.stationarity <= self.settings.tolerance {
+            return true;
+        }
+        let ends_soon = before.next().is_some_and(|before| {
+            // As quadratic convergence has it.
+            let last = last.residual.optimality();
+            let ratio = last / before.residual.optimality();
+            ratio < 1.0 && self.earlier_curvature_will_do(LIKELY * last * ratio * ratio, last)
+        });
+        last.hessian.is_positive() && (last.residual.stationarity < NEARLY_DONE || ends_soon)
+    }
+
+    /// Whether one step with the curvature of the point before ends the solve at a point of the residual `here`. With its own curvature a
+    /// step contracts by half of what that of the point before, `there`, is off by.
+    fn earlier_curvature_will_do(&self, here: f64, there: f64) -> bool {
+        2.0 * here * here <= STOP_PART * self.settings.tolerance * there
     }
 
     pub(super) fn linearize(&mut self) -> Result<Linearization, Failure> {
         let wanted = self.wants_curvature();
         let saved = wanted && self.expects_to_converge();
         self.bets_on_end = saved;
+        self.has_earlier_curvature = false;
         self.linearize_with(wanted && !saved)
     }
 
@@ -413,7 +434,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.take_care();
         let mut model = self.model_hessian(&linearization);
         match model.kind {
-            HessianKind::Exact => self.descent = None,
+            HessianKind::Exact | HessianKind::Earlier => self.descent = None,
             HessianKind::Convexified => self.descent = model.descent.clone(),
             _ => {}
         }
@@ -486,16 +507,26 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(Step::Refused)
     }
 
-    /// After a lost bet, where a Gauss-Newton step would lose more than a linearization. A point that is optimal already is only to be made
-    /// feasible: a step so short that the curvature of the point before does, once.
+    /// After a lost bet, where a Gauss-Newton step would lose more than a linearization. The curvature of the point before does for the last
+    /// steps, which are short. A point that is optimal already is only to be made feasible: that it does once.
     fn with_curvature(
         &mut self,
         mut linearization: Linearization,
     ) -> Result<Linearization, Failure> {
-        let is_optimal = (self.history.last())
-            .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
-        if is_optimal && let Some(before) = self.curvature.take() {
-            linearization.curvature = Some(before);
+        let mut rows = self.history.iter().rev().map(|row| row.residual);
+        let (here, before) = (rows.next(), rows.next());
+        let is_optimal = here.is_some_and(|here| here.stationarity <= self.settings.tolerance);
+        let does = (here.zip(before)).is_some_and(|(here, before)| {
+            self.earlier_curvature_will_do(here.optimality(), before.optimality())
+        });
+        let earlier = match (is_optimal, does) {
+            (true, _) => self.curvature.take(),
+            (false, true) => self.curvature.clone(),
+            (false, false) => None,
+        };
+        if earlier.is_some() {
+            linearization.curvature = earlier;
+            self.has_earlier_curvature = true;
             return Ok(linearization);
         }
         self.linearize_with(true)
@@ -512,7 +543,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             }
             _ => {
                 let active = self.active_set(linearization);
-                return ModelHessian::exact(linearization, self.program.sets(), &active);
+                let mut model = ModelHessian::exact(linearization, self.program.sets(), &active);
+                if self.has_earlier_curvature && model.kind == HessianKind::Exact {
+                    model.kind = HessianKind::Earlier;
+                }
+                return model;
             }
         };
         self.learn(linearization, formula);

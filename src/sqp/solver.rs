@@ -195,10 +195,12 @@ pub struct Convergence {
 }
 
 impl Convergence {
-    /// Of the steps of a history.
+    /// Of the steps of a history; those after a step with an earlier Hessian say nothing about the solver's own.
     #[must_use]
     pub fn of(history: &[IterationRecord]) -> Self {
-        let mut ratios = history.iter().rev().filter_map(|row| row.contraction);
+        let own = |rows: &&[IterationRecord]| rows[0].hessian != HessianKind::Earlier;
+        let steps = history.windows(2).rev().filter(own);
+        let mut ratios = steps.filter_map(|rows| rows[1].contraction);
         let (last, before) = (ratios.next(), ratios.next());
         let order = (last.zip(before))
             .filter(|&(last, before)| 0.0 < last && last < 1.0 && before < 1.0)
@@ -211,7 +213,7 @@ impl Convergence {
 }
 
 /// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
-const STOP_PART: f64 = 0.5;
+pub(super) const STOP_PART: f64 = 0.5;
 /// Feasibility must be this much better than the tolerance: it costs one more iteration at most, and the replay of the
 /// controls shows every digit of it.
 const FEASIBILITY_PART: f64 = 1e-3;
@@ -243,7 +245,7 @@ pub fn solve<P: LiftedProgram>(
         let before = run.last_residual();
         run.record(iteration, residual);
         let stop = STOP_PART * settings.tolerance;
-        let is_optimal = |at: &KktResidual| at.stationarity.max(at.complementarity) <= stop;
+        let is_optimal = |at: &KktResidual| at.optimality() <= stop;
         // Two points in a row as good as this, the second no better: what is left is rounding, once states are computed anew.
         let stagnates = before.is_some_and(|before| {
             is_optimal(&before)
