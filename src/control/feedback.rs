@@ -153,7 +153,7 @@ impl Feedback {
                 input[(i, c)] * scales[c]
             });
             stages.push(Stage {
-                state: norms[j + 1].out_of(norms[j].columns_over(&state)),
+                state: norms[j + 1].out_of(norms[j].columns_over(state)),
                 input: norms[j + 1].out_of(input),
                 state_weight: weights.state * lasting / rod.scales.moment,
                 input_weight: weights.input * lasting,
@@ -161,7 +161,7 @@ impl Feedback {
         }
         let program = Transcription::new(problem, n_threads);
         let rows = terminal_rows(&program, trajectory, weights.tolerance);
-        let rows = norms[stages.len()].columns_over(&rows);
+        let rows = norms[stages.len()].columns_over(rows);
         let mut terminal = rows.transpose() * &rows;
         for i in 0..terminal.nrows() {
             terminal[(i, i)] += weights.state / rod.scales.moment;

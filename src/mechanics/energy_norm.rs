@@ -3,7 +3,7 @@
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::prelude::*;
-use faer::{Accum, Mat, MatRef, Par};
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockCholesky;
@@ -81,64 +81,97 @@ impl EnergyNorm {
 
     /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
     #[must_use]
-    pub fn columns_over(&self, map: &Mat<f64>) -> Mat<f64> {
-        let mut over = map.clone();
+    pub fn columns_over(&self, mut map: Mat<f64>) -> Mat<f64> {
         for node in 0..self.momenta.len() {
-            let (before, mut own) = over.as_mut().split_at_col_mut(node * NODE_COMPONENTS);
+            let (before, mut own) = map.as_mut().split_at_col_mut(node * NODE_COMPONENTS);
+            let mut poses = own.rb_mut().subcols_mut(0, POSE);
             if let Some(below) = node.checked_sub(1).map(|at| &self.poses.below()[at]) {
-                matmul(
-                    own.rb_mut().subcols_mut(0, POSE),
-                    Accum::Add,
-                    before.rb().subcols((node - 1) * NODE_COMPONENTS, POSE),
-                    block(below).transpose(),
-                    -1.0,
-                    Par::Seq,
-                );
+                let before = before.rb().subcols((node - 1) * NODE_COMPONENTS, POSE);
+                let below = block(below).transpose();
+                matmul(poses.rb_mut(), Accum::Add, before, below, -1.0, Par::Seq);
             }
             // X Lᵀ = M, by its transpose.
-            let poses = own.rb_mut().subcols_mut(0, POSE).transpose_mut();
-            solve_lower_triangular_in_place(block(&self.poses.diagonal()[node]), poses, Par::Seq);
+            let diagonal = block(&self.poses.diagonal()[node]);
+            solve_lower_triangular_in_place(diagonal, poses.transpose_mut(), Par::Seq);
             for (i, root) in self.momenta[node].iter().enumerate() {
-                own.rb_mut()
-                    .col_mut(POSE + i)
-                    .iter_mut()
-                    .for_each(|m| *m /= root);
+                let momenta = own.rb_mut().col_mut(POSE + i);
+                momenta.iter_mut().for_each(|m| *m /= root);
             }
         }
-        over
+        map
     }
 
     /// `M Lᵀ`: a map of `z`, as one of deviations.
     #[must_use]
     pub fn columns_of(&self, map: &Mat<f64>) -> Mat<f64> {
-        let rows = map.transpose().to_owned();
-        let rows = self.times(rows, |poses| self.poses.times_lower(poses));
-        rows.transpose().to_owned()
+        let mut transposed = map.transpose().to_owned();
+        let mut own = Mat::zeros(POSE, map.nrows());
+        // What a node takes from the one before must not be its own yet.
+        for node in (0..self.momenta.len()).rev() {
+            let (before, here) = (transposed.as_mut()).split_at_row_mut(node * NODE_COMPONENTS);
+            let mut here = here.subrows_mut(0, NODE_COMPONENTS);
+            let mut poses = here.rb_mut().subrows_mut(0, POSE);
+            own.copy_from(&poses);
+            let diagonal = block(&self.poses.diagonal()[node]);
+            matmul(
+                poses.rb_mut(),
+                Accum::Replace,
+                diagonal,
+                &own,
+                1.0,
+                Par::Seq,
+            );
+            if let Some(below) = node.checked_sub(1).map(|at| block(&self.poses.below()[at])) {
+                let before = before.rb().subrows((node - 1) * NODE_COMPONENTS, POSE);
+                matmul(poses, Accum::Add, below, before, 1.0, Par::Seq);
+            }
+            self.scale_momenta(node, here);
+        }
+        transposed.transpose().to_owned()
     }
 
     /// `Lᵀ M`: a map to deviations, as one to `z`.
     #[must_use]
-    pub fn out_of(&self, map: Mat<f64>) -> Mat<f64> {
-        self.times(map, |poses| self.poses.times_lower_transposed(poses))
-    }
-
-    /// `L`, or its transpose, on every column: as `on_poses` has it, and by the diagonal over the momenta.
-    fn times(&self, mut map: Mat<f64>, on_poses: impl Fn(&mut [Vector6<f64>])) -> Mat<f64> {
-        let mut poses = vec![Vector6::zeros(); self.momenta.len()];
-        for mut column in map.col_iter_mut() {
-            for (node, pose) in poses.iter_mut().enumerate() {
-                *pose = Vector6::from_fn(|i, _| column[node * NODE_COMPONENTS + i]);
+    pub fn out_of(&self, mut map: Mat<f64>) -> Mat<f64> {
+        let mut own = Mat::zeros(POSE, map.ncols());
+        for node in 0..self.momenta.len() {
+            let (here, after) = (map.as_mut()).split_at_row_mut((node + 1) * NODE_COMPONENTS);
+            let mut here = here.subrows_mut(node * NODE_COMPONENTS, NODE_COMPONENTS);
+            let mut poses = here.rb_mut().subrows_mut(0, POSE);
+            own.copy_from(&poses);
+            let diagonal = block(&self.poses.diagonal()[node]).transpose();
+            matmul(
+                poses.rb_mut(),
+                Accum::Replace,
+                diagonal,
+                &own,
+                1.0,
+                Par::Seq,
+            );
+            if let Some(below) = self.poses.below().get(node) {
+                let below = block(below).transpose();
+                matmul(
+                    poses,
+                    Accum::Add,
+                    below,
+                    after.rb().subrows(0, POSE),
+                    1.0,
+                    Par::Seq,
+                );
             }
-            on_poses(&mut poses);
-            for (node, (pose, roots)) in poses.iter().zip(&self.momenta).enumerate() {
-                for i in 0..POSE {
-                    let row = node * NODE_COMPONENTS + i;
-                    column[row] = pose[i];
-                    column[row + POSE] *= roots[i];
-                }
-            }
+            self.scale_momenta(node, here);
         }
         map
+    }
+
+    /// Multiplies a node's rows of momenta by the diagonal.
+    fn scale_momenta(&self, node: usize, rows: MatMut<f64>) {
+        let momenta = rows.subrows_mut(POSE, POSE);
+        for column in momenta.col_iter_mut() {
+            for (value, root) in column.iter_mut().zip(&self.momenta[node]) {
+                *value *= root;
+            }
+        }
     }
 }
 
@@ -196,7 +229,7 @@ mod tests {
         let mut random = fastrand::Rng::with_seed(4);
         let map = Mat::from_fn(7, n, |_, _| 2.0 * random.f64() - 1.0);
         let change = Mat::from_fn(n, 1, |_, _| 2.0 * random.f64() - 1.0);
-        let over = norm.columns_over(&map);
+        let over = norm.columns_over(map.clone());
         let close = |a: &Mat<f64>, b: &Mat<f64>| (a - b).norm_l2() < 1e-12 * b.norm_l2();
         assert!(close(&norm.columns_of(&over), &map));
         assert!(close(

@@ -534,10 +534,12 @@ impl Task<'_> {
     }
 }
 
-/// Floating-point operations of one time node on the columns of a tile: 9×9 per element (multiply and add) with its scatter, four
-/// 3×3 products and the translation per node; three times the former and three 6×6 products per node where a step is solved for.
+/// Floating-point operations of one time node on the columns of a tile that reach so many nodes: 9×9 per element (multiply and add) with its
+/// scatter, four 3×3 products and the translation per node; three times the former and three 6×6 products per node where a step is
+/// solved for.
 fn step_flops(step: &PackedStep, n_nodes: usize) -> u64 {
-    let mut flops = step.elements.len() * (162 + 15) + n_nodes * (72 + 12);
+    let n_elements = step.elements.len().min(n_nodes);
+    let mut flops = n_elements * (162 + 15) + n_nodes * (72 + 12);
     if let Some(stress) = &step.stress_drift {
         flops += stress.start.len() * 3 * (162 + 15) + n_nodes * 3 * 72;
     }

@@ -1,5 +1,7 @@
 //! Columns of the linearized motion, a tile at a time, forward.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -13,6 +15,8 @@ use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
 pub(super) struct Tile<'a> {
     first_column: usize,
     data: Buffer,
+    /// Nodes whose rows need not be zero: what acts on a node reaches one more on either side with every step.
+    reach: Range<usize>,
     /// Increments of `ζ` and arriving `π` of every node, where elements couple the drifts of their ends.
     increments: Buffer,
     /// Values of the forms, column fastest.
@@ -26,6 +30,7 @@ impl<'a> Tile<'a> {
         Self {
             first_column,
             data: Buffer::zeros(task.node_size()),
+            reach: 0..0,
             increments: Buffer::zeros(task.increment_size()),
             values: vec![0.0; task.forms.len() * TILE],
             record,
@@ -72,6 +77,7 @@ impl<'a> Tile<'a> {
     /// Lets one column begin as a unit of component `row`.
     pub fn set_unit(&mut self, row: usize, column: usize) {
         self.data[row * TILE + column] = 1.0;
+        self.reach = joined(&self.reach, row / NODE_COMPONENTS);
     }
 
     /// Sum of the first two columns.
@@ -88,15 +94,21 @@ impl<'a> Tile<'a> {
         if !last {
             self.read_forms(k, task);
         }
+        let n_nodes = task.motion.rod.n_nodes();
         arch.dispatch(Kick {
             step,
             data: &mut self.data,
+            reach: self.reach.clone(),
         });
+        if !self.reach.is_empty() {
+            self.reach = self.reach.start.saturating_sub(1)..n_nodes.min(self.reach.end + 1);
+        }
         self.add_sources(step, k, task);
         if last {
             self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
             self.read_forms(k, task);
         } else if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+            self.reach = 0..n_nodes;
             arch.dispatch(CoupledDrift {
                 step,
                 data: &mut self.data,
@@ -106,9 +118,10 @@ impl<'a> Tile<'a> {
             arch.dispatch(Drift {
                 step,
                 data: &mut self.data,
+                reach: self.reach.clone(),
             });
         }
-        self.flops += step_flops(step, task.motion.rod.n_nodes());
+        self.flops += step_flops(step, self.reach.len());
     }
 
     /// Changes of the momenta after the kick: right-hand sides, and the control.
@@ -117,6 +130,10 @@ impl<'a> Tile<'a> {
         let (first, n_sources) = (self.first_column, task.sources.len());
         let data = &mut self.data;
         let own = task.sources.iter().skip(first).take(TILE);
+        let reach = &mut self.reach;
+        if own.len() > 0 {
+            *reach = 0..n_nodes;
+        }
         for (column, sources) in own.enumerate() {
             let (linear, angular) = sources.at(k, n_nodes);
             for node in step.first_free_node..n_nodes {
@@ -131,6 +148,7 @@ impl<'a> Tile<'a> {
             .visit(k, &mut |column, node, component, weight| {
                 let column = column + n_sources;
                 if (first..first + TILE).contains(&column) {
+                    *reach = joined(reach, node);
                     data[(node * NODE_COMPONENTS + 6 + component) * TILE + column - first] +=
                         step.weight * weight;
                 }
@@ -150,10 +168,20 @@ impl<'a> Tile<'a> {
     }
 }
 
+/// The smallest range that has both.
+fn joined(range: &Range<usize>, node: usize) -> Range<usize> {
+    if range.is_empty() {
+        node..node + 1
+    } else {
+        range.start.min(node)..range.end.max(node + 1)
+    }
+}
+
 /// `p ← decay p + weight δf` for all columns of a tile.
 struct Kick<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    reach: Range<usize>,
 }
 
 impl WithSimd for Kick<'_> {
@@ -163,16 +191,18 @@ impl WithSimd for Kick<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
-        let n_nodes = data.len() / (NODE_COMPONENTS * width);
         let decay = simd.splat_f64s(self.step.decay);
-        for node in 0..n_nodes {
+        for node in self.reach.clone() {
             let momenta = &mut data
                 [(node * NODE_COMPONENTS + 6) * width..(node + 1) * NODE_COMPONENTS * width];
             for value in momenta {
                 *value = simd.mul_f64s(*value, decay);
             }
         }
-        for (q, stiffness) in self.step.elements.iter().enumerate() {
+        // Those with an end within reach.
+        let first = self.reach.start.saturating_sub(1);
+        let elements = self.step.elements.iter().enumerate();
+        for (q, stiffness) in elements.take(self.reach.end).skip(first) {
             let both = &mut data[q * NODE_COMPONENTS * width..(q + 2) * NODE_COMPONENTS * width];
             let (a, b) = both.split_at_mut(NODE_COMPONENTS * width);
             // Two vectors at a time share each coefficient's broadcast.
@@ -253,6 +283,7 @@ fn kick_element<S: Simd, const V: usize>(
 struct Drift<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    reach: Range<usize>,
 }
 
 impl WithSimd for Drift<'_> {
@@ -271,7 +302,8 @@ impl WithSimd for Drift<'_> {
             .drifts
             .iter()
             .enumerate()
-            .skip(self.step.first_free_node)
+            .take(self.reach.end)
+            .skip(self.reach.start.max(self.step.first_free_node))
         {
             let rows =
                 &mut data[node * NODE_COMPONENTS * width..(node + 1) * NODE_COMPONENTS * width];
