@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
 use super::rotation::{InverseTangentCoefficients, exp, exp_tangent, log, log_tangent};
-use super::strain::{ElementPose, StrainRule};
+use super::strain::tangent_derivative;
 
 /// Poses that are worth a thread of their own: some hundred microseconds.
 const LEAST_SHARE: usize = 2048;
@@ -108,23 +108,88 @@ impl Trajectory {
         moved
     }
 
-    /// The element behind row `a`.
+    /// The element behind row `a`: `δψ = Sᵀ ζ_b - S ζ_a` and `δw = S (R_aᵀ δdx + y × ζ_a) + ∂(S y)/∂ψ δψ` with `y = R_aᵀ dx`.
     fn moved_element(&self, a: usize, direction: &TrajectoryTangent, step_length: f64) -> Helix {
         let (x, r) = (&self.positions, &self.rotations);
-        let pose = ElementPose {
-            dx: x[a + 1] - x[a],
-            rotation_a: &r[a],
-            rotation_b: &r[a + 1],
-        };
-        // Per unit of length, which is one: the helix itself.
-        let (strain, derivative) = StrainRule::Helical.strain_derivative(1.0, &pose);
         let (dx, zeta) = (&direction.positions, &direction.rotations);
-        let change = derivative.fixed_columns::<3>(0) * (dx[a + 1] - dx[a])
-            + derivative.fixed_columns::<3>(3) * zeta[a]
-            + derivative.fixed_columns::<3>(6) * zeta[a + 1];
+        let turn = log(&r[a].tr_mul(&r[a + 1]));
+        let coefficients = InverseTangentCoefficients::at(turn.norm_squared());
+        let s = log_tangent(&turn, &coefficients);
+        let y = r[a].tr_mul(&(x[a + 1] - x[a]));
+        let turning = s.tr_mul(&zeta[a + 1]) - s * zeta[a];
+        let shift = r[a].tr_mul(&(dx[a + 1] - dx[a])) + y.cross(&zeta[a]);
+        let stretching = s * shift + tangent_derivative(&turn, &y, &coefficients, -1.0) * turning;
         Helix {
-            translation: strain.linear[0] + change.fixed_rows::<3>(0) * step_length,
-            turn: strain.curvature + change.fixed_rows::<3>(6) * step_length,
+            translation: s * y + stretching * step_length,
+            turn: turn + turning * step_length,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A motion of five nodes, bent by up to 2 rad an element and stretched, and a direction of it.
+    fn motion() -> (Trajectory, TrajectoryTangent) {
+        let mut random = fastrand::Rng::with_seed(11);
+        let mut vector = |size: f64| Vector3::from_fn(|_, _| size * (2.0 * random.f64() - 1.0));
+        let (n_nodes, n_times) = (5, 3);
+        let mut trajectory = Trajectory::with_capacity(n_nodes, n_times);
+        let mut direction = TrajectoryTangent {
+            positions: Vec::new(),
+            rotations: Vec::new(),
+        };
+        for _ in 0..n_times {
+            let mut shape = Configuration {
+                positions: vec![vector(1.0)],
+                rotations: vec![exp(&vector(1.0))],
+            };
+            for q in 1..n_nodes {
+                let turn = shape.rotations[q - 1];
+                let ahead = turn * Vector3::new(0.0, 0.0, 0.2) + vector(0.05);
+                shape.positions.push(shape.positions[q - 1] + ahead);
+                shape.rotations.push(turn * exp(&vector(1.1)));
+            }
+            trajectory.push(&shape);
+            for _ in 0..n_nodes {
+                direction.positions.push(vector(0.3));
+                direction.rotations.push(vector(0.5));
+            }
+        }
+        (trajectory, direction)
+    }
+
+    /// `w` and `ψ` of all elements.
+    fn strains(trajectory: &Trajectory) -> Vec<Vector3<f64>> {
+        (0..trajectory.n_times())
+            .flat_map(|k| {
+                let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+                (0..x.len() - 1).flat_map(move |q| {
+                    let helix = Helix::through(&x[q], &r[q], &x[q + 1], &r[q + 1]);
+                    [helix.translation, helix.turn]
+                })
+            })
+            .collect()
+    }
+
+    /// Strains move along straight lines, on any number of threads; their slope is that of the configurations moved on their own.
+    #[test]
+    fn strains_move_linearly() {
+        let (trajectory, direction) = motion();
+        let start = strains(&trajectory);
+        let near = strains(&trajectory.retract_strains(&direction, 0.1, 1));
+        let far = strains(&trajectory.retract_strains(&direction, 0.2, 2));
+        const STEP: f64 = 1e-5;
+        let [plus, minus] = [STEP, -STEP].map(|s| strains(&trajectory.retract(&direction, s)));
+        for i in 0..start.len() {
+            let slope = (near[i] - start[i]) / 0.1;
+            assert!((far[i] - start[i] - slope * 0.2).norm() < 1e-13, "{i}");
+            let difference = (plus[i] - minus[i]) / (2.0 * STEP);
+            assert!(
+                (slope - difference).norm() < 1e-9,
+                "{i}: {slope} {difference}"
+            );
         }
     }
 }
