@@ -408,6 +408,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.history.last().map(|row| row.residual)
     }
 
+    /// Defects of the states.
+    pub(super) fn defect(&self) -> f64 {
+        self.evaluation.defect
+    }
+
     /// Defects that rounding leaves; 0 as long as no states have been computed.
     pub(super) fn rounding(&self) -> f64 {
         self.rounding

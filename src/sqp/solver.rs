@@ -53,9 +53,10 @@ impl SqpSettings {
         }
     }
 
-    /// Feasibility that a converged point must have, where states that were computed leave defects of the size `rounding`.
-    fn feasibility_tolerance(&self, rounding: f64) -> f64 {
-        (FEASIBILITY_PART * self.tolerance)
+    /// What is left of states' defects and of violations, as parts of the tolerance, for which a point counts as feasible; where states that
+    /// were computed leave defects of the size `rounding`.
+    fn feasibility_tolerance(&self, part: f64, rounding: f64) -> f64 {
+        (part * self.tolerance)
             .max(FEASIBILITY_FLOOR)
             .min(STOP_PART * self.tolerance)
             .max(ROUNDING_MARGIN * rounding)
@@ -214,9 +215,11 @@ impl Convergence {
 
 /// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
 pub(super) const STOP_PART: f64 = 0.5;
-/// Feasibility must be this much better than the tolerance: it costs one more iteration at most, and the replay of the
-/// controls shows every digit of it.
-const FEASIBILITY_PART: f64 = 1e-3;
+/// Defects of the states must be this much better than the tolerance: that costs one more iteration at most, and the replay of the
+/// controls shows every digit of them.
+const DEFECT_PART: f64 = 1e-3;
+/// And constraints and inequalities this much.
+const VIOLATION_PART: f64 = 1e-2;
 /// The sum of the defects of a long motion cannot be brought much below this: rounding.
 const FEASIBILITY_FLOOR: f64 = 5e-10;
 /// What falls no faster than this and is below the next may be rounding.
@@ -252,7 +255,9 @@ pub fn solve<P: LiftedProgram>(
                 && before.feasibility <= stop.max(FEASIBILITY_STALL)
                 && residual.feasibility > STALL * before.feasibility
         });
-        let is_exact = residual.feasibility <= settings.feasibility_tolerance(run.rounding());
+        let [defect, violation] = [DEFECT_PART, VIOLATION_PART]
+            .map(|part| settings.feasibility_tolerance(part, run.rounding()));
+        let is_exact = run.defect() <= defect && residual.feasibility <= violation;
         if is_optimal(&residual) && (is_exact || stagnates) {
             let goes_on = iteration < settings.max_iterations
                 && (run.escape() || (!is_exact && run.settle()));
