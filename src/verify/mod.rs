@@ -29,7 +29,7 @@ use crate::control::{
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
-    State, StepError, TimeGrid, Trajectory, Wrench,
+    State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
 };
 use crate::sqp::KktResidual;
 
@@ -317,7 +317,8 @@ pub fn replay(
     control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let accounts = account(rod, grid, initial, control, 1, &mut |state| {
+    let simulation = Simulation::Plain(Integrator::new(rod, grid.step, initial.clone()));
+    let accounts = account(rod, grid, simulation, control, 1, &mut |state| {
         trajectory.push(&state.configuration);
     })?;
     Ok(Replay {
@@ -326,42 +327,85 @@ pub fn replay(
     })
 }
 
+/// What a motion is replayed by.
+enum Simulation<'a> {
+    /// The integrator itself, which knows its forces.
+    Plain(Integrator<'a>),
+    /// The fast one.
+    Fast(Stepper<'a>),
+}
+
+impl<'a> Simulation<'a> {
+    /// For what only has to be as good as the plain integrator to rounding: that one where the work of what drives the base is counted.
+    fn fast(rod: &'a Rod, time_step: f64, initial: State) -> Self {
+        if rod.driven_base(0.0).is_some() {
+            Self::Plain(Integrator::new(rod, time_step, initial))
+        } else {
+            Self::Fast(Stepper::new(rod, time_step, initial))
+        }
+    }
+
+    fn state(&self) -> State {
+        match self {
+            Self::Plain(integrator) => integrator.state().clone(),
+            Self::Fast(stepper) => stepper.state(),
+        }
+    }
+
+    fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
+        match self {
+            Self::Plain(integrator) => integrator.advance(control),
+            Self::Fast(stepper) => stepper.advance(control),
+        }
+    }
+
+    /// What acts on node 0 apart from what drives it; nothing where nothing drives it.
+    fn base_wrench(&self) -> Wrench {
+        match self {
+            Self::Plain(integrator) => Wrench {
+                force: integrator.forces().forces[0],
+                moment: integrator.forces().moments[0],
+            },
+            Self::Fast(_) => Wrench::default(),
+        }
+    }
+}
+
 /// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty. The largest
 /// residual of the energy is that of every `stride`th time node.
 fn account(
     rod: &Rod,
     grid: TimeGrid,
-    initial: &State,
+    mut simulation: Simulation,
     control: &ControlSignal,
     stride: usize,
     observe: &mut dyn FnMut(&State),
 ) -> Result<Replay, StepError> {
-    let mut integrator = Integrator::new(rod, grid.step, initial.clone());
-    let mut internal = InternalAccount::new(rod, grid.step, integrator.state());
-    let start = Energy::of(rod, integrator.state());
+    let mut after = simulation.state();
+    let mut internal = InternalAccount::new(rod, grid.step, &after);
+    let start = Energy::of(rod, &after);
     let mut energies = vec![start];
-    observe(integrator.state());
+    observe(&after);
     // Below this no energy passes through worth the name: rounding of the stiffest element.
     let mut balance = EnergyBalance {
         throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
         ..EnergyBalance::default()
     };
     for k in 0..grid.n_steps {
-        let before = integrator.state().clone();
         let pair = [control.at(k), control.at(k + 1)];
-        let base_before = base_wrench(&integrator);
-        integrator.advance(pair)?;
-        let after = integrator.state();
-        balance.work += step_work(rod, grid, k, &before, after, &pair);
-        balance.dissipation += step_dissipation(rod, grid.step, &before, after);
-        let mut passive = [base_before, base_wrench(&integrator)];
+        let base_before = simulation.base_wrench();
+        simulation.advance(pair)?;
+        let before = std::mem::replace(&mut after, simulation.state());
+        balance.work += step_work(rod, grid, k, &before, &after, &pair);
+        balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
+        let mut passive = [base_before, simulation.base_wrench()];
         if let Some(internal) = &mut internal {
-            balance.dissipation += internal.advance(after, &mut passive);
+            balance.dissipation += internal.advance(&after, &mut passive);
         }
         if rod.driven_base(0.0).is_some() {
-            balance.work += drive_work(rod, &before, after, &passive);
+            balance.work += drive_work(rod, &before, &after, &passive);
         }
-        let energy = Energy::of(rod, after);
+        let energy = Energy::of(rod, &after);
         balance.change = energy.total() - start.total();
         balance.throughput = balance
             .throughput
@@ -374,12 +418,12 @@ fn account(
             balance.largest_residual = kkt::worse(balance.largest_residual, balance.residual());
         }
         energies.push(energy);
-        observe(after);
+        observe(&after);
     }
     Ok(Replay {
         trajectory: Trajectory::with_capacity(rod.n_nodes(), 0),
         energies,
-        end: integrator.state().clone(),
+        end: after,
         balance,
     })
 }
@@ -434,14 +478,6 @@ impl<'a> InternalAccount<'a> {
 
 /// Part of the rod's energy scale `EI/L` that counts as none.
 const NO_ENERGY: f64 = 1e-9;
-
-/// What acts on node 0 apart from what drives it.
-fn base_wrench(integrator: &Integrator) -> Wrench {
-    Wrench {
-        force: integrator.forces().forces[0],
-        moment: integrator.forces().moments[0],
-    }
-}
 
 /// Translation and rotation of a node over one step; the rotation vector has the same components in the frames of both
 /// of its ends.
@@ -577,10 +613,15 @@ pub fn forward_check(
             solution,
         );
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
+        let (rod, initial) = (&problem.rod, problem.initial.clone());
+        let simulation = match which {
+            ReplayKind::SameGrid => Simulation::Plain(Integrator::new(rod, grid.step, initial)),
+            _ => Simulation::fast(rod, grid.step, initial),
+        };
         account(
-            &problem.rod,
+            rod,
             grid,
-            &problem.initial,
+            simulation,
             &control,
             // Under the model `consistent` two steps belong together.
             2 * factor,

@@ -159,6 +159,9 @@ fn farthest(
     })
 }
 
+/// By how much steps are divided for the error in time.
+const IN_TIME: [usize; 3] = [1, 2, 4];
+
 /// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
 /// for all); nothing is stored but the latest states.
 ///
@@ -175,9 +178,6 @@ pub fn refine(
     let level =
         |rod, start, factor, which| Level::new(problem, solution, rod, start, factor, which);
     let start = || problem.initial.clone();
-    let mut in_time =
-        [1, 2, 4].map(|factor| level(coarse, start(), factor, ReplayKind::ShorterSteps));
-
     let node_steps = coarse.n_nodes() * problem.grid.n_steps;
     let twice =
         coarse.scheme == TimeScheme::Explicit || 16 * node_steps <= MOST_IMPLICIT_NODE_STEPS;
@@ -185,42 +185,40 @@ pub fn refine(
     let doubled = divided_rod(parameters, 2)?;
     let finest = divided_rod(parameters, finest_factor)?;
     let factor = stable_factor(step, &finest, finest_factor);
-    let mut in_space = vec![
-        level(coarse, start(), factor, ReplayKind::ShorterSteps),
-        level(
-            &doubled,
-            initial(&doubled),
-            factor,
-            ReplayKind::MoreElements,
-        ),
-    ];
-    if twice {
-        in_space.push(level(
-            &finest,
-            initial(&finest),
-            factor,
-            ReplayKind::MoreElements,
-        ));
+    let mut levels: Vec<Level> = (IN_TIME.iter())
+        .map(|&factor| level(coarse, start(), factor, ReplayKind::ShorterSteps))
+        .collect();
+    let in_time: Vec<usize> = (0..levels.len()).collect();
+    // The solution's own rod at the step of the finer ones is mostly there already.
+    let shared = IN_TIME.iter().position(|&in_time| in_time == factor);
+    let mut in_space = vec![shared.unwrap_or(levels.len())];
+    if shared.is_none() {
+        levels.push(level(coarse, start(), factor, ReplayKind::ShorterSteps));
+    }
+    for rod in [Some(&doubled), twice.then_some(&finest)]
+        .into_iter()
+        .flatten()
+    {
+        in_space.push(levels.len());
+        levels.push(level(rod, initial(rod), factor, ReplayKind::MoreElements));
     }
 
     let path = problem.path_constraints();
     let mut watch = Watch::new(problem, &path, &finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     for _ in 0..problem.grid.n_steps {
-        for level in &mut in_time {
-            level.advance(|_| ())?;
-        }
-        let last = in_space.len() - 1;
-        for (i, level) in in_space.iter_mut().enumerate() {
+        let last = levels.len() - 1;
+        for (i, level) in levels.iter_mut().enumerate() {
             level.advance(|stepper| {
                 if i == last {
                     watch.look(stepper);
                 }
             })?;
         }
-        for (levels, changes) in [&in_time[..], &in_space[..]].into_iter().zip(&mut changes) {
-            for (pair, change) in levels.windows(2).zip(changes) {
-                *change = farthest(*change, pair[0].positions(), pair[1].positions());
+        for (chain, changes) in [&in_time, &in_space].into_iter().zip(&mut changes) {
+            for (pair, change) in chain.windows(2).zip(changes) {
+                let [before, after] = [pair[0], pair[1]].map(|at| levels[at].positions());
+                *change = farthest(*change, before, after);
             }
         }
     }
