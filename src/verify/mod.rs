@@ -317,7 +317,7 @@ pub fn replay(
     control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let simulation = Simulation::Plain(Integrator::new(rod, grid.step, initial.clone()));
+    let simulation = Simulation::plain(rod, grid.step, initial.clone());
     let accounts = account(rod, grid, simulation, control, 1, &mut |state| {
         trajectory.push(&state.configuration);
     })?;
@@ -330,16 +330,20 @@ pub fn replay(
 /// What a motion is replayed by.
 enum Simulation<'a> {
     /// The integrator itself, which knows its forces.
-    Plain(Integrator<'a>),
+    Plain(Box<Integrator<'a>>),
     /// The fast one.
     Fast(Stepper<'a>),
 }
 
 impl<'a> Simulation<'a> {
+    fn plain(rod: &'a Rod, time_step: f64, initial: State) -> Self {
+        Self::Plain(Box::new(Integrator::new(rod, time_step, initial)))
+    }
+
     /// For what only has to be as good as the plain integrator to rounding: that one where the work of what drives the base is counted.
     fn fast(rod: &'a Rod, time_step: f64, initial: State) -> Self {
         if rod.driven_base(0.0).is_some() {
-            Self::Plain(Integrator::new(rod, time_step, initial))
+            Self::plain(rod, time_step, initial)
         } else {
             Self::Fast(Stepper::new(rod, time_step, initial))
         }
@@ -615,7 +619,7 @@ pub fn forward_check(
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
         let (rod, initial) = (&problem.rod, problem.initial.clone());
         let simulation = match which {
-            ReplayKind::SameGrid => Simulation::Plain(Integrator::new(rod, grid.step, initial)),
+            ReplayKind::SameGrid => Simulation::plain(rod, grid.step, initial),
             _ => Simulation::fast(rod, grid.step, initial),
         };
         account(
