@@ -37,7 +37,7 @@ const EXACT_BELOW: f64 = 0.3;
 const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
 /// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
 const NEARLY_DONE: f64 = 1e-4;
-/// Part of what quadratic convergence leaves that is betted on: a lost bet costs a tenth of the iteration that a won one saves.
+/// Part of what quadratic convergence leaves that is counted on: a lost bet costs a tenth of the iteration that a won one saves.
 const LIKELY: f64 = 0.3;
 /// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
 const EXACT_REFUSALS: usize = 3;
