@@ -109,23 +109,18 @@ impl EnergyNorm {
         // What a node takes from the one before must not be its own yet.
         for node in (0..self.momenta.len()).rev() {
             let (before, here) = (transposed.as_mut()).split_at_row_mut(node * NODE_COMPONENTS);
-            let mut here = here.subrows_mut(0, NODE_COMPONENTS);
-            let mut poses = here.rb_mut().subrows_mut(0, POSE);
-            own.copy_from(&poses);
             let diagonal = block(&self.poses.diagonal()[node]);
-            matmul(
-                poses.rb_mut(),
-                Accum::Replace,
+            let below = node.checked_sub(1).map(|at| {
+                let before = before.rb().subrows(at * NODE_COMPONENTS, POSE);
+                (block(&self.poses.below()[at]), before)
+            });
+            self.multiply(
+                node,
+                here.subrows_mut(0, NODE_COMPONENTS),
                 diagonal,
-                &own,
-                1.0,
-                Par::Seq,
+                below,
+                &mut own,
             );
-            if let Some(below) = node.checked_sub(1).map(|at| block(&self.poses.below()[at])) {
-                let before = before.rb().subrows((node - 1) * NODE_COMPONENTS, POSE);
-                matmul(poses, Accum::Add, below, before, 1.0, Par::Seq);
-            }
-            self.scale_momenta(node, here);
         }
         transposed.transpose().to_owned()
     }
@@ -136,37 +131,37 @@ impl EnergyNorm {
         let mut own = Mat::zeros(POSE, map.ncols());
         for node in 0..self.momenta.len() {
             let (here, after) = (map.as_mut()).split_at_row_mut((node + 1) * NODE_COMPONENTS);
-            let mut here = here.subrows_mut(node * NODE_COMPONENTS, NODE_COMPONENTS);
-            let mut poses = here.rb_mut().subrows_mut(0, POSE);
-            own.copy_from(&poses);
+            let here = here.subrows_mut(node * NODE_COMPONENTS, NODE_COMPONENTS);
             let diagonal = block(&self.poses.diagonal()[node]).transpose();
-            matmul(
-                poses.rb_mut(),
-                Accum::Replace,
-                diagonal,
-                &own,
-                1.0,
-                Par::Seq,
-            );
-            if let Some(below) = self.poses.below().get(node) {
-                let below = block(below).transpose();
-                matmul(
-                    poses,
-                    Accum::Add,
-                    below,
-                    after.rb().subrows(0, POSE),
-                    1.0,
-                    Par::Seq,
-                );
-            }
-            self.scale_momenta(node, here);
+            let below = (self.poses.below().get(node))
+                .map(|below| (block(below).transpose(), after.rb().subrows(0, POSE)));
+            self.multiply(node, here, diagonal, below, &mut own);
         }
         map
     }
 
-    /// Multiplies a node's rows of momenta by the diagonal.
-    fn scale_momenta(&self, node: usize, rows: MatMut<f64>) {
-        let momenta = rows.subrows_mut(POSE, POSE);
+    /// A node's rows times its block of the factor, or of its transpose, to which a neighbor's poses add by theirs; `own` is room for a copy.
+    fn multiply(
+        &self,
+        node: usize,
+        mut rows: MatMut<f64>,
+        diagonal: MatRef<f64>,
+        neighbor: Option<(MatRef<f64>, MatRef<f64>)>,
+        own: &mut Mat<f64>,
+    ) {
+        let (mut poses, momenta) = rows.rb_mut().split_at_row_mut(POSE);
+        own.copy_from(&poses);
+        matmul(
+            poses.rb_mut(),
+            Accum::Replace,
+            diagonal,
+            &*own,
+            1.0,
+            Par::Seq,
+        );
+        if let Some((block, theirs)) = neighbor {
+            matmul(poses, Accum::Add, block, theirs, 1.0, Par::Seq);
+        }
         for column in momenta.col_iter_mut() {
             for (value, root) in column.iter_mut().zip(&self.momenta[node]) {
                 *value *= root;
