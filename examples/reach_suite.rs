@@ -7,8 +7,8 @@
 //! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
 //!
 //! Every problem is solved from the default start and certified. What converges but is rejected for its discretization is solved again as the
-//! check advises, from its solution, with half as many elements again, half the step, or twice the samples of an obstacle, at most five
-//! times.
+//! check advises, from its solution, with half as many elements again, steps a third shorter, or twice the samples of an obstacle, at most
+//! five times.
 //! `--starts` more are tried from detours, to see whether the
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
 //! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
@@ -28,7 +28,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use clap::Parser;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -59,6 +59,9 @@ struct Arguments {
     /// Problems solved at a time
     #[arg(long, default_value_t = 2)]
     threads: usize,
+    /// Seconds after which a problem is given up; it counts as a failure
+    #[arg(long, value_name = "S")]
+    limit: Option<f64>,
     /// Problems of this kind only: free, obstacle or bounds
     #[arg(long)]
     kind: Option<String>,
@@ -568,7 +571,7 @@ fn finer(
     let mut overrides = overrides.to_vec();
     let mut found = self::setup(&toml, &overrides).ok()?;
     if time {
-        let step = 0.5 * found.problem.grid.step.min(setup.problem.grid.step);
+        let step = (found.problem.grid.step).min(setup.problem.grid.step / 1.5);
         overrides.push(format!("time.step_s={step}"));
         found = self::setup(&toml, &overrides).ok()?;
     }
@@ -582,6 +585,7 @@ impl Outcome {
         &mut self,
         (setup, toml): &(OptimalControl, String),
         previous: Option<Vec<Wrench>>,
+        deadline: Option<Duration>,
     ) -> Option<(Vec<&'static str>, Vec<Wrench>)> {
         let ocp = &setup.problem;
         self.size = format!(
@@ -598,18 +602,15 @@ impl Outcome {
             toml.lines().last().unwrap_or_default()
         );
         let clock = Instant::now();
-        let default = one_start(setup);
-        let from_previous = previous.and_then(|previous| {
-            let plan = Search {
-                previous: Some(previous),
-                ..default.clone()
-            };
-            solve(setup, &plan, &setup.settings)
-                .filter(|attempt| attempt.outcome.status == SqpStatus::Converged)
-        });
-        // Waves that the coarser grid did not resolve are others on the finer one.
-        let found = from_previous.or_else(|| solve(setup, &default, &setup.settings));
-        let Some(attempt) = found else {
+        let plan = Search {
+            previous,
+            ..one_start(setup)
+        };
+        let settings = SqpSettings {
+            deadline,
+            ..setup.settings.clone()
+        };
+        let Some(attempt) = solve(setup, &plan, &settings) else {
             self.status = "no first point".into();
             return None;
         };
@@ -687,7 +688,10 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     outcome.kind = kind.name();
     let mut current = (setup, toml);
     let mut previous = None;
-    while let Some((failed, found)) = outcome.take(&current, previous) {
+    let began = Instant::now();
+    let limit = arguments.limit.map(Duration::from_secs_f64);
+    let left = || limit.map(|limit| limit.saturating_sub(began.elapsed()));
+    while let Some((failed, found)) = outcome.take(&current, previous, left()) {
         let finer = (outcome.refinements < REFINEMENTS)
             .then(|| finer(&current, &failed, &arguments.set))
             .flatten();

@@ -121,11 +121,15 @@ impl Attempt {
 
 /// Iterations after which another first point is tried, where there is one left and this solve does not get on.
 const PATIENCE: usize = 50;
-/// It gets on where over so many iterations the least infeasibility falls to this part, or where it is small already: what is left then is
-/// the objective.
+/// The same where the infeasibility is small already: what is left then is the objective.
+const NEARLY_FEASIBLE: f64 = 1e-2;
+const PATIENCE_NEARLY_FEASIBLE: usize = 100;
+/// It gets on where over so many iterations the least infeasibility falls to this part.
 const RECENT: usize = 25;
 const RECENT_GAIN: f64 = 0.9;
-const NEARLY_FEASIBLE: f64 = 1e-2;
+/// Iterations within which an earlier solution leads to the next one, where there is another first point left. The fast waves of a light tip
+/// are others on another grid: what cancelled them sets them off, and the way back takes longer than the way from rest.
+const NEXT_BY: usize = 25;
 /// Part of the infeasibility of an attempt that was proven infeasible at which an unfinished one says more.
 const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
@@ -222,6 +226,9 @@ fn first_points<'a>(
         // An arm in line with its target does not see that it could bend.
         firsts.push(First::Detour(1));
     }
+    if search.starts <= 1 {
+        firsts.push(First::Guess(Guess::Slow));
+    }
     firsts
 }
 
@@ -234,6 +241,8 @@ fn share(settings: &SqpSettings, used: usize) -> usize {
 /// Gives a solve up for another first point once it does not get on.
 #[derive(Default)]
 struct Patience {
+    /// Whether the solve starts from an earlier solution, which leads to the next one soon or not at all.
+    from_previous: bool,
     /// Least infeasibility up to every iteration of the present solve.
     least: RefCell<Vec<f64>>,
     is_lost: Cell<bool>,
@@ -247,8 +256,19 @@ impl Patience {
         }
         let now = (least.last().copied().unwrap_or(f64::INFINITY)).min(infeasibility);
         least.push(now);
-        let gets_on = (least.iter().rev().nth(RECENT)).is_none_or(|then| now < RECENT_GAIN * then);
-        if iteration < PATIENCE || now <= NEARLY_FEASIBLE || gets_on {
+        let gets_on = if self.from_previous {
+            iteration < NEXT_BY
+        } else {
+            let then = least.iter().rev().nth(RECENT);
+            let falls = then.is_none_or(|then| now < RECENT_GAIN * then);
+            let patience = if now <= NEARLY_FEASIBLE {
+                PATIENCE_NEARLY_FEASIBLE
+            } else {
+                PATIENCE
+            };
+            iteration < patience || falls
+        };
+        if gets_on {
             return ControlFlow::Continue(());
         }
         self.is_lost.set(true);
@@ -267,21 +287,27 @@ fn attempt(
     let began = Instant::now();
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
+    let mut tried_rest = false;
     for (i, &first) in firsts.iter().enumerate() {
         let mut settings = settings.remaining(began);
         let used = best.as_ref().map_or(0, Attempt::iterations);
         settings.max_iterations = share(&settings, used);
         let is_static = matches!(first, First::Guess(Guess::StaticPath));
-        let may_give_up = i + 1 < firsts.len() && !is_static;
-        let patience = Patience::default();
-        let staged = match staged(problem, &settings, search, first, n_threads, &|row| {
+        let may_give_up = i + 1 < firsts.len();
+        let patience = Patience {
+            from_previous: matches!(first, First::Previous(_)),
+            ..Patience::default()
+        };
+        let from = Start { first, tried_rest };
+        let staged = match staged(problem, &settings, search, from, n_threads, &|row| {
             observer(start, row)?;
             if may_give_up {
                 patience.lasts(row.iteration, row.infeasibility)?;
             }
             ControlFlow::Continue(())
         }) {
-            Ok(mut found) => {
+            Ok(None) => continue,
+            Ok(Some(mut found)) => {
                 let stopped = found.outcome.status == SqpStatus::Stopped(Stop::Interrupted);
                 if stopped && patience.is_lost.get() {
                     found.outcome.status = SqpStatus::IterationLimit;
@@ -291,6 +317,7 @@ fn attempt(
             Err(error) if best.is_none() && i + 1 == firsts.len() => return Err(error),
             Err(_) => continue,
         };
+        tried_rest |= staged.from == Guess::Rest.name();
         let found = Attempt {
             start,
             from: staged.from,
@@ -301,8 +328,10 @@ fn attempt(
             found.outcome.status,
             SqpStatus::Converged | SqpStatus::Stopped(_)
         );
-        // What comes after static shapes is there to doubt that a problem is infeasible.
-        let settled = is_static && found.outcome.status != SqpStatus::LocallyInfeasible;
+        // All iterations together are used up.
+        let is_over = is_static
+            && found.outcome.status == SqpStatus::IterationLimit
+            && !patience.is_lost.get();
         best = Some(match best {
             None => found,
             Some(earlier) => {
@@ -320,7 +349,7 @@ fn attempt(
                 kept
             }
         });
-        if ended || settled {
+        if ended || is_over {
             break;
         }
     }
@@ -364,17 +393,25 @@ struct Staged {
     before: Vec<Abandoned>,
 }
 
-/// One solve, with its easier problems first.
+/// A first point, and whether a solve from rest came before it.
+#[derive(Clone, Copy)]
+struct Start<'a> {
+    first: First<'a>,
+    tried_rest: bool,
+}
+
+/// One solve, with its easier problems first; `None` where there is nothing better to start from than rest, from which one came before.
 fn staged(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
     search: &Search,
-    first: First,
+    start: Start,
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
-) -> Result<Staged, GuessError> {
+) -> Result<Option<Staged>, GuessError> {
+    let Start { first, tried_rest } = start;
     if problem.duration.is_some() && !matches!(first, First::Previous(_)) {
-        return released(problem, settings, search, first, n_threads, observer);
+        return released(problem, settings, search, start, n_threads, observer);
     }
     let stages = match search.continuation {
         Some(Continuation::Target { stages } | Continuation::Load { stages }) => stages.max(1),
@@ -394,9 +431,10 @@ fn staged(
             }
             _ => problem,
         };
-        let point = match warm.as_ref().and_then(|warm| simulated(here, warm).ok()) {
-            Some(point) => point,
-            None => {
+        let point = match warm.as_ref().map(|warm| simulated(here, warm)) {
+            Some(Ok(point)) => point,
+            Some(Err(error)) if from == "previous" => return Err(error.into()),
+            _ => {
                 let (guess, detour) = match first {
                     First::Guess(guess) => (guess, None),
                     First::Detour(number) => {
@@ -405,6 +443,9 @@ fn staged(
                     First::Previous(_) => (Guess::StaticPath, None),
                 };
                 let (point, used) = first_point(here, guess, detour.as_ref())?;
+                if used == Guess::Rest && tried_rest {
+                    return Ok(None);
+                }
                 from = if detour.is_some() && used == Guess::StaticPath {
                     "detour"
                 } else {
@@ -417,11 +458,11 @@ fn staged(
         let outcome = solve(&program, point, settings, &mut |row| observer(row));
         let stopped = matches!(outcome.status, SqpStatus::Stopped(_));
         if stage == stages || stopped {
-            return Ok(Staged {
+            return Ok(Some(Staged {
                 from,
                 outcome,
                 before: Vec::new(),
-            });
+            }));
         }
         // A stage that failed says nothing about the next.
         warm = (outcome.status == SqpStatus::Converged)
@@ -435,12 +476,12 @@ fn released(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
     search: &Search,
-    first: First,
+    start: Start,
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
-) -> Result<Staged, GuessError> {
+) -> Result<Option<Staged>, GuessError> {
     let began = Instant::now();
-    let stretch = match (first, problem.duration) {
+    let stretch = match (start.first, problem.duration) {
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
             let duration = free.shortest + part * (free.longest - free.shortest);
@@ -449,7 +490,9 @@ fn released(
         _ => 1.0,
     };
     let held = problem.stretched(stretch).held();
-    let mut found = staged(&held, settings, search, first, n_threads, observer)?;
+    let Some(mut found) = staged(&held, settings, search, start, n_threads, observer)? else {
+        return Ok(None);
+    };
     let releasing = Releasing {
         problem,
         settings: &settings.remaining(began),
@@ -457,7 +500,7 @@ fn released(
         observer,
     };
     found.outcome = releasing.release(stretch, found.outcome, &mut found.before)?;
-    Ok(found)
+    Ok(Some(found))
 }
 
 /// The problem at a fraction of the way from an easy one.
@@ -517,21 +560,30 @@ mod tests {
 
     /// The iteration at which a solve with these infeasibilities is given up.
     fn given_up(infeasibility: impl Fn(usize) -> f64) -> Option<usize> {
-        let patience = Patience::default();
+        given_up_by(&Patience::default(), infeasibility)
+    }
+
+    fn given_up_by(patience: &Patience, infeasibility: impl Fn(usize) -> f64) -> Option<usize> {
         let at = (0..300).find(|&k| patience.lasts(k, infeasibility(k)).is_break());
         assert_eq!(patience.is_lost.get(), at.is_some());
         at
     }
 
-    /// What stands still is given up once the patience is over, what stops getting on a little later, and what falls by more than a tenth
-    /// in 25 iterations, or is nearly feasible, never.
+    /// What stands still is given up once the patience is over, later where it is nearly feasible; what stops getting on a little after that;
+    /// what falls by more than a tenth in 25 iterations never, unless it comes from an earlier solution.
     #[test]
     fn what_gets_on_is_not_given_up() {
         let falling = |rate: f64| move |k: usize| rate.powf(k as f64 / RECENT as f64);
         assert_eq!(given_up(|_| 1.0), Some(PATIENCE));
         assert_eq!(given_up(falling(0.95)), Some(PATIENCE));
         assert_eq!(given_up(falling(0.85)), None);
-        assert_eq!(given_up(|k| 0.9 * NEARLY_FEASIBLE + (k % 2) as f64), None);
+        let nearly = |k: usize| 0.9 * NEARLY_FEASIBLE + (k % 2) as f64;
+        assert_eq!(given_up(nearly), Some(PATIENCE_NEARLY_FEASIBLE));
+        let following = Patience {
+            from_previous: true,
+            ..Patience::default()
+        };
+        assert_eq!(given_up_by(&following, falling(0.1)), Some(NEXT_BY));
         let stopping = |k: usize| falling(0.5)(k.min(70));
         let at = given_up(stopping).expect("it stands still");
         assert!((70..=70 + RECENT).contains(&at), "{at}");

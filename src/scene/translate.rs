@@ -16,7 +16,7 @@ use crate::control::{
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{from_quaternion, log};
-use crate::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, stable_step};
+use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
     BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
     MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, Section,
@@ -754,7 +754,7 @@ impl Scene {
                 ),
                 Some(format!(
                     "time.step_s counts at task.at_s; make it {:.4e} s or less, or \"auto\"",
-                    AUTO_STEP_FRACTION * limit * step / longest
+                    automatic_step(rod) * step / longest
                 )),
             ));
         }
@@ -787,7 +787,7 @@ impl Scene {
                     Some(format!(
                         "use \"auto\" ({:.4e} s), fewer elements, or time.integrator = \"implicit\"; with this step the motion \
                          would grow without bound",
-                        AUTO_STEP_FRACTION * limit
+                        automatic_step(rod)
                     )),
                 ));
             }
