@@ -65,9 +65,9 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
 /// Fraction of [`stable_step`] that `step_s = "auto"` uses with the explicit scheme: room for compressed elements and large rotations.
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
 /// The same for rods whose elements are unlike. Their fastest waves cannot leave the fastest elements, as the thin end of a tapered
-/// rod, and a moment there that keeps its direction in space makes undamped ones grow (Ziegler 1968, chapter 4: flutter). Long steps
-/// exaggerate that: in a test they leave the tip with a spin of 1.8 times at 0.7 and 6 times at 0.9 what they do at 0.4, at 0.55 with
-/// 1.2 times.
+/// rod, and a moment there that keeps its direction in space makes weakly damped ones grow (Ziegler 1968, chapter 4: flutter). Long
+/// steps exaggerate how fast: after 2 s of a constant moment the waves of an arm were 22 % higher with 0.55 of the stable step than with
+/// 0.2, 55 % with 0.7, and 3.9 times as high with 0.9; those of a uniform arm died out, the same with all of them.
 const UNLIKE_STEP_FRACTION: f64 = 0.55;
 /// Ratio of highest frequencies of two elements from which they are unlike.
 const UNLIKE: f64 = 1.1;
