@@ -6,9 +6,9 @@
 //! has an obstacle between the start and the target, clear of the arm's shape at both; in another third the bounds on the norms of force
 //! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
 //!
-//! Every problem is solved from the default start and certified. What converges but is rejected for its discretization is solved again as the
-//! check advises, from its solution, with half as many elements again, steps a third shorter, or twice the samples of an obstacle, at most
-//! five times.
+//! Every problem is solved from the default start and certified. What is rejected for its discretization is solved again as the check
+//! advises, from its solution if it converged, with half as many elements again, steps a third shorter, or twice the samples of an obstacle,
+//! at most five times.
 //! `--starts` more are tried from detours, to see whether the
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
 //! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
@@ -579,14 +579,14 @@ fn finer(
 }
 
 impl Outcome {
-    /// Solves, from earlier coefficients if there are any, and certifies; names what the check of a converged solve objects to, with its
-    /// coefficients.
+    /// Solves, from earlier coefficients if there are any, and certifies; names what the check objects to, with the coefficients of a solve
+    /// that converged.
     fn take(
         &mut self,
         (setup, toml): &(OptimalControl, String),
         previous: Option<Vec<Wrench>>,
         deadline: Option<Duration>,
-    ) -> Option<(Vec<&'static str>, Vec<Wrench>)> {
+    ) -> Option<(Vec<&'static str>, Option<Vec<Wrench>>)> {
         let ocp = &setup.problem;
         self.size = format!(
             "K {} N {} blocks {} {}{} {}",
@@ -620,13 +620,14 @@ impl Outcome {
         self.objective = attempt.outcome.objective;
         self.status = format!("{:?}", attempt.outcome.status);
         let converged = attempt.outcome.status == SqpStatus::Converged;
+        let found = converged.then(|| ocp.wrenches(&attempt.outcome.point.variables));
         match verdict {
             Ok(failed) => {
                 self.certified = converged && failed.is_empty();
                 let texts: Vec<&str> = failed.iter().map(|(_, text)| text.as_str()).collect();
                 self.detail = texts.join("; ");
                 let names = failed.iter().map(|(name, _)| *name).collect();
-                converged.then(|| (names, ocp.wrenches(&attempt.outcome.point.variables)))
+                Some((names, found))
             }
             Err(error) => {
                 self.detail = error.to_string();
@@ -641,7 +642,7 @@ impl Outcome {
                     } => "refined_space_m",
                     _ => return None,
                 };
-                converged.then(|| (vec![name], ocp.wrenches(&attempt.outcome.point.variables)))
+                Some((vec![name], found))
             }
         }
     }
@@ -692,14 +693,15 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     let limit = arguments.limit.map(Duration::from_secs_f64);
     let left = || limit.map(|limit| limit.saturating_sub(began.elapsed()));
     while let Some((failed, found)) = outcome.take(&current, previous, left()) {
-        let finer = (outcome.refinements < REFINEMENTS)
+        let may_go_on = left().is_none_or(|left| !left.is_zero());
+        let finer = (may_go_on && outcome.refinements < REFINEMENTS)
             .then(|| finer(&current, &failed, &arguments.set))
             .flatten();
         let Some(finer) = finer else {
             break;
         };
         outcome.refinements += 1;
-        previous = Some(found);
+        previous = found;
         current = finer;
     }
     let setup = &current.0;
@@ -726,6 +728,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     if index.is_multiple_of(5) {
         let settings = SqpSettings {
             tolerance: 1e-10,
+            deadline: limit,
             ..setup.settings.clone()
         };
         outcome.tight = solve(setup, &one_start(setup), &settings).map(|attempt| {
