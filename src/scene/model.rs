@@ -935,8 +935,8 @@ pub enum Qp {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
-    /// From rest, then, with obstacles, from static shapes by detours, and last from those on the way to the task, until a solve
-    /// converges; without obstacles by a detour as well before a task is said to be infeasible.
+    /// From rest, then, until a solve converges, from static shapes by detours (with obstacles), from those on the way to the task, by a
+    /// detour (without obstacles), and last as `"slow"`.
     #[default]
     Auto,
     /// From static shapes on the way to the task.
