@@ -61,7 +61,7 @@ struct Arguments {
     threads: usize,
     /// Seconds after which a problem is given up; it counts as a failure
     #[arg(long, value_name = "S")]
-    limit: Option<f64>,
+    limit: Option<u64>,
     /// Problems of this kind only: free, obstacle or bounds
     #[arg(long)]
     kind: Option<String>,
@@ -492,7 +492,9 @@ struct Outcome {
     /// Whether it ended at a point that is locally infeasible, as did every other start.
     infeasible: bool,
     detail: String,
+    /// Of all discretizations together.
     iterations: usize,
+    /// The same, with their checks.
     seconds: f64,
     objective: f64,
     /// Of the starts that converged.
@@ -615,8 +617,8 @@ impl Outcome {
             return None;
         };
         let verdict = certify(setup, &attempt);
-        self.seconds = clock.elapsed().as_secs_f64();
-        self.iterations = attempt.iterations();
+        self.seconds += clock.elapsed().as_secs_f64();
+        self.iterations += attempt.iterations();
         self.objective = attempt.outcome.objective;
         self.status = format!("{:?}", attempt.outcome.status);
         let converged = attempt.outcome.status == SqpStatus::Converged;
@@ -690,7 +692,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     let mut current = (setup, toml);
     let mut previous = None;
     let began = Instant::now();
-    let limit = arguments.limit.map(Duration::from_secs_f64);
+    let limit = arguments.limit.map(Duration::from_secs);
     let left = || limit.map(|limit| limit.saturating_sub(began.elapsed()));
     while let Some((failed, found)) = outcome.take(&current, previous, left()) {
         let may_go_on = left().is_none_or(|left| !left.is_zero());

@@ -154,23 +154,26 @@ fn stable_step_is_safe_for_a_curved_tapered_rod() {
     }
 }
 
+/// An arm whose tip is as thick as its base at a radius of 0.026 m.
+fn tapered_arm(tip_radius: f64) -> RodParameters {
+    let section = SectionProfile::TaperedCircle {
+        material: SILICONE,
+        base_radius: 0.026,
+        tip_radius,
+    };
+    RodParameters::straight(0.436, 18, section)
+}
+
 /// Root mean square of the tip's angular momentum in every quarter of 2 s under a moment that is switched on and keeps its
 /// direction in space, with a part along the arm. Steps of `fraction` of the stable one.
 fn waves_of_a_moment(tip_radius: f64, fraction: f64) -> [f64; 4] {
-    let n = 18;
+    let arm = tapered_arm(tip_radius);
+    let n = arm.n_elements;
     let rod = Rod::new(&RodParameters {
         gravity: Vector3::new(0.0, 0.0, 9.81),
         viscous_damping: 1.0,
         loads: tip_load(n, [0.0; 3], [0.0, 0.006, 0.004], LoadFrame::Spatial),
-        ..RodParameters::straight(
-            0.436,
-            n,
-            SectionProfile::TaperedCircle {
-                material: SILICONE,
-                base_radius: 0.026,
-                tip_radius,
-            },
-        )
+        ..arm
     })
     .unwrap();
     let step = fraction * stable_step(&rod);
@@ -190,12 +193,7 @@ fn waves_of_a_moment(tip_radius: f64, fraction: f64) -> [f64; 4] {
 #[test]
 fn automatic_steps_keep_waves_at_a_thin_tip() {
     let of = |tip_radius: f64| {
-        let section = SectionProfile::TaperedCircle {
-            material: SILICONE,
-            base_radius: 0.026,
-            tip_radius,
-        };
-        let rod = Rod::new(&RodParameters::straight(0.436, 18, section)).unwrap();
+        let rod = Rod::new(&tapered_arm(tip_radius)).unwrap();
         automatic_step(&rod) / stable_step(&rod)
     };
     let fraction = of(0.011);

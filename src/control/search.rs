@@ -433,7 +433,8 @@ fn staged(
         };
         let point = match warm.as_ref().map(|warm| simulated(here, warm)) {
             Some(Ok(point)) => point,
-            Some(Err(error)) if from == "previous" => return Err(error.into()),
+            // There is a solution from before the first stage only where the solve begins with one.
+            Some(Err(error)) if stage == 1 => return Err(error.into()),
             _ => {
                 let (guess, detour) = match first {
                     First::Guess(guess) => (guess, None),

@@ -16,18 +16,17 @@ use super::strain::ElementStiffness;
 /// Compressed elements (dilatation e < 1) and large loads can shorten it.
 #[must_use]
 pub fn stable_step(rod: &Rod) -> f64 {
-    stable_below(&highest_frequencies(rod))
+    let [_, fastest] = highest_frequencies(rod);
+    2.0 / fastest
 }
 
-fn stable_below(frequencies: &[f64]) -> f64 {
-    2.0 / frequencies.iter().copied().fold(0.0, f64::max)
-}
-
-/// Highest `ω` of every element on its own at rest, 1/s.
-fn highest_frequencies(rod: &Rod) -> Vec<f64> {
+/// The least and the largest of the elements' highest `ω`, each element on its own at rest, 1/s.
+fn highest_frequencies(rod: &Rod) -> [f64; 2] {
     (0..rod.n_elements())
         .map(|q| highest_frequency_squared(rod, q).sqrt())
-        .collect()
+        .fold([f64::INFINITY, 0.0], |[slowest, fastest], own| {
+            [slowest.min(own), fastest.max(own)]
+        })
 }
 
 /// Highest `ω²` of element `q` on its own at rest, 1/s².
@@ -107,14 +106,13 @@ pub fn bent_step(rod: &Rod) -> f64 {
 /// implicit scheme the resolving step, or the bent step if that is shorter, unless the explicit one is longer.
 #[must_use]
 pub fn automatic_step(rod: &Rod) -> f64 {
-    let frequencies = highest_frequencies(rod);
-    let slowest = frequencies.iter().copied().fold(f64::INFINITY, f64::min);
-    let stable = stable_below(&frequencies);
-    let stable = if stable * slowest * UNLIKE < 2.0 {
-        UNLIKE_STEP_FRACTION * stable
+    let [slowest, fastest] = highest_frequencies(rod);
+    let fraction = if fastest > UNLIKE * slowest {
+        UNLIKE_STEP_FRACTION
     } else {
-        AUTO_STEP_FRACTION * stable
+        AUTO_STEP_FRACTION
     };
+    let stable = fraction * (2.0 / fastest);
     match rod.scheme {
         TimeScheme::Explicit => stable,
         TimeScheme::Implicit => stable.max(resolving_step(rod).min(bent_step(rod))),
