@@ -517,8 +517,8 @@ fn missing_keys() {
         Some("time")
     );
     assert_eq!(
-        error_of(&format!("{ROD}[control]\n")).key(),
-        Some("control.blocks")
+        error_of(&format!("{ROD}[[load]]\n")).key(),
+        Some("load.0.node")
     );
     assert_eq!(
         error_of(&format!("{ROD}[gravity]\n")).key(),

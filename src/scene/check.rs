@@ -167,12 +167,12 @@ impl Keys<'_> {
     }
 
     fn check_material(&self, material: &Material) -> Checked {
-        self.positive(
-            "rod.material.youngs_modulus_pa",
-            material.youngs_modulus_pa,
-            "Young's modulus",
-            "Pa",
-        )?;
+        let given = |key: &str, value: Option<f64>| {
+            value.ok_or_else(|| self.missing(key, "or else give rod.material.preset"))
+        };
+        let key = "rod.material.youngs_modulus_pa";
+        let youngs_modulus = given(key, material.youngs_modulus())?;
+        self.positive(key, youngs_modulus, "Young's modulus", "Pa")?;
         match (material.poisson_ratio, material.shear_modulus_pa) {
             (Some(ratio), None) => {
                 if !(ratio > -1.0 && ratio <= 0.5) {
@@ -197,6 +197,7 @@ impl Keys<'_> {
                     "rod.material.poisson_ratio",
                 ));
             }
+            (None, None) if material.preset.is_some() => {}
             (None, None) => {
                 return Err(self.missing(
                     "rod.material.poisson_ratio",
@@ -204,12 +205,8 @@ impl Keys<'_> {
                 ));
             }
         }
-        self.positive(
-            "rod.material.density_kg_m3",
-            material.density_kg_m3,
-            "density",
-            "kg/m³",
-        )?;
+        let key = "rod.material.density_kg_m3";
+        self.positive(key, given(key, material.density())?, "density", "kg/m³")?;
         self.positive(
             "rod.material.shear_factor",
             material.shear_factor,
@@ -219,28 +216,41 @@ impl Keys<'_> {
     }
 
     fn check_section(&self, section: &Section) -> Checked {
-        let [radius, base, tip] = [
-            "rod.section.radius_m",
-            "rod.section.radius_base_m",
-            "rod.section.radius_tip_m",
+        let places = [
+            ("", section.radius_m, section.diameter_m),
+            ("base_", section.radius_base_m, section.diameter_base_m),
+            ("tip_", section.radius_tip_m, section.diameter_tip_m),
         ];
-        self.positive_if_given(radius, section.radius_m, "radius", "meters")?;
-        self.positive_if_given(base, section.radius_base_m, "radius", "meters")?;
-        self.positive_if_given(tip, section.radius_tip_m, "radius", "meters")?;
-        match (
-            section.radius_m,
-            section.radius_base_m,
-            section.radius_tip_m,
-        ) {
-            (Some(_), None, None) | (None, Some(_), Some(_)) => Ok(()),
-            (Some(_), Some(_), _) => Err(self.contradiction(base, radius)),
-            (Some(_), None, Some(_)) => Err(self.contradiction(tip, radius)),
-            (None, Some(_), None) => Err(self.missing(tip, "goes with rod.section.radius_base_m")),
-            (None, None, Some(_)) => Err(self.missing(base, "goes with rod.section.radius_tip_m")),
-            (None, None, None) => Err(self.missing(
-                radius,
-                "or else give rod.section.radius_base_m and rod.section.radius_tip_m",
+        let key = |quantity: &str, place: &str| format!("rod.section.{quantity}_{place}m");
+        // The keys that are given: what they measure, and where.
+        let mut given = Vec::new();
+        for (place, radius, diameter) in places {
+            for (quantity, value) in [("radius", radius), ("diameter", diameter)] {
+                if let Some(value) = value {
+                    self.positive(&key(quantity, place), value, quantity, "meters")?;
+                    given.push((quantity, place));
+                }
+            }
+        }
+        // Only both ends in the same measure go together.
+        let together =
+            |a: (&str, &str), b: (&str, &str)| a.0 == b.0 && !a.1.is_empty() && !b.1.is_empty();
+        for (at, &second) in given.iter().enumerate() {
+            if let Some(&first) = given[..at].iter().find(|first| !together(**first, second)) {
+                return Err(self.contradiction(&key(second.0, second.1), &key(first.0, first.1)));
+            }
+        }
+        match given[..] {
+            [] => Err(self.missing(
+                &key("radius", ""),
+                "or else give rod.section.radius_base_m and rod.section.radius_tip_m, or diameters",
             )),
+            [(quantity, place)] if !place.is_empty() => {
+                let other = if place == "base_" { "tip_" } else { "base_" };
+                let relation = format!("goes with {}", key(quantity, place));
+                Err(self.missing(&key(quantity, other), &relation))
+            }
+            _ => Ok(()),
         }
     }
 

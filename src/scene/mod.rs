@@ -12,6 +12,7 @@ pub mod builtin;
 mod check;
 mod error;
 mod file;
+mod materials;
 mod model;
 mod overrides;
 mod reader;
@@ -19,6 +20,7 @@ mod source;
 pub mod translate;
 
 pub use error::SceneError;
+pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::{
     Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Feedback,
     Gravity, Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load,

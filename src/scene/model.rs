@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::materials::{MaterialFigures, MaterialPreset, Shear};
 use crate::sqp::SqpSettings;
 
 /// A soft arm, what acts on it, and what it should do. SI units throughout.
@@ -120,14 +121,18 @@ pub enum RodModel {
     Consistent,
 }
 
-/// A homogeneous elastic material.
+/// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which then count.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
-    /// Young's modulus in Pa, positive.
+    /// A material by name: the figures below that are not given are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<MaterialPreset>,
+    /// Young's modulus in Pa, positive. Absent: that of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
-    pub youngs_modulus_pa: f64,
-    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`.
+    pub youngs_modulus_pa: Option<f64>,
+    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent, both: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = -1, "maximum" = 0.5))]
     pub poisson_ratio: Option<f64>,
@@ -135,16 +140,17 @@ pub struct Material {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub shear_modulus_pa: Option<f64>,
-    /// Density in kg/m³, positive.
+    /// Density in kg/m³, positive. Absent: that of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
-    pub density_kg_m3: f64,
+    pub density_kg_m3: Option<f64>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
     #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub shear_factor: f64,
 }
 
-/// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`.
+/// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`; or their diameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Section {
@@ -160,6 +166,18 @@ pub struct Section {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub radius_tip_m: Option<f64>,
+    /// Diameter in m all along the rod, positive; instead of `radius_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub diameter_m: Option<f64>,
+    /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub diameter_base_m: Option<f64>,
+    /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub diameter_tip_m: Option<f64>,
 }
 
 /// Stiffness of a section that is the same in both transverse directions.
@@ -740,7 +758,8 @@ pub struct Limit {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
-    /// Number of blocks, at least 1.
+    /// Number of blocks, at least 1, default 20.
+    #[serde(default = "twenty")]
     #[schemars(range(min = 1))]
     pub blocks: usize,
     /// The course of the controls within a block.
@@ -1039,17 +1058,64 @@ impl Default for Solver {
 }
 
 impl Material {
-    /// Shear modulus in Pa: as given, or `E / (2 (1 + ν))`.
+    fn figures(&self) -> Option<&'static MaterialFigures> {
+        self.preset.map(MaterialPreset::figures)
+    }
+
+    /// Young's modulus in Pa: as given, or that of the preset.
+    pub fn youngs_modulus(&self) -> Option<f64> {
+        self.youngs_modulus_pa
+            .or(self.figures().map(|figures| figures.youngs_modulus_pa))
+    }
+
+    /// Density in kg/m³: as given, or that of the preset.
+    pub fn density(&self) -> Option<f64> {
+        self.density_kg_m3
+            .or(self.figures().map(|figures| figures.density_kg_m3))
+    }
+
+    /// Shear modulus in Pa: as given; or `E / (2 (1 + ν))` with Poisson's ratio as given; or by the preset, with its shear modulus, or
+    /// its ratio and Young's modulus as given here.
     pub fn shear_modulus(&self) -> Option<f64> {
-        let from_ratio = |ratio: f64| self.youngs_modulus_pa / (2.0 * (1.0 + ratio));
-        self.shear_modulus_pa.or(self.poisson_ratio.map(from_ratio))
+        let youngs_modulus = self.youngs_modulus()?;
+        match (self.shear_modulus_pa, self.poisson_ratio) {
+            (Some(modulus), _) => Some(modulus),
+            (None, Some(ratio)) => Some(youngs_modulus / (2.0 * (1.0 + ratio))),
+            (None, None) => (self.figures()).map(|figures| figures.shear_modulus(youngs_modulus)),
+        }
+    }
+
+    /// The same material with its figures written out in place of its name.
+    pub fn resolved(&self) -> Self {
+        let shear = (self.shear_modulus_pa.is_none() && self.poisson_ratio.is_none())
+            .then(|| self.figures().map(|figures| figures.shear))
+            .flatten();
+        let (ratio, modulus) = match shear {
+            Some(Shear::PoissonRatio(ratio)) => (Some(ratio), None),
+            Some(Shear::Modulus(modulus)) => (None, Some(modulus)),
+            None => (self.poisson_ratio, self.shear_modulus_pa),
+        };
+        Self {
+            preset: None,
+            youngs_modulus_pa: self.youngs_modulus(),
+            poisson_ratio: ratio,
+            shear_modulus_pa: modulus,
+            density_kg_m3: self.density(),
+            shear_factor: self.shear_factor,
+        }
     }
 }
 
 impl Section {
     /// Radii in m at the base and at the tip.
     pub fn radii(&self) -> Option<[f64; 2]> {
-        match (self.radius_m, self.radius_base_m, self.radius_tip_m) {
+        let [uniform, base, tip] = [
+            (self.radius_m, self.diameter_m),
+            (self.radius_base_m, self.diameter_base_m),
+            (self.radius_tip_m, self.diameter_tip_m),
+        ]
+        .map(|(radius, diameter)| radius.or(diameter.map(|diameter| 0.5 * diameter)));
+        match (uniform, base, tip) {
             (Some(radius), None, None) => Some([radius, radius]),
             (None, Some(base), Some(tip)) => Some([base, tip]),
             _ => None,
@@ -1105,6 +1171,10 @@ fn normalized<const N: usize>(vector: [f64; N]) -> [f64; N] {
 
 fn one() -> f64 {
     1.0
+}
+
+fn twenty() -> usize {
+    20
 }
 
 fn yes() -> bool {

@@ -144,7 +144,7 @@ impl Scene {
         let (parameters, rod) = self.rod_of(source)?;
         let grid = self.grid(source, &rod, self.time.end_s, 1)?;
         let initial = self.initial_state(source, &rod)?;
-        let mut resolved = self.clone();
+        let mut resolved = self.with_material_resolved();
         resolve_time(&mut resolved, &grid);
         let output = self.output.clone().unwrap_or_default();
         Ok(Simulation {
@@ -240,7 +240,7 @@ impl Scene {
             )
         }));
         let resolved = {
-            let mut resolved = self.clone();
+            let mut resolved = self.with_material_resolved();
             resolve_time(&mut resolved, &grid);
             if let Some(task) = &mut resolved.task {
                 task.at_s = Some(horizon);
@@ -615,6 +615,13 @@ impl Scene {
             .map_or_else(Vec::new, |radius| vec![radius; n + 1])
     }
 
+    /// This scene with the figures of its material in place of the name.
+    fn with_material_resolved(&self) -> Scene {
+        let mut resolved = self.clone();
+        resolved.rod.material = self.rod.material.as_ref().map(model::Material::resolved);
+        resolved
+    }
+
     fn rod_of(&self, source: &SceneSource) -> Result<(RodParameters, Rod), SceneError> {
         let parameters = self.rod_parameters(source)?;
         let rod = Rod::new(&parameters)
@@ -700,9 +707,9 @@ impl Scene {
             .and_then(model::Section::radii)
             .ok_or_else(incomplete)?;
         let material = Material {
-            youngs_modulus: material.youngs_modulus_pa,
+            youngs_modulus: material.youngs_modulus().ok_or_else(incomplete)?,
             shear_modulus: material.shear_modulus().ok_or_else(incomplete)?,
-            density: material.density_kg_m3,
+            density: material.density().ok_or_else(incomplete)?,
             shear_factor: material.shear_factor,
         };
         Ok(if base_radius == tip_radius {
