@@ -512,6 +512,25 @@ fn iteration_limit_stops() {
     assert!(stopped > 5, "{stopped}");
 }
 
+/// A residual that is rounded to steps of 1e-10 never lets the gradient vanish: steps that go nowhere end the solve, as what they are.
+#[test]
+fn steps_that_go_nowhere_end_the_solve() {
+    let program = Program {
+        n_variables: 1,
+        residuals: Box::new(|x| {
+            let coarse = (x[0].clone() + 1e6) - (1e6 + 2f64.sqrt());
+            vec![coarse.clone(), (coarse + 0.3) * 0.37]
+        }),
+        ..Program::default()
+    };
+    let outcome = go(&program, &[3.0], &settings(HessianChoice::Auto));
+    assert_eq!(outcome.status, SqpStatus::StepTooSmall);
+    assert!(outcome.history.len() < 40, "{}", outcome.history.len());
+    let weight = 0.37 * 0.37;
+    let least = 2f64.sqrt() - 0.3 * weight / (1.0 + weight);
+    near(&outcome.point.v, &[least], 1e-9);
+}
+
 /// `q_{k+1} = q_k + ⅕ sin q_k + ⅒ v_k (1 + q_k²)`, `q_0 = 0`; effort, a wish for every state, and `q_8 = 1` hard.
 fn recursion(lifted: bool) -> Program {
     const N: usize = 8;

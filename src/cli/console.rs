@@ -40,6 +40,11 @@ impl Console {
         }
     }
 
+    /// Whether only what is said [always](Self::always) is heard.
+    pub(super) fn is_quiet(&self) -> bool {
+        self.quiet
+    }
+
     /// A heading or verdict: green when good, red when not.
     pub(super) fn verdict(&self, good: bool, text: &str) {
         if self.color {

@@ -10,6 +10,8 @@ mod report_pages;
 mod schema;
 mod simulate;
 mod solve;
+mod solve_diagnostics;
+mod step_kind;
 mod verify;
 
 use std::path::PathBuf;

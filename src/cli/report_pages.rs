@@ -3,17 +3,20 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::solve::findings;
-use crate::control::{Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape};
+use super::step_kind::{MEANINGS, step_kind};
+use crate::control::{
+    Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking,
+};
 use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
     self, MotionRecord, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
+    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
     ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
 use crate::scene::{OptimalControl, Scene, Simulation};
-use crate::sqp::{HessianKind, IterationRecord};
+use crate::sqp::IterationRecord;
 use crate::verify::{CheckItem, ForwardCheck};
 
 const FRAMES: usize = 240;
@@ -70,11 +73,13 @@ pub(super) fn simulation_page(
         arm: arm(scene, &setup.rod),
         motion: ReportMotion::thinned(record, FRAMES),
         target: None,
+        paths: Vec::new(),
         obstacles: obstacles(scene, &setup.rod, record),
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
         sensitivity: None,
         iterations: Vec::new(),
+        kinds: Vec::new(),
         checks: Vec::new(),
     }
 }
@@ -110,7 +115,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
             text,
             ok: certified,
         },
-        facts: (solve_facts(summary).into_iter())
+        facts: (solve_facts(summary, problem.final_goals().next().is_some()).into_iter())
             .chain(
                 page.check
                     .iter()
@@ -121,7 +126,8 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         summary: serde_json::to_value(summary).unwrap_or_default(),
         arm: arm(page.scene, &problem.rod),
         motion: ReportMotion::thinned(page.record, FRAMES),
-        target: Some(target(problem)),
+        target: target(problem),
+        paths: paths(problem),
         obstacles: obstacles(page.scene, &problem.rod, page.record),
         controls: Some(controls(problem, page.coefficients)),
         energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
@@ -131,6 +137,9 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
             closed: feedback.closed_loop.clone(),
         }),
         iterations: page.history.iter().map(iteration).collect(),
+        kinds: (MEANINGS.iter())
+            .map(|(sign, meaning)| ((*sign).into(), (*meaning).into()))
+            .collect(),
         checks: page
             .check
             .iter()
@@ -143,13 +152,21 @@ fn fact(label: &str, value: impl ToString) -> (String, String) {
     (label.to_string(), value.to_string())
 }
 
-fn solve_facts(summary: &SolveSummary) -> Vec<(String, String)> {
+fn solve_facts(summary: &SolveSummary, has_target: bool) -> Vec<(String, String)> {
     let mut facts = vec![
         fact("status", summary.status),
         fact("iterations", summary.iterations),
         fact("objective", format!("{:.8e}", summary.objective)),
         fact("wall time", format!("{:.3} s", summary.wall_s)),
-        fact("tip error", format!("{:.3e} m", summary.tip_error_m)),
+    ];
+    if has_target {
+        facts.push(fact("tip error", format!("{:.3e} m", summary.tip_error_m)));
+    }
+    for error in &summary.tracking {
+        let label = format!("path of node {}", error.node);
+        facts.push(fact(&label, format!("missed by {error}")));
+    }
+    facts.extend([
         fact(
             "tip speed at the end",
             format!("{:.3e} m/s", summary.tip_speed_m_s),
@@ -171,7 +188,7 @@ fn solve_facts(summary: &SolveSummary) -> Vec<(String, String)> {
                 summary.control_blocks, summary.variables
             ),
         ),
-    ];
+    ]);
     if let Some(message) = &summary.message {
         facts.push(fact("message", message));
     }
@@ -192,15 +209,31 @@ fn arm(scene: &Scene, rod: &Rod) -> ReportArm {
     }
 }
 
-/// What the tip should reach at the end.
-fn target(problem: &OptimalControlProblem) -> ReportTarget {
+/// What the tip should reach at the end; `None` where there is nothing.
+fn target(problem: &OptimalControlProblem) -> Option<ReportTarget> {
     let goals = || problem.final_goals();
-    ReportTarget {
+    goals().next().map(|_| ReportTarget {
         position: goals().find_map(|goal| goal.position).map(Into::into),
         directions: goals()
             .find_map(|goal| goal.rotation.as_ref())
             .map(directors),
-    }
+    })
+}
+
+/// The paths that nodes should follow, over the horizon.
+fn paths(problem: &OptimalControlProblem) -> Vec<ReportPath> {
+    let end = problem.grid.end();
+    let of = |tracking: &Tracking| {
+        let corners = tracking.path.iter().map(|&(t, _)| t);
+        let within = corners.filter(|t| (0.0..end).contains(t) && *t > 0.0);
+        let t: Vec<f64> = ([0.0].into_iter().chain(within).chain([end])).collect();
+        ReportPath {
+            node: tracking.node,
+            x: t.iter().map(|&t| tracking.position(t).into()).collect(),
+            t,
+        }
+    };
+    problem.objective.tracking.iter().map(of).collect()
 }
 
 /// The obstacles, and the arm's clearance of each; `None` where there are none.
@@ -333,25 +366,6 @@ fn iteration(row: &IterationRecord) -> ReportIteration {
         step_norm: row.step_norm,
         kind: step_kind(row),
     }
-}
-
-/// Letters of the iteration table: g Gauss-Newton, x exact, e exact of the point before, c convexified, b BFGS, s SR1, p restoration; then l lifted or r restored, and a `+` for
-/// every second-order correction.
-pub(super) fn step_kind(row: &IterationRecord) -> String {
-    if row.step_norm == 0.0 {
-        return String::from("-");
-    }
-    let hessian = match row.hessian {
-        HessianKind::GaussNewton => 'g',
-        HessianKind::Exact => 'x',
-        HessianKind::Earlier => 'e',
-        HessianKind::Convexified => 'c',
-        HessianKind::Bfgs => 'b',
-        HessianKind::Sr1 => 's',
-        HessianKind::Proximal => 'p',
-    };
-    let states = if row.restored { 'r' } else { 'l' };
-    format!("{hessian}{states}{}", "+".repeat(row.corrections))
 }
 
 fn check_row(item: &CheckItem) -> ReportCheck {

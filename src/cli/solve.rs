@@ -12,14 +12,16 @@ use clap::Args;
 use super::check::warnings;
 use super::console::{Console, interrupted};
 use super::error::CliError;
-use super::report_pages::{SolvePage, solve_page, step_kind};
+use super::report_pages::{SolvePage, solve_page};
 use super::simulate::push_row;
+use super::solve_diagnostics::diagnostics;
+use super::step_kind::{legend, step_kind};
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     Attempt, Feedback, FeedbackError, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement,
-    PathRow, Search, Transcription, search,
+    PathRow, Search, TrackingError, Transcription, search, tracking_errors,
 };
 use crate::mechanics::{Energy, State, Wrench};
 use crate::output::summary::{
@@ -125,6 +127,15 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         summary.open_loop_sensitivity = Some(SensitivitySummary::of(&feedback.open_loop));
         summary.closed_loop_sensitivity = Some(SensitivitySummary::of(&feedback.closed_loop));
     }
+    let diagnostics = (setup.diagnostics)
+        .then(|| diagnostics(&setup.problem, &solution.coefficients))
+        .and_then(|found| {
+            let warn = |error| console.warn(&format!("no diagnostics.npz: {error}"));
+            found.map_err(warn).ok()
+        });
+    if let Some(diagnostics) = &diagnostics {
+        diagnostics.write_npz(&directory.path().join("diagnostics.npz"))?;
+    }
     write(
         &directory,
         &scene,
@@ -136,6 +147,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     )?;
     let written = directory.finish()?;
     let check = solution.check.as_ref();
+    if plan.starts == 1 {
+        console.say(&legend(&solution.attempt.outcome.history));
+    }
     conclude(&setup.problem, &summary, check, &written, console);
     console.summary(&summary);
     Ok(exit_code(&solution.attempt.outcome.status, check))
@@ -495,6 +509,7 @@ fn summarize(
         tip_error_m: check.map_or(f64::NAN, |check| check.tip_error),
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
+        tracking: tracking_errors(problem, &outcome.point.trajectory),
         check: check.map(check_outcome),
         open_loop_sensitivity: None,
         closed_loop_sensitivity: None,
@@ -865,6 +880,7 @@ fn conclude(
             summary.duration_s, free.shortest, free.longest
         ));
     }
+    show_tracking(&summary.tracking, console);
     if summary.status != "converged" {
         let message = summary
             .message
@@ -897,12 +913,29 @@ fn conclude(
         ));
     }
     if let Some(check) = check {
-        show_check(check, summary.status == "converged", console);
+        let converged = summary.status == "converged";
+        show_check(check, converged, console);
+        if console.is_quiet() && converged && check.is_certified() {
+            console.always(&format!(
+                "{} after {} iterations, {:.2} s: objective {:.8e}",
+                check.verdict(),
+                summary.iterations,
+                summary.wall_s,
+                summary.objective
+            ));
+        }
     }
     console.say(&format!(
         "report: {}",
         written.join("report.html").display()
     ));
+}
+
+/// How well the paths are followed.
+pub(super) fn show_tracking(tracking: &[TrackingError], console: &Console) {
+    for error in tracking {
+        console.say(&format!("path of node {}: missed by {error}", error.node));
+    }
 }
 
 /// What the check found beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the

@@ -8,9 +8,9 @@ use nalgebra::Matrix3;
 
 use super::console::Console;
 use super::error::CliError;
-use super::solve::{check_outcome, show_check};
+use super::solve::{check_outcome, show_check, show_tracking};
 use super::{Global, Outcome, exit};
-use crate::control::OptimalControlProblem;
+use crate::control::{OptimalControlProblem, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
 use crate::output::{ControlRow, MotionRecord, read_controls, read_multipliers};
@@ -62,6 +62,8 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         check.deepen(&setup.problem, &solution)?;
     }
     show_check(&check, true, console);
+    let tracking = tracking_errors(&setup.problem, &trajectory);
+    show_tracking(&tracking, console);
     console.summary(&VerifySummary {
         schema_version: SCHEMA_VERSION,
         command: "verify",
@@ -70,6 +72,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         tip_error_m: check.tip_error,
         tip_angle_rad: check.tip_angle,
         tip_speed_m_s: check.tip_speed,
+        tracking,
         wall_s: started.elapsed().as_secs_f64(),
     });
     Ok(if check.is_certified() {

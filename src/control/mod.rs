@@ -12,6 +12,7 @@ pub mod problem;
 mod release;
 pub mod search;
 pub mod second_opinion;
+mod tracking_error;
 pub mod transcription;
 
 pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
@@ -24,4 +25,5 @@ pub use problem::{
     GoalPart, GoalRow, Objective, OptimalControlProblem, Tracking,
 };
 pub use search::{Abandoned, Attempt, Continuation, Search, search};
+pub use tracking_error::{TrackingError, tracking_errors};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

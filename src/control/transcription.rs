@@ -541,6 +541,11 @@ impl LiftedProgram for Transcription<'_> {
         self.n_controls
     }
 
+    /// Of effort, rate, soft residuals and the price of the duration.
+    fn own_gradient(&self, point: &LiftedPoint) -> Option<Vec<f64>> {
+        Some(self.control_cost.value(&point.variables).1)
+    }
+
     fn softness(&self, row: usize) -> Softness {
         let PathRow {
             constraint, time, ..

@@ -1,6 +1,8 @@
+use std::path::Path;
+
 use nalgebra::Vector3;
 
-use super::ArrayView;
+use super::{ArrayView, OutputError, npz};
 use crate::mechanics::{Diagnostics, PowerBalance};
 
 /// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows are those of `trajectory.npz`.
@@ -83,6 +85,43 @@ impl DiagnosticsRecord {
             row.internal_moment.extend(element.moment.iter());
         }
         row
+    }
+
+    /// Appends the rows of another record of the same arm.
+    pub fn append(&mut self, other: &Self) {
+        let own = [
+            &mut self.t,
+            &mut self.linear_momentum,
+            &mut self.angular_momentum,
+            &mut self.linear_strain,
+            &mut self.angular_strain,
+            &mut self.internal_force,
+            &mut self.internal_moment,
+            &mut self.base_force,
+            &mut self.base_moment,
+            &mut self.external_force,
+            &mut self.external_moment,
+            &mut self.damping_force,
+            &mut self.damping_moment,
+            &mut self.volume_error,
+            &mut self.power,
+        ];
+        for (values, (_, _, more)) in own.into_iter().zip(other.arrays()) {
+            values.extend_from_slice(more);
+        }
+    }
+
+    /// Writes the archive.
+    ///
+    /// # Errors
+    /// [`OutputError`] with the path.
+    pub fn write_npz(&self, path: &Path) -> Result<(), OutputError> {
+        npz::write(path, |archive| {
+            for (name, shape, values) in self.arrays() {
+                npz::write_array(archive, name, &shape, values.iter().map(|&value| Ok(value)))?;
+            }
+            Ok(())
+        })
     }
 
     /// Name, shape and values of every array of the file, in the order of the file.

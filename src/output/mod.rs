@@ -22,8 +22,8 @@ pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 pub use report::{
     Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
-    ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportSensitivity, ReportShape,
-    ReportTarget, ReportVerdict, render_report,
+    ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath, ReportSensitivity,
+    ReportShape, ReportTarget, ReportVerdict, render_report,
 };
 pub use rows::{ArrayView, RowFiles, row_bytes};
 pub use running::{Checkpoint, RunDirectory};

@@ -22,6 +22,8 @@ pub struct ReportData {
     pub motion: ReportMotion,
     /// Where the tip should go.
     pub target: Option<ReportTarget>,
+    /// Paths that nodes should follow.
+    pub paths: Vec<ReportPath>,
     /// What the arm should stay clear of.
     pub obstacles: Option<ReportObstacles>,
     /// Force and moment on the tip.
@@ -32,6 +34,8 @@ pub struct ReportData {
     pub sensitivity: Option<ReportSensitivity>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
+    /// The signs in the kinds of iterations, with their meanings.
+    pub kinds: Vec<(String, String)>,
     /// What was checked afterwards, with the verdicts.
     pub checks: Vec<ReportCheck>,
 }
@@ -116,6 +120,17 @@ pub struct ReportTarget {
     pub position: Option<[f64; 3]>,
     /// Directors `d1, d2, d3` in the spatial frame.
     pub directions: Option<[[f64; 3]; 3]>,
+}
+
+/// A path that a node should follow.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportPath {
+    /// The node.
+    pub node: usize,
+    /// `[n]` times of its corners in seconds.
+    pub t: Vec<f64>,
+    /// `[n]` corners in meters; straight in between, at constant speed.
+    pub x: Vec<[f64; 3]>,
 }
 
 /// The obstacles, and how near the arm comes to them.
@@ -288,9 +303,9 @@ pub struct ReportIteration {
     pub feasibility: f64,
     /// KKT residual: complementarity.
     pub complementarity: f64,
-    /// Fraction of the direction that was taken.
+    /// Norm of the step of the variables.
     pub step_norm: f64,
-    /// Kind of step, as in "full" or "restoration".
+    /// Kind of step, in the signs that [`ReportData::kinds`] explains.
     pub kind: String,
 }
 
@@ -363,11 +378,13 @@ mod tests {
                 position: Some([0.3, 0.0, 0.1]),
                 directions: None,
             }),
+            paths: vec![],
             obstacles: None,
             controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
             sensitivity: None,
             iterations: vec![],
+            kinds: vec![],
             checks: vec![],
         }
     }

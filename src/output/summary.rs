@@ -1,6 +1,6 @@
 //! The summary objects that scripts read: `summary.json`, and what `--json` prints.
 
-use crate::control::Abandoned;
+use crate::control::{Abandoned, TrackingError};
 use serde::Serialize;
 
 use crate::sqp::{Convergence, KktResidual};
@@ -452,6 +452,9 @@ pub struct SolveSummary {
     pub tip_angle_rad: f64,
     /// Speed of the tip at the end, m/s.
     pub tip_speed_m_s: f64,
+    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tracking: Vec<TrackingError>,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckOutcome>,
     /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
@@ -512,6 +515,9 @@ pub struct VerifySummary {
     pub tip_angle_rad: f64,
     /// Speed of the tip at the end, m/s.
     pub tip_speed_m_s: f64,
+    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tracking: Vec<TrackingError>,
     /// Wall time, s.
     pub wall_s: f64,
 }

@@ -859,7 +859,7 @@ impl Keys<'_> {
             let key = |name: &str| format!("objective.track.{index}.{name}");
             self.node(&key("node"), track.node, scene.rod.elements)?;
             self.table(&key("path_m"), &track.path_m, "no path")?;
-            self.positive(&key("weight"), track.weight, "weight", "")?;
+            self.positive_if_given(&key("weight"), track.weight, "weight", "")?;
         }
         if objective.effort == 0.0 && objective.rate == 0.0 {
             let message =

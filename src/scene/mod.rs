@@ -17,6 +17,7 @@ mod model;
 mod overrides;
 mod reader;
 mod source;
+mod tracking;
 pub mod translate;
 
 pub use error::SceneError;

@@ -878,7 +878,9 @@ pub struct Objective {
     pub moment_scale_n_m: Option<f64>,
 }
 
-/// A node that should follow a path: half the squared distance over the rod's length squared, integrated over time.
+/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time.
+///
+/// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Track {
@@ -887,10 +889,12 @@ pub struct Track {
     pub node: LoadNode,
     /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
     pub path_m: Vec<[f64; 4]>,
-    /// Weight, positive, default 1.
-    #[serde(default = "one")]
+    /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of
+    /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
+    /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
-    pub weight: f64,
+    pub weight: Option<f64>,
 }
 
 /// How the optimizer works.
@@ -900,7 +904,7 @@ pub struct Solver {
     /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance: f64,
-    /// Iterations after which to give up, at least 1, default 100.
+    /// Iterations after which to give up, at least 1, default 600.
     #[schemars(range(min = 1))]
     pub max_iterations: usize,
     /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
@@ -1009,8 +1013,8 @@ pub struct Output {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,
-    /// Whether a simulation also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
-    /// of momentum and power. Default: false.
+    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
+    /// of momentum and power, of a solve with its controls among the loads. Default: false.
     pub diagnostics: bool,
 }
 

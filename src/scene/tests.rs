@@ -326,3 +326,53 @@ fn error_at_finds_nested_keys() {
     assert_eq!(position("rod.stiffness.ea_n"), (Some(1), Some(1)));
     assert_eq!(position("task"), (None, None));
 }
+
+/// Where a description in the schema names a default and the schema has one, they are the same: those of the code.
+#[test]
+fn described_defaults_are_true() {
+    fn visit(value: &serde_json::Value, path: &str, seen: &mut Vec<String>) {
+        if let Some(properties) = value.get("properties").and_then(|p| p.as_object()) {
+            for (name, property) in properties {
+                let description = property["description"].as_str().unwrap_or_default();
+                let words = description.to_lowercase();
+                let said = words.split("default").nth(1).map(|rest| {
+                    rest.trim_start_matches([':', ' '])
+                        .split([' ', ',', ';', '\n'])
+                        .next()
+                        .unwrap_or_default()
+                        .trim_end_matches('.')
+                        .to_string()
+                });
+                let (Some(said), Some(default)) = (said, property.get("default")) else {
+                    continue;
+                };
+                let same = match (said.parse::<f64>(), default) {
+                    (Ok(number), serde_json::Value::Number(value)) => {
+                        value.as_f64() == Some(number)
+                    }
+                    (Err(_), serde_json::Value::Bool(flag))
+                        if ["true", "false"].contains(&&*said) =>
+                    {
+                        said == flag.to_string()
+                    }
+                    // Words that describe what a structure does by default.
+                    _ => continue,
+                };
+                assert!(
+                    same,
+                    "{path}.{name}: described as {said}, but it is {default}"
+                );
+                seen.push(format!("{path}.{name}"));
+            }
+        }
+        if let Some(definitions) = value.get("$defs").and_then(|d| d.as_object()) {
+            for (name, definition) in definitions {
+                visit(definition, name, seen);
+            }
+        }
+    }
+    let mut seen = Vec::new();
+    visit(&Scene::schema(), "Scene", &mut seen);
+    assert!(seen.contains(&"Solver.max_iterations".into()), "{seen:?}");
+    assert!(seen.len() >= 15, "{seen:?}");
+}

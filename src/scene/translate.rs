@@ -12,7 +12,7 @@ use crate::control::path::thinnest;
 use crate::control::{
     Actuator, Bound, Channel, Continuation, ControlGrid, DurationConflict, Enforcement,
     FeedbackWeights, FreeDuration, Goal, GoalPart, Guess, Hold, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape, Tracking,
+    PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{from_quaternion, log};
@@ -66,6 +66,8 @@ pub struct OptimalControl {
     pub search: Search,
     /// Weights of the regulator around the solution; none where there should be none.
     pub feedback: Option<FeedbackWeights>,
+    /// Whether diagnostics are written.
+    pub diagnostics: bool,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
 }
@@ -160,25 +162,38 @@ impl Scene {
         })
     }
 
-    /// The optimal-control problem that the scene describes; its horizon ends at `task.at_s`.
+    /// The optimal-control problem that the scene describes; its horizon ends at `task.at_s`, or without a task at `time.end_s`.
     ///
     /// # Errors
-    /// [`SceneError`] when `[task]` or `[control]` is missing, and as [`Self::simulation`].
+    /// [`SceneError`] when `[control]` is missing, or both `[task]` and `[[objective.track]]`, and as [`Self::simulation`].
     pub fn optimal_control(&self, source: &SceneSource) -> Result<OptimalControl, SceneError> {
         let missing = |section: &str| {
             source.error_at(
                 section,
                 format!("[{section}] is missing"),
-                Some("an optimal-control problem needs [task] and [control]; `softarm example reach` shows both".into()),
+                Some(
+                    "an optimal-control problem needs [control], and [task] or [[objective.track]]; `softarm example reach` shows \
+                     [task] and [control]"
+                        .into(),
+                ),
             )
         };
-        let task = self.task.as_ref().ok_or_else(|| missing("task"))?;
-        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
         let objective = self.objective.clone().unwrap_or_default();
+        let task = self.task.as_ref();
+        if task.is_none() && objective.track.is_empty() {
+            return Err(missing("task"));
+        }
+        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
         let solver = self.solver.clone().unwrap_or_default();
         let (parameters, rod) = self.rod_of(source)?;
-        let horizon = task.instant(self.time.end_s);
-        let grid = match &task.free_duration {
+        let horizon = task.map_or(self.time.end_s, |task| task.instant(self.time.end_s));
+        if !(horizon > 0.0) {
+            let message = "a path cannot be followed in no time";
+            let error = source.error_at("time.end_s", message, None);
+            return Err(error.expecting("expected a positive duration"));
+        }
+        let free_duration = task.and_then(|task| task.free_duration);
+        let grid = match &free_duration {
             None => self.grid(source, &rod, horizon, control.blocks)?,
             Some(free) => self.stretching_grid(source, &rod, horizon, free, control.blocks)?,
         };
@@ -239,6 +254,7 @@ impl Scene {
                 definition.moment_max_n_m,
             )
         }));
+        let objective = objective.weighted(&rod, &actuators);
         let resolved = {
             let mut resolved = self.with_material_resolved();
             resolve_time(&mut resolved, &grid);
@@ -255,9 +271,9 @@ impl Scene {
         };
         let problem = OptimalControlProblem {
             radii: self.display_radii(),
-            goals: self.goals(task, &rod, &grid),
-            path: self.path_constraints(&rod, &longest_grid(task, grid)),
-            duration: task.free_duration.map(|free| FreeDuration {
+            goals: task.map_or_else(Vec::new, |task| self.goals(task, &rod, &grid)),
+            path: self.path_constraints(&rod, &longest_grid(free_duration.as_ref(), grid)),
+            duration: free_duration.map(|free| FreeDuration {
                 shortest: free.shortest_s,
                 longest: free.longest_s,
                 price: free.price,
@@ -267,13 +283,7 @@ impl Scene {
                 rate: objective.rate,
                 energy: objective.energy,
                 tracking: (objective.track.iter())
-                    .map(|track| Tracking {
-                        node: track.node.index(rod.tip()),
-                        path: (track.path_m.iter())
-                            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-                            .collect(),
-                        weight: track.weight,
-                    })
+                    .map(|track| track.tracking(&rod))
                     .collect(),
                 samples: objective.samples,
             },
@@ -361,6 +371,7 @@ impl Scene {
                 }
                 None => None,
             },
+            diagnostics: (self.output.as_ref()).is_some_and(|output| output.diagnostics),
             resolved,
         })
     }
@@ -970,12 +981,12 @@ fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
 }
 
 /// The grid at the longest duration: what a rate of samples is counted on, so that it does not depend on where the search begins.
-fn longest_grid(task: &model::Task, grid: TimeGrid) -> TimeGrid {
+fn longest_grid(free: Option<&model::FreeDuration>, grid: TimeGrid) -> TimeGrid {
     let longest = |free: &model::FreeDuration| TimeGrid {
         step: free.longest_s / grid.n_steps as f64,
         ..grid
     };
-    task.free_duration.as_ref().map_or(grid, longest)
+    free.map_or(grid, longest)
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {

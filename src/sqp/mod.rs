@@ -22,5 +22,6 @@ pub use program::{
 pub use residual::{KktResidual, Multipliers};
 pub use route::QpRoute;
 pub use solver::{
-    Convergence, IterationRecord, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop, solve,
+    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
+    solve,
 };

@@ -295,6 +295,13 @@ pub trait LiftedProgram {
         usize::MAX
     }
 
+    /// Gradient of the part of `J` that is a function of the variables alone, where the program knows it; the rest of `J` comes through
+    /// the states, as the constraints do. At an optimum without active constraints both parts cancel: what is left of their sum is small
+    /// or large beside them, and beside nothing else. A program that does not tell them apart is judged by their sum.
+    fn own_gradient(&self, _point: &Self::Point) -> Option<Vec<f64>> {
+        None
+    }
+
     /// Values at a point.
     ///
     /// # Errors

@@ -93,8 +93,10 @@ impl Multipliers {
 /// Scaled residuals of the Karush-Kuhn-Tucker conditions.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
-    /// `|∇J + (Jᵀy + Dᵀz) + Σ pulls of the sets|_∞`, relative to the largest entry of its terms, as bracketed, along the variables that
-    /// are [measured](LiftedProgram::n_measured).
+    /// `|∇J_v + (∇J_q + Jᵀy + Dᵀz) + Σ pulls of the sets|_∞`, relative to the largest entry of its terms, as bracketed, along the variables
+    /// that are [measured](LiftedProgram::n_measured): what the variables cost by themselves
+    /// ([`own_gradient`](LiftedProgram::own_gradient), all of `∇J` where a program does not say), what comes through the states, and the
+    /// pull of every set. The terms are those of the check in [`verify`](crate::verify), so that neither is stricter than the other.
     pub stationarity: f64,
     /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
@@ -154,20 +156,25 @@ impl KktResidual {
     ) -> Self {
         let variables = program.variables(point);
         let n_measured = program.n_measured().min(variables.len());
+        let own = program.own_gradient(point);
+        let own = own.as_ref().unwrap_or(&linearization.gradient);
         let mut sum = Sum {
-            gradient: linearization.gradient.clone(),
-            largest: infinity_norm(&linearization.gradient[..n_measured]),
+            gradient: own.clone(),
+            largest: infinity_norm(&own[..n_measured]),
             n_measured,
         };
-        // Rows that nearly say the same may pull against each other as hard as they like: together they are one term.
+        // Rows that nearly say the same may pull against each other, or against costs of the states, as hard as they like: together they
+        // are one term.
         for j in 0..variables.len() {
+            let by_states = linearization.gradient[j] - own[j];
             let by_constraints = (multipliers.constraints.iter().enumerate())
                 .map(|(row, y)| linearization.jacobian[(row, j)] * y);
             let by_inequalities = (linearization.rows.iter().enumerate())
                 .map(|(at, &row)| (at, multipliers.inequalities[row]))
                 .filter(|(_, z)| *z != 0.0)
                 .map(|(at, z)| linearization.inequality_jacobian[(at, j)] * z);
-            sum.add(j, by_constraints.chain(by_inequalities).sum());
+            let by_rows: f64 = by_constraints.chain(by_inequalities).sum();
+            sum.add(j, by_states + by_rows);
         }
         let mut feasibility = infinity_norm(&evaluation.constraints).max(evaluation.defect);
         let mut complementarity: f64 = 0.0;

@@ -27,7 +27,8 @@ use super::quasi_newton::{Formula, QuasiNewton};
 use super::residual::{KktResidual, Multipliers, norm};
 use super::route::QpRoute;
 use super::solver::{
-    Convergence, IterationRecord, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus, Stop,
+    Convergence, IterationRecord, Leave, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus,
+    Stop,
 };
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -81,6 +82,9 @@ const RESTORATIONS: usize = 5;
 const RELEASES: usize = 3;
 /// Steps shorter than this, relative to the variables (at least to one), go nowhere.
 const NO_STEP: f64 = 1e-9;
+/// So many of them in a row, and what they lead to is where the solve is. States that still come nearer to their equations have done so by
+/// then: their defects fall with the square.
+const NULL_STEPS: usize = 8;
 /// What an iteration did.
 pub(super) enum Step {
     Taken,
@@ -128,6 +132,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     restored_at: usize,
     rescues: usize,
     refused_in_a_row: usize,
+    /// Accepted steps in a row that go nowhere.
+    null_steps: usize,
     filter_resets: usize,
     merit_steps: usize,
     exact_pause: usize,
@@ -232,6 +238,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             restored_at: 0,
             rescues: 0,
             refused_in_a_row: 0,
+            null_steps: 0,
             filter_resets: 0,
             merit_steps: 0,
             exact_pause: 0,
@@ -367,6 +374,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             infeasibility,
             step_norm: 0.0,
             contraction: None,
+            left: Leave::End,
             hessian: HessianKind::GaussNewton,
             corrections: 0,
             restored: false,
@@ -683,6 +691,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) {
         let length = norm(&solution.change);
         self.note_step(&accepted, length);
+        self.null_steps = if length <= self.negligible() {
+            self.null_steps + 1
+        } else {
+            0
+        };
         let is_optimal = (self.history.last())
             .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
         if model.holds && !is_optimal && length <= self.negligible() {
@@ -730,6 +743,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.arrive(accepted);
     }
 
+    /// Whether steps were accepted that go nowhere, one after the other; they are counted anew from here.
+    pub(super) fn stands_still(&mut self) -> bool {
+        let stands = self.null_steps >= NULL_STEPS;
+        if stands {
+            self.null_steps = 0;
+        }
+        stands
+    }
+
     /// Length of a step that goes nowhere.
     fn negligible(&self) -> f64 {
         NO_STEP * norm(self.variables()).max(1.0)
@@ -741,9 +763,21 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             .find(|&step| step > 0.0);
         if let Some(row) = self.history.last_mut() {
             row.step_norm = length;
+            row.left = if length > 0.0 {
+                Leave::Step
+            } else {
+                Leave::Settled
+            };
             row.contraction = before.map(|before| length / before);
             row.corrections = accepted.corrections;
             row.restored = accepted.restored;
+        }
+    }
+
+    /// Says how the present point was left.
+    pub(super) fn leave(&mut self, left: Leave) {
+        if let Some(row) = self.history.last_mut() {
+            row.left = left;
         }
     }
 

@@ -81,12 +81,31 @@ pub enum SqpStatus {
     LocallyInfeasible,
     /// Iterations used up.
     IterationLimit,
-    /// No acceptable step, however short.
+    /// No acceptable step, however short, or none any more that leads anywhere.
     StepTooSmall,
     /// Stopped from outside.
     Stopped(Stop),
     /// The model broke down at the start, or a subproblem could not be solved.
     Failed(String),
+}
+
+/// How an iteration left its point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Leave {
+    /// Not at all: the solve ended there.
+    #[default]
+    End,
+    /// By a step of the variables.
+    Step,
+    /// Along negative curvature, a saddle.
+    Saddle,
+    /// The variables stayed, and the states were computed from them.
+    Settled,
+    /// The point stayed, or only its states were put back: filter and trust region begin anew.
+    Anew,
+    /// Back to the best point so far.
+    Back,
 }
 
 /// One row of the iteration table: the point, and the step that left it.
@@ -104,6 +123,8 @@ pub struct IterationRecord {
     pub step_norm: f64,
     /// Norm of this step over that of the last one before it.
     pub contraction: Option<f64>,
+    /// How the point was left.
+    pub left: Leave,
     /// Hessian of the step.
     pub hessian: HessianKind,
     /// Second-order corrections of the step, or refits of it.
@@ -259,9 +280,14 @@ pub fn solve<P: LiftedProgram>(
             .map(|part| settings.feasibility_tolerance(part, run.rounding()));
         let is_exact = run.defect() <= defect && residual.feasibility <= violation;
         if is_optimal(&residual) && (is_exact || stagnates) {
-            let goes_on = iteration < settings.max_iterations
-                && (run.escape() || (!is_exact && run.settle()));
-            if goes_on {
+            let may_go_on = iteration < settings.max_iterations;
+            let left = if may_go_on && run.escape() {
+                Some(Leave::Saddle)
+            } else {
+                (may_go_on && !is_exact && run.settle()).then_some(Leave::Settled)
+            };
+            if let Some(left) = left {
+                run.leave(left);
                 if let ControlFlow::Break(stop) = run.show(observer) {
                     return run.end(SqpStatus::Stopped(stop));
                 }
@@ -283,12 +309,15 @@ pub fn solve<P: LiftedProgram>(
             return run.finish(SqpStatus::Stopped(stop), observer);
         }
         let step = match run.step(linearization) {
+            // A step that goes nowhere, after others like it, is none.
+            Ok(Step::Taken) if run.stands_still() => Step::Refused,
             Ok(step) => step,
             Err(error) => return run.finish(SqpStatus::Failed(error.to_string()), observer),
         };
         match step {
-            Step::Taken | Step::Restored => {}
-            Step::Refused | Step::Infeasible if run.turn_back() => {}
+            Step::Taken => {}
+            Step::Restored => run.leave(Leave::Anew),
+            Step::Refused | Step::Infeasible if run.turn_back() => run.leave(Leave::Back),
             Step::Refused => {
                 let status = match run.out_of_time() {
                     // At rounding no step can be an improvement any more.

@@ -115,10 +115,10 @@ impl ControlConditions {
         let mut out = Self::default();
         let n = problem.actuators.len();
         let mut gradient = pull_back(problem, pulled);
-        out.note(&gradient);
+        out.note(problem, &gradient);
         let (cost, slope) = control_cost(problem, coefficients);
         out.cost = cost;
-        out.note(&slope);
+        out.note(problem, &slope);
         for (gradient, slope) in gradient.iter_mut().zip(&slope) {
             for (g, s) in gradient.iter_mut().zip(slope) {
                 *g += s;
@@ -208,11 +208,16 @@ impl ControlConditions {
         out
     }
 
-    fn note(&mut self, terms: &[Pair]) {
-        (self.largest) = terms
-            .iter()
-            .flatten()
-            .fold(self.largest, |m, t| m.max(t.amax()));
+    /// Takes the size of terms along what is actuated: what is not has terms as well, and nothing to choose.
+    fn note(&mut self, problem: &OptimalControlProblem, terms: &[Pair]) {
+        for (terms, actuator) in terms.iter().zip(problem.actuators.iter().cycle()) {
+            for (term, channel) in terms.iter().zip([&actuator.force, &actuator.moment]) {
+                let acts = |axis: usize| channel.bound.is_none_or(|bound| bound.actuates(axis));
+                for axis in (0..3).filter(|&axis| acts(axis)) {
+                    self.largest = self.largest.max(term[axis].abs());
+                }
+            }
+        }
     }
 }
 

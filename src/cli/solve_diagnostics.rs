@@ -1,0 +1,77 @@
+//! `diagnostics.npz` of an optimized motion: the controls count among the loads.
+
+use nalgebra::Vector3;
+
+use crate::control::OptimalControlProblem;
+use crate::mechanics::{
+    Diagnostics, Load, LoadFrame, PowerBalance, Rod, StepError, Stepper, Wrench,
+};
+use crate::output::DiagnosticsRecord;
+
+/// Diagnostics at every time node of the motion that the controls make, as a simulation of the same motion writes them.
+///
+/// # Errors
+/// [`StepError`] of the integrator.
+pub(super) fn diagnostics(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+) -> Result<DiagnosticsRecord, StepError> {
+    let (grid, h) = (problem.grid, problem.grid.step);
+    let control = problem.signal(&problem.control, coefficients);
+    let mut loaded = problem.rod.clone();
+    let n_own = loaded.loads.len();
+    let mut stepper = Stepper::new(&problem.rod, h, problem.initial.clone());
+    let mut record = DiagnosticsRecord::empty(problem.rod.n_elements());
+    let mut before = None;
+    for k in 0..=grid.n_steps {
+        let t = grid.time(k);
+        if let Some(earlier) = k.checked_sub(1) {
+            before = Some(stepper.state());
+            stepper.advance([control.at(earlier), control.at(k)])?;
+        }
+        let state = stepper.state();
+        loaded.loads.truncate(n_own);
+        // Over the step that ends here, each end with its own wrenches.
+        if let Some(earlier) = k.checked_sub(1) {
+            let at = control.at(earlier);
+            act(
+                &mut loaded,
+                at.nodes,
+                at.wrenches,
+                &[(t - 2.0 * h, 1.0), (t - h, 1.0), (t, 0.0), (t + h, 0.0)],
+            );
+        }
+        let at = control.at(k);
+        act(
+            &mut loaded,
+            at.nodes,
+            at.wrenches,
+            &[(t - 2.0 * h, 0.0), (t - h, 0.0), (t, 1.0), (t + h, 1.0)],
+        );
+        let power = before
+            .as_ref()
+            .map_or_else(PowerBalance::default, |before| {
+                PowerBalance::over_step(&loaded, h, t, before, &state)
+            });
+        let found = Diagnostics::of(&loaded, h, t, &state);
+        record.append(&DiagnosticsRecord::row(t, &found, &power));
+    }
+    Ok(record)
+}
+
+/// Adds wrenches (force in space, moment in the body) to the loads of a rod.
+fn act(rod: &mut Rod, nodes: &[usize], wrenches: &[Wrench], profile: &[(f64, f64)]) {
+    for (&node, wrench) in nodes.iter().zip(wrenches) {
+        let mut add = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {
+            rod.loads.push(Load {
+                node,
+                force,
+                moment,
+                frame,
+                profile: profile.to_vec(),
+            });
+        };
+        add(wrench.force, Vector3::zeros(), LoadFrame::Spatial);
+        add(Vector3::zeros(), wrench.moment, LoadFrame::Body);
+    }
+}

@@ -1,0 +1,130 @@
+//! What the column `kind` of the iteration table says.
+
+use crate::sqp::{HessianKind, IterationRecord, Leave};
+
+/// Every letter and word of the column with its meaning, in the order in which they are explained.
+pub(super) const MEANINGS: [(&str, &str); 15] = [
+    ("g", "Gauss-Newton Hessian"),
+    ("x", "exact Hessian"),
+    ("e", "exact Hessian of the point before"),
+    ("c", "exact Hessian, its negative curvature turned round"),
+    ("b", "BFGS"),
+    ("s", "symmetric rank one"),
+    ("p", "restoration of feasibility, without the objective"),
+    ("l", "states moved linearly"),
+    ("r", "states simulated from the controls"),
+    ("+", "a second-order correction or refit"),
+    ("saddle", "a saddle, left along its negative curvature"),
+    ("settle", "states simulated anew, controls kept"),
+    ("anew", "no step: filter and trust region begin anew"),
+    ("back", "back to the best point so far"),
+    ("-", "no step: the end of the attempt"),
+];
+
+/// Kind of the step that left a point: a letter for the Hessian, one for the states, and a `+` for every correction; or a word where it
+/// was left otherwise.
+pub(super) fn step_kind(row: &IterationRecord) -> String {
+    let word = match row.left {
+        Leave::Step => None,
+        Leave::Saddle => Some("saddle"),
+        Leave::Settled => Some("settle"),
+        Leave::Anew => Some("anew"),
+        Leave::Back => Some("back"),
+        Leave::End => Some("-"),
+    };
+    if let Some(word) = word {
+        return word.into();
+    }
+    let hessian = match row.hessian {
+        HessianKind::GaussNewton => 'g',
+        HessianKind::Exact => 'x',
+        HessianKind::Earlier => 'e',
+        HessianKind::Convexified => 'c',
+        HessianKind::Bfgs => 'b',
+        HessianKind::Sr1 => 's',
+        HessianKind::Proximal => 'p',
+    };
+    let states = if row.restored { 'r' } else { 'l' };
+    format!("{hessian}{states}{}", "+".repeat(row.corrections))
+}
+
+/// The signs that some rows have, with their meanings, in one line.
+pub(super) fn legend(rows: &[IterationRecord]) -> String {
+    let kinds: Vec<String> = rows.iter().map(step_kind).collect();
+    let occurs = |sign: &str| {
+        let is_letter = sign.len() == 1 && sign != "-";
+        (kinds.iter().zip(rows)).any(|(kind, row)| {
+            if is_letter {
+                row.left == Leave::Step && kind.contains(sign)
+            } else {
+                kind == sign
+            }
+        })
+    };
+    let entries: Vec<String> = (MEANINGS.iter())
+        .filter(|(sign, _)| occurs(sign))
+        .map(|(sign, meaning)| format!("{sign} {meaning}"))
+        .collect();
+    format!("kind: {}", entries.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sqp::KktResidual;
+
+    /// Whatever leaves a point, every sign of its kind is explained, and nothing is explained twice.
+    #[test]
+    fn every_kind_is_explained() {
+        let mut row = IterationRecord {
+            iteration: 0,
+            objective: 0.0,
+            residual: KktResidual {
+                stationarity: 0.0,
+                feasibility: 0.0,
+                complementarity: 0.0,
+            },
+            infeasibility: 0.0,
+            step_norm: 1.0,
+            contraction: None,
+            left: Leave::Step,
+            hessian: HessianKind::GaussNewton,
+            corrections: 2,
+            restored: false,
+            trust_radius: 1.0,
+            elastic_weight: 1.0,
+            slack: 0.0,
+            linearized_rows: 0,
+            working_rows: 0,
+            qp_iterations: 0,
+            elapsed: 0.0,
+        };
+        let explained = |sign: &str| MEANINGS.iter().filter(|(known, _)| *known == sign).count();
+        for hessian in [
+            HessianKind::GaussNewton,
+            HessianKind::Exact,
+            HessianKind::Earlier,
+            HessianKind::Convexified,
+            HessianKind::Bfgs,
+            HessianKind::Sr1,
+            HessianKind::Proximal,
+        ] {
+            for restored in [false, true] {
+                (row.hessian, row.restored) = (hessian, restored);
+                for letter in step_kind(&row).chars() {
+                    assert_eq!(explained(&letter.to_string()), 1, "{letter}");
+                }
+            }
+        }
+        for left in [
+            Leave::Saddle,
+            Leave::Settled,
+            Leave::Anew,
+            Leave::Back,
+            Leave::End,
+        ] {
+            row.left = left;
+            assert_eq!(explained(&step_kind(&row)), 1, "{left:?}");
+        }
+    }
+}
