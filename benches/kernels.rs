@@ -281,6 +281,7 @@ impl<'a> SensitivityCase<'a> {
             }],
         };
         let motion = Motion {
+            stop: None,
             rod,
             grid,
             initial: &initial,
@@ -308,6 +309,7 @@ impl<'a> SensitivityCase<'a> {
 
     fn run(&self, question: Question, n_threads: usize) -> u64 {
         let motion = Motion {
+            stop: None,
             rod: self.rod,
             grid: self.grid,
             initial: &self.initial,

@@ -39,6 +39,7 @@ use softarm::scene::{OptimalControl, Scene};
 use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
 use softarm::sqp::{
     self, LiftedProgram as _, LinearizationRequest, QpRoute, Softness, SqpSettings, SqpStatus,
+    StopSignal,
 };
 use softarm::verify::{CheckError, ReplayKind, Solution};
 
@@ -609,7 +610,7 @@ impl Outcome {
             ..one_start(setup)
         };
         let settings = SqpSettings {
-            deadline,
+            stop: StopSignal::new(deadline.and_then(|limit| clock.checked_add(limit)), None),
             ..setup.settings.clone()
         };
         let Some(attempt) = solve(setup, &plan, &settings) else {

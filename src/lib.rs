@@ -19,10 +19,12 @@ pub mod cli;
 pub mod control;
 pub mod derivatives;
 pub mod mechanics;
+pub mod memory;
 pub mod output;
 pub mod paper;
 pub mod scene;
 pub mod sqp;
+pub mod stop;
 pub mod verify;
 
 /// The README's example, compiled and run by the tests.

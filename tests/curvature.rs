@@ -382,6 +382,7 @@ impl Case {
 
     fn motion(&self) -> Motion<'_> {
         Motion {
+            stop: None,
             rod: &self.rod,
             grid: self.grid,
             initial: &self.initial,

@@ -134,6 +134,7 @@ fn integrated_trajectory_has_no_defects() {
         let control = random_signal(&rod, grid.n_steps, [1.0, 0.1], &mut dice);
         let trajectory = integrate(&rod, &initial, grid, &control);
         let motion = Motion {
+            stop: None,
             rod: &rod,
             grid,
             initial: &initial,
@@ -186,6 +187,7 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
     };
     let (trajectory, after) = integrate(rod, state, grid, &ControlSignal::default());
     let motion = Motion {
+        stop: None,
         rod,
         grid,
         initial: state,
@@ -365,6 +367,7 @@ fn linearization_passes_the_taylor_test() {
         let initial = State::at_rest(rod.rest.clone());
         let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
         let motion = Motion {
+            stop: None,
             rod: &rod,
             grid,
             initial: &initial,
@@ -451,6 +454,7 @@ fn adjoint_is_the_transpose() {
             let initial = State::at_rest(rod.rest.clone());
             let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
             let motion = Motion {
+                stop: None,
                 rod: &rod,
                 grid,
                 initial: &initial,
@@ -508,6 +512,7 @@ fn forward_sweep_is_linear() {
     let mut dice = Dice(2);
     let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
     let motion = Motion {
+        stop: None,
         rod: &rod,
         grid,
         initial: &initial,

@@ -117,6 +117,7 @@ impl Case {
 
     fn motion(&self) -> Motion<'_> {
         Motion {
+            stop: None,
             rod: &self.rod,
             grid: self.grid,
             initial: &self.states[0],
@@ -328,6 +329,7 @@ fn closed_loops_end_where_the_linear_one_does() {
             }
         });
         let motion = Motion {
+            stop: None,
             rod,
             grid: problem.grid,
             initial: &problem.initial,

@@ -110,6 +110,7 @@ fn both_routes_equal_the_clear_sweep() {
             let mut dice = Dice(4);
             let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
             let motion = Motion {
+                stop: None,
                 rod: &rod,
                 grid,
                 initial: &initial,
@@ -226,6 +227,7 @@ fn single_sweeps_equal_the_clear_ones() {
             let mut dice = Dice(6);
             let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
             let motion = Motion {
+                stop: None,
                 rod: &rod,
                 grid,
                 initial: &initial,
@@ -304,6 +306,7 @@ fn nothing_to_ask_is_no_error() {
     let initial = State::at_rest(rod.rest.clone());
     let trajectory = random_trajectory(&rod, &initial, grid, &mut Dice(1));
     let motion = Motion {
+        stop: None,
         rod: &rod,
         grid,
         initial: &initial,
@@ -396,6 +399,7 @@ fn forms_are_derivatives_of_the_simulation() {
                 outcomes(&trajectory, &reference, &end, grid, &rod)
             };
             let motion = Motion {
+                stop: None,
                 rod: &rod,
                 grid,
                 initial: &initial,

@@ -3,11 +3,11 @@
 mod toy;
 
 use std::ops::ControlFlow;
-use std::time::Duration;
+use std::time::Instant;
 
 use softarm::sqp::{
     ConvexSet, HessianChoice, HessianKind, IterationRecord, LiftedProgram as _, SqpSettings,
-    SqpStatus, Stop, solve,
+    SqpStatus, Stop, StopSignal, solve,
 };
 use toy::{CHOICES, Jet, Program, check_residual, go, near, nothing, root, settings};
 
@@ -462,7 +462,7 @@ fn deadline_stops() {
         &problem.program,
         &problem.start,
         &SqpSettings {
-            deadline: Some(Duration::ZERO),
+            stop: StopSignal::at(Instant::now()),
             ..SqpSettings::default()
         },
     );

@@ -5,11 +5,12 @@ use super::{Global, Outcome, exit, scene_name};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
+use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
     CheckSummary, CostEstimate, OutputSize, ProblemSize, QpPrediction, SCHEMA_VERSION,
     ScalesSummary,
 };
-use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
+use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
 use crate::scene::{Scene, Simulation};
 use crate::sqp::QpRoute;
 use crate::sqp::route::predict;
@@ -21,21 +22,27 @@ const LOCKING_LIMIT: f64 = 0.05;
 const EXPLICIT_NODE_STEP_S: f64 = 6e-8;
 /// Seconds of one implicit step of a node with two Newton iterations: `cargo bench --bench stiff`.
 const IMPLICIT_NODE_STEP_S: f64 = 2.7e-6;
-/// Bytes of a node's position and rotation.
-const NODE_BYTES: usize = 12 * 8;
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let mut concerns = Vec::new();
-    let (rod, grid, size, output) = if scene.task.is_some() || scene.control.is_some() {
+    let (rod, grid, size, output, memory) = if scene.task.is_some() || scene.control.is_some() {
         let setup = scene.optimal_control(&source)?;
         let size = problem_size(&setup.problem, setup.settings.qp);
-        (setup.problem.rod, setup.problem.grid, Some(size), None)
+        let memory = of_solve(&setup, 1, global.n_threads());
+        (
+            setup.problem.rod,
+            setup.problem.grid,
+            Some(size),
+            None,
+            memory,
+        )
     } else {
         let setup = scene.simulation(&source)?;
         let output = output_size(&setup);
         concerns.extend(size_warning(&output));
-        (setup.rod, setup.grid, None, Some(output))
+        let memory = of_simulation(&setup);
+        (setup.rod, setup.grid, None, Some(output), memory)
     };
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let summary = CheckSummary {
@@ -60,10 +67,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         },
         optimal_control: size,
         output,
-        memory_bytes: size
-            .as_ref()
-            .map_or(0, |size| solve_memory(&rod, grid.n_steps, size))
-            + output.as_ref().map_or(0, simulation_memory),
+        memory_bytes: memory.total() as u64,
         warnings: concerns,
     };
     show(&summary, console);
@@ -109,19 +113,6 @@ fn cost(rod: &Rod, grid: &TimeGrid) -> CostEstimate {
     }
 }
 
-/// Trajectories (a solve holds four: point, trial, direction, replay), and the dense matrices of the subproblem with
-/// Clarabel's factors of them.
-fn solve_memory(rod: &Rod, n_steps: usize, size: &ProblemSize) -> u64 {
-    let trajectory = (NODE_BYTES * rod.n_nodes() * (n_steps + 1)) as u64;
-    let n = size.variables as u64;
-    4 * trajectory + DENSE_MATRICES * 8 * n * n
-}
-
-/// The rows that a report is drawn from; the others stay on disk.
-fn simulation_memory(output: &OutputSize) -> u64 {
-    output.bytes / output.rows as u64 * output.rows.min(ThinnedMotion::MOST_ROWS) as u64
-}
-
 /// Beyond this, a user may not have meant to write every step.
 const LARGE_OUTPUT_BYTES: u64 = 1_000_000_000;
 
@@ -148,9 +139,6 @@ pub(super) fn size_warning(output: &OutputSize) -> Option<String> {
         )
     })
 }
-
-/// Hessians, eigenvectors and Clarabel's copies, in dense matrices of the subproblem's size.
-const DENSE_MATRICES: u64 = 12;
 
 /// What a user should know before a run.
 pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
@@ -272,8 +260,8 @@ fn show(summary: &CheckSummary, console: &Console) {
         ));
     }
     console.say(&format!(
-        "  memory about {:.1} MB",
-        summary.memory_bytes as f64 * 1e-6
+        "  memory about {}",
+        in_words(summary.memory_bytes as f64)
     ));
     for warning in &summary.warnings {
         console.warn(warning);

@@ -2,15 +2,18 @@
 
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
+use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 
 use super::Global;
 use super::error::CliError;
+use crate::stop::StopSignal;
 
 /// Set by Ctrl-C; read by whoever runs long.
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// Where a verb talks.
 pub(super) struct Console {
@@ -124,7 +127,7 @@ impl Console {
     }
 }
 
-/// Whether Ctrl-C was pressed.
-pub(super) fn interrupted() -> bool {
-    INTERRUPTED.load(Ordering::Relaxed)
+/// Raised by what [interrupts](Console::catch_interrupts), and by a deadline where there is one.
+pub(super) fn stop_signal(deadline: Option<Instant>) -> StopSignal {
+    StopSignal::new(deadline, Some(Arc::clone(&INTERRUPTED)))
 }

@@ -8,6 +8,7 @@ use crate::mechanics::StepError;
 use crate::output::OutputError;
 use crate::paper::PaperError;
 use crate::scene::SceneError;
+use crate::stop::{Stop, StopSignal};
 use crate::verify::CheckError;
 
 /// An error of a verb.
@@ -19,6 +20,9 @@ pub(super) enum CliError {
     /// A file could not be read or written.
     #[error("error: {0}")]
     Output(#[from] OutputError),
+    /// Stopped before there was anything to write.
+    #[error("{0} while the scene was set up; nothing is written")]
+    Stopped(Stop),
     /// A simulation broke down.
     #[error("error: {0}")]
     Step(#[from] StepError),
@@ -43,6 +47,11 @@ pub(super) enum CliError {
 }
 
 impl CliError {
+    /// What a scene that could not be set up is to the user, who may have ended that.
+    pub(super) fn of_scene(error: SceneError, stop: &StopSignal) -> Self {
+        stop.raised().map_or(Self::Scene(error), Self::Stopped)
+    }
+
     pub(super) fn exit_code(&self) -> u8 {
         match self {
             Self::Scene(_)
@@ -50,6 +59,7 @@ impl CliError {
             | Self::Directory(_)
             | Self::SecondOpinion(SecondOpinionError::Inequality { .. })
             | Self::Paper(PaperError::Scene(_)) => exit::USAGE,
+            Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
             | Self::Guess(_)
             | Self::Check(_)

@@ -5,6 +5,7 @@ mod console;
 mod derivatives;
 mod error;
 mod example;
+mod memory;
 mod paper;
 mod report_pages;
 mod schema;

@@ -6,20 +6,22 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::check::{output_size, size_warning, warnings};
-use super::console::{Console, interrupted};
+use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::report_pages::simulation_page;
-use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{
     Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
 };
+use crate::memory::of_simulation;
 use crate::output::summary::{EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TipPose};
 use crate::output::{
     ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory, RowFiles,
     RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
+use crate::stop::StopSignal;
 
 /// At most this much work is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
@@ -32,7 +34,9 @@ pub(super) fn run(
     global: &Global,
     console: &Console,
 ) -> Outcome {
+    console.catch_interrupts();
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
+    let stop = stop_signal(None);
     let target = arguments.directory("simulate");
     let found = if resume {
         Some(Found::beside(&target)?)
@@ -40,9 +44,11 @@ pub(super) fn run(
         None
     };
     let setup = match &found {
-        Some(found) => continued(&scene, &source, &found.checkpoint)?,
-        None => scene.simulation(&source)?,
+        Some(found) => continued(&scene, &source, &found.checkpoint, &stop)?,
+        None => (scene.simulation_until(&source, &stop))
+            .map_err(|error| CliError::of_scene(error, &stop))?,
     };
+    memory::require(&of_simulation(&setup), &source)?;
     let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
     concerns.extend(size_warning(&output_size(&setup)));
     for warning in concerns {
@@ -53,7 +59,6 @@ pub(super) fn run(
     }
     ResultDirectory::permit(&target)?;
     let directory = RunDirectory::open(&target)?;
-    console.catch_interrupts();
 
     let opened = match &found {
         Some(found) => Run::resume(&setup, &directory, found, &target),
@@ -77,7 +82,7 @@ pub(super) fn run(
         ));
     }
     let started = Instant::now();
-    let end = run.integrate(console)?;
+    let end = run.integrate(&stop, console)?;
     let wall = started.elapsed().as_secs_f64();
 
     let summary = run.summarize(arguments, &end, first_step, wall, &target);
@@ -151,13 +156,15 @@ fn continued(
     scene: &Scene,
     source: &SceneSource,
     checkpoint: &Checkpoint,
+    stop: &StopSignal,
 ) -> Result<Simulation, CliError> {
     let (earlier, _) = Scene::from_toml("the scene of the checkpoint", &checkpoint.scene, &[])?;
     let mut scene = scene.clone();
     if scene.time.step_s == TimeStep::Auto {
         scene.time.step_s = earlier.time.step_s;
     }
-    let mut setup = scene.simulation(source)?;
+    let mut setup =
+        (scene.simulation_until(source, stop)).map_err(|error| CliError::of_scene(error, stop))?;
     let refuse = |reason: String| {
         Err(CliError::Directory(format!(
             "cannot resume: {reason}; restore it, or run without --resume"
@@ -316,7 +323,7 @@ impl<'a> Run<'a> {
     }
 
     /// Steps to the end, or until something happens.
-    fn integrate(&mut self, console: &Console) -> Result<End, CliError> {
+    fn integrate(&mut self, stop: &StopSignal, console: &Console) -> Result<End, CliError> {
         let n_steps = self.setup.grid.n_steps;
         let bar = console.progress(n_steps as u64);
         bar.set_position(self.integrator.step() as u64);
@@ -328,11 +335,11 @@ impl<'a> Run<'a> {
             if k == n_steps {
                 break End::Completed;
             }
+            if stop.check_at(k).is_err() {
+                break End::Interrupted;
+            }
             if k.is_multiple_of(Stepper::SEAT) {
                 bar.set_position(k as u64);
-                if interrupted() {
-                    break End::Interrupted;
-                }
                 if saved.elapsed() > CHECKPOINT_PERIOD {
                     self.save()?;
                     saved = Instant::now();

@@ -10,31 +10,35 @@ use serde::Serialize;
 use clap::Args;
 
 use super::check::warnings;
-use super::console::{Console, interrupted};
+use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::report_pages::{SolvePage, solve_page};
 use super::simulate::push_row;
 use super::solve_diagnostics::diagnostics;
 use super::step_kind::{legend, step_kind};
 use super::verify::read_coefficients;
-use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     Attempt, Feedback, FeedbackError, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement,
     PathRow, Search, TrackingError, Transcription, search, tracking_errors,
 };
-use crate::mechanics::{Energy, State, Wrench};
+use crate::mechanics::{Energy, State, StepError, Wrench};
+use crate::memory::of_solve;
 use crate::output::summary::{
-    BetweenSummary, CheckOutcome, EnergyAccount, GrowthSummary, MomentumAccount, NamedConstraint,
-    PhaseSummary, SCHEMA_VERSION, SecondOpinionSummary, SecondOrderSummary, SensitivitySummary,
-    SolveSummary, StartSummary, StrainSummary,
+    BetweenSummary, CheckOutcome, CheckRecord, EnergyAccount, GrowthSummary, MomentumAccount,
+    NOT_CHECKED, NamedConstraint, PhaseSummary, SCHEMA_VERSION, SecondOpinionSummary,
+    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary,
 };
 use crate::output::{
     ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
-    write_controls, write_feedback,
+    row_bytes, write_controls, write_feedback,
 };
 use crate::scene::{OptimalControl, Scene};
-use crate::sqp::{Evaluation, IterationRecord, LiftedProgram as _, SqpOutcome, SqpStatus, Stop};
+use crate::sqp::{
+    Evaluation, IterationRecord, LiftedProgram as _, Multipliers, Progress, SqpOutcome, SqpStatus,
+    Stop, StopSignal,
+};
 use crate::verify::growth::Growth;
 use crate::verify::{CheckError, ForwardCheck, Solution};
 
@@ -64,28 +68,32 @@ pub(super) struct SolveArguments {
 
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
+    console.catch_interrupts();
     let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
-    let mut described = scene.optimal_control(&source)?;
+    let stop = stop_signal(scene.deadline(started));
+    let mut described = (scene.optimal_control_until(&source, &stop))
+        .map_err(|error| CliError::of_scene(error, &stop))?;
     for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {
         console.warn(&warning);
     }
     let mut previous = None;
     if let Some(directory) = arguments.from.as_deref() {
-        let earlier = Earlier::read(directory)?;
+        let earlier = Earlier::read(directory, &stop)?;
         described = earlier.timed(described);
         previous = Some(earlier.controls(&described.problem));
     }
     if arguments.second_opinion {
         without_inequalities(&described.problem)?;
     }
+    let starts = usize::from(arguments.starts);
+    memory::require(&of_solve(&described, starts, global.n_threads()), &source)?;
     let target = arguments.scene.directory("solve");
     let directory = ResultDirectory::create(&target)?;
-    console.catch_interrupts();
 
     announce(&described, console);
     let plan = Search {
         previous,
-        starts: usize::from(arguments.starts),
+        starts,
         seed: global.seed,
         n_threads: global.n_threads(),
         ..described.search.clone()
@@ -94,11 +102,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         if plan.starts == 1 {
             console.say(&table_row(row));
         }
-        if interrupted() {
-            ControlFlow::Break(Stop::Interrupted)
-        } else {
-            ControlFlow::Continue(())
-        }
+        ControlFlow::Continue(())
     })?;
     let Chosen {
         setup,
@@ -107,10 +111,24 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         feedback,
         certify_time,
         feedback_time,
-    } = best(&described, attempts, arguments.deep, global, console);
-    let other = (arguments.second_opinion)
+    } = best(
+        &described,
+        attempts,
+        plan.starts,
+        arguments.deep,
+        global,
+        console,
+    );
+    let other = (arguments.second_opinion && !stop.is_raised())
         .then(|| other_opinion(&setup, &solution, console))
-        .transpose()?;
+        .transpose()
+        .or_else(|error| {
+            if stop.is_raised() {
+                Ok(None)
+            } else {
+                Err(error)
+            }
+        })?;
     let wall = started.elapsed().as_secs_f64();
     let mut summary = summarize(
         arguments,
@@ -127,7 +145,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         summary.open_loop_sensitivity = Some(SensitivitySummary::of(&feedback.open_loop));
         summary.closed_loop_sensitivity = Some(SensitivitySummary::of(&feedback.closed_loop));
     }
-    let diagnostics = (setup.diagnostics)
+    let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(&setup.problem, &solution.coefficients))
         .and_then(|found| {
             let warn = |error| console.warn(&format!("no diagnostics.npz: {error}"));
@@ -146,13 +164,12 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         global.n_threads(),
     )?;
     let written = directory.finish()?;
-    let check = solution.check.as_ref();
     if plan.starts == 1 {
         console.say(&legend(&solution.attempt.outcome.history));
     }
-    conclude(&setup.problem, &summary, check, &written, console);
+    conclude(&setup.problem, &summary, &solution, &written, console);
     console.summary(&summary);
-    Ok(exit_code(&solution.attempt.outcome.status, check))
+    Ok(exit_code(&solution))
 }
 
 /// Size of the start of a second opinion, in that of the solution.
@@ -207,10 +224,13 @@ struct Earlier {
 }
 
 impl Earlier {
-    fn read(directory: &Path) -> Result<Self, CliError> {
+    fn read(directory: &Path, stop: &StopSignal) -> Result<Self, CliError> {
         let path = directory.join("scene.toml");
         let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
-        let problem = scene.optimal_control(&source)?.problem;
+        let described = scene.optimal_control_until(&source, stop);
+        let problem = described
+            .map_err(|error| CliError::of_scene(error, stop))?
+            .problem;
         Ok(Self {
             coefficients: read_coefficients(directory, &problem)?,
             problem,
@@ -264,6 +284,7 @@ struct Chosen {
 fn best(
     described: &OptimalControl,
     attempts: Vec<Attempt>,
+    n_starts: usize,
     deep: bool,
     global: &Global,
     console: &Console,
@@ -299,7 +320,13 @@ fn best(
                     start.verdict = Some(check.verdict());
                     solved.check = Some(check);
                 }
-                Err(error) => console.warn(&format!("the check could not be made: {error}")),
+                Err(error) => match error.stopped() {
+                    Some(stop) => {
+                        start.verdict = Some(NOT_CHECKED);
+                        solved.unchecked = Some(stop);
+                    }
+                    None => console.warn(&format!("the check could not be made: {error}")),
+                },
             }
             if chosen.is_none() || certified(&solved) {
                 chosen = Some((setup, solved, feedback));
@@ -307,13 +334,30 @@ fn best(
         }
         starts.push(start);
     }
+    // Those that nobody waited for.
+    let missing = (0..n_starts).filter(|at| !starts.iter().any(|start| start.start == *at));
+    let missing: Vec<usize> = missing.collect();
+    starts.extend(missing.into_iter().map(|start| StartSummary {
+        start,
+        from: "not begun",
+        status: (described.problem.stop.raised()).map_or("failed", |stop| {
+            status_words(&SqpStatus::Stopped(stop), &[]).0
+        }),
+        objective: f64::NAN,
+        iterations: 0,
+        verdict: None,
+    }));
     starts.sort_by_key(|start| start.start);
     let Some((setup, solved, feedback)) = chosen else {
         unreachable!("a search has at least one attempt")
     };
     let feedback_time = feedback.seconds;
+    let mut solved = solved;
     let feedback = (feedback.found.transpose()).unwrap_or_else(|error| {
-        console.warn(&format!("no feedback gains: {error}"));
+        match error {
+            FeedbackError::Step(StepError::Stopped(stop)) => solved.without_gains = Some(stop),
+            error => console.warn(&format!("no feedback gains: {error}")),
+        }
         None
     });
     Chosen {
@@ -395,9 +439,16 @@ fn certify(
     Ok(check)
 }
 
-fn exit_code(status: &SqpStatus, check: Option<&ForwardCheck>) -> u8 {
-    match status {
-        SqpStatus::Converged if check.is_some_and(ForwardCheck::is_certified) => exit::DONE,
+fn exit_code(solved: &Solved) -> u8 {
+    let check = solved.check.as_ref();
+    match solved.attempt.outcome.status {
+        SqpStatus::Converged if solved.unchecked.is_some() => exit::STOPPED,
+        SqpStatus::Converged if check.is_some_and(ForwardCheck::is_certified) => {
+            match solved.without_gains {
+                Some(_) => exit::STOPPED,
+                None => exit::DONE,
+            }
+        }
         SqpStatus::Converged => exit::REJECTED,
         SqpStatus::LocallyInfeasible => exit::INFEASIBLE,
         SqpStatus::IterationLimit | SqpStatus::StepTooSmall => exit::NOT_CONVERGED,
@@ -415,13 +466,30 @@ struct Solved {
     worst: Vec<NamedConstraint>,
     /// The check, if it could be made.
     check: Option<ForwardCheck>,
+    /// Why the check was not made to its end.
+    unchecked: Option<Stop>,
+    /// Why the gains that the scene wants were not found any more.
+    without_gains: Option<Stop>,
 }
 
 impl Solved {
-    fn of(setup: &OptimalControl, program: &Transcription, attempt: Attempt) -> Self {
-        let outcome = &attempt.outcome;
-        let worst = program
-            .evaluate(&outcome.point)
+    fn of(setup: &OptimalControl, program: &Transcription, mut attempt: Attempt) -> Self {
+        let outcome = &mut attempt.outcome;
+        let is_start =
+            outcome.history.is_empty() && matches!(outcome.status, SqpStatus::Stopped(_));
+        // Nobody waits for the values of a long motion that is not even the first iterate.
+        let values = (!(is_start && stopped_steps_per_row(&setup.problem) > 1))
+            .then(|| program.evaluate(&outcome.point).ok())
+            .flatten();
+        if let (true, Some(values)) = (is_start, &values) {
+            outcome.objective = program.total_objective(values);
+            outcome.multipliers = Multipliers::zeros(
+                values.constraints.len(),
+                values.inequalities.len(),
+                program.sets(),
+            );
+        }
+        let worst = values
             .map(|values: Evaluation<_>| worst_constraints(program, outcome, &values))
             .unwrap_or_default();
         Self {
@@ -429,7 +497,20 @@ impl Solved {
             multipliers: MultiplierRecord::of(program, outcome),
             worst,
             check: None,
+            unchecked: None,
+            without_gains: None,
             attempt,
+        }
+    }
+
+    /// Every how many time nodes the written motion has a row: every one, unless the solve or its check was stopped, when nobody waits for
+    /// that many.
+    fn steps_per_row(&self, problem: &OptimalControlProblem) -> usize {
+        let is_stopped = matches!(self.attempt.outcome.status, SqpStatus::Stopped(_));
+        if self.check.is_none() && (is_stopped || self.unchecked.is_some()) {
+            stopped_steps_per_row(problem)
+        } else {
+            1
         }
     }
 
@@ -440,6 +521,16 @@ impl Solved {
             multipliers: self.multipliers.borrowed(),
         }
     }
+}
+
+/// What of a motion is packed in about a tenth of a second, in bytes.
+const MOST_STOPPED_BYTES: u64 = 4_000_000;
+
+/// Every how many time nodes the motion of a solve that was stopped is written.
+fn stopped_steps_per_row(problem: &OptimalControlProblem) -> usize {
+    let row = row_bytes(&MotionRecord::empty(problem.rod.n_nodes()).arrays());
+    let rows = (MOST_STOPPED_BYTES / row).max(2) as usize;
+    problem.grid.n_steps.div_ceil(rows).max(1)
 }
 
 fn announce(setup: &OptimalControl, console: &Console) {
@@ -510,7 +601,13 @@ fn summarize(
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         tracking: tracking_errors(problem, &outcome.point.trajectory),
-        check: check.map(check_outcome),
+        check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
+            .or_else(|| solution.unchecked.map(CheckRecord::not_checked)),
+        progress: match outcome.status {
+            SqpStatus::Stopped(_) => Progress::of(&outcome.history),
+            _ => None,
+        },
+        steps_per_row: Some(solution.steps_per_row(problem)).filter(|&steps| steps > 1),
         open_loop_sensitivity: None,
         closed_loop_sensitivity: None,
         second_opinion: None,
@@ -762,7 +859,9 @@ fn motion_record(problem: &OptimalControlProblem, solution: &Solved) -> MotionRe
     let trajectory = &solution.attempt.outcome.point.trajectory;
     let control = problem.signal(&problem.control, &solution.coefficients);
     let mut record = MotionRecord::empty(trajectory.n_nodes);
-    for k in 0..trajectory.n_times() {
+    let stride = solution.steps_per_row(problem);
+    let last = trajectory.n_times() - 1;
+    for k in (0..last).step_by(stride).chain([last]) {
         let wrench = &control.at(k).wrenches[0];
         let state = State::at_rest(trajectory.configuration(k));
         let energy = solution.check.as_ref().map_or_else(
@@ -866,13 +965,19 @@ fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), Outp
 fn conclude(
     problem: &OptimalControlProblem,
     summary: &SolveSummary,
-    check: Option<&ForwardCheck>,
+    solution: &Solved,
     written: &Path,
     console: &Console,
 ) {
+    let check = solution.check.as_ref();
+    let objective = if summary.objective.is_nan() {
+        "no value of the objective".into()
+    } else {
+        format!("objective {:.8e}", summary.objective)
+    };
     console.say(&format!(
-        "{} after {} iterations, {:.2} s: objective {:.8e}",
-        summary.status, summary.iterations, summary.wall_s, summary.objective
+        "{} after {} iterations, {:.2} s: {objective}",
+        summary.status, summary.iterations, summary.wall_s
     ));
     if let Some(free) = problem.duration {
         console.say(&format!(
@@ -887,6 +992,9 @@ fn conclude(
             .as_deref()
             .unwrap_or("the best iterate is in the result directory");
         console.always(&format!("{}: {message}", summary.status));
+        if let Some(progress) = summary.progress {
+            console.always(&progress.sentence());
+        }
     } else if check.is_some_and(|check| !check.is_certified()) {
         console.always("the solver converged, but the check rejects the result");
     }
@@ -924,6 +1032,19 @@ fn conclude(
                 summary.objective
             ));
         }
+    }
+    if let Some(stop) = solution.unchecked {
+        let status = &summary.status;
+        console.always(&format!("{status}, {NOT_CHECKED}: {stop}"));
+    }
+    if let Some(steps) = summary.steps_per_row {
+        console.say(&format!(
+            "the motion is written every {steps} steps; `softarm solve SCENE --from {}` goes on from its controls",
+            written.display()
+        ));
+    }
+    if let Some(stop) = solution.without_gains {
+        console.always(&format!("no feedback gains: {stop}"));
     }
     console.say(&format!(
         "report: {}",

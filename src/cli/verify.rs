@@ -6,13 +6,14 @@ use std::time::Instant;
 use clap::Args;
 use nalgebra::Matrix3;
 
-use super::console::Console;
+use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::solve::{check_outcome, show_check, show_tracking};
-use super::{Global, Outcome, exit};
+use super::{Global, Outcome, exit, memory};
 use crate::control::{OptimalControlProblem, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
-use crate::output::summary::{SCHEMA_VERSION, VerifySummary};
+use crate::memory::of_verify;
+use crate::output::summary::{CheckRecord, NOT_CHECKED, SCHEMA_VERSION, VerifySummary};
 use crate::output::{ControlRow, MotionRecord, read_controls, read_multipliers};
 use crate::scene::Scene;
 use crate::verify::Solution;
@@ -30,6 +31,8 @@ pub(super) struct VerifyArguments {
 
 pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
+    console.catch_interrupts();
+    let stop = stop_signal(None);
     let directory = arguments.directory.as_path();
     if !directory.join("controls.csv").is_file() {
         return Err(CliError::Directory(format!(
@@ -39,7 +42,9 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     }
     let scene_path = directory.join("scene.toml");
     let (scene, source) = Scene::load(&scene_path.to_string_lossy(), &global.set)?;
-    let setup = scene.optimal_control(&source)?;
+    let setup = (scene.optimal_control_until(&source, &stop))
+        .map_err(|error| CliError::of_scene(error, &stop))?;
+    memory::require(&of_verify(&setup, !arguments.quick), &source)?;
     let trajectory = read_trajectory(directory, &setup.problem)?;
     let coefficients = read_coefficients(directory, &setup.problem)?;
     let multipliers = read_multipliers(&directory.join("multipliers.json"))?;
@@ -56,11 +61,34 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         coefficients: &coefficients,
         multipliers: multipliers.borrowed(),
     };
-    let mut check = setup.certify(&solution)?;
-    // What is rejected already need not be a stationary point.
-    if !arguments.quick && check.is_certified() {
-        check.deepen(&setup.problem, &solution)?;
-    }
+    let check = setup.certify(&solution).and_then(|mut check| {
+        // What is rejected already need not be a stationary point.
+        if !arguments.quick && check.is_certified() {
+            check.deepen(&setup.problem, &solution)?;
+        }
+        Ok(check)
+    });
+    let check = match check {
+        Ok(check) => check,
+        Err(error) => {
+            let Some(stop) = error.stopped() else {
+                return Err(error.into());
+            };
+            console.always(&format!("{NOT_CHECKED}: {stop}"));
+            console.summary(&VerifySummary {
+                schema_version: SCHEMA_VERSION,
+                command: "verify",
+                directory: directory.display().to_string(),
+                check: CheckRecord::not_checked(stop),
+                tip_error_m: f64::NAN,
+                tip_angle_rad: f64::NAN,
+                tip_speed_m_s: f64::NAN,
+                tracking: Vec::new(),
+                wall_s: started.elapsed().as_secs_f64(),
+            });
+            return Ok(exit::STOPPED);
+        }
+    };
     show_check(&check, true, console);
     let tracking = tracking_errors(&setup.problem, &trajectory);
     show_tracking(&tracking, console);
@@ -68,7 +96,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         schema_version: SCHEMA_VERSION,
         command: "verify",
         directory: directory.display().to_string(),
-        check: check_outcome(&check),
+        check: CheckRecord::Made(Box::new(check_outcome(&check))),
         tip_error_m: check.tip_error,
         tip_angle_rad: check.tip_angle,
         tip_speed_m_s: check.tip_speed,

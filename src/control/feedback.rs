@@ -31,6 +31,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::log;
 use crate::mechanics::sensitivity::{Transition, transition};
 use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
+use crate::stop::StopSignal;
 
 /// What a regulator weighs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -137,6 +138,7 @@ impl Feedback {
         let reference = states_at_edges(problem, coefficients)?;
         let mut norms = Vec::with_capacity(reference.len());
         for (block, state) in reference.iter().enumerate() {
+            problem.stop.check().map_err(StepError::from)?;
             let norm = EnergyNorm::at(rod, &state.configuration);
             norms.push(norm.ok_or(FeedbackError::IllPosed {
                 block,
@@ -166,7 +168,7 @@ impl Feedback {
         for i in 0..terminal.nrows() {
             terminal[(i, i)] += weights.state / rod.scales.moment;
         }
-        let regulator = riccati(&stages, terminal)?;
+        let regulator = riccati_until(&stages, terminal, &problem.stop)?;
 
         let mut gains = Vec::with_capacity(stages.len());
         for (norm, gain) in norms.iter().zip(&regulator.gains) {
@@ -182,8 +184,8 @@ impl Feedback {
                 .collect(),
             inputs,
             first_node: rod.first_free_node(),
-            open_loop: growth(&stages, None),
-            closed_loop: growth(&stages, Some(&regulator.gains)),
+            open_loop: growth(&stages, None, &problem.stop)?,
+            closed_loop: growth(&stages, Some(&regulator.gains), &problem.stop)?,
             gains,
             cost_to_go: norms[0].columns_of(&half.transpose().to_owned()),
             reference: reference[..edges.len() - 1].to_vec(),
@@ -269,6 +271,7 @@ fn states_at_edges(
     for &edge in edges {
         while stepper.step() < edge {
             let k = stepper.step();
+            problem.stop.check_at(k)?;
             stepper.advance([control.at(k), control.at(k + 1)])?;
         }
         states.push(stepper.state());
@@ -352,9 +355,18 @@ pub struct Regulator {
 /// # Errors
 /// [`FeedbackError::IllPosed`] where `R + BᵀP⁺B` is not positive definite, which non-finite stages are not either.
 pub fn riccati(stages: &[Stage], terminal: Mat<f64>) -> Result<Regulator, FeedbackError> {
+    riccati_until(stages, terminal, &StopSignal::default())
+}
+
+fn riccati_until(
+    stages: &[Stage],
+    terminal: Mat<f64>,
+    stop: &StopSignal,
+) -> Result<Regulator, FeedbackError> {
     let mut cost = terminal;
     let mut gains = Vec::with_capacity(stages.len());
     for (block, stage) in stages.iter().enumerate().rev() {
+        stop.check().map_err(StepError::from)?;
         let Stage {
             state: a, input: b, ..
         } = stage;
@@ -412,10 +424,15 @@ const LANCZOS_ACCURACY: f64 = 1e-3;
 
 /// Largest factor by which the stages lengthen a `z` from the start to the end of each of them, after 1 for the start itself; under
 /// feedback, or by themselves.
-fn growth(stages: &[Stage], gains: Option<&[Mat<f64>]>) -> Vec<f64> {
+fn growth(
+    stages: &[Stage],
+    gains: Option<&[Mat<f64>]>,
+    stop: &StopSignal,
+) -> Result<Vec<f64>, StepError> {
     let mut out = vec![1.0];
     let mut product: Option<Single> = None;
     for (j, stage) in stages.iter().enumerate() {
+        stop.check()?;
         let step = gains.map_or_else(
             || Single::of(&stage.state),
             |gains| Single::of(&(&stage.state - &stage.input * &gains[j])),
@@ -424,7 +441,7 @@ fn growth(stages: &[Stage], gains: Option<&[Mat<f64>]>) -> Vec<f64> {
         out.push(next.largest_singular_value());
         product = Some(next);
     }
-    out
+    Ok(out)
 }
 
 /// A matrix in single precision, twice as fast and more than what is asked of norms; its largest number is 1, so that nothing overflows.

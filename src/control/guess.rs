@@ -4,9 +4,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::problem::{Actuator, Bound, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
+use crate::stop::Stop;
 
 /// How the first point is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +29,18 @@ impl Guess {
             Self::StaticPath => "static",
             Self::Slow => "slow",
             Self::Rest => "rest",
+        }
+    }
+}
+
+impl GuessError {
+    /// Why it was not made any more, where that is all.
+    #[must_use]
+    pub fn stopped(&self) -> Option<Stop> {
+        match self {
+            Self::Equilibrium(EquilibriumError::Stopped(stop))
+            | Self::Step(StepError::Stopped(stop)) => Some(*stop),
+            Self::Equilibrium(_) | Self::Step(_) => None,
         }
     }
 }
@@ -63,7 +76,7 @@ pub fn first_point(
         && let Ok(path) = StaticPath::through_goals(problem, detour)
     {
         if guess == Guess::StaticPath {
-            return Ok((path.point(problem), guess));
+            return Ok((path.point(problem)?, guess));
         }
         if let Ok(point) = simulated(problem, &path.holds(problem)) {
             return Ok((point, guess));
@@ -190,7 +203,7 @@ impl StaticPath {
                         .map(|to| (to, stiffness * scales.force / scales.length)),
                     rotation: leg.rotation.map(|to| (to, stiffness * scales.moment)),
                 };
-                shape = static_equilibrium(rod, &shape, 0.0, &spring)?;
+                shape = static_equilibrium_until(rod, &shape, 0.0, &spring, &problem.stop)?;
             }
             path.waypoints.push(Waypoint {
                 hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
@@ -202,18 +215,19 @@ impl StaticPath {
     }
 
     /// The shapes, and the wrenches that hold them.
-    fn point(&self, problem: &OptimalControlProblem) -> LiftedPoint {
+    fn point(&self, problem: &OptimalControlProblem) -> Result<LiftedPoint, StepError> {
         let grid = problem.grid;
         let end = grid.n_steps as f64;
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), grid.n_steps + 1);
         for k in 0..=grid.n_steps {
+            problem.stop.check_at(k)?;
             let shape = self.shape(k as f64 / end);
             trajectory.push(&carried(&problem.rod, shape, grid.time(k)));
         }
-        LiftedPoint {
+        Ok(LiftedPoint {
             variables: problem.variables(&self.holds(problem)),
             trajectory,
-        }
+        })
     }
 
     /// Coefficients of the wrenches that hold the shapes, within their bounds; only the tip's are used.

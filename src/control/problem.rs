@@ -8,6 +8,7 @@ use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
 use crate::sqp::StateSize;
+use crate::stop::StopSignal;
 
 /// Limit on one of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -255,6 +256,9 @@ pub struct OptimalControlProblem {
     pub path: Vec<PathConstraint>,
     /// What is made small.
     pub objective: Objective,
+    /// What may end work on the problem before it is done: roll-outs, sweeps, first points, gains and the check look at it. By
+    /// default nothing.
+    pub stop: StopSignal,
 }
 
 /// What does not go with a free duration.
@@ -322,6 +326,7 @@ impl OptimalControlProblem {
             rod: &self.rod,
             grid: self.grid,
             initial: &self.initial,
+            stop: Some(&self.stop),
         }
     }
 
@@ -365,6 +370,7 @@ impl OptimalControlProblem {
                 ..Objective::default()
             },
             radii: Vec::new(),
+            stop: StopSignal::default(),
             rod,
         }
     }

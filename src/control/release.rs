@@ -5,7 +5,6 @@
 //! value along the duration is that of the Lagrangian.
 
 use std::ops::ControlFlow;
-use std::time::Instant;
 
 use super::problem::OptimalControlProblem;
 use super::search::Abandoned;
@@ -15,6 +14,7 @@ use crate::sqp::{
     ConvexSet, IterationRecord, LiftedProgram as _, Multipliers, SqpOutcome, SqpSettings,
     SqpStatus, solve,
 };
+use crate::stop::Stop;
 
 /// Iterations that a solve of both gets before the way down along the duration is tried.
 const PATIENCE: usize = 50;
@@ -35,7 +35,7 @@ pub(super) struct Releasing<'a> {
     pub problem: &'a OptimalControlProblem,
     pub settings: &'a SqpSettings,
     pub n_threads: usize,
-    pub observer: &'a dyn Fn(&IterationRecord) -> ControlFlow<crate::sqp::Stop>,
+    pub observer: &'a dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 }
 
 /// A solution with a fixed duration.
@@ -72,15 +72,27 @@ impl Releasing<'_> {
         held: SqpOutcome<LiftedPoint>,
         before: &mut Vec<Abandoned>,
     ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
-        let began = Instant::now();
         let program = Transcription::new(self.problem, self.n_threads);
         let is_solved = held.status == SqpStatus::Converged;
         before.push(counted("held duration", &held));
+        if let Some(stop) = self.problem.stop.raised() {
+            return Ok(self.left_at(stretch, held, stop));
+        }
         let mut settings = self.settings.clone();
         if is_solved {
             settings.max_iterations = settings.max_iterations.min(PATIENCE);
         }
-        let first = self.solve_both(&program, &settings, stretch, &held)?;
+        let first = match self.solve_both(&program, &settings, stretch, &held) {
+            Err(StepError::Stopped(stop)) => return Ok(self.left_at(stretch, held, stop)),
+            first => first?,
+        };
+        if let SqpStatus::Stopped(stop) = first.status
+            && is_solved
+            && first.residual.feasibility > self.settings.tolerance
+        {
+            before.push(counted("free duration", &first));
+            return Ok(self.left_at(stretch, held, stop));
+        }
         let finished = matches!(first.status, SqpStatus::Converged | SqpStatus::Stopped(_));
         let Some(held) = (!finished && is_solved)
             .then(|| self.examine(&program, stretch, held))
@@ -89,15 +101,36 @@ impl Releasing<'_> {
             return Ok(first);
         };
         before.push(counted("free duration", &first));
-        let lowest = self.descend(&program, held, began, before);
-        let settings = self.settings.remaining(began);
-        let both = self.solve_both(&program, &settings, lowest.stretch, &lowest.outcome)?;
+        let lowest = self.descend(&program, held, before);
+        let both = self.solve_both(&program, self.settings, lowest.stretch, &lowest.outcome);
+        let both = match both {
+            Err(StepError::Stopped(stop)) => {
+                let mut outcome = lowest.released();
+                outcome.status = SqpStatus::Stopped(stop);
+                return Ok(outcome);
+            }
+            both => both?,
+        };
         let is_lower = both.objective <= lowest.value + FLAT * lowest.value.abs();
         if lowest.is_flat() && !(both.status == SqpStatus::Converged && is_lower) {
             before.push(counted("free duration", &both));
             return Ok(lowest.released());
         }
         Ok(both)
+    }
+
+    /// A solution or an attempt with a fixed duration, where the solve of both was stopped before it had a better one.
+    fn left_at(
+        &self,
+        stretch: f64,
+        mut held: SqpOutcome<LiftedPoint>,
+        stop: Stop,
+    ) -> SqpOutcome<LiftedPoint> {
+        held.status = SqpStatus::Stopped(stop);
+        held.objective += self.problem.duration_price() * stretch;
+        held.point.variables.push(stretch);
+        held.multipliers.normals.insert(0, vec![0.0]);
+        held
     }
 
     /// Shortest and longest duration over that of the grid.
@@ -161,7 +194,6 @@ impl Releasing<'_> {
         &self,
         program: &Transcription,
         mut here: Held,
-        began: Instant,
         before: &mut Vec<Abandoned>,
     ) -> Held {
         let Some(limits) = self.limits() else {
@@ -189,7 +221,7 @@ impl Releasing<'_> {
                 let mut observer = |row: &IterationRecord| (self.observer)(row);
                 let settings = SqpSettings {
                     max_iterations: self.settings.max_iterations.min(PATIENCE),
-                    ..self.settings.remaining(began)
+                    ..self.settings.clone()
                 };
                 let outcome = solve(&held_program, start, &settings, &mut observer);
                 before.push(counted("held duration", &outcome));

@@ -3,7 +3,6 @@
 use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::sync::Mutex;
-use std::time::Instant;
 
 use nalgebra::Vector3;
 
@@ -14,7 +13,8 @@ use super::release::Releasing;
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
-use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, Stop, solve};
+use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
+use crate::stop::{Stop, StopSignal};
 
 /// What is made easier at first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +139,8 @@ const DETOUR: f64 = 0.5;
 
 /// Solves a problem from one or several starts; the best attempt comes first. The result does not depend on the number of threads.
 ///
-/// `observer` sees every row with the number of its start, and may stop that solve.
+/// `observer` sees every row with the number of its start, and may stop that solve. The settings' [stop signal](SqpSettings::stop) ends
+/// all work; a start that has no point by then has the motion without any control, and starts that have not begun are left out.
 ///
 /// # Errors
 /// [`GuessError`] when the first start cannot be made.
@@ -149,6 +150,10 @@ pub fn search(
     search: &Search,
     observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
 ) -> Result<Vec<Attempt>, GuessError> {
+    let problem = &OptimalControlProblem {
+        stop: settings.stop.clone(),
+        ..problem.clone()
+    };
     let starts = search.starts.max(1);
     let workers = search.n_threads.clamp(1, starts);
     let threads_each = if starts == 1 { search.n_threads } else { 1 };
@@ -163,7 +168,7 @@ pub fn search(
                         *next += 1;
                         *next - 1
                     };
-                    if start >= starts {
+                    if start >= starts || (start > 0 && problem.stop.is_raised()) {
                         return;
                     }
                     let result = attempt(problem, settings, search, start, threads_each, observer);
@@ -284,12 +289,15 @@ fn attempt(
     n_threads: usize,
     observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
 ) -> Result<Attempt, GuessError> {
-    let began = Instant::now();
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
     let mut tried_rest = false;
     for (i, &first) in firsts.iter().enumerate() {
-        let mut settings = settings.remaining(began);
+        if let (Some(best), Some(stop)) = (&mut best, problem.stop.raised()) {
+            best.outcome.status = SqpStatus::Stopped(stop);
+            break;
+        }
+        let mut settings = settings.clone();
         let used = best.as_ref().map_or(0, Attempt::iterations);
         settings.max_iterations = share(&settings, used);
         let is_static = matches!(first, First::Guess(Guess::StaticPath));
@@ -314,8 +322,11 @@ fn attempt(
                 }
                 found
             }
-            Err(error) if best.is_none() && i + 1 == firsts.len() => return Err(error),
-            Err(_) => continue,
+            Err(error) => match error.stopped() {
+                Some(stop) if best.is_none() => return unmoved(problem, start, stop),
+                None if best.is_none() && i + 1 == firsts.len() => return Err(error),
+                _ => continue,
+            },
         };
         tried_rest |= staged.from == Guess::Rest.name();
         let found = Attempt {
@@ -335,11 +346,16 @@ fn attempt(
         best = Some(match best {
             None => found,
             Some(earlier) => {
-                let (mut kept, dropped) = if ended || found.improves_on(&earlier) {
+                let status = found.outcome.status.clone();
+                let is_solved = status == SqpStatus::Converged;
+                let (mut kept, dropped) = if is_solved || found.improves_on(&earlier) {
                     (found, earlier)
                 } else {
                     (earlier, found)
                 };
+                if matches!(status, SqpStatus::Stopped(_)) {
+                    kept.outcome.status = status;
+                }
                 kept.abandoned.extend(dropped.abandoned);
                 kept.abandoned.push(Abandoned {
                     from: dropped.from,
@@ -353,6 +369,9 @@ fn attempt(
             break;
         }
     }
+    if let (None, Some(stop)) = (&best, problem.stop.raised()) {
+        return unmoved(problem, start, stop);
+    }
     let Some(best) = best else {
         unreachable!("the last first point is solved from, or its error returned")
     };
@@ -364,7 +383,7 @@ fn attempt(
     // Given up for first points that were no better: it goes on.
     let settings = SqpSettings {
         max_iterations: share(settings, best.iterations()),
-        ..settings.remaining(began)
+        ..settings.clone()
     };
     let program = Transcription::new(problem, n_threads);
     let point = best.outcome.point.clone();
@@ -376,6 +395,10 @@ fn attempt(
         abandoned: best.abandoned.clone(),
     };
     if !resumed.improves_on(&best) {
+        let mut best = best;
+        if matches!(resumed.outcome.status, SqpStatus::Stopped(_)) {
+            best.outcome.status = resumed.outcome.status;
+        }
         return Ok(best);
     }
     resumed.abandoned.push(Abandoned {
@@ -384,6 +407,25 @@ fn attempt(
         iterations: iterations(&best.outcome),
     });
     Ok(resumed)
+}
+
+/// What is left of a start that was stopped before it had a first point: the motion without any control.
+fn unmoved(
+    problem: &OptimalControlProblem,
+    start: usize,
+    stop: Stop,
+) -> Result<Attempt, GuessError> {
+    let problem = &OptimalControlProblem {
+        stop: StopSignal::default(),
+        ..problem.clone()
+    };
+    let (point, guess) = first_point(problem, Guess::Rest, None)?;
+    Ok(Attempt {
+        start,
+        from: guess.name(),
+        outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
+        abandoned: Vec::new(),
+    })
 }
 
 /// A solve, and those that led to it.
@@ -457,7 +499,12 @@ fn staged(
         };
         let program = Transcription::new(here, n_threads);
         let outcome = solve(&program, point, settings, &mut |row| observer(row));
-        let stopped = matches!(outcome.status, SqpStatus::Stopped(_));
+        let mut outcome = outcome;
+        let mut stopped = matches!(outcome.status, SqpStatus::Stopped(_));
+        if let (true, Some(stop)) = (stage < stages, problem.stop.raised()) {
+            outcome.status = SqpStatus::Stopped(stop);
+            stopped = true;
+        }
         if stage == stages || stopped {
             return Ok(Some(Staged {
                 from,
@@ -481,7 +528,6 @@ fn released(
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 ) -> Result<Option<Staged>, GuessError> {
-    let began = Instant::now();
     let stretch = match (start.first, problem.duration) {
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
@@ -496,7 +542,7 @@ fn released(
     };
     let releasing = Releasing {
         problem,
-        settings: &settings.remaining(began),
+        settings,
         n_threads,
         observer,
     };

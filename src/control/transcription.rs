@@ -1084,7 +1084,7 @@ fn add_curvature_across(
 /// Forward simulation of the problem's rod under the given wrenches.
 ///
 /// # Errors
-/// [`StepError`] of the integrator.
+/// [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
 pub fn simulate(
     problem: &OptimalControlProblem,
     grid: TimeGrid,
@@ -1095,6 +1095,7 @@ pub fn simulate(
     let mut stepper = Stepper::new(rod, grid.step, problem.initial.clone());
     stepper.record(&mut trajectory);
     for k in 0..grid.n_steps {
+        problem.stop.check_at(k)?;
         stepper.advance([control.at(k), control.at(k + 1)])?;
         stepper.record(&mut trajectory);
     }

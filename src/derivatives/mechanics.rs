@@ -207,6 +207,7 @@ pub fn step_linearization(
     let grid = two_step_grid(time_step);
     let (trajectory, end) = two_steps(rod, time_step, state, &Wrench::default())?;
     let motion = Motion {
+        stop: None,
         rod,
         grid,
         initial: state,
@@ -308,6 +309,7 @@ pub fn symplectic_identity(
     let nothing = Wrench::default();
     let (trajectory, end) = two_steps(rod, time_step, state, &nothing)?;
     let motion = Motion {
+        stop: None,
         rod,
         grid,
         initial: state,

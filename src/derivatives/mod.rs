@@ -175,6 +175,7 @@ fn motion_blocks(
         rod, grid.step, state, &clear, seed,
     )?);
     let motion = Motion {
+        stop: None,
         rod,
         grid,
         initial: state,

@@ -20,6 +20,7 @@ use super::forces::NodalForces;
 use super::load::{LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+use crate::stop::{Stop, StopSignal};
 
 /// Springs that pull the tip to a place and an orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -100,6 +101,9 @@ pub enum EquilibriumError {
         /// Length over the length at rest.
         dilatation: f64,
     },
+    /// Somebody ended the iteration.
+    #[error("stopped before the static equilibrium was found: {0}")]
+    Stopped(#[from] Stop),
 }
 
 /// Scaled residual at which Newton's method is done, where [rounding](Statics::rounding) allows it.
@@ -128,6 +132,20 @@ pub fn static_equilibrium(
     t: f64,
     spring: &TipSpring,
 ) -> Result<Configuration, EquilibriumError> {
+    static_equilibrium_until(rod, start, t, spring, &StopSignal::default())
+}
+
+/// [`static_equilibrium`], unless `stop` is raised before it is found.
+///
+/// # Errors
+/// As [`static_equilibrium`], and [`EquilibriumError::Stopped`].
+pub fn static_equilibrium_until(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &TipSpring,
+    stop: &StopSignal,
+) -> Result<Configuration, EquilibriumError> {
     if rod.base == BaseCondition::Free {
         return Err(EquilibriumError::FreeBase);
     }
@@ -136,6 +154,7 @@ pub fn static_equilibrium(
     let mut residual = statics.residual(&center);
     let mut iterations = 0;
     while iterations < OUTER_LIMIT {
+        stop.check()?;
         iterations += 1;
         let size = statics.scaled(&residual);
         let tolerance = TOLERANCE.max(statics.rounding(&center));
@@ -153,7 +172,8 @@ pub fn static_equilibrium(
                 return checked(rod, center);
             }
         }
-        let lower = statics.minimize(&center);
+        let lower = statics.minimize(&center, stop);
+        stop.check()?;
         if lower == center {
             break;
         }
@@ -367,7 +387,7 @@ impl<'a> Statics<'a> {
     }
 
     /// A stage of L-BFGS from `center`, on the energy with non-conservative loads frozen.
-    fn minimize(&mut self, center: &Configuration) -> Configuration {
+    fn minimize(&mut self, center: &Configuration, stop: &StopSignal) -> Configuration {
         let k = self.stiffness(center);
         let symmetric: Vec<_> = k
             .diagonal
@@ -408,6 +428,7 @@ impl<'a> Statics<'a> {
             forces: RefCell::new(NodalForces::zeros(self.rod.n_nodes())),
             evaluations: Cell::new(0),
             t: self.t,
+            stop,
         };
         let n = 6 * k.diagonal.len();
         let run = LBFGS::new(MoreThuenteLineSearch::new(), LBFGS_MEMORY)
@@ -473,6 +494,7 @@ struct PotentialEnergy<'a> {
     forces: RefCell<NodalForces>,
     evaluations: Cell<usize>,
     t: f64,
+    stop: &'a StopSignal,
 }
 
 impl PotentialEnergy<'_> {
@@ -492,6 +514,7 @@ impl CostFunction for PotentialEnergy<'_> {
         if self.evaluations.get() > EVALUATION_LIMIT {
             return Err(ArgminError::msg("a line search without end"));
         }
+        self.stop.check()?;
         let step = self.step(z);
         let at = moved(self.center, &step);
         let tip = self.rod.tip();

@@ -26,6 +26,7 @@ use super::inertia::{InertiaRule, momentum_after};
 use super::rod::Rod;
 use super::rotation::{cay, cay_inverse, cayley_quaternion, hat, log, orthonormalized, quaternion};
 use super::signal::NodeWrenches;
+use crate::stop::Stop;
 
 /// How the elastic forces act within a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -186,6 +187,9 @@ pub enum StepError {
         /// What was found.
         quantity: &'static str,
     },
+    /// Somebody ended it.
+    #[error("stopped before the end: {0}")]
+    Stopped(#[from] Stop),
 }
 
 /// Solves `J f + ½ f × J f = (1 + |f|²/4) b` for the Cayley vector `f` of one step's rotation, `b = h g`.

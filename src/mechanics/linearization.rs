@@ -32,6 +32,7 @@ use super::rod::Rod;
 use super::rotation::{cay_inverse, cay_tangent, hat};
 use super::signal::ControlSignal;
 use super::strain::{ElementStiffness, IntervalStress};
+use crate::stop::StopSignal;
 
 /// A rod on a time grid, from a given state on.
 ///
@@ -45,6 +46,8 @@ pub struct Motion<'a> {
     pub grid: TimeGrid,
     /// State at time 0; its configuration is the first of every trajectory.
     pub initial: &'a State,
+    /// What may end a sweep before it is done, if anything may.
+    pub stop: Option<&'a StopSignal>,
 }
 
 /// Decay of the momentum and weight of the force in one kick.
@@ -291,7 +294,9 @@ pub fn defects(
     trajectory: &Trajectory,
     control: &ControlSignal,
 ) -> Result<Defects, StepError> {
-    let Motion { rod, grid, initial } = *motion;
+    let Motion {
+        rod, grid, initial, ..
+    } = *motion;
     let n = rod.n_nodes();
     let h = grid.step;
     let mut forces = NodalForces::zeros(n);

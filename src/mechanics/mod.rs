@@ -36,7 +36,7 @@ pub use constitutive::RodModel;
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use energy::Energy;
 pub use energy_norm::EnergyNorm;
-pub use equilibrium::{TipSpring, static_equilibrium};
+pub use equilibrium::{TipSpring, static_equilibrium, static_equilibrium_until};
 pub use forms::{FormTerm, StateForm};
 pub use integrator::{Integrator, StepError, TimeGrid, TimeScheme};
 pub use lanes::LaneIntegrator;

@@ -3,7 +3,8 @@
 use crate::control::{Abandoned, TrackingError};
 use serde::Serialize;
 
-use crate::sqp::{Convergence, KktResidual};
+use crate::sqp::{Convergence, KktResidual, Progress};
+use crate::stop::Stop;
 use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
@@ -252,6 +253,35 @@ impl SensitivitySummary {
     }
 }
 
+/// The forward check in the summary: what it found, or that there was no time for it.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum CheckRecord {
+    /// It was made.
+    Made(Box<CheckOutcome>),
+    /// It was not made, or not to its end.
+    NotChecked {
+        /// `not checked`
+        verdict: &'static str,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl CheckRecord {
+    /// A check that was not made to its end.
+    #[must_use]
+    pub fn not_checked(stop: Stop) -> Self {
+        Self::NotChecked {
+            verdict: NOT_CHECKED,
+            reason: stop.to_string(),
+        }
+    }
+}
+
+/// The verdict on what there was no time to check.
+pub const NOT_CHECKED: &str = "not checked";
+
 /// Outcome of the forward check, in the summary.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckOutcome {
@@ -456,7 +486,13 @@ pub struct SolveSummary {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tracking: Vec<TrackingError>,
     /// The forward check; absent when it could not be made.
-    pub check: Option<CheckOutcome>,
+    pub check: Option<CheckRecord>,
+    /// Whether residuals were still falling at the end of a solve that was stopped.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub progress: Option<Progress>,
+    /// Every how many time nodes the motion of a solve that was stopped has a row, where that is not every one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps_per_row: Option<usize>,
     /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
     pub open_loop_sensitivity: Option<SensitivitySummary>,
     /// The same with feedback.
@@ -508,7 +544,7 @@ pub struct VerifySummary {
     /// The directory.
     pub directory: String,
     /// The check.
-    pub check: CheckOutcome,
+    pub check: CheckRecord,
     /// Distance of the tip from its target in the forward simulation, m.
     pub tip_error_m: f64,
     /// Angle from the target orientation, rad.

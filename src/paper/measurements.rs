@@ -78,13 +78,14 @@ impl BlowUp {
     /// Time of the failure, s.
     #[must_use]
     pub fn time(&self) -> Option<f64> {
-        self.failure.as_ref().map(|error| match error {
+        self.failure.as_ref().and_then(|error| match error {
             StepError::RotationTooLarge { time, .. }
             | StepError::BaseTurnTooLarge { time, .. }
             | StepError::ElementCollapsed { time, .. }
             | StepError::ElementFolded { time, .. }
             | StepError::NotConverged { time, .. }
-            | StepError::NotFinite { time, .. } => *time,
+            | StepError::NotFinite { time, .. } => Some(*time),
+            StepError::Stopped(_) => None,
         })
     }
 }

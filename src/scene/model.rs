@@ -918,7 +918,8 @@ pub struct Solver {
     /// Solve easier problems first, and start each from the one before. Absent: no.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub continuation: Option<Continuation>,
-    /// Wall-clock time in s after which the best iterate is returned, positive. Absent: no limit.
+    /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
+    /// is written, positive. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub deadline_s: Option<f64>,

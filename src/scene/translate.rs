@@ -1,6 +1,6 @@
 //! From a checked scene to the rod, the simulation and the optimal-control problem that it describes.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,7 +14,7 @@ use crate::control::{
     FeedbackWeights, FreeDuration, Goal, GoalPart, Guess, Hold, OptimalControlProblem,
     PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
 };
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{from_quaternion, log};
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
@@ -23,6 +23,7 @@ use crate::mechanics::{
     SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
 };
 use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
+use crate::stop::StopSignal;
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
 
 /// A forward simulation.
@@ -113,7 +114,7 @@ impl OptimalControl {
             &self.parameters,
             &|rod| {
                 // The finer rod's equilibrium exists wherever the coarse one's did; its rest shape is the fall-back.
-                (self.resolved.starting_state(rod))
+                (self.resolved.starting_state_until(rod, &self.problem.stop))
                     .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
             },
             solution,
@@ -143,9 +144,21 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] for a step above the stable limit, or an initial equilibrium that does not exist.
     pub fn simulation(&self, source: &SceneSource) -> Result<Simulation, SceneError> {
+        self.simulation_until(source, &StopSignal::default())
+    }
+
+    /// [`Self::simulation`], unless `stop` is raised before its initial state is found.
+    ///
+    /// # Errors
+    /// As [`Self::simulation`].
+    pub fn simulation_until(
+        &self,
+        source: &SceneSource,
+        stop: &StopSignal,
+    ) -> Result<Simulation, SceneError> {
         let (parameters, rod) = self.rod_of(source)?;
         let grid = self.grid(source, &rod, self.time.end_s, 1)?;
-        let initial = self.initial_state(source, &rod)?;
+        let initial = self.initial_state(source, &rod, stop)?;
         let mut resolved = self.with_material_resolved();
         resolve_time(&mut resolved, &grid);
         let output = self.output.clone().unwrap_or_default();
@@ -167,6 +180,28 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when `[control]` is missing, or both `[task]` and `[[objective.track]]`, and as [`Self::simulation`].
     pub fn optimal_control(&self, source: &SceneSource) -> Result<OptimalControl, SceneError> {
+        let deadline = self.deadline(Instant::now());
+        self.optimal_control_until(source, &StopSignal::new(deadline, None))
+    }
+
+    /// When a solve that began at an instant must end, by `solver.deadline_s`.
+    #[must_use]
+    pub fn deadline(&self, began: Instant) -> Option<Instant> {
+        let seconds = self.solver.as_ref()?.deadline_s?;
+        // Beyond what a clock can tell there is no deadline worth the name.
+        began.checked_add(Duration::try_from_secs_f64(seconds).ok()?)
+    }
+
+    /// [`Self::optimal_control`] with another signal than the scene's own [deadline](Self::deadline), counted from here: `stop` ends
+    /// this, while the initial state is not found, and all work on the problem.
+    ///
+    /// # Errors
+    /// As [`Self::optimal_control`].
+    pub fn optimal_control_until(
+        &self,
+        source: &SceneSource,
+        stop: &StopSignal,
+    ) -> Result<OptimalControl, SceneError> {
         let missing = |section: &str| {
             source.error_at(
                 section,
@@ -210,7 +245,7 @@ impl Scene {
                 Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
             ));
         }
-        let initial = self.initial_state(source, &rod)?;
+        let initial = self.initial_state(source, &rod, stop)?;
         let hold = match control.hold {
             model::Hold::Constant => Hold::Constant,
             model::Hold::Linear => Hold::Linear,
@@ -270,6 +305,7 @@ impl Scene {
             resolved
         };
         let problem = OptimalControlProblem {
+            stop: stop.clone(),
             radii: self.display_radii(),
             goals: task.map_or_else(Vec::new, |task| self.goals(task, &rod, &grid)),
             path: self.path_constraints(&rod, &longest_grid(free_duration.as_ref(), grid)),
@@ -344,7 +380,7 @@ impl Scene {
                     model::Qp::Condensed => QpRoute::Condensed,
                     model::Qp::Sparse => QpRoute::Sparse,
                 },
-                deadline: solver.deadline_s.map(duration),
+                stop: stop.clone(),
                 ..SqpSettings::default()
             },
             search: Search {
@@ -823,8 +859,13 @@ impl Scene {
         Ok(TimeGrid::covering(end, step, multiple))
     }
 
-    fn initial_state(&self, source: &SceneSource, rod: &Rod) -> Result<State, SceneError> {
-        self.starting_state(rod)
+    fn initial_state(
+        &self,
+        source: &SceneSource,
+        rod: &Rod,
+        stop: &StopSignal,
+    ) -> Result<State, SceneError> {
+        self.starting_state_until(rod, stop)
             .map_err(|error| source.error_at("initial.shape", error.to_string(), None))
     }
 
@@ -834,11 +875,19 @@ impl Scene {
     /// # Errors
     /// [`EquilibriumError`] when there is no equilibrium to start from.
     pub fn starting_state(&self, rod: &Rod) -> Result<State, EquilibriumError> {
+        self.starting_state_until(rod, &StopSignal::default())
+    }
+
+    fn starting_state_until(
+        &self,
+        rod: &Rod,
+        stop: &StopSignal,
+    ) -> Result<State, EquilibriumError> {
         let initial = self.initial.clone().unwrap_or_default();
         let shape = match initial.shape {
             InitialShape::Rest => rod.rest.clone(),
             InitialShape::Equilibrium => {
-                static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default())?
+                static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
             }
         };
         Ok(match rod.base {
@@ -998,11 +1047,6 @@ fn bound(bound: &model::Bound) -> Bound {
         model::Bound::Norm(limit) => Bound::Norm(*limit),
         model::Bound::PerAxis(limits) => Bound::PerAxis(Vector3::from(*limits)),
     }
-}
-
-/// Seconds as a duration; beyond what a duration can hold there is no deadline worth the name.
-fn duration(seconds: f64) -> Duration {
-    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
 }
 
 /// Columns of a rotation: the directors `d1`, `d2`, `d3`.

@@ -6,6 +6,7 @@ pub mod hessian;
 pub mod kept_states;
 mod polish;
 pub mod program;
+pub mod progress;
 pub mod quadratic_program;
 pub mod quasi_newton;
 mod refit;
@@ -19,9 +20,11 @@ pub use kept_states::{StateLinearization, StateRow, StateSize};
 pub use program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };
+pub use progress::{Progress, Trend};
 pub use residual::{KktResidual, Multipliers};
 pub use route::QpRoute;
 pub use solver::{
-    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, Stop,
-    solve,
+    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, solve,
 };
+
+pub use crate::stop::{Stop, StopSignal};

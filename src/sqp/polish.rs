@@ -594,7 +594,7 @@ mod tests {
                 elastic_weight,
                 trust_radius: f64::INFINITY,
                 row_tolerance: 1e-9,
-                time_limit: 10.0,
+                stop: None,
                 states: None,
                 expected: None,
             };

@@ -27,6 +27,7 @@ use super::kept_states::{StateLinearization, StateRow};
 use super::polish::{as_expected, can_be_polished, polish};
 use super::program::{ConvexSet, Linearization, Softness, affine, along};
 use super::residual::{Multipliers, infinity_norm};
+use crate::stop::{Stop, StopSignal};
 
 /// The data of one subproblem.
 #[derive(Clone, Debug)]
@@ -51,8 +52,8 @@ pub struct QuadraticProgram<'a> {
     pub trust_radius: f64,
     /// A row outside the working set may be violated by this much of its terms.
     pub row_tolerance: f64,
-    /// Seconds that the solve may take.
-    pub time_limit: f64,
+    /// What may end the solve before it is done.
+    pub stop: Option<&'a StopSignal>,
     /// The same rows with the states in them, to be solved in their place.
     pub states: Option<KeptStates<'a>>,
     /// Multipliers of a subproblem like this one, those of the inequalities by their place: where the same ones are active again, that
@@ -129,6 +130,9 @@ pub enum QpError {
         /// The problem as Clarabel's own JSON, for a report.
         problem: Option<String>,
     },
+    /// It was not solved to the end.
+    #[error(transparent)]
+    Stopped(#[from] Stop),
 }
 
 /// How Clarabel is run. What it cannot solve is tried again with the next of [`LADDER`].
@@ -229,7 +233,7 @@ impl<'a> QuadraticProgram<'a> {
             elastic_weight: FIRST_ELASTIC_WEIGHT * linearization.cost_unit(),
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: f64::INFINITY,
+            stop: None,
             states: None,
             expected: None,
         }
@@ -256,7 +260,7 @@ impl<'a> QuadraticProgram<'a> {
             if violated.is_empty() {
                 solution.iterations = iterations;
                 solution.working = working;
-                if !can_be_polished(self, &solution) {
+                if !can_be_polished(self, &solution) || self.stopped().is_some() {
                     return Ok(solution);
                 }
                 return match polish(self, &solution) {
@@ -295,6 +299,11 @@ impl<'a> QuadraticProgram<'a> {
             }
         }
         Err(last.unwrap_or(QpError::NotFinite("ladder")))
+    }
+
+    /// Why the solve is to end before it is done, if it is.
+    fn stopped(&self) -> Option<Stop> {
+        self.stop.and_then(StopSignal::raised)
     }
 
     /// The same without the states.
@@ -432,6 +441,9 @@ impl<'a> QuadraticProgram<'a> {
         attempt: &Attempt,
         is_last: bool,
     ) -> Result<QpSolution, QpError> {
+        if let Some(stop) = self.stopped() {
+            return Err(QpError::Stopped(stop));
+        }
         let n = self.gradient.len();
         let m = self.offset.len();
         // An objective of order one, whatever the weights.
@@ -462,12 +474,17 @@ impl<'a> QuadraticProgram<'a> {
             .static_regularization_constant(attempt.regularization)
             .iterative_refinement_max_iter(attempt.refinements)
             .iterative_refinement_stop_ratio(attempt.refinement_gain)
-            .time_limit(self.time_limit)
             .build()
             .map_err(|error| QpError::refused(error.to_string()))?;
         let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
             .map_err(|error| QpError::refused(error.to_string()))?;
+        if let Some(stop) = self.stop.filter(|stop| stop.is_possible()).cloned() {
+            solver.set_termination_callback(move |_| stop.is_raised());
+        }
         solver.solve();
+        if let Some(stop) = self.stopped() {
+            return Err(QpError::Stopped(stop));
+        }
         let solution = &solver.solution;
         let info = &solver.info;
         let usable = match solution.status {
@@ -967,7 +984,7 @@ mod tests {
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: 1.0,
+            stop: None,
             states: None,
             expected: None,
         };
@@ -1000,7 +1017,7 @@ mod tests {
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: 1.0,
+            stop: None,
             states: None,
             expected: None,
         };
@@ -1030,7 +1047,7 @@ mod tests {
             elastic_weight: 100.0,
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: 1.0,
+            stop: None,
             states: None,
             expected: None,
         };
@@ -1056,7 +1073,7 @@ mod tests {
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: 1.0,
+            stop: None,
             states: None,
             expected: None,
         };
@@ -1102,7 +1119,7 @@ mod tests {
                 elastic_weight: 100.0,
                 trust_radius: f64::INFINITY,
                 row_tolerance: ROW_TOLERANCE,
-                time_limit: f64::INFINITY,
+                stop: None,
                 states: None,
                 expected: None,
             };
@@ -1141,7 +1158,7 @@ mod tests {
             elastic_weight: 1.0,
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
-            time_limit: f64::INFINITY,
+            stop: None,
             states: None,
             expected: None,
         };

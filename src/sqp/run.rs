@@ -28,8 +28,8 @@ use super::residual::{KktResidual, Multipliers, norm};
 use super::route::QpRoute;
 use super::solver::{
     Convergence, IterationRecord, Leave, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus,
-    Stop,
 };
+use crate::stop::Stop;
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
@@ -193,13 +193,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let started = Instant::now();
         let evaluation = match program.evaluate(&point) {
             Ok(evaluation) => evaluation,
-            Err(failure) => return Err(Box::new(SqpOutcome::without_start(point, failure.0))),
+            Err(failure) => {
+                let status = SqpStatus::Failed(failure.0);
+                return Err(Box::new(SqpOutcome::without_start(point, status)));
+            }
         };
         let outside = match distance_from_sets(program.sets(), program.variables(&point)) {
             Ok(outside) => outside,
             Err(error) => {
                 let words = format!("no variables are in all convex sets ({error})");
-                return Err(Box::new(SqpOutcome::without_start(point, words)));
+                let status = SqpStatus::Failed(words);
+                return Err(Box::new(SqpOutcome::without_start(point, status)));
             }
         };
         let point = Rc::new(point);
@@ -426,11 +430,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.rounding
     }
 
-    pub(super) fn out_of_time(&self) -> Option<Stop> {
-        self.settings
-            .deadline
-            .filter(|&deadline| self.started.elapsed() >= deadline)
-            .map(|_| Stop::Deadline)
+    /// Why the solve is to end before it is done, if it is.
+    pub(super) fn stopped(&self) -> Option<Stop> {
+        self.settings.stop.raised()
     }
 
     /// One iteration: subproblems of shrinking trust radius, until one's step is accepted, or a step of the restoration.
@@ -457,7 +459,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         while refusals <= SHRINKAGES {
             let solution = match self.solve_subproblem(&mut linearization, &model, &sets) {
                 Ok(solution) => solution,
-                Err(_) if self.out_of_time().is_some() => return Ok(Step::Refused),
+                Err(_) if self.stopped().is_some() => return Ok(Step::Refused),
                 Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
                     Recovery::Smaller => continue,
                     Recovery::Restored => return Ok(Step::Restored),
@@ -500,7 +502,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     refusals += 1;
                 }
             }
-            if self.out_of_time().is_some() {
+            if self.stopped().is_some() {
                 return Ok(Step::Refused);
             }
         }
@@ -1035,7 +1037,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
         row_tolerance: ROW_TOLERANCE,
-        time_limit: f64::INFINITY,
+        stop: None,
         states: None,
         expected: None,
     };

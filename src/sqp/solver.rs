@@ -1,13 +1,13 @@
 //! The loop.
 
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
 
 use super::hessian::{HessianChoice, HessianKind};
 use super::program::LiftedProgram;
 use super::residual::{KktResidual, Multipliers};
 use super::route::QpRoute;
 use super::run::{Run, Step};
+use crate::stop::{Stop, StopSignal};
 
 /// What the solver may do.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,8 +25,8 @@ pub struct SqpSettings {
     /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
     /// that of all rows. Far from a solution not every one of them is worth a solve.
     pub row_accuracy: f64,
-    /// Time, at most.
-    pub deadline: Option<Duration>,
+    /// What may end the solve before it is done.
+    pub stop: StopSignal,
 }
 
 impl Default for SqpSettings {
@@ -38,21 +38,12 @@ impl Default for SqpSettings {
             hessian: HessianChoice::Auto,
             qp: QpRoute::Auto,
             row_accuracy: 1e-2,
-            deadline: None,
+            stop: StopSignal::default(),
         }
     }
 }
 
 impl SqpSettings {
-    /// The same with what is left of the time at most since `began`.
-    #[must_use]
-    pub fn remaining(&self, began: Instant) -> Self {
-        Self {
-            deadline: (self.deadline).map(|limit| limit.saturating_sub(began.elapsed())),
-            ..self.clone()
-        }
-    }
-
     /// What is left of states' defects and of violations, as parts of the tolerance, for which a point counts as feasible; where states that
     /// were computed leave defects of the size `rounding`.
     fn feasibility_tolerance(&self, part: f64, rounding: f64) -> f64 {
@@ -61,15 +52,6 @@ impl SqpSettings {
             .min(STOP_PART * self.tolerance)
             .max(ROUNDING_MARGIN * rounding)
     }
-}
-
-/// Why an observer stops a solve.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
-    /// Ctrl-C.
-    Interrupted,
-    /// Out of time.
-    Deadline,
 }
 
 /// How a solve ended. Only the residual check can say `Converged`.
@@ -186,10 +168,10 @@ pub struct SqpOutcome<P> {
 }
 
 impl<P> SqpOutcome<P> {
-    /// A solve that could not begin.
-    pub(super) fn without_start(point: P, reason: String) -> Self {
+    /// A solve that could not begin, or was not begun any more.
+    pub(crate) fn without_start(point: P, status: SqpStatus) -> Self {
         Self {
-            status: SqpStatus::Failed(reason),
+            status,
             point,
             multipliers: Multipliers::default(),
             residual: KktResidual {
@@ -263,7 +245,11 @@ pub fn solve<P: LiftedProgram>(
     for iteration in 0..=settings.max_iterations {
         let linearization = match run.linearize() {
             Ok(linearization) => linearization,
-            Err(failure) => return run.end(SqpStatus::Failed(failure.0)),
+            Err(failure) => {
+                let failed = SqpStatus::Failed(failure.0);
+                let status = run.stopped().map_or(failed, SqpStatus::Stopped);
+                return run.end(status);
+            }
         };
         let residual = run.residual(&linearization);
         let before = run.last_residual();
@@ -305,10 +291,22 @@ pub fn solve<P: LiftedProgram>(
             };
             return run.finish(status, observer);
         }
-        if let Some(stop) = run.out_of_time() {
+        if let Some(stop) = run.stopped() {
             return run.finish(SqpStatus::Stopped(stop), observer);
         }
-        let step = match run.step(linearization) {
+        let step = run.step(linearization);
+        // What was left half done says nothing about the problem.
+        if !matches!(step, Ok(Step::Taken))
+            && let Some(stop) = run.stopped()
+        {
+            let status = if run.best_residual().max() <= settings.tolerance {
+                SqpStatus::Converged
+            } else {
+                SqpStatus::Stopped(stop)
+            };
+            return run.finish(status, observer);
+        }
+        let step = match step {
             // A step that goes nowhere, after others like it, is none.
             Ok(Step::Taken) if run.stands_still() => Step::Refused,
             Ok(step) => step,
@@ -319,11 +317,11 @@ pub fn solve<P: LiftedProgram>(
             Step::Restored => run.leave(Leave::Anew),
             Step::Refused | Step::Infeasible if run.turn_back() => run.leave(Leave::Back),
             Step::Refused => {
-                let status = match run.out_of_time() {
-                    // At rounding no step can be an improvement any more.
-                    _ if run.best_residual().max() <= settings.tolerance => SqpStatus::Converged,
-                    Some(stop) => SqpStatus::Stopped(stop),
-                    None => SqpStatus::StepTooSmall,
+                // At rounding no step can be an improvement any more.
+                let status = if run.best_residual().max() <= settings.tolerance {
+                    SqpStatus::Converged
+                } else {
+                    SqpStatus::StepTooSmall
                 };
                 return run.finish(status, observer);
             }

@@ -32,6 +32,7 @@ use crate::mechanics::{
     State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
 };
 use crate::sqp::KktResidual;
+use crate::stop::{Stop, StopSignal};
 
 /// Part of the limit of the energy residual below which it need not fall with the step.
 const SMALL_ENERGY: f64 = 0.1;
@@ -304,6 +305,24 @@ pub enum CheckError {
     /// The refined rod could not be built.
     #[error("refined rod: {0}")]
     Rod(#[from] RodError),
+    /// The check was not made to its end.
+    #[error("not checked: {0}")]
+    Stopped(#[from] Stop),
+}
+
+impl CheckError {
+    /// Why the check was not made to its end, where that is all.
+    #[must_use]
+    pub fn stopped(&self) -> Option<Stop> {
+        match self {
+            Self::Stopped(stop)
+            | Self::Replay {
+                source: StepError::Stopped(stop),
+                ..
+            } => Some(*stop),
+            Self::Replay { .. } | Self::Rod(_) => None,
+        }
+    }
 }
 
 /// Runs a forward simulation and keeps account of its energy.
@@ -318,7 +337,8 @@ pub fn replay(
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     let simulation = Simulation::plain(rod, grid.step, initial.clone());
-    let accounts = account(rod, grid, simulation, control, 1, &mut |state| {
+    let never = StopSignal::default();
+    let accounts = account(rod, grid, simulation, control, 1, &never, &mut |state| {
         trajectory.push(&state.configuration);
     })?;
     Ok(Replay {
@@ -383,6 +403,7 @@ fn account(
     mut simulation: Simulation,
     control: &ControlSignal,
     stride: usize,
+    stop: &StopSignal,
     observe: &mut dyn FnMut(&State),
 ) -> Result<Replay, StepError> {
     let mut after = simulation.state();
@@ -396,6 +417,7 @@ fn account(
         ..EnergyBalance::default()
     };
     for k in 0..grid.n_steps {
+        stop.check_at(k)?;
         let pair = [control.at(k), control.at(k + 1)];
         let base_before = simulation.base_wrench();
         simulation.advance(pair)?;
@@ -602,12 +624,14 @@ pub fn forward_check(
     solution: &Solution,
     limits: &CheckLimits,
 ) -> Result<ForwardCheck, CheckError> {
+    problem.stop.check()?;
     let conditions = kkt::recompute(
         problem,
         solution.trajectory,
         solution.coefficients,
         &solution.multipliers,
     );
+    problem.stop.check()?;
     let run = |factor: usize, which| {
         let grid = refined_grid(problem.grid, factor);
         let control = refined_signal(
@@ -629,6 +653,7 @@ pub fn forward_check(
             &control,
             // Under the model `consistent` two steps belong together.
             2 * factor,
+            &problem.stop,
             &mut |state| {
                 if factor == 1 {
                     trajectory.push(&state.configuration);
@@ -644,8 +669,9 @@ pub fn forward_check(
     let mut same = run(1, ReplayKind::SameGrid)?;
     let control = problem.signal(&problem.control, solution.coefficients);
     let same_grid = largest_distance(solution.trajectory, &same.trajectory);
-    let strains = PeakStrains::of(&problem.rod, &same.trajectory);
+    let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
+    problem.stop.check()?;
     // As large as the solution's, and of no use to what follows.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
     let half = run(2, ReplayKind::ShorterSteps)?;

@@ -60,7 +60,7 @@ impl MomentumBalance {
                 out.over_rounding = worst;
                 out.time = problem.grid.time(k);
             }
-            if worst.is_nan() {
+            if worst.is_nan() || problem.stop.check_at(k).is_err() {
                 break;
             }
         }

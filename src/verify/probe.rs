@@ -51,6 +51,7 @@ pub(super) fn roll_out(
     let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), n + 1);
     stepper.record(&mut trajectory);
     for k in 0..n {
+        problem.stop.check_at(k)?;
         (stepper.advance([control.at(k), control.at(k + 1)])).map_err(|source| {
             CheckError::Replay {
                 which: ReplayKind::Perturbed,
@@ -207,6 +208,7 @@ impl<'a> Probe<'a> {
             rates: &[],
         });
         let pulled = conditions.control_gradient(&outcome, &goals);
+        problem.stop.check()?;
         let n = problem.actuators.len();
         let components = problem.actuated_components();
         let (_, slope) = control_cost(problem, &coefficients);

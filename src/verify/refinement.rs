@@ -10,6 +10,7 @@ use crate::mechanics::stability::stable_step;
 use crate::mechanics::{
     ControlSignal, Rod, RodError, RodParameters, State, Stepper, TimeScheme, Trajectory,
 };
+use crate::stop::StopSignal;
 
 /// An error that was estimated by refining a grid twice.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -206,7 +207,8 @@ pub fn refine(
     let path = problem.path_constraints();
     let mut watch = Watch::new(problem, &path, &finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
-    for _ in 0..problem.grid.n_steps {
+    for k in 0..problem.grid.n_steps {
+        problem.stop.check_at(k)?;
         let last = levels.len() - 1;
         for (i, level) in levels.iter_mut().enumerate() {
             level.advance(|stepper| {
@@ -369,9 +371,9 @@ pub struct PeakStrains {
 }
 
 impl PeakStrains {
-    /// Over all elements and time nodes.
+    /// Over all elements and time nodes, up to where `stop` is found raised.
     #[must_use]
-    pub fn of(rod: &Rod, trajectory: &Trajectory) -> Self {
+    pub fn of(rod: &Rod, trajectory: &Trajectory, stop: &StopSignal) -> Self {
         let mut out = Self {
             least_stretch: f64::INFINITY,
             largest_stretch: 0.0,
@@ -379,6 +381,9 @@ impl PeakStrains {
             twist: 0.0,
         };
         for k in 0..trajectory.n_times() {
+            if stop.check_at(k).is_err() {
+                break;
+            }
             let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
             for (q, element) in rod.elements.iter().enumerate() {
                 let stretch = (x[q + 1] - x[q]).norm() / rod.rest_chords[q];

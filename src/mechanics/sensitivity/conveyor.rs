@@ -14,6 +14,7 @@ use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::Multipliers;
 use crate::mechanics::integrator::StepError;
 use crate::mechanics::linearization::Motion;
+use crate::stop::StopSignal;
 
 /// Time nodes that are linearized by one task: all lanes full, and few that are begun in their middle.
 pub(super) const PIECE: usize = 16;
@@ -82,7 +83,8 @@ impl Conveyor<'_> {
     /// other, and beside the linearization of the next group, which `adapt` may change step by step.
     ///
     /// # Errors
-    /// [`StepError`] of a time node that cannot be linearized: the first one of the first group that has any.
+    /// [`StepError`] of a time node that cannot be linearized: the first one of the first group that has any; or of the motion's
+    /// [`StopSignal`].
     pub fn run(
         &self,
         n_phases: usize,
@@ -117,6 +119,11 @@ impl Conveyor<'_> {
             |round| uses(round) + makes(round),
             |round, task| {
                 if round > last_round.load(Ordering::Relaxed) {
+                    return;
+                }
+                if let Some(stop) = self.motion.stop.and_then(StopSignal::raised) {
+                    lock(&failure).get_or_insert((usize::MAX, stop.into()));
+                    last_round.store(round, Ordering::Relaxed);
                     return;
                 }
                 let made = task.checked_sub(uses(round));

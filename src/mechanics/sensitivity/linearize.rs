@@ -538,6 +538,7 @@ mod tests {
             };
             let trajectory = bent(true);
             let motion = Motion {
+                stop: None,
                 rod: &rod,
                 grid,
                 initial: &initial,

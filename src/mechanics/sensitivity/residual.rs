@@ -46,7 +46,9 @@ pub(super) fn in_lanes(
     trajectory: &Trajectory,
     control: &ControlSignal,
 ) -> Option<Defects> {
-    let Motion { rod, grid, initial } = *motion;
+    let Motion {
+        rod, grid, initial, ..
+    } = *motion;
     let (n, h) = (rod.n_nodes(), grid.step);
     let first = rod.first_free_node();
     let n_lanes = dispatch(arch, CountLanes);

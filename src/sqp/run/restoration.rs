@@ -76,7 +76,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             let solution = self.solve_feasibility(&mut linearization, &model, &sets, phase.radius);
             let solution = match solution {
                 Ok(solution) => solution,
-                Err(_) if self.out_of_time().is_some() => return Ok(Step::Refused),
+                Err(_) if self.stopped().is_some() => return Ok(Step::Refused),
                 Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
                     Recovery::Smaller => {
                         phase.radius *= SHRINK;

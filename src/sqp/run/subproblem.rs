@@ -250,12 +250,6 @@ impl<P: LiftedProgram> Run<'_, P> {
         elastic_weight: f64,
         first: &'b [usize],
     ) -> QuadraticProgram<'b> {
-        let time_limit = self.settings.deadline.map_or(f64::INFINITY, |deadline| {
-            deadline
-                .saturating_sub(self.started.elapsed())
-                .as_secs_f64()
-                .max(1e-3)
-        });
         let plain = QuadraticProgram::of(
             linearization,
             self.variables(),
@@ -273,7 +267,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             elastic_weight,
             row_tolerance: self.row_tolerance(),
             trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
-            time_limit,
+            stop: Some(&self.settings.stop),
             states: self.kept.as_ref().map(|kept| KeptStates {
                 linearization: kept,
                 replaces_hessian: model.kind == HessianKind::GaussNewton,

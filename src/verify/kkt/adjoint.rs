@@ -43,6 +43,9 @@ impl Conditions<'_> {
         let nodes = &self.control.nodes;
         let mut out = vec![Wrench::default(); (n + 1) * nodes.len()];
         for k in (0..=n).rev() {
+            if self.problem.stop.check_at(k).is_err() {
+                break;
+            }
             let (decay, weight, impulse) = kick(rod, h, k, n);
             for q in first..count {
                 cx[q] += outcome.x[k * count + q];

@@ -40,7 +40,7 @@ pub struct RecomputedKkt {
     pub scale: f64,
 }
 
-/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and its multipliers.
+/// Recomputes the conditions for a solution, unless the problem's stop signal is raised, after which they mean nothing: its trajectory, the coefficients of its control, and its multipliers.
 #[must_use]
 pub fn recompute(
     problem: &OptimalControlProblem,

@@ -274,6 +274,7 @@ impl Conditions<'_> {
         }
         let start = &self.problem.initial.configuration;
         (0..=self.problem.grid.n_steps)
+            .take_while(|&k| self.problem.stop.check_at(k).is_ok())
             .map(|k| {
                 let (x, r) = rod
                     .driven_base(self.problem.grid.time(k))
@@ -311,6 +312,9 @@ impl Conditions<'_> {
         let mut strains = weights.map(|_| self.strains(0));
         let mut stresses = vec![Nine::zeros(); rod.n_elements()];
         for k in 0..=n {
+            if self.problem.stop.check_at(k).is_err() {
+                break;
+            }
             let gradient = energy_gradient(
                 rod,
                 self.trajectory.positions_at(k),

@@ -72,6 +72,9 @@ impl Conditions<'_> {
         }
         let mut cost = 0.0;
         for (k, duration) in sample_times(self.problem) {
+            if self.problem.stop.check_at(k).is_err() {
+                break;
+            }
             let range = k * n..(k + 1) * n;
             cost += add_state_cost(
                 self.problem,
@@ -97,6 +100,9 @@ impl Conditions<'_> {
             let scale = constraint.limit.scale(self.rod());
             let lasting = constraint.lasting(self.problem.grid.step);
             for (k, duration) in lasting {
+                if self.problem.stop.is_raised() {
+                    break;
+                }
                 let here = Pose::at(self.trajectory, k);
                 let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1));
                 for item in 0..constraint.limit.n_items(self.rod()) {

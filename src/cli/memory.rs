@@ -1,0 +1,13 @@
+//! Whether there is enough memory for what a verb is about to do.
+
+use super::error::CliError;
+use crate::memory::{Estimate, available};
+use crate::scene::SceneSource;
+
+/// Refuses a scene that needs more than the system can give, before the work begins.
+pub(super) fn require(estimate: &Estimate, source: &SceneSource) -> Result<(), CliError> {
+    match estimate.refused(available().as_ref()) {
+        None => Ok(()),
+        Some((key, message, advice)) => Err(source.error_at(key, message, Some(advice)).into()),
+    }
+}

@@ -1,0 +1,296 @@
+//! How much memory work takes at its peak, estimated before it begins, and what the system can give.
+//!
+//! An estimate is meant to be no less than what is measured and no more than a few times that: it counts the large arrays by their
+//! sizes, at the moment when most of them are alive.
+
+mod system;
+
+pub use self::system::{Available, available};
+
+use crate::control::cost::sample_times;
+use crate::control::{OptimalControlProblem, PathLimit};
+use crate::mechanics::Rod;
+use crate::mechanics::sensitivity::TILE;
+use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
+use crate::scene::{OptimalControl, Simulation};
+
+/// The program itself, and what else is small.
+const BASE: f64 = 2.4e7;
+const NUMBER: f64 = 8.0;
+/// Numbers of the position and rotation of a node.
+const POSE: f64 = 12.0;
+/// Poses that an iteration of a solve holds for every node and time: point, best point and trial, the direction between them, defects with
+/// their adjoint, and what they are made from; one more for the point that a saddle left.
+const SOLVE_POSES: f64 = 7.0;
+/// Poses that a check holds: the solution, its replay, and the covectors of the adjoint equations.
+const CHECK_POSES: f64 = 4.0;
+/// Poses that writing a motion holds: the motion and its rows.
+const WRITING_POSES: f64 = 2.3;
+/// Wrenches that all of these hold for every time and actuator.
+const SIGNALS: f64 = 6.0;
+/// Dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
+const DENSE: f64 = 14.0;
+/// Dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.
+const DENSE_ROWS: f64 = 6.0;
+/// Rows that a subproblem linearizes at once, mostly fewer.
+const LINEARIZED: usize = 1500;
+/// Numbers that every row of a path constraint takes, seen or not: values, multipliers and predictions.
+const ROW: f64 = 14.0;
+/// Linearized steps that a sweep holds at a time, and bytes of a node's part of each.
+const STEPS_AT_ONCE: f64 = 64.0;
+const LINEARIZED_NODE: f64 = 2500.0;
+/// Numbers that a tile of columns holds for a node: its own rows, and those of a round of the reduced Hessian.
+const TILE_NODE: f64 = 130.0;
+/// Matrices of the size of a deviation that the regulator works with, besides one for every block.
+const REGULATOR: f64 = 12.0;
+/// The same of the growth of disturbances in a deep check.
+const GROWTH: f64 = 8.0;
+/// Bytes of one number of a report's motion, as text and before.
+const REPORT_NUMBER: f64 = 60.0;
+
+/// What a part of the memory is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Motions: nodes times steps.
+    Motion,
+    /// The subproblem: variables by variables, and by rows.
+    Subproblem,
+    /// Rows of obstacles and limits.
+    Rows,
+    /// Gains: a matrix of the size of the state for every block.
+    Gains,
+    /// The growth of disturbances in a deep check.
+    Growth,
+    /// Rows of the result.
+    Output,
+}
+
+impl Part {
+    /// The key of a scene that it grows with first, and what a user may do.
+    #[must_use]
+    pub fn remedy(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Motion => (
+                "time.step_s",
+                "motions take most of it: use a longer time.step_s, a shorter time, or fewer rod.elements",
+            ),
+            Self::Subproblem => (
+                "control.blocks",
+                "the subproblem takes most of it: use fewer control.blocks",
+            ),
+            Self::Rows => (
+                "obstacle",
+                "obstacles and limits take most of it: give them a lower rate_hz, or use fewer rod.elements",
+            ),
+            Self::Gains => (
+                "control.feedback",
+                "the gains take most of it: leave out control.feedback, or use fewer rod.elements or control.blocks",
+            ),
+            Self::Growth => (
+                "rod.elements",
+                "the growth of disturbances takes most of it: use `verify --quick`, or fewer rod.elements",
+            ),
+            Self::Output => (
+                "output.rate_hz",
+                "the rows of the result take most of it: give a lower output.rate_hz",
+            ),
+        }
+    }
+}
+
+/// Memory at the peak, in bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// What is largest first; [`Self::total`] has more than these.
+    pub parts: Vec<(Part, f64)>,
+}
+
+impl Estimate {
+    fn of(parts: impl IntoIterator<Item = (Part, f64)>) -> Self {
+        let mut parts: Vec<_> = parts.into_iter().filter(|part| part.1 > 0.0).collect();
+        parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+        Self { parts }
+    }
+
+    /// All of it, with the program itself.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        BASE + self.parts.iter().map(|part| part.1).sum::<f64>()
+    }
+
+    /// Of two phases of which one ends before the other begins, part by part.
+    fn or(self, other: Self) -> Self {
+        if self.total() >= other.total() {
+            self
+        } else {
+            other
+        }
+    }
+
+    /// Why there is not enough memory, and what a user may do about it: the key of a scene, the message, and the advice. `None` where
+    /// there is, or where nothing is known about it.
+    #[must_use]
+    pub fn refused(&self, available: Option<&Available>) -> Option<(&'static str, String, String)> {
+        let available = available.filter(|available| self.total() > available.bytes)?;
+        let (key, advice) = self.parts.first()?.0.remedy();
+        let message = format!(
+            "needs about {} of memory, and {} gives {}",
+            in_words(self.total()),
+            available.by,
+            in_words(available.bytes)
+        );
+        Some((key, message, advice.into()))
+    }
+}
+
+/// Bytes with a unit that leaves few digits.
+#[must_use]
+pub fn in_words(bytes: f64) -> String {
+    let gigabytes = bytes * 1e-9;
+    if gigabytes >= 1.0 {
+        format!("{gigabytes:.1} GB")
+    } else {
+        format!("{:.0} MB", (bytes * 1e-6).ceil())
+    }
+}
+
+/// Of a forward simulation, whose rows go to files as they are made; a report keeps some.
+#[must_use]
+pub fn of_simulation(setup: &Simulation) -> Estimate {
+    let nodes = setup.rod.n_nodes();
+    let mut row = row_bytes(&MotionRecord::empty(nodes).arrays());
+    if setup.diagnostics {
+        row += row_bytes(&DiagnosticsRecord::empty(nodes - 1).arrays());
+    }
+    let kept = setup
+        .n_rows(setup.grid.n_steps)
+        .min(ThinnedMotion::MOST_ROWS);
+    let rows = row as f64 * kept as f64;
+    Estimate::of([
+        (Part::Output, rows * (1.0 + REPORT_NUMBER / NUMBER)),
+        (Part::Motion, nodes as f64 * EQUILIBRIUM_NODE),
+    ])
+}
+
+/// Bytes of a node's part of the stiffness and its factors, and of an integrator.
+const EQUILIBRIUM_NODE: f64 = 2e4;
+
+/// Of a solve with its check, its gains and its files. Several starts keep a motion each; `n_threads` of them are solved at a time.
+#[must_use]
+pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Estimate {
+    let problem = &setup.problem;
+    let motion = Motion::of(problem);
+    let workers = starts.min(n_threads).max(1) as f64;
+    let kept = starts.max(1) as f64 - workers;
+    let variables = problem.n_variables() as f64;
+    let linearized = problem.goal_rows().len() + n_path_rows(problem).min(LINEARIZED);
+    let forms = (linearized + n_cost_rows(problem)) as f64;
+    let tiles = (variables / TILE as f64).ceil();
+    let sweep =
+        motion.nodes * (STEPS_AT_ONCE * LINEARIZED_NODE + tiles * TILE as f64 * TILE_NODE * NUMBER);
+    let subproblem = NUMBER
+        * (DENSE * variables * variables
+            + DENSE_ROWS * forms * variables
+            + (linearized as f64).powi(2));
+    let solve = Estimate::of([
+        (
+            Part::Motion,
+            workers * (SOLVE_POSES * motion.pose + motion.signals + sweep) + kept * motion.pose,
+        ),
+        (Part::Subproblem, workers * subproblem),
+        (Part::Rows, workers * rows(problem)),
+    ]);
+    let ended = (starts.max(1) - 1) as f64 * motion.pose;
+    let gains = if setup.feedback.is_some() {
+        let size = deviation(&problem.rod);
+        let blocks = problem.control.n_blocks() as f64;
+        let inputs = problem.actuated_components().len() as f64;
+        NUMBER * size * (size * (blocks + REGULATOR) + 3.0 * blocks * inputs)
+            + motion.nodes * STEPS_AT_ONCE * LINEARIZED_NODE
+    } else {
+        0.0
+    };
+    let mut check = of_replays(problem);
+    check.parts.push((Part::Gains, gains));
+    check.parts.push((Part::Motion, ended));
+    let writing = Estimate::of([(
+        Part::Output,
+        ended + WRITING_POSES * motion.pose + motion.signals + motion.report,
+    )]);
+    solve.or(Estimate::of(check.parts)).or(writing)
+}
+
+/// Of a check of a result; a deep one adds the second-order condition and the growth of disturbances.
+#[must_use]
+pub fn of_verify(setup: &OptimalControl, deep: bool) -> Estimate {
+    let mut estimate = of_replays(&setup.problem);
+    if deep {
+        let size = deviation(&setup.problem.rod);
+        let variables = setup.problem.n_variables() as f64;
+        let growth = NUMBER * (GROWTH * 1.25 * size * size + 200.0 * variables);
+        estimate.parts.push((Part::Growth, growth));
+    }
+    Estimate::of(estimate.parts)
+}
+
+fn of_replays(problem: &OptimalControlProblem) -> Estimate {
+    let motion = Motion::of(problem);
+    Estimate::of([
+        (Part::Motion, CHECK_POSES * motion.pose + motion.signals),
+        (Part::Rows, rows(problem)),
+    ])
+}
+
+/// Sizes of a motion, in bytes but for the nodes.
+struct Motion {
+    nodes: f64,
+    pose: f64,
+    signals: f64,
+    report: f64,
+}
+
+impl Motion {
+    fn of(problem: &OptimalControlProblem) -> Self {
+        let nodes = problem.rod.n_nodes() as f64;
+        let times = problem.grid.n_steps as f64 + 1.0;
+        let shown = times.min(ThinnedMotion::MOST_ROWS as f64);
+        Self {
+            nodes,
+            pose: NUMBER * POSE * nodes * times,
+            signals: NUMBER * SIGNALS * 6.0 * problem.actuators.len() as f64 * times,
+            report: REPORT_NUMBER * POSE * nodes * shown,
+        }
+    }
+}
+
+/// Of all rows of path constraints.
+fn rows(problem: &OptimalControlProblem) -> f64 {
+    NUMBER * ROW * n_path_rows(problem) as f64
+}
+
+fn n_path_rows(problem: &OptimalControlProblem) -> usize {
+    let of = |limit: &PathLimit, times: usize| times.saturating_mul(limit.n_items(&problem.rod));
+    (problem.path_constraints().iter())
+        .map(|path| of(&path.limit, path.time_nodes.len()))
+        .fold(0, usize::saturating_add)
+}
+
+/// Residuals of the costs over states.
+fn n_cost_rows(problem: &OptimalControlProblem) -> usize {
+    let objective = &problem.objective;
+    let energy = if objective.energy > 0.0 {
+        6 * problem.rod.n_elements()
+    } else {
+        0
+    };
+    let a_time = energy + 3 * objective.tracking.len();
+    if a_time == 0 {
+        return 0;
+    }
+    sample_times(problem).len().saturating_mul(a_time)
+}
+
+/// Numbers of a deviation of the state.
+fn deviation(rod: &Rod) -> f64 {
+    12.0 * (rod.n_nodes() - rod.first_free_node()) as f64
+}

@@ -1,0 +1,174 @@
+//! What memory the system can still give to this process. Only Linux says; elsewhere nothing is known.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The least that anything allows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Available {
+    /// Bytes.
+    pub bytes: f64,
+    /// What allows no more.
+    pub by: &'static str,
+}
+
+/// What the system can give: free memory, and what is left of the limits of the control groups and of the process. `None` where
+/// nothing of it is known.
+#[must_use]
+pub fn available() -> Option<Available> {
+    available_in(Path::new("/proc"), Path::new("/sys/fs/cgroup"))
+}
+
+fn available_in(proc: &Path, groups: &Path) -> Option<Available> {
+    let read = |path: PathBuf| fs::read_to_string(path).ok();
+    let status = read(proc.join("self/status")).unwrap_or_default();
+    let limits = read(proc.join("self/limits")).unwrap_or_default();
+    let under = |name: &str, used: &str| {
+        let limit = process_limit(&limits, name)?;
+        Some((limit - kilobytes(&status, used)?).max(0.0))
+    };
+    let free = read(proc.join("meminfo")).and_then(|text| kilobytes(&text, "MemAvailable"));
+    let membership = read(proc.join("self/cgroup")).unwrap_or_default();
+    let found = [
+        (free, "the system"),
+        (group_room(groups, &membership), "the control group"),
+        (
+            under("Max address space", "VmSize"),
+            "the limit of the address space (ulimit -v)",
+        ),
+        (
+            under("Max data size", "VmData"),
+            "the limit of data (ulimit -d)",
+        ),
+    ];
+    (found.into_iter())
+        .filter_map(|(bytes, by)| bytes.map(|bytes| Available { bytes, by }))
+        .min_by(|a, b| a.bytes.total_cmp(&b.bytes))
+}
+
+/// `Name:  12 kB` in bytes.
+fn kilobytes(text: &str, name: &str) -> Option<f64> {
+    let line = text
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))?;
+    let number: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(number * 1024.0)
+}
+
+/// The soft limit of a line of `/proc/self/limits`; `None` for an unlimited one.
+fn process_limit(text: &str, name: &str) -> Option<f64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+/// What the control groups of the process leave, all of them up to the root: version 1 and version 2.
+fn group_room(groups: &Path, membership: &str) -> Option<f64> {
+    (membership.lines())
+        .filter_map(|line| {
+            let mut parts = line.splitn(3, ':').skip(1);
+            let (controllers, path) = (parts.next()?, parts.next()?);
+            let [folder, limit, used] = if controllers.is_empty() {
+                ["", "memory.max", "memory.current"]
+            } else if controllers.split(',').any(|name| name == "memory") {
+                ["memory", "memory.limit_in_bytes", "memory.usage_in_bytes"]
+            } else {
+                return None;
+            };
+            let root = groups.join(folder);
+            // A container sees its own group as the root, where the path leads nowhere.
+            let own = root.join(path.trim_start_matches('/'));
+            (own.ancestors()
+                .take_while(|folder| folder.starts_with(&root)))
+            .filter_map(|folder| room(folder, limit, used))
+            .reduce(f64::min)
+        })
+        .reduce(f64::min)
+}
+
+/// Limit of a group minus what it uses, less the cache of files that the system takes back first.
+fn room(folder: &Path, limit: &str, used: &str) -> Option<f64> {
+    let number = |name: &str| -> Option<f64> {
+        let text = fs::read_to_string(folder.join(name)).ok()?;
+        text.trim().parse().ok()
+    };
+    let (limit, used) = (number(limit)?, number(used)?);
+    let cache = fs::read_to_string(folder.join("memory.stat"))
+        .ok()
+        .and_then(|text| {
+            let of = |name: &str| {
+                let mut lines = text.lines();
+                lines.find_map(|line| {
+                    line.strip_prefix(name)?
+                        .strip_prefix(' ')?
+                        .parse::<f64>()
+                        .ok()
+                })
+            };
+            of("total_inactive_file").or_else(|| of("inactive_file"))
+        });
+    // Version 1 writes the largest number there is where there is no limit.
+    (limit < NO_LIMIT).then(|| (limit - used + cache.unwrap_or(0.0)).max(0.0))
+}
+
+/// No machine has as much, in bytes.
+const NO_LIMIT: f64 = 1e18;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MIB: f64 = 1024.0 * 1024.0;
+
+    /// A made-up system: every source by itself, in the words and units of the kernel, is the least of all; without any, nothing is known.
+    #[test]
+    fn the_least_of_all_limits_counts() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (proc, groups) = (folder.path().join("proc"), folder.path().join("cgroup"));
+        let put = |path: PathBuf, text: &str| {
+            fs::create_dir_all(path.parent().expect("a parent")).expect("folders");
+            fs::write(path, text).expect("a file");
+        };
+        let look = || available_in(&proc, &groups).map(|found| (found.bytes / MIB, found.by));
+        assert_eq!(look(), None);
+        put(
+            proc.join("meminfo"),
+            "MemTotal: 9 kB\nMemAvailable:    8192 kB\n",
+        );
+        assert_eq!(look(), Some((8.0, "the system")));
+        put(
+            proc.join("self/status"),
+            "VmSize:\t    1024 kB\nVmData:\t 512 kB\n",
+        );
+        let unlimited =
+            "Max data size             unlimited            unlimited            bytes\n";
+        let limited = "Max address space         7340032              unlimited            bytes\n";
+        put(proc.join("self/limits"), unlimited);
+        assert_eq!(look(), Some((8.0, "the system")));
+        put(proc.join("self/limits"), &[unlimited, limited].concat());
+        assert_eq!(
+            look(),
+            Some((6.0, "the limit of the address space (ulimit -v)"))
+        );
+        put(proc.join("self/cgroup"), "3:cpu:/a\n0::/a/b\n");
+        put(groups.join("a/b/memory.max"), "max\n");
+        put(groups.join("a/b/memory.current"), "1048576\n");
+        assert_eq!(look().map(|found| found.0), Some(6.0));
+        put(groups.join("a/memory.max"), "6291456\n");
+        put(groups.join("a/memory.current"), "3145728\n");
+        assert_eq!(look(), Some((3.0, "the control group")));
+        put(
+            groups.join("a/memory.stat"),
+            "anon 5\ninactive_file 1048576\n",
+        );
+        assert_eq!(look(), Some((4.0, "the control group")));
+        put(proc.join("self/cgroup"), "4:memory,x:/gone/from/here\n");
+        put(groups.join("memory/memory.limit_in_bytes"), "2097152\n");
+        put(groups.join("memory/memory.usage_in_bytes"), "1048576\n");
+        assert_eq!(look(), Some((1.0, "the control group")));
+        put(
+            groups.join("memory/memory.limit_in_bytes"),
+            "9223372036854771712\n",
+        );
+        assert_eq!(look().map(|found| found.0), Some(6.0));
+    }
+}

@@ -1,0 +1,141 @@
+//! What ends work before it is done: a time that is over, or somebody who asks.
+//!
+//! Whoever starts long work makes a [`StopSignal`] and passes it in; loops look at it every few milliseconds at most. A signal that
+//! is raised stays raised. Work may therefore be left half done where a loop finds it raised, without a result worth the name: whoever
+//! asked for that work looks at the signal as well, and finds it raised too.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Why work ended before it was done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Stop {
+    /// Somebody asked for it.
+    #[error("interrupted")]
+    Interrupted,
+    /// The time is over.
+    #[error("out of time")]
+    Deadline,
+}
+
+/// Counts of a loop from one look at the signal to the next: no loop that counts takes more than some milliseconds for so many.
+const EVERY: usize = 32;
+
+/// When work must end, and whether somebody asked it to. The default is never raised.
+#[derive(Clone, Debug, Default)]
+pub struct StopSignal {
+    deadline: Option<Instant>,
+    request: Option<Arc<AtomicBool>>,
+}
+
+impl StopSignal {
+    /// Raised from `deadline` on, where there is one, and as soon as `request` is true, which must not become false again.
+    #[must_use]
+    pub fn new(deadline: Option<Instant>, request: Option<Arc<AtomicBool>>) -> Self {
+        Self { deadline, request }
+    }
+
+    /// Raised from `deadline` on.
+    #[must_use]
+    pub fn at(deadline: Instant) -> Self {
+        Self::new(Some(deadline), None)
+    }
+
+    /// The same request, with another deadline.
+    #[must_use]
+    pub fn with_deadline(&self, deadline: Option<Instant>) -> Self {
+        Self::new(deadline, self.request.clone())
+    }
+
+    /// Whether the signal can ever be raised.
+    #[must_use]
+    pub fn is_possible(&self) -> bool {
+        self.deadline.is_some() || self.request.is_some()
+    }
+
+    /// Why work is to end, if it is.
+    #[must_use]
+    pub fn raised(&self) -> Option<Stop> {
+        if (self.request.as_ref()).is_some_and(|request| request.load(Ordering::Relaxed)) {
+            return Some(Stop::Interrupted);
+        }
+        (self.deadline)
+            .is_some_and(|deadline| Instant::now() >= deadline)
+            .then_some(Stop::Deadline)
+    }
+
+    /// Whether work is to end.
+    #[must_use]
+    pub fn is_raised(&self) -> bool {
+        self.raised().is_some()
+    }
+
+    /// [`Self::raised`] as a result.
+    ///
+    /// # Errors
+    /// [`Stop`] where the signal is raised.
+    pub fn check(&self) -> Result<(), Stop> {
+        self.raised().map_or(Ok(()), Err)
+    }
+
+    /// [`Self::check`] for a loop that counts its turns and takes microseconds for each: only some counts look.
+    ///
+    /// # Errors
+    /// [`Stop`] where the signal is raised.
+    pub fn check_at(&self, count: usize) -> Result<(), Stop> {
+        if count.is_multiple_of(EVERY) {
+            self.check()
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Seconds until the deadline: 0 once it is over, infinite without one.
+    #[must_use]
+    pub fn seconds_left(&self) -> f64 {
+        self.deadline.map_or(f64::INFINITY, |deadline| {
+            deadline
+                .saturating_duration_since(Instant::now())
+                .as_secs_f64()
+        })
+    }
+}
+
+/// Equal are signals that are raised together, whatever happens.
+impl PartialEq for StopSignal {
+    fn eq(&self, other: &Self) -> bool {
+        let same_request = match (&self.request, &other.request) {
+            (None, None) => true,
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            _ => false,
+        };
+        same_request && self.deadline == other.deadline
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    /// A signal is raised by its request at once, by its deadline from then on, and by default never; a request goes before a deadline.
+    #[test]
+    fn signals_are_raised_by_requests_and_deadlines() {
+        let now = Instant::now();
+        let request = Arc::new(AtomicBool::new(false));
+        let later = StopSignal::new(Some(now + Duration::from_secs(3600)), Some(request.clone()));
+        let over = StopSignal::new(Some(now), Some(request.clone()));
+        assert_eq!(StopSignal::default().raised(), None);
+        assert_eq!(later.raised(), None);
+        assert!(later.seconds_left() > 3000.0);
+        assert_eq!(over.raised(), Some(Stop::Deadline));
+        assert_eq!(over.seconds_left(), 0.0);
+        assert_eq!(over.check_at(1), Ok(()));
+        assert_eq!(over.check_at(2 * EVERY), Err(Stop::Deadline));
+        request.store(true, Ordering::Relaxed);
+        assert_eq!(later.raised(), Some(Stop::Interrupted));
+        assert_eq!(over.raised(), Some(Stop::Interrupted));
+        assert!(!StopSignal::default().is_possible() && later.is_possible());
+    }
+}
