@@ -298,7 +298,9 @@ impl Motion {
             let (distance, angle) = match goal.enforcement {
                 Enforcement::Soft { .. } => continue,
                 Enforcement::Hard => (0.0, 0.0),
-                Enforcement::Within { distance, angle } => (distance, angle),
+                Enforcement::Within {
+                    distance, angle, ..
+                } => (distance, angle),
             };
             let state = &self.0[goal.time_node];
             let shape = &state.configuration;

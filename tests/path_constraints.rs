@@ -314,6 +314,8 @@ fn strains_speeds_and_sets_hold() {
     problem.goals[0].enforcement = Enforcement::Within {
         distance: 0.05,
         angle: 1.0,
+        speed: 0.0,
+        spin: 0.0,
     };
     let outcome = solved(&problem);
     assert_eq!(outcome.status, SqpStatus::Converged);

@@ -198,7 +198,7 @@ fn problem_size(problem: &OptimalControlProblem, qp: QpRoute) -> ProblemSize {
         control_blocks: problem.control.n_blocks(),
         variables: problem.n_controls(),
         target_equations: (problem.goal_rows().iter())
-            .filter(|row| problem.soft_weight(row).is_none())
+            .filter(|row| !problem.has_slack(row))
             .count(),
         path_rows: (problem.path_constraints().iter())
             .map(|path| path.time_nodes.len() * path.limit.n_items(&problem.rod))

@@ -184,9 +184,11 @@ fn other_opinion(
     let outcome = &solution.attempt.outcome;
     let problem = setup.problem.held();
     let ours = &outcome.point.variables[..problem.n_variables()];
-    let start: Vec<f64> = ours.iter().map(|v| AWAY * v).collect();
-    let found = second_opinion(&problem, &start, &SecondOpinionSettings::default())?;
     let n_controls = problem.n_controls();
+    let start: Vec<f64> = (ours.iter().enumerate())
+        .map(|(i, v)| if i < n_controls { AWAY * v } else { *v })
+        .collect();
+    let found = second_opinion(&problem, &start, &SecondOpinionSettings::default())?;
     let objective = found.objective + setup.problem.duration_price();
     let summary = SecondOpinionSummary {
         status: found.status.name(),
@@ -738,15 +740,18 @@ fn worst_constraints<D>(
     let axes = ["x", "y", "z"];
     let of = |multipliers: &[f64], i: usize| multipliers.get(i).copied().unwrap_or(f64::NAN);
     let (mut named, mut soft) = (Vec::new(), Vec::new());
-    let mut residuals = outcome.point.variables[problem.n_controls()..].iter();
+    let mut slacks = outcome.point.variables[problem.n_controls()..].iter();
     for (i, row) in program.goal_rows().iter().enumerate() {
         let goal = &problem.goals[row.goal];
-        let (scaled, list) = match problem.soft_weight(row).and_then(|_| residuals.next()) {
-            Some(residual) => (values.constraints[i] + residual, &mut soft),
-            None => (values.constraints[i], &mut named),
+        let slack = problem.has_slack(row).then(|| slacks.next());
+        let scaled = values.constraints[i] + slack.flatten().copied().unwrap_or(0.0);
+        let (off, list) = match problem.rest_radius(row.goal, row.part) {
+            Some(radius) => ((scaled.abs() - radius).max(0.0), &mut named),
+            None if problem.soft_weight(row).is_some() => (scaled.abs(), &mut soft),
+            None => (scaled.abs(), &mut named),
         };
         list.push((
-            scaled.abs(),
+            off,
             NamedConstraint {
                 name: format!("{}.{} {}", goal.name, row.part.name(), axes[row.axis]),
                 node: goal.node,

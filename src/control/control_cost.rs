@@ -52,7 +52,7 @@ impl ControlCost {
         problem: &OptimalControlProblem,
         n_components: usize,
         goal_rows: &[GoalRow],
-        soft_variables: &[Option<usize>],
+        slack_variables: &[Option<usize>],
     ) -> Self {
         let n = problem.n_variables();
         let spread = |weight: f64, matrix: &Mat<f64>| {
@@ -69,7 +69,7 @@ impl ControlCost {
         let effort = spread(problem.objective.effort, &problem.control.effort_matrix());
         let rate = spread(problem.objective.rate, &problem.control.rate_matrix());
         let mut fixed = &effort + &rate;
-        for (row, variable) in goal_rows.iter().zip(soft_variables) {
+        for (row, variable) in goal_rows.iter().zip(slack_variables) {
             if let Some(variable) = *variable {
                 fixed[(variable, variable)] = problem.soft_weight(row).unwrap_or(0.0);
             }

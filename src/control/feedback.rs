@@ -304,7 +304,10 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
         }
     }
     for goal in problem.goals.iter().filter(|goal| goal.time_node == last) {
-        if let Enforcement::Within { distance, angle } = goal.enforcement {
+        if let Enforcement::Within {
+            distance, angle, ..
+        } = goal.enforcement
+        {
             let parts = [
                 (0, distance, goal.position.is_some()),
                 (3, angle, goal.rotation.is_some()),

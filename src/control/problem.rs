@@ -97,12 +97,19 @@ pub enum Enforcement {
         /// Weight on the squared scaled residual.
         weight: f64,
     },
-    /// A set around the goal: `|x - x*| ≤ distance` and a rotation away from `R*` of at most `angle`. Rest is still an equality.
+    /// A set around the goal: `|x - x*| ≤ distance`, a rotation away from `R*` of at most `angle`, and where it asks for rest
+    /// `|v| ≤ speed` and `|ω| ≤ spin`; a speed or spin of 0 is an equality.
+    ///
+    /// Rest is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance.
     Within {
         /// m
         distance: f64,
         /// rad
         angle: f64,
+        /// m/s
+        speed: f64,
+        /// rad/s
+        spin: f64,
     },
 }
 
@@ -414,12 +421,35 @@ impl OptimalControlProblem {
         }
     }
 
+    /// Radius of the ball in which the scaled residual of a goal's part may lie; `None` where it is an equality, or paid for.
+    #[must_use]
+    pub fn rest_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
+        let Enforcement::Within { speed, spin, .. } = self.goals[goal].enforcement else {
+            return None;
+        };
+        let radius = match part {
+            GoalPart::Velocity => speed,
+            GoalPart::AngularVelocity => spin,
+            GoalPart::Position | GoalPart::Orientation => 0.0,
+        };
+        (radius > 0.0).then(|| radius / self.goal_scale(part))
+    }
+
+    /// Whether a goal's residual equals a variable of its own, instead of zero.
+    #[must_use]
+    pub fn has_slack(&self, row: &GoalRow) -> bool {
+        self.soft_weight(row).is_some() || self.rest_radius(row.goal, row.part).is_some()
+    }
+
     /// The path constraints, and those of the goals that are sets.
     #[must_use]
     pub fn path_constraints(&self) -> Vec<PathConstraint> {
         let mut out = self.path.clone();
         for goal in &self.goals {
-            let Enforcement::Within { distance, angle } = goal.enforcement else {
+            let Enforcement::Within {
+                distance, angle, ..
+            } = goal.enforcement
+            else {
                 continue;
             };
             let node = goal.node;
@@ -549,7 +579,8 @@ impl OptimalControlProblem {
         }
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals, and the duration where it is free.
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of rest within a tolerance, and
+    /// the duration where it is free.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
@@ -558,9 +589,10 @@ impl OptimalControlProblem {
     /// Number of the solver's variables.
     #[must_use]
     pub fn n_variables(&self) -> usize {
-        let soft = |row: &GoalRow| self.soft_weight(row).is_some();
         self.n_controls()
-            + self.goal_rows().iter().filter(|row| soft(row)).count()
+            + (self.goal_rows().iter())
+                .filter(|row| self.has_slack(row))
+                .count()
             + usize::from(self.duration.is_some())
     }
 
@@ -587,7 +619,7 @@ impl OptimalControlProblem {
         out
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of soft goals are zero, and the duration is that of the grid.
+    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of goals are zero, and the duration is that of the grid.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();

@@ -151,9 +151,14 @@ impl ReducedProgram for Transcription<'_> {
             constraints: pull(&evaluation.constraints),
             ..Multipliers::zeros(0, self.n_path_rows(), self.sets())
         };
+        let mut gradient = self.lagrangian_gradient(&point, &pulls)?;
+        // What rest within a tolerance leaves stays as it is at the start.
+        for slack in self.rest_slacks() {
+            gradient[slack] = 0.0;
+        }
         Ok(ReducedValues {
             objective: evaluation.objective,
-            gradient: self.lagrangian_gradient(&point, &pulls)?,
+            gradient,
             constraints: evaluation.constraints,
         })
     }

@@ -73,8 +73,8 @@ pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
     goal_rows: Vec<GoalRow>,
-    /// Variable of every goal row that is soft.
-    soft_variables: Vec<Option<usize>>,
+    /// Variable of every goal row whose residual has one.
+    slack_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
     path: Vec<PathConstraint>,
     /// First row of every path constraint, and their number at the end. The rows of an item follow each other in time: neighbors are
@@ -98,10 +98,10 @@ impl<'a> Transcription<'a> {
         let goal_rows = problem.goal_rows();
         let n_controls = problem.n_controls();
         let mut next = n_controls;
-        let soft_variables: Vec<Option<usize>> = goal_rows
+        let slack_variables: Vec<Option<usize>> = goal_rows
             .iter()
             .map(|row| {
-                problem.soft_weight(row).map(|_| {
+                problem.has_slack(row).then(|| {
                     next += 1;
                     next - 1
                 })
@@ -118,13 +118,13 @@ impl<'a> Transcription<'a> {
             .map(|lasting| lasting.into_iter().map(|(_, duration)| duration).collect())
             .collect();
         Self {
-            sets: convex_sets(problem, &components),
-            control_cost: ControlCost::of(problem, components.len(), &goal_rows, &soft_variables),
+            sets: convex_sets(problem, &components, &goal_rows, &slack_variables),
+            control_cost: ControlCost::of(problem, components.len(), &goal_rows, &slack_variables),
             samples: sample_times(problem),
             problem,
             components,
             goal_rows,
-            soft_variables,
+            slack_variables,
             path,
             path_starts,
             path_durations,
@@ -144,6 +144,13 @@ impl<'a> Transcription<'a> {
     #[must_use]
     pub fn goal_rows(&self) -> &[GoalRow] {
         &self.goal_rows
+    }
+
+    /// The variables of goals that may be at rest within a tolerance.
+    pub(super) fn rest_slacks(&self) -> impl Iterator<Item = usize> {
+        (self.goal_rows.iter().zip(&self.slack_variables))
+            .filter(|(row, _)| self.problem.rest_radius(row.goal, row.part).is_some())
+            .filter_map(|(_, slack)| *slack)
     }
 
     /// The path constraints, those of the goals included.
@@ -331,7 +338,7 @@ impl<'a> Transcription<'a> {
 
     /// Residuals of the goals minus the variables that soft ones have for them.
     fn less_soft(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
-        for (r, variable) in residuals.iter_mut().zip(&self.soft_variables) {
+        for (r, variable) in residuals.iter_mut().zip(&self.slack_variables) {
             *r -= variable.map_or(0.0, |variable| variables[variable]);
         }
         residuals
@@ -746,7 +753,7 @@ impl LiftedProgram for Transcription<'_> {
                     row
                 })
                 .collect(),
-            constraints: (self.goal_rows.iter().zip(&self.soft_variables))
+            constraints: (self.goal_rows.iter().zip(&self.slack_variables))
                 .map(|(goal, soft)| {
                     let mut row = of_forms(self.goal_gradient(trajectory, goal));
                     row.variables.extend(soft.map(|variable| (variable, -1.0)));
@@ -913,7 +920,7 @@ impl Transcription<'_> {
                 gradient[column] += weight * slope;
             });
         }
-        for (variable, y) in self.soft_variables.iter().zip(&multipliers.constraints) {
+        for (variable, y) in self.slack_variables.iter().zip(&multipliers.constraints) {
             if let Some(variable) = *variable {
                 gradient[variable] -= y;
             }
@@ -981,7 +988,7 @@ impl Transcription<'_> {
         let n = point.variables.len();
         let jacobian = Mat::from_fn(n_goals, n, |i, j| match self.driven(j) {
             Some(column) => values[(i, column)],
-            None if self.soft_variables[i] == Some(j) => -1.0,
+            None if self.slack_variables[i] == Some(j) => -1.0,
             None => 0.0,
         });
         let offset = (evaluation.constraints.iter().enumerate())
@@ -1179,8 +1186,13 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, on their differences, and on the duration, in scaled variables.
-fn convex_sets(problem: &OptimalControlProblem, components: &[Component]) -> Vec<ConvexSet> {
+/// The bounds on coefficients, on their differences, on the duration, and on what rest within a tolerance leaves, in scaled variables.
+fn convex_sets(
+    problem: &OptimalControlProblem,
+    components: &[Component],
+    goal_rows: &[GoalRow],
+    slack_variables: &[Option<usize>],
+) -> Vec<ConvexSet> {
     let mut sets = Vec::new();
     let duration = problem.duration_variable();
     if let (Some(free), Some(index)) = (problem.duration, duration) {
@@ -1204,6 +1216,12 @@ fn convex_sets(problem: &OptimalControlProblem, components: &[Component]) -> Vec
                 let unit = gap / channel.scale;
                 variables.push_sets(channel.rate_bound, unit, change, duration, &mut sets);
             }
+        }
+    }
+    for (rows, slacks) in goal_rows.chunks(3).zip(slack_variables.chunks(3)) {
+        if let Some(radius) = problem.rest_radius(rows[0].goal, rows[0].part) {
+            let rows = slacks.iter().flatten().map(|&i| vec![(i, 1.0)]).collect();
+            sets.push(ConvexSet::Ball { rows, radius });
         }
     }
     sets

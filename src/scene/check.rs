@@ -491,6 +491,21 @@ impl Keys<'_> {
                 (task.tolerance_rad, task.orientation_wxyz.is_some()),
             ],
         )?;
+        for (key, tolerance, unit) in [
+            ("task.tolerance_m_s", task.tolerance_m_s, "m/s"),
+            ("task.tolerance_rad_s", task.tolerance_rad_s, "rad/s"),
+        ] {
+            let Some(tolerance) = tolerance else {
+                continue;
+            };
+            self.not_negative(key, tolerance, "tolerance", unit)?;
+            if !task.at_rest {
+                return Err(self.contradiction(key, "task.at_rest"));
+            }
+            if !task.hard {
+                return Err(self.contradiction(key, "task.hard"));
+            }
+        }
         for (index, via) in task.via.iter().enumerate() {
             self.check_via(via, index, task.instant(end), scene)?;
         }
@@ -792,7 +807,9 @@ impl Keys<'_> {
                 "",
             )?;
         }
-        let mut nothing = is_zero(control.force_max_n) && is_zero(control.moment_max_n_m);
+        let acts = |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
+        let tip = [control.force_max_n, control.moment_max_n_m];
+        let mut nothing = !acts(tip);
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
@@ -808,7 +825,15 @@ impl Keys<'_> {
                 format!("node {} is given twice", actuator.node)
             } else {
                 self.check_bounds(&key, actuator.force_max_n, actuator.moment_max_n_m)?;
-                nothing &= is_zero(actuator.force_max_n) && is_zero(actuator.moment_max_n_m);
+                let parts = [actuator.force_max_n, actuator.moment_max_n_m];
+                if parts == [None; 2] {
+                    return Err(self.source.error_at(
+                        &key,
+                        "names neither force_max_n nor moment_max_n_m, so that nothing acts on this node",
+                        Some(NAME_A_PART.into()),
+                    ));
+                }
+                nothing &= !acts(parts);
                 continue;
             };
             return Err(self
@@ -819,11 +844,12 @@ impl Keys<'_> {
                 )));
         }
         if nothing {
-            let message =
-                "both this and control.force_max_n are 0, so that there is nothing to control";
-            return Err(self
-                .source
-                .error_at("control.moment_max_n_m", message, None));
+            let message = if tip == [None; 2] && control.actuator.is_empty() {
+                "names neither force_max_n nor moment_max_n_m, so that there is nothing to control with"
+            } else {
+                "every force and moment that it names is 0, so that there is nothing to control with"
+            };
+            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
         Ok(())
     }
@@ -836,10 +862,10 @@ impl Keys<'_> {
             let key = format!("{section}.{name}");
             match bound {
                 None => {}
-                Some(Bound::Norm(norm)) => self.not_negative(&key, norm, "bound", unit)?,
+                Some(Bound::Norm(norm)) => self.not_below_zero(&key, norm, "bound", unit)?,
                 Some(Bound::PerAxis(bounds)) => {
                     for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.not_negative(&format!("{key}.{axis}"), bound, "bound", unit)?;
+                        self.not_below_zero(&format!("{key}.{axis}"), bound, "bound", unit)?;
                     }
                 }
             }
@@ -928,6 +954,14 @@ impl Keys<'_> {
         Ok(())
     }
 
+    /// Infinity is as good as any.
+    fn not_below_zero(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
+        if !(value >= 0.0) {
+            return Err(self.out_of_range(key, value, &format!("non-negative {quantity}"), unit));
+        }
+        Ok(())
+    }
+
     /// `unit` is empty for numbers without one.
     fn out_of_range(&self, key: &str, value: f64, quantity: &str, unit: &str) -> SceneError {
         let unit = if unit.is_empty() {
@@ -993,13 +1027,9 @@ impl Keys<'_> {
     }
 }
 
-fn is_zero(bound: Option<Bound>) -> bool {
-    match bound {
-        None => false,
-        Some(Bound::Norm(norm)) => norm == 0.0,
-        Some(Bound::PerAxis(bounds)) => bounds == [0.0; 3],
-    }
-}
+/// What to do where no part of a wrench acts.
+const NAME_A_PART: &str = "a force or moment acts only where it is named; give its largest magnitude, or `inf` for no bound: \
+force_max_n = inf";
 
 /// The shortest digits that read back as the same number, in powers of ten where it is very large or small.
 fn number(value: f64) -> String {

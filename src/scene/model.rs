@@ -567,6 +567,16 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_rad: Option<f64>,
+    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`. Absent:
+    /// a hundredth of `rod.length_m` per duration of the task.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0))]
+    pub tolerance_m_s: Option<f64>,
+    /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`.
+    /// Absent: a tenth of a radian per duration of the task.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0))]
+    pub tolerance_rad_s: Option<f64>,
     /// Points to pass through on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Via>,
@@ -754,7 +764,8 @@ pub struct Limit {
     pub rate_hz: Option<f64>,
 }
 
-/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration.
+/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
+/// is not named does not act.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
@@ -765,10 +776,10 @@ pub struct Control {
     /// The course of the controls within a block.
     #[serde(default)]
     pub hold: Hold,
-    /// Largest tip force in N; 0 means no force. Absent: unbounded.
+    /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
-    /// Largest tip moment in N m; 0 means no moment. Absent: unbounded.
+    /// Largest tip moment in N m; `inf` is unbounded. Absent, or 0: there is no tip moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
@@ -815,10 +826,10 @@ impl Default for Feedback {
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
-    /// Largest force in N; 0 means no force. Absent: unbounded.
+    /// Largest force in N; `inf` is unbounded. Absent, or 0: there is no force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
-    /// Largest moment in N m; 0 means no moment. Absent: unbounded.
+    /// Largest moment in N m; `inf` is unbounded. Absent, or 0: there is no moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
 }
@@ -827,16 +838,16 @@ pub struct Actuator {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Hold {
-    /// Constant in each block.
-    #[default]
+    /// Constant in each block; its jumps set off elastic waves.
     Constant,
-    /// Linear between the ends of blocks.
+    /// Linear between the ends of blocks. The default.
+    #[default]
     Linear,
     /// A cubic spline, smooth where blocks meet; bounds hold for its control points, and so for the spline.
     Cubic,
 }
 
-/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative.
+/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
@@ -868,11 +879,13 @@ pub struct Objective {
     /// Samples of energy and paths over the horizon, at least 1, default 100.
     #[schemars(range(min = 1))]
     pub samples: usize,
-    /// Force in N that counts as 1, positive. Absent: chosen from the rod.
+    /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
+    /// by an angle of about 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub force_scale_n: Option<f64>,
-    /// Moment in N m that counts as 1, positive. Absent: chosen from the rod.
+    /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
+    /// section by an angle of 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub moment_scale_n_m: Option<f64>,
@@ -1032,6 +1045,16 @@ impl Default for Base {
     }
 }
 
+impl Bound {
+    /// Whether it leaves nothing.
+    pub fn is_zero(self) -> bool {
+        match self {
+            Self::Norm(norm) => norm == 0.0,
+            Self::PerAxis(bounds) => bounds == [0.0; 3],
+        }
+    }
+}
+
 impl Default for Objective {
     fn default() -> Objective {
         Objective {
@@ -1158,6 +1181,19 @@ impl Task {
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.unwrap_or(end_s)
     }
+
+    /// Speed in m/s and angular speed in rad/s up to which the tip counts as at rest, given the length of the arm and the duration of the
+    /// task; zero where the task does not ask for rest, or pays for it.
+    pub fn rest_tolerances(&self, length_m: f64, duration_s: f64) -> [f64; 2] {
+        if !(self.at_rest && self.hard) {
+            return [0.0; 2];
+        }
+        [
+            self.tolerance_m_s
+                .unwrap_or(REST_SPEED * length_m / duration_s),
+            self.tolerance_rad_s.unwrap_or(REST_SPIN / duration_s),
+        ]
+    }
 }
 
 /// The vector divided by its norm; scaled first, so that neither huge nor tiny components overflow or vanish.
@@ -1173,6 +1209,11 @@ fn normalized<const N: usize>(vector: [f64; N]) -> [f64; N] {
         .sqrt();
     scaled.map(|component| component / norm)
 }
+
+/// Speed of a tip at rest, over the length of the arm per duration: a hundredth of what moves the tip by the arm's length in that time.
+const REST_SPEED: f64 = 0.01;
+/// Angular speed of a tip at rest, in rad per duration: it has no scale that shrinks with the arm, and a light tip turns with every wave.
+const REST_SPIN: f64 = 0.1;
 
 fn one() -> f64 {
     1.0

@@ -263,13 +263,15 @@ impl Scene {
                 )
             })?;
         let force_scale = objective.force_scale_n.unwrap_or(rod.scales.force);
-        let moment_scale = objective.moment_scale_n_m.unwrap_or(rod.scales.moment);
+        let moment_scale = objective
+            .moment_scale_n_m
+            .unwrap_or_else(|| weakest_bending(&rod, control) / rod.scales.length);
         let actuator = |node: usize, force: Option<model::Bound>, moment: Option<model::Bound>| {
             let channel =
                 |scale: f64, limit: Option<model::Bound>, rate: Option<model::Bound>| Channel {
                     scale,
-                    bound: limit.as_ref().map(bound),
-                    rate_bound: rate.as_ref().map(bound),
+                    bound: limit.map_or(Some(NOT_ACTUATED), bound),
+                    rate_bound: rate.and_then(bound),
                 };
             Actuator {
                 node,
@@ -295,6 +297,11 @@ impl Scene {
             resolve_time(&mut resolved, &grid);
             if let Some(task) = &mut resolved.task {
                 task.at_s = Some(horizon);
+                if task.at_rest && task.hard {
+                    let [speed, spin] = task.rest_tolerances(self.rod.length_m, horizon);
+                    task.tolerance_m_s = Some(speed);
+                    task.tolerance_rad_s = Some(spin);
+                }
             }
             resolved.objective = Some(Objective {
                 force_scale_n: Some(force_scale),
@@ -426,7 +433,12 @@ impl Scene {
                 at_rest: false,
                 enforcement: enforcement(via.hard, via.weight),
             };
-            with_tolerances(goal, via.tolerance_m, via.tolerance_rad)
+            let tolerances = Tolerances {
+                distance: via.tolerance_m,
+                angle: via.tolerance_rad,
+                ..Tolerances::default()
+            };
+            with_tolerances(goal, tolerances)
         });
         let goal = Goal {
             name: "task".into(),
@@ -438,7 +450,12 @@ impl Scene {
             enforcement: enforcement(task.hard, task.weight),
         };
         let mut goals: Vec<Goal> = via.collect();
-        goals.extend(with_tolerances(goal, task.tolerance_m, task.tolerance_rad));
+        let tolerances = Tolerances {
+            distance: task.tolerance_m,
+            angle: task.tolerance_rad,
+            rest: task.rest_tolerances(self.rod.length_m, task.instant(self.time.end_s)),
+        };
+        goals.extend(with_tolerances(goal, tolerances));
         goals
     }
 
@@ -572,7 +589,9 @@ impl Scene {
         let hard: Vec<(&Goal, [f64; 2])> = (problem.goals.iter())
             .filter_map(|goal| match goal.enforcement {
                 Enforcement::Hard => Some((goal, [rounding, START_TOLERANCE])),
-                Enforcement::Within { distance, angle } => Some((goal, [distance, angle])),
+                Enforcement::Within {
+                    distance, angle, ..
+                } => Some((goal, [distance, angle])),
                 Enforcement::Soft { .. } => None,
             })
             .collect();
@@ -922,8 +941,24 @@ fn enforcement(hard: bool, weight: Option<f64>) -> Enforcement {
     }
 }
 
-/// A goal whose position or orientation may be met within a tolerance: those that may become goals of their own.
-fn with_tolerances(goal: Goal, distance: Option<f64>, angle: Option<f64>) -> Vec<Goal> {
+/// How near to a goal is near enough; `None` where it must be met exactly.
+#[derive(Clone, Copy, Default)]
+struct Tolerances {
+    /// m
+    distance: Option<f64>,
+    /// rad
+    angle: Option<f64>,
+    /// m/s and rad/s; zero for exactly.
+    rest: [f64; 2],
+}
+
+/// A goal whose parts may be met within tolerances: those that may become a goal of their own.
+fn with_tolerances(goal: Goal, tolerances: Tolerances) -> Vec<Goal> {
+    let Tolerances {
+        distance,
+        angle,
+        rest: [speed, spin],
+    } = tolerances;
     let mut exact = goal.clone();
     let mut near = Goal {
         position: None,
@@ -932,6 +967,8 @@ fn with_tolerances(goal: Goal, distance: Option<f64>, angle: Option<f64>) -> Vec
         enforcement: Enforcement::Within {
             distance: distance.unwrap_or(0.0),
             angle: angle.unwrap_or(0.0),
+            speed,
+            spin,
         },
         ..goal
     };
@@ -940,6 +977,9 @@ fn with_tolerances(goal: Goal, distance: Option<f64>, angle: Option<f64>) -> Vec
     }
     if angle.is_some() {
         near.rotation = exact.rotation.take();
+    }
+    if speed > 0.0 || spin > 0.0 {
+        near.at_rest = std::mem::take(&mut exact.at_rest);
     }
     [near, exact]
         .into_iter()
@@ -1042,10 +1082,35 @@ fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
     scene.time.step_s = TimeStep::Seconds(grid.step);
 }
 
-fn bound(bound: &model::Bound) -> Bound {
+/// Bending stiffness in N m² of the weakest section that a moment of the control acts on; the mean of the arm where none does.
+fn weakest_bending(rod: &Rod, control: &model::Control) -> f64 {
+    let acts = |moment: Option<model::Bound>| moment.is_some_and(|moment| !moment.is_zero());
+    let tip = acts(control.moment_max_n_m).then(|| rod.tip());
+    let others = (control.actuator.iter())
+        .filter(|actuator| acts(actuator.moment_max_n_m))
+        .map(|actuator| actuator.node);
+    let beside = |node: usize| [node.checked_sub(1), (node < rod.n_elements()).then_some(node)];
+    (tip.into_iter().chain(others))
+        .flat_map(beside)
+        .flatten()
+        .map(|element| {
+            let stiffness = &rod.elements[element].angular_stiffness;
+            stiffness.x.min(stiffness.y)
+        })
+        .reduce(f64::min)
+        .unwrap_or(rod.scales.moment * rod.scales.length)
+}
+
+/// What a part of a wrench that the scene does not name is bounded by.
+const NOT_ACTUATED: Bound = Bound::Norm(0.0);
+
+/// A bound; `None` where all of it is infinite.
+fn bound(bound: model::Bound) -> Option<Bound> {
     match bound {
-        model::Bound::Norm(limit) => Bound::Norm(*limit),
-        model::Bound::PerAxis(limits) => Bound::PerAxis(Vector3::from(*limits)),
+        model::Bound::Norm(limit) => limit.is_finite().then_some(Bound::Norm(limit)),
+        model::Bound::PerAxis(limits) => (limits.iter())
+            .any(|limit| limit.is_finite())
+            .then(|| Bound::PerAxis(limits.into())),
     }
 }
 

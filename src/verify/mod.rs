@@ -897,6 +897,7 @@ fn items(
         Enforcement::Within {
             distance,
             angle: largest,
+            ..
         } => Some(if angle { *largest } else { *distance }),
         Enforcement::Soft { .. } => None,
     };
@@ -923,12 +924,18 @@ fn items(
         ));
     }
     let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));
-    if at_rest.is_some_and(|(_, enforcement)| !matches!(enforcement, Enforcement::Soft { .. })) {
+    if let Some((_, enforcement)) = at_rest
+        && !matches!(enforcement, Enforcement::Soft { .. })
+    {
+        let [speed, spin] = match enforcement {
+            Enforcement::Within { speed, spin, .. } => [speed, spin],
+            Enforcement::Hard | Enforcement::Soft { .. } => [0.0; 2],
+        };
         let scale = problem.goal_scale(GoalPart::Velocity);
         items.push(item(
             "tip_speed_m_s",
             check.tip_speed,
-            limits.tip * scale,
+            speed + limits.tip * scale,
             "m/s",
             "speed of the simulated tip at the end",
         ));
@@ -936,7 +943,7 @@ fn items(
         items.push(item(
             "tip_spin_rad_s",
             check.tip_spin,
-            limits.tip * scale,
+            spin + limits.tip * scale,
             "rad/s",
             "angular speed of the simulated tip at the end",
         ));

@@ -5,6 +5,7 @@ use nalgebra::DMatrix;
 use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_back};
 use super::kkt::motion::Conditions;
 use super::kkt::outcome::AT_LIMIT;
+use super::kkt::rest::RestBall;
 use super::limits::Pose;
 use super::{CheckError, ReplayKind, Solution, SolutionMultipliers};
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathMultiplier};
@@ -29,6 +30,8 @@ pub(super) struct Probe<'a> {
     pub(super) scale: f64,
     /// The bounds that pull there.
     pub(super) bounds: Vec<ActiveBound>,
+    /// Velocities at the end of the tolerance within which they rest.
+    pub(super) rest: Vec<RestBall>,
     /// Indices into the path's terms of the rows that are held at their limits.
     held: Vec<usize>,
 }
@@ -77,6 +80,7 @@ impl<'a> Probe<'a> {
             variables: problem.variables(solution.coefficients)[..problem.n_controls()].to_vec(),
             scale: 0.0,
             bounds: Vec::new(),
+            rest: Vec::new(),
             held: Vec::new(),
         };
         let control = problem.signal(&problem.control, solution.coefficients);
@@ -94,6 +98,9 @@ impl<'a> Probe<'a> {
             &pulled,
             solution.multipliers.rates,
         );
+        let defects = conditions.defects();
+        let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
+        let mut rest = conditions.rest_balls(&residuals, solution.multipliers.goals);
         let terms = (solution.multipliers.path.iter())
             .map(|row| PathTerm {
                 row: *row,
@@ -104,6 +111,8 @@ impl<'a> Probe<'a> {
         out.bounds = controls.active;
         out.terms = terms;
         let least = super::kkt::controls::ACTIVE * out.scale;
+        rest.retain(|ball| ball.multiplier.norm() > least && ball.residual.norm() > 0.0);
+        out.rest = rest;
         out.held = (out.terms.iter().enumerate())
             .filter(|(_, term)| term.price.is_none() && term.row.multiplier > least)
             .map(|(i, _)| i)

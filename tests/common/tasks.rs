@@ -132,6 +132,8 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         enforcement: Enforcement::Within {
             distance: 0.01,
             angle: 0.1,
+            speed: 0.02,
+            spin: 0.1,
         },
         rotation: Some(exp(&Vector3::new(0.3, 0.1, -0.2))),
         ..Goal::reach(&rod, grid, target)

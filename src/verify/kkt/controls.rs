@@ -268,7 +268,7 @@ fn rate_slack(
 /// What of `-g` the bound's normal at `u` cannot explain, the product of slack and normal, and the normal.
 ///
 /// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
-fn normal_cone(
+pub(super) fn normal_cone(
     bound: &Option<Bound>,
     g: &Vector3<f64>,
     u: &Vector3<f64>,

@@ -9,6 +9,7 @@ mod adjoint;
 pub(super) mod controls;
 pub(super) mod motion;
 pub(super) mod outcome;
+pub(in crate::verify) mod rest;
 mod rows;
 mod stresses;
 
@@ -61,7 +62,11 @@ pub fn recompute(
     // A soft goal is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
     let mut equalities = Worst::default();
     let mut soft_cost = 0.0;
+    let rest = conditions.rest_conditions(&residuals, multipliers.goals);
     for ((r, y), row) in (residuals.iter().zip(multipliers.goals)).zip(&problem.goal_rows()) {
+        if problem.rest_radius(row.goal, row.part).is_some() {
+            continue;
+        }
         let soft = problem.soft_weight(row).map_or(0.0, |weight| {
             soft_cost += 0.5 * y * y / weight;
             y / weight
@@ -94,10 +99,16 @@ pub fn recompute(
         * (problem.objective.effort * largest_of(&problem.control.effort_matrix())
             + problem.objective.rate * largest_of(&problem.control.rate_matrix()));
     let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
-    let stationarity = controls.stationarity.or(on_path.stationarity).over(scale);
+    let stationarity = (controls.stationarity)
+        .or(on_path.stationarity)
+        .or(rest.stationarity)
+        .over(scale);
     let signs = on_path.signs.over(scale);
-    let inequalities = controls.bounds.or(on_path.violation);
-    let complementarity = (controls.complementarity.or(on_path.complementarity)).over(scale);
+    let inequalities = controls.bounds.or(on_path.violation).or(rest.violation);
+    let complementarity = (controls.complementarity)
+        .or(on_path.complementarity)
+        .or(rest.complementarity)
+        .over(scale);
     RecomputedKkt {
         residual: KktResidual {
             stationarity: stationarity.scaled,
