@@ -8,9 +8,9 @@ use common::tasks::{long_reach, reach};
 use common::{Dice, bases, busy_arm, methods, random_state};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Bound, Channel, ControlGrid, Goal, Guess, Hold, LiftedPoint, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Shape, Transcription, first_point,
-    simulated,
+    Bound, Channel, ControlGrid, Enforcement, Goal, GoalPart, Guess, Hold, LiftedPoint,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Shape,
+    Transcription, first_point, simulated,
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{ControlSignal, Rod, RodParameters, TimeGrid, TimeScheme, Wrench};
@@ -238,6 +238,96 @@ fn curvature_is_that_of_the_values() {
         assert_eq!(found.extremum(), Extremum::Minimum);
         assert!(check.is_certified(), "{:?}", check.items);
     }
+}
+
+/// The reach with rest within a speed and an angular speed.
+fn resting(speed: f64, spin: f64) -> (RodParameters, OptimalControlProblem) {
+    let (parameters, mut problem) = reach(Hold::Linear);
+    let rest = Goal {
+        name: "rest".into(),
+        position: None,
+        enforcement: Enforcement::Within {
+            distance: 0.0,
+            angle: 0.0,
+            speed,
+            spin,
+        },
+        ..problem.goals[0].clone()
+    };
+    problem.goals[0].at_rest = false;
+    problem.goals.push(rest);
+    (parameters, problem)
+}
+
+/// Rest within a tolerance: zero tolerance is exact rest; by the envelope theorem small ones lower the objective by the multipliers of
+/// exact rest times the tolerance, off by its square; the tip ends at the edge of both balls, the check certifies it as a minimum, and
+/// multipliers that are not along the velocity, or of a velocity within its ball, are not stationary.
+#[test]
+fn rest_within_a_tolerance() {
+    let (parameters, problem) = resting(0.0, 0.0);
+    let exact = Solved::of(parameters, problem);
+    let y = &exact.outcome.multipliers.constraints;
+    let [pull_linear, pull_angular] =
+        [3, 6].map(|at| DVector::from_column_slice(&y[at..at + 3]).norm());
+    let scales =
+        [GoalPart::Velocity, GoalPart::AngularVelocity].map(|part| exact.problem.goal_scale(part));
+    let gain = |speed: f64, spin: f64| {
+        let (parameters, problem) = resting(speed, spin);
+        let solved = Solved::of(parameters, problem);
+        (exact.outcome.objective - solved.outcome.objective, solved)
+    };
+    let (coarse, fine) = (1e-2, 1e-3);
+    let errors = [coarse, fine].map(|part| {
+        let [speed, spin] = scales.map(|scale| part * scale);
+        let (gained, solved) = gain(speed, spin);
+        let check = solved.deep_check();
+        assert!(check.is_certified(), "{:?}", check.items);
+        let second = check.second_order.as_ref().unwrap();
+        assert_eq!(second.extremum(), Extremum::Minimum);
+        assert!(
+            (check.tip_speed / speed - 1.0).abs() < 1e-6,
+            "{}",
+            check.tip_speed
+        );
+        assert!(
+            (check.tip_spin / spin - 1.0).abs() < 1e-6,
+            "{}",
+            check.tip_spin
+        );
+        (gained / (part * (pull_linear + pull_angular)) - 1.0).abs()
+    });
+    println!("{errors:?}");
+    assert!(errors[0] < 0.5 && errors[1] < 0.2 * errors[0], "{errors:?}");
+
+    let (_, solved) = gain(coarse * scales[0], coarse * scales[1]);
+    let wrenches = solved.wrenches();
+    let (scaled, _) = solved.worst("stationarity", &wrenches, &solved.multipliers());
+    assert!(scaled < 1e-6);
+    for at in [3, 6] {
+        let mut turned = solved.outcome.multipliers.constraints.clone();
+        turned.swap(at, at + 1);
+        let multipliers = SolutionMultipliers {
+            goals: &turned,
+            ..solved.multipliers()
+        };
+        let (scaled, _) = solved.worst("stationarity", &wrenches, &multipliers);
+        assert!(scaled > 1e-3, "{scaled}");
+    }
+    // The same motion and multipliers under a looser tolerance: nothing holds the velocity there.
+    let mut loose = solved;
+    if let Enforcement::Within { speed, .. } = &mut loose.problem.goals[1].enforcement {
+        *speed *= 2.0;
+    }
+    let (scaled, row) = loose.worst("stationarity", &wrenches, &loose.multipliers());
+    assert!(scaled > 1e-3, "{scaled}");
+    assert!(row.unwrap().name.contains("rest"));
+    // And under a tighter one it is too fast.
+    if let Enforcement::Within { speed, .. } = &mut loose.problem.goals[1].enforcement {
+        *speed /= 4.0;
+    }
+    let (scaled, row) = loose.worst("inequalities", &wrenches, &loose.multipliers());
+    assert!(scaled > 0.1 * coarse, "{scaled}");
+    assert_eq!(row.unwrap().unit, "m/s");
 }
 
 /// A ball in the arm's own plane: the best motion in the plane, found without the controls that lead out of it, meets the conditions of

@@ -74,6 +74,8 @@ tolerance_m = 0.01
 [control]
 blocks = 5
 hold = \"cubic\"
+force_max_n = inf
+moment_max_n_m = inf
 [objective]
 rate = 0.1
 energy = 0.3

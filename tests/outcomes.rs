@@ -493,7 +493,11 @@ fn contradictions() {
 fn zero_bounds() {
     let desk = Desk::new();
     let zero = ["control.force_max_n=0.0", "control.moment_max_n_m=0.0"];
-    desk.refuse(&zero, "", &["control.moment_max_n_m", "nothing to control"]);
+    desk.refuse(
+        &zero,
+        "",
+        &["control", "moment_max_n_m", "nothing to control"],
+    );
     desk.refuse(
         &["control.force_rate_max_n_s=0.0"],
         "",

@@ -149,7 +149,7 @@ fn numbers_out_of_range() {
         ("control.blocks", vec!["0", "-1", "1.5", "9999999"]),
         (
             "control.force_max_n",
-            vec!["-1", "nan", "inf", "[1, 2]", "strong"],
+            vec!["-1", "nan", "-inf", "[1, 2]", "strong"],
         ),
         ("objective.effort", vec!["-1", "nan", "0"]),
         ("objective.rate", vec!["-1", "nan"]),
@@ -478,8 +478,28 @@ fn contradictions_and_halves_name_both_keys() {
         ),
         (
             format!("{ROD}[control]\nblocks = 1\nforce_max_n = 0\nmoment_max_n_m = [0, 0, 0]\n"),
-            "control.moment_max_n_m",
-            "control.force_max_n",
+            "control",
+            "force_max_n",
+        ),
+        (
+            format!("{ROD}[control]\nblocks = 1\n"),
+            "control",
+            "moment_max_n_m",
+        ),
+        (
+            format!("{ROD}[control]\nforce_max_n = 1\n[[control.actuator]]\nnode = 3\n"),
+            "control.actuator.0",
+            "moment_max_n_m",
+        ),
+        (
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nat_rest = false\ntolerance_m_s = 1\n"),
+            "task.tolerance_m_s",
+            "task.at_rest",
+        ),
+        (
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nhard = false\ntolerance_rad_s = 1\n"),
+            "task.tolerance_rad_s",
+            "task.hard",
         ),
         (
             format!("{ROD}[objective]\neffort = 0\n"),

@@ -807,9 +807,9 @@ impl Keys<'_> {
                 "",
             )?;
         }
-        let acts = |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
-        let tip = [control.force_max_n, control.moment_max_n_m];
-        let mut nothing = !acts(tip);
+        let acts =
+            |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
+        let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
@@ -844,11 +844,7 @@ impl Keys<'_> {
                 )));
         }
         if nothing {
-            let message = if tip == [None; 2] && control.actuator.is_empty() {
-                "names neither force_max_n nor moment_max_n_m, so that there is nothing to control with"
-            } else {
-                "every force and moment that it names is 0, so that there is nothing to control with"
-            };
+            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
             return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
         Ok(())

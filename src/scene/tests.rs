@@ -375,4 +375,89 @@ fn described_defaults_are_true() {
     visit(&Scene::schema(), "Scene", &mut seen);
     assert!(seen.contains(&"Solver.max_iterations".into()), "{seen:?}");
     assert!(seen.len() >= 15, "{seen:?}");
+
+/// A part of a wrench that is not named does not act, nor does an axis of bound 0; infinity bounds nothing, alone or on an axis.
+#[test]
+fn what_is_not_named_does_not_act() {
+    let text = "\
+[rod]
+length_m = 1.0
+elements = 4
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000
+[rod.section]
+radius_m = 0.05
+[time]
+end_s = 1.0
+[task]
+position_m = [0.1, 0, 0.9]
+[control]
+blocks = 4
+";
+    for (bounds, axes, bound) in [
+        ("force_max_n = inf", vec![0, 1, 2], None),
+        (
+            "force_max_n = 2.0",
+            vec![0, 1, 2],
+            Some(crate::control::Bound::Norm(2.0)),
+        ),
+        (
+            "force_max_n = [inf, 1.0, 0.0]",
+            vec![0, 1],
+            Some(crate::control::Bound::PerAxis(Vector3::new(
+                f64::INFINITY,
+                1.0,
+                0.0,
+            ))),
+        ),
+        (
+            "moment_max_n_m = [0.0, inf, 0.0]",
+            vec![4],
+            Some(crate::control::Bound::Norm(0.0)),
+        ),
+        (
+            "force_max_n = 0\nmoment_max_n_m = inf",
+            vec![3, 4, 5],
+            Some(crate::control::Bound::Norm(0.0)),
+        ),
+    ] {
+        let (scene, source) =
+            Scene::from_toml("my.toml", &format!("{text}{bounds}\n"), &[]).unwrap();
+        let problem = scene.optimal_control(&source).unwrap().problem;
+        let found: Vec<usize> = (problem.actuated_components().iter())
+            .map(|component| component.axis)
+            .collect();
+        assert_eq!(found, axes, "{bounds}");
+        assert_eq!(problem.actuators[0].force.bound, bound, "{bounds}");
+        let (again, _) = Scene::from_toml("again.toml", &scene.to_toml(), &[]).unwrap();
+        assert_eq!(again, scene, "{bounds}");
+    }
+}
+
+/// A moment is priced by the weakest section that it acts on, a force by the whole arm: on a cone from 2 r to r the tip's moment counts
+/// as `E I(r)/L` but for the half element next to it, and a moment further down by more; without a moment nothing is asked.
+#[test]
+fn moments_are_priced_by_the_section_they_act_on() {
+    let scales = |control: &str| {
+        let overrides = ["rod.elements=100", control].map(str::to_string);
+        let (scene, source) = Scene::load("reach-tapered", &overrides).unwrap();
+        let setup = scene.optimal_control(&source).unwrap();
+        let tip = &setup.problem.actuators[0];
+        (setup.problem.rod, tip.force.scale, tip.moment.scale)
+    };
+    let (rod, force, moment) = scales("control={force_max_n = 1, moment_max_n_m = 1}");
+    let section = &rod.elements[99].angular_stiffness;
+    assert_eq!(moment, section.x / rod.scales.length);
+    assert_eq!(force, rod.scales.force);
+    assert!(moment < rod.scales.moment);
+    let further = "control={force_max_n = 1, actuator = [{node = 50, moment_max_n_m = 1}]}";
+    let (rod, _, moment) = scales(further);
+    assert_eq!(
+        moment,
+        rod.elements[50].angular_stiffness.x / rod.scales.length
+    );
+    let (rod, _, moment) = scales("control={force_max_n = 1}");
+    assert!((moment / rod.scales.moment - 1.0).abs() < 1e-12);
 }

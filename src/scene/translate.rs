@@ -1089,7 +1089,12 @@ fn weakest_bending(rod: &Rod, control: &model::Control) -> f64 {
     let others = (control.actuator.iter())
         .filter(|actuator| acts(actuator.moment_max_n_m))
         .map(|actuator| actuator.node);
-    let beside = |node: usize| [node.checked_sub(1), (node < rod.n_elements()).then_some(node)];
+    let beside = |node: usize| {
+        [
+            node.checked_sub(1),
+            (node < rod.n_elements()).then_some(node),
+        ]
+    };
     (tip.into_iter().chain(others))
         .flat_map(beside)
         .flatten()

@@ -28,6 +28,7 @@ position_m = [0.1, 0.03, 0.985]
 at_rest = false
 [control]
 blocks = 5
+hold = \"constant\"
 force_max_n = 20.0
 moment_max_n_m = 5.0
 ";

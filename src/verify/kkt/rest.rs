@@ -66,16 +66,14 @@ impl Conditions<'_> {
                 unit,
             };
             let over = ball.residual.norm() - ball.radius;
-            out.violation.note(over, || {
-                place(over * scale, ball.part.unit().into())
-            });
+            out.violation
+                .note(over, || place(over * scale, ball.part.unit().into()));
             let bound = Some(Bound::Norm(ball.radius));
             let (rest, gap, _) = normal_cone(&bound, &-ball.multiplier, &ball.residual, 1.0);
             out.stationarity.note(rest.amax(), || {
                 place(rest.amax() / scale, per(ball.part.unit()))
             });
-            out.complementarity
-                .note(gap, || place(gap, String::new()));
+            out.complementarity.note(gap, || place(gap, String::new()));
         }
         out
     }
