@@ -1,8 +1,9 @@
 //! How often does the solver succeed, on arms and targets that nobody chose? Random reaches, solved, certified, counted.
 //!
-//! A problem is an arm of one of four kinds (silicone, a tapered one under gravity, a slender and stiff wire, the paper's), with
-//! damping from none to heavy, and a pose of its tip that a bounded static wrench holds: reachable by construction. The
-//! time to get there, the number of elements, blocks and the kind of hold are random as well. A third of the problems
+//! A problem is an arm of one of five kinds (silicone, a hanging one and a tapered one under gravity, a slender and stiff wire, the
+//! paper's), with damping from none to heavy, half of those under gravity with a payload, and a pose of its tip that a bounded static
+//! wrench holds, or in a third of the problems a force alone: reachable by construction. The time to get there, the number of elements and
+//! blocks are random as well, and in half of the problems the kind of hold. A third of the problems
 //! has an obstacle between the start and the target, clear of the arm's shape at both; in another third the bounds on the norms of force
 //! and moment lie below what the unbounded optimum asks for. The same seed gives the same problems.
 //!
@@ -12,6 +13,9 @@
 //! `--starts` more are tried from detours, to see whether the
 //! default one found the best optimum there is to be found. Every fifth is solved to 1e-10 as well, to see how fast
 //! the end converges. `--keep DIR` writes the problems as scenes, for `softarm solve`.
+//!
+//! `--bare` takes the defaults away that make problems easier: a hold that is not named is constant, rest is exact, and a moment is priced by
+//! the mean section of the arm.
 //!
 //! `--routes` solves nothing: it compares the step of one subproblem of every problem over the controls with the one that keeps all
 //! configurations, and fails where they are apart. That takes long beyond few elements and some hundred steps.
@@ -69,6 +73,9 @@ struct Arguments {
     /// Changes a key of every scene, as in solver.guess=slow
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Without the defaults that make problems easier: constant hold, exact rest, moments priced by the arm's mean section
+    #[arg(long)]
+    bare: bool,
     /// Compares the steps of the two routes of the quadratic subproblem
     #[arg(long)]
     routes: bool,
@@ -185,8 +192,16 @@ fn round_arm(length: f64, radius: f64, youngs: f64, density: f64) -> (f64, f64) 
     (bending, cantilever_period(length, bending, mass))
 }
 
+/// Nothing, or a payload of up to the mass of the arm.
+fn payload(dice: &mut Dice, mass: f64) -> String {
+    match dice.0.usize(0..2) {
+        0 => String::new(),
+        _ => format!("[payload]\nmass_kg = {}\n", mass * dice.scale(0.1, 1.0)),
+    }
+}
+
 fn arm(dice: &mut Dice) -> Arm {
-    let family = ["silicone", "tapered", "wire", "paper"][dice.0.usize(0..4)];
+    let family = ["silicone", "hanging", "tapered", "wire", "paper"][dice.0.usize(0..5)];
     let (mut toml, length, bending, period) = match family {
         "silicone" => {
             let length = dice.scale(0.3, 1.0);
@@ -201,6 +216,20 @@ fn arm(dice: &mut Dice) -> Arm {
             );
             (toml, length, bending, period)
         }
+        "hanging" => {
+            let length = dice.scale(0.2, 0.6);
+            let radius = length / dice.between(10.0, 25.0);
+            let (youngs, density) = (dice.scale(5e4, 1e6), dice.between(950.0, 1150.0));
+            let (bending, period) = round_arm(length, radius, youngs, density);
+            let toml = format!(
+                "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.5\n\
+                 density_kg_m3 = {density}\n[rod.section]\nradius_m = {radius}\n[base]\ndirection = [0.0, 0.0, -1.0]\n\
+                 [gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n{}",
+                dice.0.usize(12..=18),
+                payload(dice, density * PI * radius * radius * length),
+            );
+            (toml, length, bending, period)
+        }
         "tapered" => {
             let length = dice.scale(0.3, 0.8);
             let radius = length / dice.between(12.0, 20.0);
@@ -210,10 +239,11 @@ fn arm(dice: &mut Dice) -> Arm {
             let toml = format!(
                 "[rod]\nlength_m = {length}\nelements = {}\n[rod.material]\nyoungs_modulus_pa = {youngs}\npoisson_ratio = 0.5\n\
                  density_kg_m3 = {density}\n[rod.section]\nradius_base_m = {radius}\nradius_tip_m = {}\n[base]\n\
-                 direction = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n",
+                 direction = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[initial]\nshape = \"equilibrium\"\n{}",
                 dice.0.usize(16..=22),
                 radius * dice.between(0.4, 0.8),
                 list(&down),
+                payload(dice, density * PI * radius * radius * length),
             );
             (toml, length, bending, period)
         }
@@ -279,12 +309,29 @@ fn problem(index: usize, arguments: &Arguments) -> Result<Problem, Box<dyn Error
             return Ok(Problem {
                 family,
                 kind,
-                setup: setup(&toml, &arguments.set)?,
+                setup: setup(&toml, &overrides(&toml, arguments)?)?,
                 toml,
             });
         }
     }
     Err("no admissible problem in 100 throws".into())
+}
+
+/// What the command line changes of a scene.
+fn overrides(toml: &str, arguments: &Arguments) -> Result<Vec<String>, Box<dyn Error>> {
+    let mut out = arguments.set.clone();
+    if arguments.bare {
+        let scales = setup(toml, &[])?.problem.rod.scales;
+        out.extend([
+            "task.tolerance_m_s=0".into(),
+            "task.tolerance_rad_s=0".into(),
+            format!("objective.moment_scale_n_m={:?}", scales.moment),
+        ]);
+        if !toml.contains("hold = ") {
+            out.push("control.hold=constant".into());
+        }
+    }
+    Ok(out)
 }
 
 fn setup(toml: &str, overrides: &[String]) -> Result<OptimalControl, Box<dyn Error>> {
@@ -296,7 +343,12 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
     let arm = arm(dice);
     let force_scale = arm.bending / (arm.length * arm.length);
     let force = dice.ball() * (1.5 * force_scale);
-    let moment = dice.ball() * (1.0 * force_scale * arm.length);
+    let has_moment = dice.0.usize(0..3) > 0;
+    let moment = if has_moment {
+        dice.ball() * (1.0 * force_scale * arm.length)
+    } else {
+        Vector3::zeros()
+    };
     let horizon = arm.period * dice.between(0.7, 2.0);
     let mut toml = format!("{}[time]\nend_s = {horizon}\n", arm.toml);
 
@@ -326,7 +378,8 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
         "[task]\nposition_m = {}\nat_rest = true\n",
         list(&shape.positions[tip])
     );
-    if dice.between(0.0, 1.0) < 0.4 {
+    // A force alone does not turn the tip as one likes.
+    if has_moment && dice.between(0.0, 1.0) < 0.4 {
         let q = quaternion(&shape.rotations[tip]);
         let _ = writeln!(
             toml,
@@ -334,21 +387,27 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
             q.w, q.i, q.j, q.k
         );
     }
-    let hold = ["constant", "constant", "linear", "cubic"][dice.0.usize(0..4)];
-    let _ = write!(
-        toml,
-        "[control]\nblocks = {}\nhold = \"{hold}\"\n",
-        dice.0.usize(8..=16)
-    );
+    let _ = writeln!(toml, "[control]\nblocks = {}", dice.0.usize(8..=16));
+    if let Some(hold) = [None, None, Some("constant"), Some("cubic")][dice.0.usize(0..4)] {
+        let _ = writeln!(toml, "hold = \"{hold}\"");
+    }
+    let unbounded = if has_moment {
+        "force_max_n = inf\nmoment_max_n_m = inf\n"
+    } else {
+        "force_max_n = inf\n"
+    };
     match kind {
-        Kind::Free => {}
+        Kind::Free => toml.push_str(unbounded),
         Kind::Obstacle => match obstacle(&scene, &arm, &start, &shape, dice) {
-            Some(obstacle) => toml.push_str(&obstacle),
+            Some(obstacle) => {
+                toml.push_str(unbounded);
+                toml.push_str(&obstacle);
+            }
             None => return Ok(None),
         },
         Kind::Bounded => {
             let part = dice.between(0.85, 0.95);
-            let free = setup(&toml, &[])?;
+            let free = setup(&format!("{toml}{unbounded}"), &[])?;
             let Some(attempt) = solve(&free, &one_start(&free), &free.settings) else {
                 return Ok(None);
             };
@@ -365,10 +424,10 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
             };
             let force_max = (part * largest(|u| u.force.norm())).max(1.1 * force.norm());
             let moment_max = (part * largest(|u| u.moment.norm())).max(1.1 * moment.norm());
-            let _ = write!(
-                toml,
-                "force_max_n = {force_max}\nmoment_max_n_m = {moment_max}\n"
-            );
+            let _ = writeln!(toml, "force_max_n = {force_max}");
+            if has_moment {
+                let _ = writeln!(toml, "moment_max_n_m = {moment_max}");
+            }
         }
     }
     let _ = writeln!(toml, "# {:.2} periods", horizon / arm.period);
@@ -698,7 +757,7 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     while let Some((failed, found)) = outcome.take(&current, previous, left()) {
         let may_go_on = left().is_none_or(|left| !left.is_zero());
         let finer = (may_go_on && outcome.refinements < REFINEMENTS)
-            .then(|| finer(&current, &failed, &arguments.set))
+            .then(|| finer(&current, &failed, &overrides(&current.1, arguments).ok()?))
             .flatten();
         let Some(finer) = finer else {
             break;
@@ -878,7 +937,7 @@ fn report(arguments: &Arguments, results: &[Outcome]) -> String {
     for name in ["free", "obstacle", "bounds"] {
         groups.push((name, results.iter().filter(|r| r.kind == name).collect()));
     }
-    for name in ["silicone", "tapered", "wire", "paper"] {
+    for name in ["silicone", "hanging", "tapered", "wire", "paper"] {
         groups.push((name, results.iter().filter(|r| r.family == name).collect()));
     }
     for (name, group) in groups {

@@ -795,6 +795,39 @@ fn saddles_are_passed() {
     assert!(waiting.history.len() > 2 * leaving.history.len());
 }
 
+/// A saddle with little to gain, `½ x² + ¼ ε (y² - 1)² + 1` at y = 0: where `ε/4` is more than the asked part of the objective it is
+/// left, where it is less the saddle is the result, and what is left to gain is said.
+#[test]
+fn saddles_are_left_for_a_gain_that_is_worth_it() {
+    for (epsilon, is_worth_it) in [(0.4, true), (0.01, false)] {
+        let objective = move |x: &[Jet]| {
+            let bowls = [
+                (0.5, &[0, 0][..]),
+                (0.25 * epsilon, &[1, 1, 1, 1]),
+                (-0.5 * epsilon, &[1, 1]),
+                (0.25 * epsilon + 1.0, &[]),
+            ];
+            p(x, &bowls)
+        };
+        let program = Program {
+            n_variables: 2,
+            ..plain(objective, |_| Vec::new(), Vec::new())
+        };
+        let outcome = go(&program, &[0.1, 0.0], &settings(HessianChoice::Exact));
+        assert_eq!(outcome.status, SqpStatus::Converged);
+        let y = outcome.point.v[1].abs();
+        if is_worth_it {
+            near(&[y], &[1.0], 1e-6);
+            assert_eq!(outcome.left_to_gain, None);
+        } else {
+            near(&[y], &[0.0], 1e-6);
+            // Along the way out the course is a quartic in the length, and so is what is fitted to it.
+            let gain = outcome.left_to_gain.unwrap();
+            assert!((gain / (0.25 * epsilon) - 1.0).abs() < 1e-6, "{gain}");
+        }
+    }
+}
+
 /// Maratos' example, as an equation and as an inequality: full steps raise the objective and the violation, and an exact
 /// Hessian still converges quadratically, because a step is judged by the Lagrangian or corrected.
 #[test]

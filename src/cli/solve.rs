@@ -21,7 +21,7 @@ use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     Attempt, Feedback, FeedbackError, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement,
-    PathRow, Search, TrackingError, Transcription, search, tracking_errors,
+    PathRow, Search, TrackingError, Transcription, observe, search, tracking_errors,
 };
 use crate::mechanics::{Energy, State, StepError, Wrench};
 use crate::memory::of_solve;
@@ -40,6 +40,7 @@ use crate::sqp::{
     Stop, StopSignal,
 };
 use crate::verify::growth::Growth;
+use crate::verify::second_order::Extremum;
 use crate::verify::{CheckError, ForwardCheck, Solution};
 
 /// How many constraints are named.
@@ -585,6 +586,7 @@ fn summarize(
         scene: scene_name(&arguments.scene.scene),
         status,
         message,
+        advice: advice(setup, solution),
         iterations: solution.attempt.iterations(),
         objective: outcome.objective,
         wall_s: wall,
@@ -680,6 +682,7 @@ pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
             dimension: found.dimension,
             held: found.held,
             products: found.products,
+            gain: check.gain_over_objective(found),
         }),
         growth: check.growth.as_ref().map(|growth| GrowthSummary {
             amplification: growth.amplification,
@@ -799,6 +802,38 @@ fn worst_constraints<D>(
         .into_iter()
         .map(|(_, named)| named)
         .take(NAMED)
+        .collect()
+}
+
+/// What helps where a solve did not converge, or the check rejects it.
+fn advice(setup: &OptimalControl, solution: &Solved) -> Vec<String> {
+    let outcome = &solution.attempt.outcome;
+    let converged = outcome.status == SqpStatus::Converged;
+    if converged
+        && solution
+            .check
+            .as_ref()
+            .is_some_and(ForwardCheck::is_certified)
+    {
+        return Vec::new();
+    }
+    let tolerance = setup.settings.tolerance;
+    let feasible = !converged && outcome.residual.feasibility <= tolerance;
+    let not_optimal = feasible.then(|| {
+        format!(
+            "feasible, not optimal: every constraint holds to {:.1e} (scaled), the stationarity is {:.1e}; the motion can be used, at an \
+             objective that is not the least",
+            outcome.residual.feasibility, outcome.residual.stationarity
+        )
+    });
+    let motion = observe(
+        &setup.problem,
+        &outcome.point.trajectory,
+        &solution.coefficients,
+    );
+    not_optimal
+        .into_iter()
+        .chain(motion.iter().map(ToString::to_string))
         .collect()
 }
 
@@ -1003,6 +1038,9 @@ fn conclude(
     } else if check.is_some_and(|check| !check.is_certified()) {
         console.always("the solver converged, but the check rejects the result");
     }
+    for sentence in &summary.advice {
+        console.say(&format!("  {sentence}"));
+    }
     if summary.status != "converged" {
         for constraint in &summary.worst_constraints {
             console.say(&format!(
@@ -1082,13 +1120,16 @@ pub(super) fn findings(check: &ForwardCheck) -> Vec<String> {
             )
         });
     let second = check.second_order.as_ref().map(|found| {
+        let to_gain = match found.extremum() {
+            Extremum::NotAMinimum => format!(
+                "stationary, not a minimum: at most {:.2} % to gain; ",
+                100.0 * check.gain_over_objective(found)
+            ),
+            kind => format!("{}: ", kind.name()),
+        };
         format!(
-            "{}: smallest curvature {:.3e} +- {:.1e} in {} directions, {} held",
-            found.extremum().name(),
-            found.eigenvalue,
-            found.error,
-            found.dimension,
-            found.held
+            "{to_gain}smallest curvature {:.3e} +- {:.1e} in {} directions, {} held",
+            found.eigenvalue, found.error, found.dimension, found.held
         )
     });
     let growth = check.growth.as_ref().map(Growth::sentence);

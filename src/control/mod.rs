@@ -1,5 +1,6 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
 
+pub mod advice;
 mod control_cost;
 pub mod cost;
 mod duration;
@@ -15,6 +16,7 @@ pub mod second_opinion;
 mod tracking_error;
 pub mod transcription;
 
+pub use advice::{Observation, observe};
 pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};

@@ -397,6 +397,8 @@ pub struct SecondOrderSummary {
     pub held: usize,
     /// Products of the Hessian with a direction.
     pub products: usize,
+    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
+    pub gain: f64,
 }
 
 /// What small disturbances become at the end of the horizon without feedback.
@@ -462,6 +464,8 @@ pub struct SolveSummary {
     pub status: &'static str,
     /// In words, where there is more to say.
     pub message: Option<String>,
+    /// What there is to say about the motion where the solve did not converge, or the check rejects it: where, how much, and what to change.
+    pub advice: Vec<String>,
     /// Iterations.
     pub iterations: usize,
     /// Value of the objective.

@@ -904,6 +904,7 @@ impl Keys<'_> {
 
     fn check_solver(&self, solver: &Solver) -> Checked {
         self.positive("solver.tolerance", solver.tolerance, "tolerance", "")?;
+        self.positive("solver.saddle_gain", solver.saddle_gain, "part", "")?;
         self.count(
             "solver.max_iterations",
             solver.max_iterations,

@@ -922,6 +922,10 @@ pub struct Solver {
     pub max_iterations: usize,
     /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
     pub saddle_escapes: usize,
+    /// Part of the objective that leaving a saddle must gain; positive, default 0.01. A saddle with less to gain is a result, and says
+    /// how much is left.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub saddle_gain: f64,
     /// The second derivatives that the quadratic model uses.
     pub hessian: Hessian,
     /// How the quadratic subproblems are solved.
@@ -1076,6 +1080,7 @@ impl Default for Solver {
             tolerance: settings.tolerance,
             max_iterations: settings.max_iterations,
             saddle_escapes: settings.saddle_escapes,
+            saddle_gain: settings.saddle_gain,
             hessian: Hessian::default(),
             qp: Qp::default(),
             guess: Guess::default(),

@@ -375,6 +375,7 @@ fn described_defaults_are_true() {
     visit(&Scene::schema(), "Scene", &mut seen);
     assert!(seen.contains(&"Solver.max_iterations".into()), "{seen:?}");
     assert!(seen.len() >= 15, "{seen:?}");
+}
 
 /// A part of a wrench that is not named does not act, nor does an axis of bound 0; infinity bounds nothing, alone or on an axis.
 #[test]

@@ -120,6 +120,7 @@ impl OptimalControl {
             solution,
             &CheckLimits {
                 kkt: self.settings.tolerance.max(CheckLimits::default().kkt),
+                saddle_gain: self.settings.saddle_gain,
                 ..CheckLimits::default()
             },
         )
@@ -375,6 +376,7 @@ impl Scene {
                 tolerance: solver.tolerance,
                 max_iterations: solver.max_iterations,
                 saddle_escapes: solver.saddle_escapes,
+                saddle_gain: solver.saddle_gain,
                 hessian: match solver.hessian {
                     model::Hessian::Auto => HessianChoice::Auto,
                     model::Hessian::GaussNewton => HessianChoice::GaussNewton,

@@ -24,7 +24,8 @@ pub use progress::{Progress, Trend};
 pub use residual::{KktResidual, Multipliers};
 pub use route::QpRoute;
 pub use solver::{
-    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus, solve,
+    Convergence, IterationRecord, Leave, PhaseTimes, SADDLE_GAIN, SqpOutcome, SqpSettings,
+    SqpStatus, solve,
 };
 
 pub use crate::stop::{Stop, StopSignal};

@@ -159,6 +159,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     escapes: usize,
     /// The best point before the last escape.
     saddle: Option<Best<P::Point>>,
+    /// What the Lagrangian still falls by from a saddle that is not worth leaving.
+    left_to_gain: Option<f64>,
     /// Whether states were computed anew for want of any other progress.
     is_settled: bool,
     best: Best<P::Point>,
@@ -260,6 +262,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             descent: None,
             escapes: 0,
             saddle: None,
+            left_to_gain: None,
             is_settled: false,
             history: Vec::new(),
             phases: PhaseTimes::default(),
@@ -1000,6 +1003,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             history: self.history,
             phases: self.phases,
             failed_subproblem,
+            left_to_gain: self.left_to_gain,
         }
     }
 }

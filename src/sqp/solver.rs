@@ -16,8 +16,10 @@ pub struct SqpSettings {
     pub tolerance: f64,
     /// Iterations, at most.
     pub max_iterations: usize,
-    /// Saddles, points that meet the conditions of first order with negative curvature, that are left for something better.
+    /// Saddles, points that meet the conditions of first order with negative curvature, that are left for something better, at most.
     pub saddle_escapes: usize,
+    /// Part of the objective that leaving a saddle must gain; where there is less to gain, the saddle is the result.
+    pub saddle_gain: f64,
     /// Which Hessian.
     pub hessian: HessianChoice,
     /// How its subproblems are solved.
@@ -29,12 +31,16 @@ pub struct SqpSettings {
     pub stop: StopSignal,
 }
 
+/// Part of the objective that is worth leaving a saddle for: what the discretization of an ordinary solve is off by.
+pub const SADDLE_GAIN: f64 = 1e-2;
+
 impl Default for SqpSettings {
     fn default() -> Self {
         Self {
             tolerance: 1e-6,
             max_iterations: 600,
             saddle_escapes: 3,
+            saddle_gain: SADDLE_GAIN,
             hessian: HessianChoice::Auto,
             qp: QpRoute::Auto,
             row_accuracy: 1e-2,
@@ -165,6 +171,9 @@ pub struct SqpOutcome<P> {
     pub phases: PhaseTimes,
     /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
     pub failed_subproblem: Option<String>,
+    /// Where the point is a saddle that is not worth [leaving](SqpSettings::saddle_gain): what the Lagrangian falls by along its most
+    /// negative curvature, at most.
+    pub left_to_gain: Option<f64>,
 }
 
 impl<P> SqpOutcome<P> {
@@ -185,6 +194,7 @@ impl<P> SqpOutcome<P> {
             convergence: Convergence::default(),
             phases: PhaseTimes::default(),
             failed_subproblem: None,
+            left_to_gain: None,
         }
     }
 }

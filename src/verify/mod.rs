@@ -22,7 +22,7 @@ use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, refine};
-use self::second_order::SecondOrder;
+use self::second_order::{Extremum, SecondOrder};
 use crate::control::{
     ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem, PathMultiplier,
 };
@@ -31,7 +31,7 @@ use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
     State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
 };
-use crate::sqp::KktResidual;
+use crate::sqp::{KktResidual, SADDLE_GAIN};
 use crate::stop::{Stop, StopSignal};
 
 /// Part of the limit of the energy residual below which it need not fall with the step.
@@ -57,6 +57,8 @@ pub struct CheckLimits {
     pub energy_halving: f64,
     /// Violation of a path constraint between nodes and samples, over the radius of obstacle and arm, or over the limit.
     pub between: f64,
+    /// What may be left to gain at a saddle, over the objective.
+    pub saddle_gain: f64,
 }
 
 impl Default for CheckLimits {
@@ -70,6 +72,7 @@ impl Default for CheckLimits {
             energy: 0.02,
             energy_halving: 0.8,
             between: 0.01,
+            saddle_gain: SADDLE_GAIN,
         }
     }
 }
@@ -158,6 +161,8 @@ pub struct ForwardCheck {
     pub momentum: MomentumBalance,
     /// Curvature of the Lagrangian; absent until [`Self::deepen`].
     pub second_order: Option<SecondOrder>,
+    /// Part of the objective that may be left to gain at a saddle.
+    pub saddle_gain: f64,
     /// Growth of small disturbances; absent until [`Self::deepen`].
     pub growth: Option<Growth>,
     /// Largest violation of a bound, N or N m.
@@ -181,16 +186,32 @@ impl ForwardCheck {
         let probe = Probe::new(problem, solution);
         let [responses, tip] = probe.responses()?;
         let found = second_order::examine(&probe, &responses)?;
-        self.items.push(CheckItem {
-            name: "second_order",
-            value: -found.eigenvalue,
-            limit: found.error,
-            unit: "",
-            meaning: "minus the smallest curvature of the Lagrangian over what active constraints leave free: beyond its error, a saddle",
+        self.items.push(if found.extremum() == Extremum::NotAMinimum {
+            CheckItem {
+                name: "second_order",
+                value: self.gain_over_objective(&found),
+                limit: self.saddle_gain,
+                unit: "",
+                meaning: "what is left to gain along the most negative curvature of the Lagrangian, over the objective: a saddle",
+            }
+        } else {
+            CheckItem {
+                name: "second_order",
+                value: -found.eigenvalue,
+                limit: found.error,
+                unit: "",
+                meaning: "minus the smallest curvature of the Lagrangian over what active constraints leave free: beyond its error, a saddle",
+            }
         });
         self.second_order = Some(found);
         self.growth = Some(growth::examine(&probe, &tip)?);
         Ok(())
+    }
+
+    /// What the Lagrangian falls by from a saddle, over the objective.
+    #[must_use]
+    pub fn gain_over_objective(&self, found: &SecondOrder) -> f64 {
+        found.gain / self.objective.abs()
     }
 
     /// Whether every criterion holds.
@@ -696,6 +717,7 @@ pub fn forward_check(
         energy_halving: halving(&same.balance, &half.balance),
         momentum,
         second_order: None,
+        saddle_gain: limits.saddle_gain,
         growth: None,
         bound_violation: conditions.bound_violation,
         replay: same,

@@ -51,6 +51,9 @@ pub struct SecondOrder {
     pub held: usize,
     /// Products of the Hessian with a direction.
     pub products: usize,
+    /// What the Lagrangian falls by along the eigenvector, in the better of both ways, where the curvature is negative beyond its error; 0
+    /// elsewhere.
+    pub gain: f64,
 }
 
 impl SecondOrder {
@@ -92,6 +95,7 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
         dimension,
         held,
         products: 0,
+        gain: 0.0,
     };
     if dimension == 0 {
         return Ok(out);
@@ -144,7 +148,43 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
     };
     let (near, far) = (product(&pair, step)?, product(&pair, 2.0 * step)?);
     out.error += (pair.dot(&(far - near)) / 3.0).abs() + NOISE * probe.scale / step;
+    if out.extremum() == Extremum::NotAMinimum {
+        let bend = pair.dot(&(&curvature * &pair));
+        out.gain = fall(probe, &pair, bend, 1.0).max(fall(probe, &pair, bend, -1.0));
+    }
     Ok(out)
+}
+
+/// First length along an eigenvector, in scaled controls over their norm (at least one), and the growth of the next ones.
+const FIRST_LENGTH: f64 = 1e-2;
+const LENGTH_GROWTH: f64 = 1.25;
+
+/// What the Lagrangian falls by from the solution along a direction: minus the integral of its slope by the trapezoidal rule, as far as the
+/// slope is negative or to the norm of the controls. `bend` is the curvature of the active balls along it.
+fn fall(probe: &Probe, direction: &DVector<f64>, bend: f64, way: f64) -> f64 {
+    let size = probe.variables.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let farthest = size.max(1.0);
+    // The slope at the solution itself is the rounding of its stationarity.
+    let (mut out, mut before, mut at, mut next) = (0.0, 0.0, 0.0, FIRST_LENGTH * farthest);
+    while next <= farthest {
+        // Where the motion cannot be simulated any more nothing can be gained.
+        let Ok(gradient) = probe.gradient(direction.as_slice(), way * next) else {
+            break;
+        };
+        let slope = way * direction.dot(&DVector::from_vec(gradient)) + bend * next;
+        if !(slope < 0.0) {
+            // The slope vanishes in between, where a straight line says.
+            let part = before / (before - slope);
+            if part.is_finite() {
+                out -= 0.5 * before * part * (next - at);
+            }
+            break;
+        }
+        out -= 0.5 * (before + slope) * (next - at);
+        (at, before) = (next, slope);
+        next *= LENGTH_GROWTH;
+    }
+    out
 }
 
 /// What is left of `v` beside the basis, normalized; `None` if it is nothing but rounding.

@@ -3,9 +3,9 @@
 use std::rc::Rc;
 
 use super::super::balls::change_into_balls;
-use super::super::globalization::Filter;
+use super::super::globalization::{Accepted, Filter};
 use super::super::hessian::{HessianChoice, ModelHessian, NegativeCurvature};
-use super::super::program::LiftedProgram;
+use super::super::program::{Evaluation, LiftedProgram};
 use super::super::quadratic_program::{QpError, QpSolution};
 use super::super::residual::norm;
 use super::{
@@ -28,13 +28,36 @@ const CAREFUL_ROOM: f64 = 10.0;
 
 /// Subproblems without a solution, in all, after which a solve gives up.
 const RESCUES: usize = 8;
-/// Part of the objective that leaving a saddle promises, and the infeasibility that it may cost.
-const ESCAPE_GAIN: f64 = 0.1;
+/// Infeasibility of a point beyond which its Lagrangian says nothing about what leaving a saddle gains.
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
-/// Part of the objective that a step past a saddle promises on the way, and how far it may go of the trust radius or of the variables (at
-/// least one).
-const PASSING_GAIN: f64 = 3e-3;
+/// How far a step past a saddle may go of the trust radius or of the variables (at least one).
 const PASSING_REACH: f64 = 0.3;
+/// Growth of the steps by which the way out of a saddle is followed.
+const ESCAPE_GROWTH: f64 = 2.0;
+
+/// The least value of the Lagrangian along a direction of negative curvature.
+struct WayOut<P: LiftedProgram> {
+    there: Accepted<P>,
+    /// Length of the way.
+    length: f64,
+    /// What the Lagrangian falls by.
+    gain: f64,
+}
+
+/// Largest value of `α s - β s²` through the last two points `(s, gain)` of a course, `s` the square of the length: the course along a
+/// symmetric way out; 0 where it has no peak.
+fn peak(course: &[(f64, f64)]) -> f64 {
+    let [.., (s, f), (t, g)] = course else {
+        return 0.0;
+    };
+    let beta = (f / s - g / t) / (t - s);
+    let alpha = f / s + beta * s;
+    if alpha > 0.0 && beta > 0.0 {
+        0.25 * alpha * alpha / beta
+    } else {
+        0.0
+    }
+}
 
 /// What was done about a subproblem without a solution.
 pub(super) enum Recovery {
@@ -64,48 +87,115 @@ impl<P: LiftedProgram> Run<'_, P> {
             .is_some()
     }
 
-    /// Leaves a saddle, along its most negative curvature, to where that promises a part of the objective; whether it did. The other
-    /// way is as good: by symmetry, as a rule.
+    /// Leaves a saddle along its most negative curvature, where that gains more than the part of the objective that
+    /// [`saddle_gain`](super::super::SqpSettings::saddle_gain) asks for; whether it did. What is left to gain at a saddle that is not
+    /// worth leaving is remembered.
     pub(in crate::sqp) fn escape(&mut self) -> bool {
         if self.escapes >= self.settings.saddle_escapes {
             return false;
         }
-        let Some(NegativeCurvature { direction, value }) = self.descent.take() else {
+        let Some(curvature) = self.descent.take() else {
             return false;
         };
+        let Some(WayOut {
+            there,
+            length,
+            gain,
+        }) = self.way_out(&curvature)
+        else {
+            return false;
+        };
+        if gain < self.worthwhile() {
+            self.left_to_gain = Some(gain);
+            return false;
+        }
+        self.left_to_gain = None;
         self.escapes += 1;
-        let mut length = (2.0 * ESCAPE_GAIN * self.evaluation.objective.abs() / -value).sqrt();
-        length = length.min(first_trust_radius(self.variables()));
+        self.arrive(there);
+        let fresh = Best {
+            residual: UNKNOWN_RESIDUAL,
+            infeasibility: f64::INFINITY,
+            ..self.best.clone()
+        };
+        self.saddle = Some(std::mem::replace(&mut self.best, fresh));
+        self.care = Care::NotYet;
+        self.forget();
+        self.trust_radius = length;
+        true
+    }
+
+    /// What leaving a saddle must gain.
+    fn worthwhile(&self) -> f64 {
+        self.settings.saddle_gain * self.evaluation.objective.abs()
+    }
+
+    /// Where the Lagrangian is least along a direction of negative curvature, in both ways: simulated points, the first where the
+    /// curvature alone promises a worthwhile gain, then further by [`ESCAPE_GROWTH`] for as long as it falls, or nearer where it does not yet.
+    fn way_out(&self, curvature: &NegativeCurvature) -> Option<WayOut<P>> {
+        let here = self.lagrangian(&self.evaluation);
+        let first = (2.0 * self.worthwhile() / -curvature.value).sqrt();
+        let farthest = first_trust_radius(self.variables());
+        let mut best: Option<WayOut<P>> = None;
         // A limit without a multiplier stands in one of the two ways.
-        for attempt in 0..2 * SHRINKAGES {
-            let signed = if attempt % 2 == 0 { length } else { -length };
-            let change: Vec<f64> = direction.iter().map(|d| signed * d).collect();
-            let is_inside = |point: &P::Point| {
-                let variables = self.program.variables(point);
-                let mut sets = self.program.sets().iter();
-                sets.all(|set| set.violation(variables) <= ESCAPE_INFEASIBILITY)
-            };
-            if let Some(trial) = Filter::restored(self.program, &self.point, &change, 0)
-                && self.program.infeasibility(&trial.evaluation) <= ESCAPE_INFEASIBILITY
-                && is_inside(&trial.point)
-            {
-                self.arrive(trial);
-                let fresh = Best {
-                    residual: UNKNOWN_RESIDUAL,
-                    infeasibility: f64::INFINITY,
-                    ..self.best.clone()
-                };
-                self.saddle = Some(std::mem::replace(&mut self.best, fresh));
-                self.care = Care::NotYet;
-                self.forget();
-                self.trust_radius = length;
-                return true;
+        for way in [1.0, -1.0] {
+            let mut length = first.min(farthest);
+            let mut least = 0.0;
+            let mut course = Vec::new();
+            for _ in 0..SHRINKAGES {
+                let change: Vec<f64> = (curvature.direction.iter())
+                    .map(|d| way * length * d)
+                    .collect();
+                let found = self.leads_out(&change).map(|there| {
+                    let gain = here - self.lagrangian(&there.evaluation);
+                    (there, gain)
+                });
+                if let Some((_, gain)) = &found {
+                    course.push((length * length, *gain));
+                }
+                match found {
+                    Some((there, gain)) if gain > least => {
+                        least = gain;
+                        if best.as_ref().is_none_or(|best| gain > best.gain) {
+                            best = Some(WayOut {
+                                there,
+                                length,
+                                gain,
+                            });
+                        }
+                        if ESCAPE_GROWTH * length > farthest {
+                            break;
+                        }
+                        length *= ESCAPE_GROWTH;
+                    }
+                    // Beyond the least value.
+                    _ if least > 0.0 => break,
+                    _ => length *= SHRINK,
+                }
             }
-            if attempt % 2 == 1 {
-                length *= SHRINK;
+            if let Some(best) = &mut best {
+                best.gain = best.gain.max(peak(&course));
             }
         }
-        false
+        best
+    }
+
+    /// The simulated point after a change of the variables, where it is near enough to the constraints.
+    fn leads_out(&self, change: &[f64]) -> Option<Accepted<P>> {
+        let there = Filter::restored(self.program, &self.point, change, 0)?;
+        let variables = self.program.variables(&there.point);
+        let mut sets = self.program.sets().iter();
+        let is_near = self.program.infeasibility(&there.evaluation) <= ESCAPE_INFEASIBILITY
+            && sets.all(|set| set.violation(variables) <= ESCAPE_INFEASIBILITY);
+        is_near.then_some(there)
+    }
+
+    /// `J + yᵀc + Σ z h` with the multipliers of the present point; the prices of what is soft are part of `J`.
+    fn lagrangian(&self, evaluation: &Evaluation<P::Defects>) -> f64 {
+        let rows = evaluation.inequalities.iter().copied().enumerate();
+        let work = self
+            .multipliers
+            .work(self.program, &evaluation.constraints, rows);
+        self.program.total_objective(evaluation) + work
     }
 
     /// Goes back to the best point where that was far nearer to feasibility, to go on from it more carefully; whether it did. What could not be
@@ -170,8 +260,8 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(Recovery::Smaller)
     }
 
-    /// The step, longer along the most negative curvature where it hardly goes that way. Near a saddle its part along it only
-    /// doubles from one iteration to the next, and where the problem is symmetric it begins with rounding.
+    /// The step, longer along the most negative curvature where it hardly goes that way and a worthwhile gain is within reach. Near a
+    /// saddle its part along it only doubles from one iteration to the next, and where the problem is symmetric it begins with rounding.
     pub(super) fn past_saddle(&self, model: &ModelHessian, mut solution: QpSolution) -> QpSolution {
         let Some(NegativeCurvature { direction, value }) = &model.descent else {
             return solution;
@@ -179,9 +269,11 @@ impl<P: LiftedProgram> Run<'_, P> {
         if self.settings.saddle_escapes == 0 {
             return solution;
         }
-        let promising = (2.0 * PASSING_GAIN * self.evaluation.objective.abs() / -value).sqrt();
+        let length = (2.0 * self.worthwhile() / -value).sqrt();
         let reach = self.trust_radius.min(norm(self.variables()).max(1.0));
-        let length = promising.min(PASSING_REACH * reach);
+        if length > PASSING_REACH * reach {
+            return solution;
+        }
         let has: f64 = (direction.iter().zip(&solution.change))
             .map(|(d, c)| d * c)
             .sum();

@@ -1,0 +1,286 @@
+//! What a mechanician says about a motion that did not come out: where it bends too tightly for its section or its elements, what its
+//! waves do within a block, whether the bounds can hold the target at all, and which part of the wrench was cheap.
+
+use nalgebra::Vector3;
+
+use super::hold::Hold;
+use super::problem::{Bound, Channel, OptimalControlProblem};
+use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use crate::mechanics::stability::stable_step;
+use crate::mechanics::{Rod, Trajectory, Wrench};
+
+/// Something about a motion that may be why it was not found, or not resolved. Its text says where, how much, and what to change.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Observation {
+    /// An element bends by more than it can resolve.
+    CoarseBend {
+        /// The element.
+        element: usize,
+        /// When, s.
+        time: f64,
+        /// Angle between its ends, rad.
+        angle: f64,
+        /// Elements that would bend by an angle that is resolved.
+        elements: usize,
+    },
+    /// The surface is strained beyond what a linear elastic law is good for.
+    LargeStrain {
+        /// The element.
+        element: usize,
+        /// When, s.
+        time: f64,
+        /// Largest strain at the surface, `|stretch - 1| + r κ`.
+        strain: f64,
+        /// Radius of bending over the radius of the section; infinite where the arm is straight.
+        bend_over_radius: f64,
+    },
+    /// The controls jump, and nothing damps the waves that a jump sets off.
+    RingingWaves {
+        /// Duration of a block, s.
+        block: f64,
+        /// Period of the fastest wave, s.
+        period: f64,
+    },
+    /// Holding the arm at the target takes a larger force than the bound.
+    StaticNeed {
+        /// Force on the tip, N.
+        force: f64,
+        /// The bound, N.
+        bound: f64,
+    },
+    /// A moment bends the section that it acts on more than the arm bends elsewhere, at a small part of the price.
+    CheapMoment {
+        /// The node that it acts on.
+        node: usize,
+        /// Largest moment, N m.
+        moment: f64,
+        /// Its price over that of the forces: the largest squares over their scales.
+        price: f64,
+        /// The scale that makes both equal, N m.
+        scale: f64,
+    },
+}
+
+impl std::fmt::Display for Observation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::CoarseBend {
+                element,
+                time,
+                angle,
+                elements,
+            } => write!(
+                f,
+                "element {element} bends by {angle:.2} rad at t = {time:.3} s, more than one element resolves: \
+                 rod.elements = {elements}"
+            ),
+            Self::LargeStrain {
+                element,
+                time,
+                strain,
+                bend_over_radius,
+            } => write!(
+                f,
+                "the surface of element {element} is strained by {:.0} % at t = {time:.3} s (it bends to {bend_over_radius:.1} times \
+                 the section's radius): beyond about 30 % the linear elastic law means little; give [[limit]] curvature_max_1_m, more \
+                 time, or smaller bounds",
+                100.0 * strain
+            ),
+            Self::RingingWaves { block, period } => write!(
+                f,
+                "the controls jump every {block:.3e} s, and nothing damps the elastic waves that a jump sets off (the fastest has a \
+                 period of {period:.1e} s): control.hold = \"linear\" or \"cubic\", or damping.internal_s = {:.0e}",
+                0.1 * period
+            ),
+            Self::StaticNeed { force, bound } => write!(
+                f,
+                "holding the tip at the target takes a force of about {force:.3e} N, more than the bound of {bound:.3e} N: the arm cannot \
+                 stay there, and can pass at most; raise control.force_max_n, or set task.at_rest = false"
+            ),
+            Self::CheapMoment {
+                node,
+                moment,
+                price,
+                scale,
+            } => write!(
+                f,
+                "the moment of {moment:.2e} N m on node {node} bends mainly its own section and costs {price:.1e} of what the forces do: \
+                 objective.moment_scale_n_m = {scale:.1e}, or a bound on it"
+            ),
+        }
+    }
+}
+
+/// Angle between the ends of an element, rad, up to which a shape is resolved: the chord of an arc is then off its middle by
+/// `angle/8 = 6 %` of its length.
+const RESOLVED_ANGLE: f64 = 0.5;
+/// Strain at the surface beyond which the model of the section is left: stretches of 0.7 to 1.3.
+const MODEL_STRAIN: f64 = 0.3;
+/// Damping ratio of a wave within a period that takes its ringing away: `ζ = τω/2` or `c/(2ω)`.
+const CALM: f64 = 0.05;
+/// Part of the price of the forces below which a moment counts as cheap.
+const CHEAP: f64 = 0.1;
+/// Stiffness of the spring that holds the tip at its target, in `EI/L³`: stiff beside an arm's own, about 3.
+const HOLDING: f64 = 1e3;
+
+/// What there is to say about a motion and its controls, worst first; nothing where all is in the usual range.
+#[must_use]
+pub fn observe(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+) -> Vec<Observation> {
+    let mut out = Vec::new();
+    let peaks = Peaks::of(problem, trajectory);
+    out.extend(static_need(problem));
+    if let Some(peak) = &peaks.angle
+        && peak.value > RESOLVED_ANGLE
+    {
+        let elements = problem.rod.n_elements() as f64 * peak.value / RESOLVED_ANGLE;
+        out.push(Observation::CoarseBend {
+            element: peak.element,
+            time: problem.grid.time(peak.time_node),
+            angle: peak.value,
+            elements: elements.ceil().min(5000.0) as usize,
+        });
+    }
+    if let Some(peak) = &peaks.strain
+        && peak.value > MODEL_STRAIN
+    {
+        out.push(Observation::LargeStrain {
+            element: peak.element,
+            time: problem.grid.time(peak.time_node),
+            strain: peak.value,
+            bend_over_radius: peak.bend_over_radius,
+        });
+    }
+    out.extend(cheap_moment(problem, coefficients, &peaks));
+    out.extend(ringing(problem));
+    out
+}
+
+/// The largest value of something along the arm.
+struct Peak {
+    value: f64,
+    element: usize,
+    time_node: usize,
+    bend_over_radius: f64,
+}
+
+#[derive(Default)]
+struct Peaks {
+    /// Of the angle between the ends of an element.
+    angle: Option<Peak>,
+    /// Of the strain at the surface.
+    strain: Option<Peak>,
+}
+
+impl Peaks {
+    fn of(problem: &OptimalControlProblem, trajectory: &Trajectory) -> Self {
+        let rod = &problem.rod;
+        let mut out = Self::default();
+        let note = |peak: &mut Option<Peak>, new: Peak| {
+            if new.value.is_finite() && peak.as_ref().is_none_or(|old| new.value > old.value) {
+                *peak = Some(new);
+            }
+        };
+        for k in 0..trajectory.n_times() {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            for (q, element) in rod.elements.iter().enumerate() {
+                let pose = Rod::element_pose(q, x, r);
+                let strain = rod.strain_rule.strain(element.length, &pose);
+                let bend = (strain.curvature - element.rest.curvature).xy().norm();
+                let radius = |node: usize| problem.radii.get(node).copied().unwrap_or(0.0);
+                let radius = radius(q).max(radius(q + 1));
+                let stretch = (x[q + 1] - x[q]).norm() / rod.rest_chords[q];
+                let peak = |value: f64| Peak {
+                    value,
+                    element: q,
+                    time_node: k,
+                    bend_over_radius: 1.0 / (bend * radius),
+                };
+                note(&mut out.angle, peak(bend * element.length));
+                note(&mut out.strain, peak((stretch - 1.0).abs() + bend * radius));
+            }
+        }
+        out
+    }
+}
+
+/// The static force on the tip at its last target, against its bound, where a force on the tip is all there is to hold it with.
+fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
+    let tip = problem.rod.tip();
+    let actuator = problem.actuators.iter().find(|a| a.node == tip)?;
+    let Some(Bound::Norm(bound)) = actuator.force.bound else {
+        return None;
+    };
+    let has_moment = (0..3).any(|axis| actuates(&actuator.moment, axis));
+    let goal = problem.final_goals().find(|goal| goal.position.is_some())?;
+    let at_rest = problem.final_goals().any(|goal| goal.at_rest);
+    if has_moment || problem.actuators.len() > 1 || !at_rest {
+        return None;
+    }
+    let rod = &problem.rod;
+    let target = goal.position?;
+    let stiffness = HOLDING * rod.scales.force / rod.scales.length;
+    let spring = TipSpring {
+        position: Some((target, stiffness)),
+        rotation: None,
+    };
+    let start = &problem.initial.configuration;
+    let shape = static_equilibrium(rod, start, problem.grid.end(), &spring).ok()?;
+    let force = spring
+        .wrench(&shape.positions[tip], &shape.rotations[tip])
+        .force
+        .norm();
+    (force > bound).then_some(Observation::StaticNeed { force, bound })
+}
+
+fn actuates(channel: &Channel, axis: usize) -> bool {
+    channel.bound.is_none_or(|bound| bound.actuates(axis))
+}
+
+/// A moment whose price is small beside that of the forces, where the arm bends most at the node that it acts on.
+fn cheap_moment(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    peaks: &Peaks,
+) -> Option<Observation> {
+    let most = peaks.angle.as_ref()?;
+    let n = problem.actuators.len().max(1);
+    let largest = |actuator: usize, part: fn(&Wrench) -> Vector3<f64>| {
+        (coefficients.chunks(n))
+            .filter_map(|wrenches| wrenches.get(actuator))
+            .map(|wrench| part(wrench).norm())
+            .fold(0.0, f64::max)
+    };
+    let force = (problem.actuators.iter().enumerate())
+        .map(|(a, actuator)| largest(a, |wrench| wrench.force) / actuator.force.scale)
+        .fold(0.0, f64::max);
+    (problem.actuators.iter().enumerate()).find_map(|(a, actuator)| {
+        let moment = largest(a, |wrench| wrench.moment);
+        let price = (moment / actuator.moment.scale / force).powi(2);
+        let is_beside = most.element + 1 == actuator.node || most.element == actuator.node;
+        let is_cheap = moment > 0.0 && price < CHEAP && is_beside;
+        is_cheap.then(|| Observation::CheapMoment {
+            node: actuator.node,
+            moment,
+            price,
+            scale: moment / force,
+        })
+    })
+}
+
+/// Controls that jump, on an arm whose fastest waves are hardly damped.
+fn ringing(problem: &OptimalControlProblem) -> Option<Observation> {
+    let rod = &problem.rod;
+    if problem.control.hold != Hold::Constant {
+        return None;
+    }
+    let fastest = 2.0 / stable_step(rod);
+    let damping = 0.5 * (rod.internal_damping * fastest + rod.viscous_damping / fastest);
+    (damping < CALM).then(|| Observation::RingingWaves {
+        block: problem.grid.end() / problem.control.n_blocks() as f64,
+        period: std::f64::consts::TAU / fastest,
+    })
+}
