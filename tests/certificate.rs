@@ -359,20 +359,14 @@ fn saddles_are_not_certified() {
         .map(|item| item.name)
         .collect();
     assert!(failed.contains(&"second_order"), "{failed:?}");
-    // Who does not mind what is left to gain may keep it; it is said all the same.
-    let gain = check.gain_over_objective(found);
-    let mut content = check.clone();
-    for item in &mut content.items {
-        if item.name == "second_order" {
-            item.limit = 1.01 * gain;
-        }
-    }
-    assert!(gain > CheckLimits::default().saddle_gain && content.is_certified());
+    let promised = check.gain_over_objective(found);
 
     for aside in [0.0, 1e-3] {
         let (parameters, problem) = past_a_ball(aside);
         let around = Solved::of(parameters, problem);
-        assert!(around.outcome.objective < 0.99 * solved.outcome.objective);
+        // What the curvature promises is more, because the multiplier of the ball is taken to stay.
+        let gained = 1.0 - around.outcome.objective / solved.outcome.objective;
+        assert!(gained > 0.01 && promised > gained, "{promised} {gained}");
         let check = around.deep_check();
         let found = check.second_order.as_ref().unwrap();
         println!("{found:?} {:?} {}", check.kkt, around.outcome.objective);

@@ -648,7 +648,10 @@ fn saddles_are_rejected() {
     let scene = (SCENE.replace("elements = 4", "elements = 8"))
         .replace("end_s = 0.3", "end_s = 0.8")
         .replace("[0.1, 0.03, 0.985]", "[0.5, 0.0, 0.8]")
-        .replace("at_rest = false", "at_rest = true")
+        .replace(
+            "at_rest = false",
+            "at_rest = true\ntolerance_m_s = 0\ntolerance_rad_s = 0",
+        )
         .replace("blocks = 5", "blocks = 10");
     let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.25, 0.0, 1.03], radius_m = 0.05 }\nmargin_m = 0.001\n";
     desk.write("saddle.toml", &format!("{scene}{ball}"));

@@ -795,7 +795,7 @@ fn saddles_are_passed() {
     assert!(waiting.history.len() > 2 * leaving.history.len());
 }
 
-/// A saddle with little to gain, `½ x² + ¼ ε (y² - 1)² + 1` at y = 0: where `ε/4` is more than the asked part of the objective it is
+/// A saddle with little to gain, `½ x² + ¼ x⁴ + ¼ ε (y² - 1)² + 1` at y = 0: where `ε/4` is more than the asked part of the objective it is
 /// left, where it is less the saddle is the result, and what is left to gain is said.
 #[test]
 fn saddles_are_left_for_a_gain_that_is_worth_it() {
@@ -803,6 +803,7 @@ fn saddles_are_left_for_a_gain_that_is_worth_it() {
         let objective = move |x: &[Jet]| {
             let bowls = [
                 (0.5, &[0, 0][..]),
+                (0.25, &[0, 0, 0, 0]),
                 (0.25 * epsilon, &[1, 1, 1, 1]),
                 (-0.5 * epsilon, &[1, 1]),
                 (0.25 * epsilon + 1.0, &[]),
@@ -813,7 +814,7 @@ fn saddles_are_left_for_a_gain_that_is_worth_it() {
             n_variables: 2,
             ..plain(objective, |_| Vec::new(), Vec::new())
         };
-        let outcome = go(&program, &[0.1, 0.0], &settings(HessianChoice::Exact));
+        let outcome = go(&program, &[1.0, 0.0], &settings(HessianChoice::Exact));
         assert_eq!(outcome.status, SqpStatus::Converged);
         let y = outcome.point.v[1].abs();
         if is_worth_it {

@@ -269,11 +269,12 @@ impl<P: LiftedProgram> Run<'_, P> {
         if self.settings.saddle_escapes == 0 {
             return solution;
         }
-        let length = (2.0 * self.worthwhile() / -value).sqrt();
+        let worthwhile = (2.0 * self.worthwhile() / -value).sqrt();
         let reach = self.trust_radius.min(norm(self.variables()).max(1.0));
-        if length > PASSING_REACH * reach {
+        if worthwhile > reach {
             return solution;
         }
+        let length = worthwhile.min(PASSING_REACH * reach);
         let has: f64 = (direction.iter().zip(&solution.change))
             .map(|(d, c)| d * c)
             .sum();
