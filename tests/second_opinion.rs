@@ -190,6 +190,7 @@ fn inequalities_are_refused() {
     let optimum = solve(&program, start, &SqpSettings::default(), &mut |_| {
         ControlFlow::Continue(())
     });
-    let found = second_opinion(&tight, &optimum.point.variables, &settings).unwrap();
+    let aside: Vec<f64> = optimum.point.variables.iter().map(|v| 0.9 * v).collect();
+    let found = second_opinion(&tight, &aside, &settings).unwrap();
     assert_eq!(found.status, OpinionStatus::BoundsViolated);
 }

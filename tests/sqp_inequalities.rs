@@ -765,7 +765,7 @@ fn known_optima_are_found() {
 }
 
 /// Beside a saddle, `½ x² + ¼ (y² - 1)² + 1` at y = 1e-12, the way out only doubles in an iteration by Newton's steps. A solver that may
-/// leave saddles does not wait for that.
+/// leave saddles does not wait for that; one that may not waits, or stays.
 #[test]
 fn saddles_are_passed() {
     let objective = |x: &[Jet]| {
@@ -792,7 +792,9 @@ fn saddles_are_passed() {
     let end = &leaving.point.v;
     near(&[end[0], end[1].abs()], &[0.0, 1.0], 1e-6);
     assert!(leaving.history.len() <= 15, "{}", leaving.history.len());
-    assert!(waiting.history.len() > 2 * leaving.history.len());
+    // Its steps are shorter than rounding for long, so that it may also end there.
+    let ends_there = waiting.point.v[1].abs() < 1e-3;
+    assert!(ends_there || waiting.history.len() > 2 * leaving.history.len());
 }
 
 /// A saddle with little to gain, `½ x² + ¼ x⁴ + ¼ ε (y² - 1)² + 1` at y = 0: where `ε/4` is more than the asked part of the objective it is

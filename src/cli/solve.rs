@@ -809,12 +809,20 @@ fn worst_constraints<D>(
 fn advice(setup: &OptimalControl, solution: &Solved) -> Vec<String> {
     let outcome = &solution.attempt.outcome;
     let converged = outcome.status == SqpStatus::Converged;
-    if converged
-        && solution
-            .check
-            .as_ref()
-            .is_some_and(ForwardCheck::is_certified)
-    {
+    // What the check rejects for another reason than its errors has a remedy of its own.
+    let is_unresolved = |check: &ForwardCheck| {
+        let fails =
+            |name: &str| (check.items.iter()).any(|item| item.name == name && !item.holds());
+        [
+            "refined_time_m",
+            "refined_space_m",
+            "energy",
+            "energy_halving",
+        ]
+        .into_iter()
+        .any(fails)
+    };
+    if converged && !solution.check.as_ref().is_some_and(is_unresolved) {
         return Vec::new();
     }
     let tolerance = setup.settings.tolerance;

@@ -30,7 +30,9 @@ const CAREFUL_ROOM: f64 = 10.0;
 const RESCUES: usize = 8;
 /// Infeasibility of a point beyond which its Lagrangian says nothing about what leaving a saddle gains.
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
-/// How far a step past a saddle may go of the trust radius or of the variables (at least one).
+/// How far a step past a saddle goes of the way that promises a worthwhile gain, and may go of the trust radius or of the variables (at
+/// least one): far enough to leave the rounding, near enough for the quadratic model.
+const PASSING_PART: f64 = 0.5;
 const PASSING_REACH: f64 = 0.3;
 /// Growth of the steps by which the way out of a saddle is followed.
 const ESCAPE_GROWTH: f64 = 2.0;
@@ -274,7 +276,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         if worthwhile > reach {
             return solution;
         }
-        let length = worthwhile.min(PASSING_REACH * reach);
+        let length = (PASSING_PART * worthwhile).min(PASSING_REACH * reach);
         let has: f64 = (direction.iter().zip(&solution.change))
             .map(|(d, c)| d * c)
             .sum();
