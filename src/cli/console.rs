@@ -1,18 +1,24 @@
 //! Talk on stderr, data on stdout, and the two ways to interrupt.
 
-use std::io::{IsTerminal as _, Write as _};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::io::{self, IsTerminal as _, Write as _};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, LazyLock, OnceLock};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
+#[cfg(unix)]
+use signal_hook::consts::SIGHUP;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 
-use super::Global;
 use super::error::CliError;
+use super::{Global, exit};
+use crate::output::OutputError;
 use crate::stop::StopSignal;
 
-/// Set by Ctrl-C; read by whoever runs long.
+/// Set by Ctrl-C and its kin; read by whoever runs long.
 static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// Where a verb talks.
@@ -21,17 +27,20 @@ pub(super) struct Console {
     quiet: bool,
     color: bool,
     terminal: bool,
+    /// Why data could not be written to stdout.
+    unwritten: OnceLock<io::Error>,
 }
 
 impl Console {
     pub(super) fn new(global: &Global) -> Self {
-        let terminal = std::io::stderr().is_terminal();
+        let terminal = io::stderr().is_terminal();
         let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
         Self {
             json: global.json,
             quiet: global.quiet,
             color: terminal && !no_color,
             terminal,
+            unwritten: OnceLock::new(),
         }
     }
 
@@ -39,7 +48,7 @@ impl Console {
     pub(super) fn say(&self, text: &str) {
         if !self.quiet {
             // Nobody left to talk to is no reason to fail.
-            let _ = writeln!(std::io::stderr(), "{text}");
+            let _ = writeln!(io::stderr(), "{text}");
         }
     }
 
@@ -69,12 +78,12 @@ impl Console {
 
     /// One line on stderr, also when quiet: why the exit code is not zero.
     pub(super) fn always(&self, text: &str) {
-        let _ = writeln!(std::io::stderr(), "{text}");
+        let _ = writeln!(io::stderr(), "{text}");
     }
 
     /// An error on stderr, also when quiet.
     pub(super) fn error(&self, error: &CliError) {
-        let _ = writeln!(std::io::stderr(), "{error}");
+        let _ = writeln!(io::stderr(), "{error}");
     }
 
     /// The summary object on stdout, if it was asked for.
@@ -93,8 +102,23 @@ impl Console {
 
     /// A line of data on stdout.
     pub(super) fn print(&self, text: &str) {
-        // A closed pipe (`| head`) ends the reader, not us.
-        let _ = writeln!(std::io::stdout(), "{text}");
+        let mut stdout = io::stdout();
+        let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
+        if let Err(error) = written {
+            let _ = self.unwritten.set(error); // the first one tells why
+        }
+    }
+
+    /// Whether all data got to stdout; a closed pipe (`| head`) is the reader's choice, and no error.
+    pub(super) fn printed(&self) -> Result<(), CliError> {
+        match self.unwritten.get() {
+            Some(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+                let stdout = Path::new("standard output");
+                let error = io::Error::new(error.kind(), error.to_string());
+                Err(OutputError::unwritten(stdout, "cannot write")(error).into())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// A progress bar of `n` steps; hidden unless stderr is a terminal.
@@ -113,15 +137,28 @@ impl Console {
         bar
     }
 
-    /// From here on Ctrl-C asks the running work to stop; a second one ends the process.
+    /// From here on Ctrl-C, SIGTERM and SIGHUP ask the running work to stop; a second Ctrl-C or SIGTERM ends the process at once.
+    ///
+    /// A second SIGHUP does not: a terminal that closes may send it twice. SIGHUP stays ignored where it is, as under `nohup`.
     pub(super) fn catch_interrupts(&self) {
-        let handler = || {
-            if INTERRUPTED.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
-            }
+        let catch = |signal| {
+            // In this order, so that only the second signal finds the flag set.
+            flag::register_conditional_shutdown(
+                signal,
+                exit::KILLED.into(),
+                Arc::clone(&INTERRUPTED),
+            )
+            .and_then(|_| flag::register(signal, Arc::clone(&INTERRUPTED)))
         };
-        // Without a handler Ctrl-C simply ends the process.
-        if ctrlc::set_handler(handler).is_err() {
+        let mut caught = [catch(SIGINT), catch(SIGTERM)]
+            .into_iter()
+            .all(|caught| caught.is_ok());
+        #[cfg(unix)]
+        if !ignores_hangups() {
+            caught &= flag::register(SIGHUP, Arc::clone(&INTERRUPTED)).is_ok();
+        }
+        // Without a handler a signal simply ends the process.
+        if !caught {
             self.warn("Ctrl-C will end the run without writing its best result");
         }
     }
@@ -130,4 +167,13 @@ impl Console {
 /// Raised by what [interrupts](Console::catch_interrupts), and by a deadline where there is one.
 pub(super) fn stop_signal(deadline: Option<Instant>) -> StopSignal {
     StopSignal::new(deadline, Some(Arc::clone(&INTERRUPTED)))
+}
+
+/// Whether this process was started with SIGHUP ignored; where the system does not say, it was not.
+#[cfg(unix)]
+fn ignores_hangups() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = (status.lines().find_map(|line| line.strip_prefix("SigIgn:")))
+        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| (mask >> (SIGHUP - 1)) & 1 == 1)
 }

@@ -54,6 +54,7 @@ impl CliError {
 
     pub(super) fn exit_code(&self) -> u8 {
         match self {
+            Self::Output(error) if error.is_unwritten() => exit::UNWRITTEN,
             Self::Scene(_)
             | Self::Output(_)
             | Self::Directory(_)

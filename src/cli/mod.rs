@@ -32,6 +32,9 @@ mod exit {
     pub const NUMERICAL: u8 = 5;
     pub const STOPPED: u8 = 6;
     pub const REJECTED: u8 = 7;
+    pub const UNWRITTEN: u8 = 8;
+    /// A second Ctrl-C or SIGTERM, as shells report a process that Ctrl-C ended.
+    pub const KILLED: u8 = 130;
 }
 
 /// Optimal control of soft arms: simulate, solve, and check the result.
@@ -45,8 +48,9 @@ struct Cli {
 }
 
 const EXIT_CODES: &str = "Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
-4 locally infeasible · 5 numerical failure · 6 stopped by a deadline or Ctrl-C · 7 solved, but the check rejects it \
-(derivatives: one is wrong; paper: a printed number is not reproduced)";
+4 locally infeasible · 5 numerical failure · 6 stopped by a deadline, Ctrl-C, SIGTERM or SIGHUP · 7 solved, but the check \
+rejects it (derivatives: one is wrong; paper: a printed number is not reproduced) · 8 the result, or standard output, could not be \
+written · 130 ended at once by a second Ctrl-C or SIGTERM";
 
 /// Options of every verb.
 #[derive(Clone, Debug, Args)]
@@ -150,8 +154,10 @@ pub fn run() -> ExitCode {
             } else {
                 exit::DONE
             };
-            let _ = error.print();
-            return ExitCode::from(code);
+            return ExitCode::from(match error.print() {
+                Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => exit::UNWRITTEN,
+                _ => code,
+            });
         }
     };
     let console = Console::new(&cli.global);
@@ -167,7 +173,7 @@ pub fn run() -> ExitCode {
         Command::Schema => schema::run(&console),
         Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),
     };
-    match outcome {
+    match outcome.and_then(|code| console.printed().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
             console.error(&error);

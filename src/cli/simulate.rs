@@ -15,10 +15,12 @@ use crate::mechanics::{
     Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
 };
 use crate::memory::of_simulation;
-use crate::output::summary::{EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TipPose};
+use crate::output::summary::{
+    EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose,
+};
 use crate::output::{
-    ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory, RowFiles,
-    RunDirectory, ThinnedMotion, render_report,
+    ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory,
+    ResultKind, RowFiles, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
 use crate::stop::StopSignal;
@@ -38,15 +40,16 @@ pub(super) fn run(
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
     let stop = stop_signal(None);
     let target = arguments.directory("simulate");
-    let found = if resume {
-        Some(Found::beside(&target)?)
+    let (directory, setup, found) = if resume {
+        let directory = Found::directory(&target)?;
+        let found = Found::beside(&directory, &target)?;
+        let setup = continued(&scene, &source, &found.checkpoint, &stop)?;
+        (directory, setup, Some(found))
     } else {
-        None
-    };
-    let setup = match &found {
-        Some(found) => continued(&scene, &source, &found.checkpoint, &stop)?,
-        None => (scene.simulation_until(&source, &stop))
-            .map_err(|error| CliError::of_scene(error, &stop))?,
+        let setup = (scene.simulation_until(&source, &stop))
+            .map_err(|error| CliError::of_scene(error, &stop))?;
+        let directory = RunDirectory::open(&target, ResultKind::Simulate)?;
+        (directory, setup, None)
     };
     memory::require(&of_simulation(&setup), &source)?;
     let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
@@ -57,8 +60,6 @@ pub(super) fn run(
     if scene.task.is_some() || scene.control.is_some() {
         console.warn("[task] and [control] play no part in a simulation; `softarm solve` computes the control");
     }
-    ResultDirectory::permit(&target)?;
-    let directory = RunDirectory::open(&target)?;
 
     let opened = match &found {
         Some(found) => Run::resume(&setup, &directory, found, &target),
@@ -82,12 +83,27 @@ pub(super) fn run(
         ));
     }
     let started = Instant::now();
-    let end = run.integrate(&stop, console)?;
+    let folder = directory.path().to_path_buf();
+    let kept = |source: OutputError| OutputError::Kept {
+        source: Box::new(source),
+        folder: folder.clone(),
+    };
+    let end = match run.integrate(&stop, console) {
+        Ok(end) => end,
+        Err(CliError::Output(error)) if Checkpoint::is_in(&folder) => {
+            return Err(kept(error).into());
+        }
+        Err(error) => {
+            directory.remove()?;
+            return Err(error);
+        }
+    };
     let wall = started.elapsed().as_secs_f64();
 
     let summary = run.summarize(arguments, &end, first_step, wall, &target);
-    let written = run.write(&scene, &end, &summary, &target)?;
-    directory.remove()?;
+    let written = directory
+        .publish(|result| run.write(result, &scene, &end, &summary))
+        .map_err(kept)?;
 
     let speed = if summary.steps > first_step {
         format!(" ({:.1} ns per node-step)", 1e9 / summary.node_steps_per_s)
@@ -134,20 +150,30 @@ struct Found {
 }
 
 impl Found {
+    /// Takes hold of the directory of the run, if there is anything to continue.
+    fn directory(target: &Path) -> Result<RunDirectory, CliError> {
+        if Checkpoint::is_in(&RunDirectory::folder_of(target)?) || Checkpoint::is_in(target) {
+            Ok(RunDirectory::open(target, ResultKind::Simulate)?)
+        } else {
+            Err(Self::nothing(target))
+        }
+    }
+
     /// A run that was killed, or else one that wrote its result.
-    fn beside(target: &Path) -> Result<Self, CliError> {
-        for (folder, killed) in [
-            (RunDirectory::folder_of(target)?, true),
-            (target.to_path_buf(), false),
-        ] {
-            if let Some(checkpoint) = Checkpoint::read(&folder)? {
+    fn beside(directory: &RunDirectory, target: &Path) -> Result<Self, CliError> {
+        for (folder, killed) in [(directory.path(), true), (target, false)] {
+            if let Some(checkpoint) = Checkpoint::read(folder)? {
                 return Ok(Self { checkpoint, killed });
             }
         }
-        Err(CliError::Directory(format!(
+        Err(Self::nothing(target))
+    }
+
+    fn nothing(target: &Path) -> CliError {
+        CliError::Directory(format!(
             "{}: holds no checkpoint to continue from; run without --resume",
             target.display()
-        )))
+        ))
     }
 }
 
@@ -231,7 +257,8 @@ enum End {
 /// says how far they count.
 struct Run<'a> {
     setup: &'a Simulation,
-    directory: &'a RunDirectory,
+    /// Where rows and checkpoints go.
+    folder: PathBuf,
     integrator: Stepper<'a>,
     trajectory: RowFiles,
     diagnostics: Option<RowFiles>,
@@ -243,7 +270,7 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// From the beginning; what an earlier run left is removed.
-    fn start(setup: &'a Simulation, directory: &'a RunDirectory) -> Result<Self, CliError> {
+    fn start(setup: &'a Simulation, directory: &RunDirectory) -> Result<Self, CliError> {
         directory.clear()?;
         let files = |name: &str, layout: &[ArrayView]| {
             RowFiles::open(&directory.path().join(name), layout, 0)
@@ -257,7 +284,7 @@ impl<'a> Run<'a> {
     /// From a checkpoint, with the rows up to it.
     fn resume(
         setup: &'a Simulation,
-        directory: &'a RunDirectory,
+        directory: &RunDirectory,
         found: &Found,
         target: &Path,
     ) -> Result<Self, CliError> {
@@ -300,7 +327,7 @@ impl<'a> Run<'a> {
 
     fn of(
         setup: &'a Simulation,
-        directory: &'a RunDirectory,
+        directory: &RunDirectory,
         integrator: Stepper<'a>,
         files: impl Fn(&str, &[ArrayView]) -> Result<RowFiles, OutputError>,
     ) -> Result<Self, CliError> {
@@ -308,7 +335,7 @@ impl<'a> Run<'a> {
         let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
         Ok(Self {
             setup,
-            directory,
+            folder: directory.path().into(),
             integrator,
             trajectory: files("trajectory", &row.arrays())?,
             diagnostics: if setup.diagnostics {
@@ -423,18 +450,17 @@ impl<'a> Run<'a> {
         if let Some(diagnostics) = &mut self.diagnostics {
             diagnostics.flush()?;
         }
-        self.checkpoint().write(self.directory.path())
+        self.checkpoint().write(&self.folder)
     }
 
-    /// Puts the result directory in place.
+    /// Writes the files of the result.
     fn write(
         mut self,
+        result: &ResultDirectory,
         scene: &Scene,
         end: &End,
         summary: &SimulateSummary,
-        target: &Path,
-    ) -> Result<PathBuf, OutputError> {
-        let result = ResultDirectory::create_in(Some(self.directory.path()), target)?;
+    ) -> Result<(), OutputError> {
         self.trajectory
             .write_npz(&result.path().join("trajectory.npz"))?;
         if let Some(diagnostics) = &mut self.diagnostics {
@@ -447,8 +473,7 @@ impl<'a> Run<'a> {
         result.write_json("summary.json", summary)?;
         let record = self.thinned.finish(&self.row);
         let page = simulation_page(scene, self.setup, &record, summary);
-        result.write_text("report.html", &render_report(&page))?;
-        result.finish()
+        result.write_text("report.html", &render_report(&page))
     }
 
     fn summarize(
@@ -480,6 +505,7 @@ impl<'a> Run<'a> {
         let steps = self.integrator.step();
         SimulateSummary {
             schema_version: SCHEMA_VERSION,
+            tool: TOOL,
             command: "simulate",
             scene: scene_name(&arguments.scene),
             status: match end {

@@ -28,11 +28,11 @@ use crate::memory::of_solve;
 use crate::output::summary::{
     BetweenSummary, CheckOutcome, CheckRecord, EnergyAccount, GrowthSummary, MomentumAccount,
     NOT_CHECKED, NamedConstraint, PhaseSummary, SCHEMA_VERSION, SecondOpinionSummary,
-    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary,
+    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary, TOOL,
 };
 use crate::output::{
-    ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, render_report,
-    row_bytes, write_controls, write_feedback,
+    ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, ResultKind,
+    RunDirectory, render_report, row_bytes, write_controls, write_feedback,
 };
 use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{
@@ -89,7 +89,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let starts = usize::from(arguments.starts);
     memory::require(&of_solve(&described, starts, global.n_threads()), &source)?;
     let target = arguments.scene.directory("solve");
-    let directory = ResultDirectory::create(&target)?;
+    let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
     announce(&described, console);
     let plan = Search {
@@ -152,24 +152,37 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             let warn = |error| console.warn(&format!("no diagnostics.npz: {error}"));
             found.map_err(warn).ok()
         });
-    if let Some(diagnostics) = &diagnostics {
-        diagnostics.write_npz(&directory.path().join("diagnostics.npz"))?;
+    let written = directory.publish_or_rescue(|result| {
+        let summary = SolveSummary {
+            directory: result.place().display().to_string(),
+            ..summary.clone()
+        };
+        if let Some(diagnostics) = &diagnostics {
+            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
+        }
+        write(
+            result,
+            &scene,
+            &setup,
+            &solution,
+            feedback.as_ref(),
+            &summary,
+            global.n_threads(),
+        )
+    });
+    if let Err(OutputError::Elsewhere { place, .. }) = &written {
+        summary.directory = place.display().to_string();
     }
-    write(
-        &directory,
-        &scene,
-        &setup,
-        &solution,
-        feedback.as_ref(),
-        &summary,
-        global.n_threads(),
-    )?;
-    let written = directory.finish()?;
     if plan.starts == 1 {
         console.say(&legend(&solution.attempt.outcome.history));
     }
-    conclude(&setup.problem, &summary, &solution, &written, console);
+    conclude(&setup.problem, &summary, &solution, console);
+    if let Ok(directory) = &written {
+        let report = directory.join("report.html");
+        console.say(&format!("report: {}", report.display()));
+    }
     console.summary(&summary);
+    written?;
     Ok(exit_code(&solution))
 }
 
@@ -582,6 +595,7 @@ fn summarize(
     let (status, message) = status_words(&outcome.status, &solution.worst);
     SolveSummary {
         schema_version: SCHEMA_VERSION,
+        tool: TOOL,
         command: "solve",
         scene: scene_name(&arguments.scene.scene),
         status,
@@ -980,8 +994,9 @@ struct IterationRow {
 }
 
 fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), OutputError> {
-    let cannot_write =
-        |error: csv::Error| OutputError::io(path, "cannot write")(std::io::Error::other(error));
+    let cannot_write = |error: csv::Error| {
+        OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
+    };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
     for row in history {
         writer
@@ -1007,14 +1022,13 @@ fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), Outp
     }
     writer
         .flush()
-        .map_err(OutputError::io(path, "cannot write"))
+        .map_err(OutputError::unwritten(path, "cannot write"))
 }
 
 fn conclude(
     problem: &OptimalControlProblem,
     summary: &SolveSummary,
     solution: &Solved,
-    written: &Path,
     console: &Console,
 ) {
     let check = solution.check.as_ref();
@@ -1091,16 +1105,12 @@ fn conclude(
     if let Some(steps) = summary.steps_per_row {
         console.say(&format!(
             "the motion is written every {steps} steps; `softarm solve SCENE --from {}` goes on from its controls",
-            written.display()
+            summary.directory
         ));
     }
     if let Some(stop) = solution.without_gains {
         console.always(&format!("no feedback gains: {stop}"));
     }
-    console.say(&format!(
-        "report: {}",
-        written.join("report.html").display()
-    ));
 }
 
 /// How well the paths are followed.

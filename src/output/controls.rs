@@ -73,19 +73,20 @@ pub fn write_controls(path: &Path, rows: &[ControlRow]) -> Result<(), OutputErro
             reason,
         })?;
     }
-    let file = File::create(path).map_err(OutputError::io(path, "cannot write"))?;
+    let file = File::create(path).map_err(OutputError::unwritten(path, "cannot write"))?;
     let mut writer = csv::WriterBuilder::new()
         .has_headers(false)
         .from_writer(file);
     let written = writer
         .write_record(COLUMNS)
         .and_then(|()| rows.iter().try_for_each(|row| writer.serialize(row)));
-    written.map_err(|error| csv_error(path, "cannot write", error))?;
+    let cannot_write = OutputError::unwritten(path, "cannot write");
+    written.map_err(|error| cannot_write(std::io::Error::other(error)))?;
     writer
         .into_inner()
         .map_err(csv::IntoInnerError::into_error)
         .and_then(|mut file| file.flush())
-        .map_err(OutputError::io(path, "cannot write"))
+        .map_err(OutputError::unwritten(path, "cannot write"))
 }
 
 /// Reads what [`write_controls`] writes; columns may stand in any order, and others beside them.

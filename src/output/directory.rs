@@ -1,71 +1,135 @@
+use std::ffi::OsStr;
 use std::fs;
-use std::io;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tempfile::TempDir;
+use serde_json::Value;
 
 use super::OutputError;
+use super::summary::TOOL;
 
-/// A result directory in the making: it appears at its target whole, or not at all.
-///
-/// Files are written to a hidden sibling of the target; [`finish`](Self::finish) renames it into place.
-/// Dropped before that, it leaves nothing behind.
+/// The summary of a result: the last file to be put in place.
+pub(super) const SUMMARY: &str = "summary.json";
+/// Bytes of the largest summary that is looked at.
+const LARGEST_SUMMARY: u64 = 1 << 24;
+
+/// The command that made a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResultKind {
+    /// `softarm simulate`
+    Simulate,
+    /// `softarm solve`
+    Solve,
+}
+
+impl ResultKind {
+    /// Every kind.
+    pub const ALL: [Self; 2] = [Self::Simulate, Self::Solve];
+
+    /// The word of the command line.
+    #[must_use]
+    pub fn command(self) -> &'static str {
+        match self {
+            Self::Simulate => "simulate",
+            Self::Solve => "solve",
+        }
+    }
+
+    /// The names that softarm writes into such a result directory, the summary last. All else there is the user's.
+    #[must_use]
+    pub fn files(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate => &[
+                "scene.toml",
+                "trajectory.npz",
+                "diagnostics.npz",
+                "checkpoint.json",
+                "report.html",
+                SUMMARY,
+            ],
+            Self::Solve => &[
+                "scene.toml",
+                "trajectory.npz",
+                "diagnostics.npz",
+                "controls.csv",
+                "iterations.csv",
+                "multipliers.json",
+                "feedback.npz",
+                "failed-subproblem.json",
+                "report.html",
+                SUMMARY,
+            ],
+        }
+    }
+
+    /// Keys that a summary without `tool` must have, all of them, to be taken for softarm's: layouts before that field.
+    fn signature(self) -> &'static [&'static str] {
+        match self {
+            Self::Simulate => &["node_steps_per_s", "strain", "directory"],
+            Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
+        }
+    }
+
+    /// The kind of result that a summary describes; `None` if it is not softarm's.
+    fn of_summary(summary: &Value) -> Option<Self> {
+        let summary = summary.as_object()?;
+        summary.get("schema_version")?.as_u64()?;
+        let command = summary.get("command")?.as_str()?;
+        let kind = (Self::ALL.into_iter()).find(|kind| kind.command() == command)?;
+        let is_ours = match summary.get("tool") {
+            Some(tool) => tool == TOOL,
+            None => (kind.signature().iter()).all(|key| summary.contains_key(*key)),
+        };
+        is_ours.then_some(kind)
+    }
+
+    /// The kind of result in `directory`; `None` if it holds none.
+    pub(super) fn of_directory(directory: &Path) -> Option<Self> {
+        let path = directory.join(SUMMARY);
+        let metadata = fs::symlink_metadata(&path).ok()?;
+        if !metadata.is_file() || metadata.len() > LARGEST_SUMMARY {
+            return None;
+        }
+        let mut text = String::new();
+        let file = fs::File::open(&path).ok()?;
+        file.take(LARGEST_SUMMARY).read_to_string(&mut text).ok()?;
+        Self::of_summary(&serde_json::from_str(&text).ok()?)
+    }
+}
+
+/// A folder in which the files of one result are being written; a [`RunDirectory`](super::RunDirectory) puts them in their place.
 #[derive(Debug)]
 pub struct ResultDirectory {
-    target: PathBuf,
-    /// Holds the new directory, and for a moment the one that it replaces.
-    workshop: TempDir,
     path: PathBuf,
+    place: PathBuf,
 }
 
 impl ResultDirectory {
-    /// Opens a directory that will become `target`; parents are made.
-    ///
-    /// The target may be absent, empty, or an earlier result (its `summary.json` has a `schema_version`).
-    pub fn create(target: &Path) -> Result<Self, OutputError> {
-        Self::create_in(None, target)
+    /// The files are written to `path`, and will be found in `place`.
+    pub(super) fn new(path: &Path, place: &Path) -> Self {
+        Self {
+            path: path.into(),
+            place: place.into(),
+        }
     }
 
-    /// The same with the files in `folder`, on the disk of the target, until they are in place; without one, beside the
-    /// target.
-    pub fn create_in(folder: Option<&Path>, target: &Path) -> Result<Self, OutputError> {
-        let cannot_create = |path| OutputError::io(path, "cannot create");
-        let target = resolve(target)?;
-        refuse_to_destroy(&target)?;
-        let (Some(parent), Some(name)) = (target.parent(), target.file_name()) else {
-            return Err(OutputError::refused(&target, "not a name for a directory"));
-        };
-        fs::create_dir_all(parent).map_err(cannot_create(parent))?;
-        let parent = folder.unwrap_or(parent);
-        let workshop = tempfile::Builder::new()
-            .prefix(&format!(".{}.", name.to_string_lossy()))
-            .tempdir_in(parent)
-            .map_err(cannot_create(parent))?;
-        // A subdirectory, because the temporary one is readable by its owner alone.
-        let path = workshop.path().join("new");
-        fs::create_dir(&path).map_err(cannot_create(&path))?;
-        Ok(Self {
-            target,
-            workshop,
-            path,
-        })
-    }
-
-    /// Whether [`create`](Self::create) would accept `target`, without touching anything.
-    pub fn permit(target: &Path) -> Result<(), OutputError> {
-        refuse_to_destroy(&resolve(target)?)
-    }
-
-    /// Where to write files until [`finish`](Self::finish).
+    /// Where to write files.
+    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Where the files will be found.
+    #[must_use]
+    pub fn place(&self) -> &Path {
+        &self.place
     }
 
     /// Writes a text file.
     pub fn write_text(&self, name: &str, text: &str) -> Result<(), OutputError> {
         let path = self.path.join(name);
-        fs::write(&path, text).map_err(OutputError::io(&path, "cannot write"))
+        fs::write(&path, text).map_err(OutputError::unwritten(&path, "cannot write"))
     }
 
     /// Writes a value as indented JSON with a newline at its end; non-finite numbers become `null`.
@@ -75,176 +139,140 @@ impl ResultDirectory {
         self.write_text(name, &(text + "\n"))
     }
 
-    /// Puts the directory in its place and returns it; an earlier result there is replaced.
-    pub fn finish(self) -> Result<PathBuf, OutputError> {
-        let Self {
-            target,
-            workshop,
-            path,
-        } = self;
-        refuse_to_destroy(&target)?;
-        let cannot_replace = || OutputError::io(&target, "cannot put the result in place");
-        let previous = workshop.path().join("previous");
-        let replaces = match fs::rename(&target, &previous) {
-            Ok(()) => true,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => false,
-            Err(error) => return Err(cannot_replace()(error)),
+    /// Writes a result that its own place did not take to the first place that takes it: a new directory `softarm-NAME-…` among the
+    /// temporary files, in the user's home, or in the current directory. Returns where the result is.
+    pub(super) fn rescue(
+        name: &OsStr,
+        fill: impl Fn(&Self) -> Result<(), OutputError>,
+    ) -> Result<PathBuf, OutputError> {
+        let places = [
+            Some(std::env::temp_dir()),
+            std::env::home_dir(),
+            std::env::current_dir().ok(),
+        ];
+        let prefix = format!("softarm-{}-", name.to_string_lossy());
+        let write_to = |place: &Path| {
+            let folder = tempfile::Builder::new()
+                .prefix(&prefix)
+                .tempdir_in(place)
+                .map_err(OutputError::unwritten(place, "cannot write into"))?;
+            fill(&Self::new(folder.path(), folder.path()))?;
+            Ok(folder.keep())
         };
-        if let Err(error) = fs::rename(&path, &target) {
-            if replaces && fs::rename(&previous, &target).is_err() {
-                let _ = workshop.keep(); // the only copy of the earlier result is in there
+        let mut outcome = Err(OutputError::refused(Path::new(name), "no other place"));
+        for place in places.into_iter().flatten() {
+            outcome = write_to(&place);
+            if outcome.is_ok() {
+                break;
             }
-            return Err(cannot_replace()(error));
         }
-        workshop
-            .close()
-            .map_err(OutputError::io(&target, "cannot remove the earlier result"))?;
-        Ok(target)
+        outcome
     }
 }
 
-/// The absolute target, through symbolic links if it exists.
-pub(super) fn resolve(target: &Path) -> Result<PathBuf, OutputError> {
-    match fs::canonicalize(target) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => std::path::absolute(target),
-        other => other,
+/// The absolute path of a result directory, by its parent and its name: no symbolic link in its last part is followed.
+pub(super) fn locate(target: &Path) -> Result<PathBuf, OutputError> {
+    let cannot_open = || OutputError::io(target, "cannot open");
+    let absolute = std::path::absolute(target).map_err(cannot_open())?;
+    let absolute = match absolute.file_name() {
+        Some(_) => absolute,
+        None => fs::canonicalize(&absolute).map_err(cannot_open())?, // it ends in `..`
+    };
+    // Joined anew, because a slash at the end would follow a link.
+    match (absolute.parent(), absolute.file_name()) {
+        (Some(parent), Some(name)) => Ok(parent.join(name)),
+        _ => Err(OutputError::refused(target, "not a name for a directory")),
     }
-    .map_err(OutputError::io(target, "cannot open"))
 }
 
-/// `Ok` if the target is absent, empty or an earlier result.
-fn refuse_to_destroy(target: &Path) -> Result<(), OutputError> {
+/// `Ok` if a result of this kind may be written to `target`: it is absent, empty, or holds a result of this kind, whose files are
+/// files.
+pub(super) fn permit(target: &Path, kind: ResultKind) -> Result<(), OutputError> {
     let cannot_read = || OutputError::io(target, "cannot read");
+    let refuse = |reason: String| Err(OutputError::refused(target, reason));
     let metadata = match fs::symlink_metadata(target) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         other => other.map_err(cannot_read())?,
     };
-    if !metadata.is_dir() {
-        return Err(OutputError::refused(
-            target,
-            "exists and is not a directory; choose another",
-        ));
+    if metadata.is_symlink() {
+        return refuse("a symbolic link; name the directory that it leads to".into());
     }
-    if std::env::current_dir().is_ok_and(|current| current.starts_with(target)) {
-        return Err(OutputError::refused(
-            target,
-            "the current directory cannot be replaced; name one inside it",
-        ));
+    if !metadata.is_dir() {
+        return refuse("exists and is not a directory; choose another --out".into());
     }
     let is_empty = fs::read_dir(target)
         .map_err(cannot_read())?
         .next()
         .is_none();
-    if is_empty || is_result(target) {
+    if is_empty {
         return Ok(());
     }
-    Err(OutputError::refused(
-        target,
-        "holds files that are not an earlier result \
-         (no summary.json with a schema_version); choose another directory, or empty it",
-    ))
-}
-
-fn is_result(directory: &Path) -> bool {
-    let Ok(text) = fs::read_to_string(directory.join("summary.json")) else {
-        return false;
-    };
-    serde_json::from_str::<serde_json::Value>(&text)
-        .is_ok_and(|summary| summary.get("schema_version").is_some())
+    let command = kind.command();
+    match ResultKind::of_directory(target) {
+        None => refuse(
+            "holds files and no result of softarm (a summary.json that names softarm as its tool, and a command); choose another \
+             --out, or empty it"
+                .into(),
+        ),
+        Some(other) if other != kind => refuse(format!(
+            "holds the result of `softarm {}`, which `softarm {command}` does not replace; choose another --out, or remove it",
+            other.command()
+        )),
+        Some(_) => match (kind.files().iter()).find(|name| target.join(name).is_dir()) {
+            Some(name) => refuse(format!(
+                "`{name}` in it is a directory, and softarm writes a file of that name; move it away, or choose another --out"
+            )),
+            None => Ok(()),
+        },
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> = fs::read_dir(folder)
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
-
-    /// Until `finish` the target does not exist; after it, it holds what was written and no sibling remains.
+    /// A summary is softarm's if it has a version of its layout, one of the two commands, and the tool's name; or, where it names no
+    /// tool, what only softarm wrote before it named itself.
     #[test]
-    fn result_appears_whole() {
-        let folder = tempfile::tempdir().unwrap();
-        let target = folder.path().join("deep").join("result");
-        let result = ResultDirectory::create(&target).unwrap();
-        result.write_text("scene.toml", "[rod]\n").unwrap();
-        result
-            .write_json("summary.json", &serde_json::json!({"schema_version": 1}))
-            .unwrap();
-        assert!(!target.exists());
+    fn summaries_of_others_are_told_apart() {
+        let kind = |summary: Value| ResultKind::of_summary(&summary);
+        let named = |tool: &str, command: &str| json!({"schema_version": 1, "tool": tool, "command": command});
+        assert_eq!(kind(named("softarm", "solve")), Some(ResultKind::Solve));
         assert_eq!(
-            result.finish().unwrap().canonicalize().unwrap(),
-            target.canonicalize().unwrap()
+            kind(named("softarm", "simulate")),
+            Some(ResultKind::Simulate)
         );
-        assert_eq!(names(&target), ["scene.toml", "summary.json"]);
-        assert_eq!(
-            fs::read_to_string(target.join("summary.json")).unwrap(),
-            "{\n  \"schema_version\": 1\n}\n"
-        );
-        assert_eq!(names(target.parent().unwrap()), ["result"]);
-    }
-
-    /// Dropped unfinished, it leaves nothing, and the earlier result stays as it was.
-    #[test]
-    fn unfinished_leaves_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let target = folder.path().join("result");
-        let result = ResultDirectory::create(&target).unwrap();
-        result.write_text("a", "").unwrap();
-        drop(result);
-        assert!(names(folder.path()).is_empty());
-
-        fs::create_dir(&target).unwrap();
-        fs::write(target.join("summary.json"), r#"{"schema_version": 1}"#).unwrap();
-        drop(ResultDirectory::create(&target).unwrap());
-        assert_eq!(names(folder.path()), ["result"]);
-        assert_eq!(names(&target), ["summary.json"]);
-    }
-
-    /// An earlier result and an empty directory are replaced; nothing of the old content remains.
-    #[test]
-    fn earlier_results_are_replaced() {
-        let folder = tempfile::tempdir().unwrap();
-        let target = folder.path().join("result");
-        fs::create_dir(&target).unwrap();
-        for round in ["first", "second"] {
-            let result = ResultDirectory::create(&target).unwrap();
-            result.write_text(round, "").unwrap();
-            result
-                .write_json("summary.json", &serde_json::json!({"schema_version": 1}))
-                .unwrap();
-            result.finish().unwrap();
-            assert_eq!(names(&target), [round, "summary.json"]);
-            assert_eq!(names(folder.path()), ["result"]);
-        }
-    }
-
-    /// A file, a directory of other files, one with a foreign summary.json, and one that becomes foreign
-    /// while the result is written are refused and keep their content.
-    #[test]
-    fn foreign_directories_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let target = folder.path().join("thesis");
-        fs::create_dir(&target).unwrap();
-        let late = ResultDirectory::create(&target).unwrap();
-        fs::write(target.join("summary.json"), r#"{"chapters": 7}"#).unwrap();
-        for error in [
-            ResultDirectory::create(&target).unwrap_err(),
-            late.finish().unwrap_err(),
+        let mut earlier = json!({"schema_version": 1, "command": "simulate", "node_steps_per_s": 1.0, "strain": "helical",
+            "directory": "results/swing"});
+        assert_eq!(kind(earlier.clone()), Some(ResultKind::Simulate));
+        earlier["command"] = "solve".into();
+        for foreign in [
+            earlier,
+            named("hardarm", "solve"),
+            named("softarm", "verify"),
+            json!({"tool": "softarm", "command": "solve"}),
+            json!({"schema_version": 1, "tool": "softarm"}),
+            json!({"schema_version": 1, "command": "solve"}),
+            json!({"schema_version": 1}),
+            json!([{"schema_version": 1, "tool": "softarm", "command": "solve"}]),
+            json!("softarm"),
         ] {
-            assert!(matches!(error, OutputError::Refused { .. }));
-            assert!(error.to_string().contains("thesis"), "{error}");
+            assert_eq!(kind(foreign.clone()), None, "{foreign}");
         }
-        assert_eq!(names(&target), ["summary.json"]);
-        let error = ResultDirectory::create(&target.join("summary.json")).unwrap_err();
-        assert!(error.to_string().contains("not a directory"), "{error}");
-        let error = ResultDirectory::create(Path::new(".")).unwrap_err();
-        assert!(error.to_string().contains("current directory"), "{error}");
-        assert_eq!(names(folder.path()), ["thesis"]);
+    }
+
+    /// Dots, slashes at the end and a way up lead to the same directory; a root is none.
+    #[test]
+    fn targets_are_located() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = fs::canonicalize(folder.path()).unwrap();
+        let target = root.join("run");
+        fs::create_dir_all(target.join("deep")).unwrap();
+        for path in ["run", "run/", "./run/.", "run/deep/.."] {
+            assert_eq!(locate(&root.join(path)).unwrap(), target, "{path}");
+        }
+        assert!(locate(Path::new("/")).is_err());
+        assert!(locate(Path::new("")).is_err());
     }
 }

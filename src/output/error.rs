@@ -4,9 +4,19 @@ use std::path::{Path, PathBuf};
 /// Why a file could not be written, read or replaced; every variant names the path.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// The operating system said no.
+    /// The operating system did not let a file be read.
     #[error("{}: {action}: {source}", path.display())]
     Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// What was attempted, as in "cannot read".
+        action: &'static str,
+        /// The operating system's answer.
+        source: io::Error,
+    },
+    /// The operating system did not let a file be written, moved or removed: a full disk, a missing permission.
+    #[error("{}: {action}: {source}", path.display())]
+    Unwritten {
         /// The file or directory.
         path: PathBuf,
         /// What was attempted, as in "cannot write".
@@ -24,20 +34,56 @@ pub enum OutputError {
         /// What is wrong, and what was expected.
         reason: String,
     },
-    /// Replacing the path would destroy something that is not an earlier result.
+    /// Writing there would touch something that is not softarm's, or that another run is at work on.
     #[error("{}: {reason}", path.display())]
     Refused {
-        /// The path that was to be replaced.
+        /// The path that was to be written.
         path: PathBuf,
         /// What stands there, and what to do.
         reason: String,
     },
+    /// A result is not where it was asked for, but safe.
+    #[error("{source}; the result is in {}", place.display())]
+    Elsewhere {
+        /// The directory that holds the result.
+        place: PathBuf,
+        /// Why the result is not in its own place.
+        source: Box<OutputError>,
+    },
+    /// A result could not be written anywhere.
+    #[error("{source}; nor could the result be written elsewhere: {last}")]
+    Nowhere {
+        /// Why the result is not in its own place.
+        source: Box<OutputError>,
+        /// Why the result is not in the last of the other places.
+        last: Box<OutputError>,
+    },
+    /// A simulation could not write its result, and can go on.
+    #[error(
+        "{source}; what was computed is kept in {}: the same command with --resume goes on from there",
+        folder.display()
+    )]
+    Kept {
+        /// The directory of the run.
+        folder: PathBuf,
+        /// What stopped the simulation.
+        source: Box<OutputError>,
+    },
 }
 
 impl OutputError {
-    /// Turns an I/O error into one that names the path; made for `map_err`.
+    /// Turns an I/O error while reading into one that names the path; made for `map_err`.
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io {
+            path: path.to_path_buf(),
+            action,
+            source,
+        }
+    }
+
+    /// Turns an I/O error while writing into one that names the path; made for `map_err`.
+    pub(crate) fn unwritten(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Unwritten {
             path: path.to_path_buf(),
             action,
             source,
@@ -53,11 +99,23 @@ impl OutputError {
         }
     }
 
-    /// Refusal to replace `path`.
+    /// Refusal to write to `path`.
     pub(super) fn refused(path: &Path, reason: impl Into<String>) -> Self {
         Self::Refused {
             path: path.to_path_buf(),
             reason: reason.into(),
+        }
+    }
+
+    /// Whether something was computed, or asked for, that is not written where it should be.
+    #[must_use]
+    pub fn is_unwritten(&self) -> bool {
+        match self {
+            Self::Unwritten { .. }
+            | Self::Elsewhere { .. }
+            | Self::Nowhere { .. }
+            | Self::Kept { .. } => true,
+            Self::Io { .. } | Self::Malformed { .. } | Self::Refused { .. } => false,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What a simulation or an optimal-control solve writes to disk.
 
+mod checkpoint;
 mod controls;
 mod diagnostics;
 mod directory;
@@ -13,9 +14,10 @@ mod rows;
 mod running;
 pub mod summary;
 
+pub use checkpoint::Checkpoint;
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::DiagnosticsRecord;
-pub use directory::ResultDirectory;
+pub use directory::{ResultDirectory, ResultKind};
 pub use error::OutputError;
 pub use feedback::write_feedback;
 pub use motion::{MotionRecord, ThinnedMotion};
@@ -26,4 +28,4 @@ pub use report::{
     ReportShape, ReportTarget, ReportVerdict, render_report,
 };
 pub use rows::{ArrayView, RowFiles, row_bytes};
-pub use running::{Checkpoint, RunDirectory};
+pub use running::RunDirectory;

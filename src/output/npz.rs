@@ -31,7 +31,7 @@ pub(super) fn write(
         fill(&mut archive)?;
         archive.zip_writer().finish()?.flush()
     };
-    attempt().map_err(OutputError::io(path, "cannot write"))
+    attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }
 
 /// Fastest deflate: mantissas do not compress, but zeros of planar motions and held controls do.

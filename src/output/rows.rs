@@ -41,14 +41,18 @@ impl RowFile {
         8 * self.row_shape.iter().product::<usize>() as u64
     }
 
-    fn io(&self, action: &'static str) -> impl FnOnce(io::Error) -> OutputError {
-        OutputError::io(&self.path, action)
+    fn unwritten(&self, action: &'static str) -> impl FnOnce(io::Error) -> OutputError {
+        OutputError::unwritten(&self.path, action)
+    }
+
+    fn unread(&self) -> impl FnOnce(io::Error) -> OutputError {
+        OutputError::io(&self.path, "cannot read")
     }
 
     fn reader(&self) -> Result<BufReader<File>, OutputError> {
         File::open(&self.path)
             .map(BufReader::new)
-            .map_err(self.io("cannot read"))
+            .map_err(self.unread())
     }
 }
 
@@ -56,7 +60,7 @@ impl RowFiles {
     /// Opens the files in `folder` for arrays like those of `layout`, whose values do not matter, and keeps the first
     /// `n_rows` rows; with 0 the files need not exist.
     pub fn open(folder: &Path, layout: &[ArrayView], n_rows: usize) -> Result<Self, OutputError> {
-        fs::create_dir_all(folder).map_err(OutputError::io(folder, "cannot create"))?;
+        fs::create_dir_all(folder).map_err(OutputError::unwritten(folder, "cannot create"))?;
         let mut arrays = Vec::new();
         for (name, shape, _) in layout {
             let path = folder.join(format!("{name}.f64"));
@@ -65,7 +69,7 @@ impl RowFiles {
                 .create(true)
                 .truncate(false)
                 .open(&path)
-                .map_err(OutputError::io(&path, "cannot open"))?;
+                .map_err(OutputError::unwritten(&path, "cannot open"))?;
             let mut array = RowFile {
                 name,
                 row_shape: shape[1..].to_vec(),
@@ -80,7 +84,7 @@ impl RowFiles {
                 file.seek(SeekFrom::Start(length))?;
                 Ok(present)
             };
-            let present = { cut }().map_err(array.io("cannot cut"))?;
+            let present = { cut }().map_err(array.unwritten("cannot cut"))?;
             if present < length {
                 return Err(OutputError::malformed(
                     &array.path,
@@ -127,7 +131,7 @@ impl RowFiles {
             values
                 .iter()
                 .try_for_each(|value| array.writer.write_all(&value.to_le_bytes()))
-                .map_err(array.io("cannot write"))?;
+                .map_err(array.unwritten("cannot write"))?;
         }
         self.n_rows += 1;
         Ok(())
@@ -136,7 +140,10 @@ impl RowFiles {
     /// Hands everything to the operating system, where it outlives the process.
     pub fn flush(&mut self) -> Result<(), OutputError> {
         for array in &mut self.arrays {
-            array.writer.flush().map_err(array.io("cannot write"))?;
+            array
+                .writer
+                .flush()
+                .map_err(array.unwritten("cannot write"))?;
         }
         Ok(())
     }
@@ -158,7 +165,7 @@ impl RowFiles {
         for _ in 0..self.n_rows {
             for ((array, reader), values) in self.arrays.iter().zip(&mut readers).zip(&mut row) {
                 for value in values {
-                    *value = next_number(reader).map_err(array.io("cannot read"))?;
+                    *value = next_number(reader).map_err(array.unread())?;
                 }
             }
             visit(&row);

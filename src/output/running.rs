@@ -1,193 +1,443 @@
-use std::fs::{self, File, TryLockError};
+use std::ffi::OsStr;
+use std::fs::{self, DirEntry, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use super::OutputError;
-use super::directory::resolve;
-use crate::mechanics::{Configuration, State};
+use super::checkpoint::{CHECKPOINT_FILE, FRESH_CHECKPOINT_FILE};
+use super::directory::{ResultDirectory, ResultKind, SUMMARY, locate, permit};
+use super::summary::{SCHEMA_VERSION, TOOL};
 
-/// Name of the checkpoint in a result directory, and in the directory of a run.
-const CHECKPOINT_FILE: &str = "checkpoint.json";
 const LOCK_FILE: &str = "lock";
-/// Version of the layout of a checkpoint.
-const CHECKPOINT_VERSION: u32 = 1;
+/// Folder in which the files of a result are written.
+const DRAFT: &str = "draft";
+/// The same folder when they are all written: what is in it belongs into the result directory.
+const READY: &str = "ready";
+/// The names of the files that a [`READY`] folder began with, one a line.
+const MANIFEST: &str = "manifest";
+/// Stands for the summary of a directory whose files are being replaced.
+const PLACEHOLDER: &str = "unfinished.json";
+/// Folders of the rows of a simulation.
+const ROW_FOLDERS: [&str; 2] = ["trajectory", "diagnostics"];
+/// The ending of files of rows.
+const ROW_ENDING: &str = "f64";
+/// A directory that another run removes at the same moment is made anew at most so many times.
+const ATTEMPTS: usize = 100;
 
-/// All that a simulation needs to go on as if it had never stopped. Its numbers are exact: they are written with as many
-/// digits as it takes to read back the same bits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Checkpoint {
-    schema_version: u32,
-    /// Version of the program; another one may compute other digits.
-    softarm: String,
-    /// Steps taken.
-    pub step: usize,
-    /// Time step, s.
-    pub step_s: f64,
-    /// The resolved scene, as TOML.
-    pub scene: String,
-    x: Vec<[f64; 3]>,
-    /// Rows of the rotation matrices.
-    #[serde(rename = "R")]
-    rotation: Vec<[[f64; 3]; 3]>,
-    linear_momentum: Vec<[f64; 3]>,
-    angular_momentum: Vec<[f64; 3]>,
-}
-
-impl Checkpoint {
-    /// After `step` steps of `step_s` seconds in `scene`.
-    pub fn new(step: usize, step_s: f64, state: &State, scene: &str) -> Self {
-        let arrays = |vectors: &[Vector3<f64>]| vectors.iter().map(|&v| v.into()).collect();
-        Self {
-            schema_version: CHECKPOINT_VERSION,
-            softarm: env!("CARGO_PKG_VERSION").into(),
-            step,
-            step_s,
-            scene: scene.into(),
-            x: arrays(&state.configuration.positions),
-            rotation: state
-                .configuration
-                .rotations
-                .iter()
-                .map(|r| r.transpose().into())
-                .collect(),
-            linear_momentum: arrays(&state.linear_momentum),
-            angular_momentum: arrays(&state.angular_momentum),
-        }
-    }
-
-    /// The state, to the bit.
-    pub fn state(&self) -> State {
-        let vectors = |arrays: &[[f64; 3]]| arrays.iter().map(|&v| v.into()).collect();
-        State {
-            configuration: Configuration {
-                positions: vectors(&self.x),
-                rotations: self
-                    .rotation
-                    .iter()
-                    .map(|&rows| Matrix3::from(rows).transpose())
-                    .collect(),
-            },
-            linear_momentum: vectors(&self.linear_momentum),
-            angular_momentum: vectors(&self.angular_momentum),
-        }
-    }
-
-    /// Reads the checkpoint in `folder`; `None` if there is none.
-    pub fn read(folder: &Path) -> Result<Option<Self>, OutputError> {
-        let path = folder.join(CHECKPOINT_FILE);
-        let text = match fs::read_to_string(&path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            other => other.map_err(OutputError::io(&path, "cannot read"))?,
-        };
-        let malformed = |reason: String| OutputError::malformed(&path, reason);
-        let checkpoint: Self = serde_json::from_str(&text)
-            .map_err(|error| malformed(format!("not a checkpoint: {error}")))?;
-        let n = checkpoint.x.len();
-        let this = env!("CARGO_PKG_VERSION");
-        if checkpoint.schema_version != CHECKPOINT_VERSION || checkpoint.softarm != this {
-            return Err(malformed(format!(
-                "made by softarm {}, but this is {this}, which may compute other digits; start over without --resume",
-                checkpoint.softarm
-            )));
-        }
-        if [
-            checkpoint.rotation.len(),
-            checkpoint.linear_momentum.len(),
-            checkpoint.angular_momentum.len(),
-        ] != [n; 3]
-        {
-            return Err(malformed("its arrays are not of one length".into()));
-        }
-        Ok(Some(checkpoint))
-    }
-
-    /// Replaces the checkpoint in `folder` in one go: whoever reads it finds the old one or this one, whole.
-    pub fn write(&self, folder: &Path) -> Result<(), OutputError> {
-        let path = folder.join(CHECKPOINT_FILE);
-        let fresh = folder.join(format!("{CHECKPOINT_FILE}.new"));
-        let text = serde_json::to_string(self)
-            .map_err(|error| OutputError::malformed(&path, error.to_string()))?;
-        fs::write(&fresh, text + "\n")
-            .and_then(|()| fs::rename(&fresh, &path))
-            .map_err(OutputError::io(&path, "cannot write"))
-    }
-}
-
-/// The directory of a run that has not ended: `.NAME.running`, beside the result directory `NAME` that it will become.
+/// The directory of a run that has not ended: `.NAME.running`, beside the result directory `NAME`.
 ///
-/// Unlike a [`ResultDirectory`](super::ResultDirectory) it outlives the process, however that ends, and `--resume` finds
-/// it by its name. It holds rows and a checkpoint; rows after the checkpoint do not count. It is locked while its run
-/// lives (the operating system frees the lock of the dead), and removed when the result is in place. A run that starts
-/// over removes what was left of an earlier one.
+/// It is locked while its run lives; the operating system frees the lock of the dead, and the next run into `NAME` takes over what
+/// they left: a simulation can be resumed, a result that was complete is put in its place, the rest is removed. It holds only what
+/// softarm makes; anything else in it, and a symbolic link in its place, is refused and stays.
+///
+/// [`publish`](Self::publish) replaces, one by one, the files of the [kind](ResultKind) of result, and leaves every other file of the
+/// result directory alone. While it does, `summary.json` says `unfinished`.
 ///
 /// What is written survives the process, not a loss of power: nothing is forced onto the disk.
 #[derive(Debug)]
 pub struct RunDirectory {
+    /// As the user wrote it.
+    named: PathBuf,
+    target: PathBuf,
+    kind: ResultKind,
     folder: PathBuf,
     _lock: File,
 }
 
 impl RunDirectory {
-    /// Takes hold of the directory for the result `target`; parents are made. It may hold what an earlier run left.
-    pub fn open(target: &Path) -> Result<Self, OutputError> {
-        let folder = Self::folder_of(target)?;
-        fs::create_dir_all(&folder).map_err(OutputError::io(&folder, "cannot create"))?;
-        let path = folder.join(LOCK_FILE);
-        let lock = File::create(&path).map_err(OutputError::io(&path, "cannot create"))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(OutputError::refused(
-                    &folder,
-                    "another run is at work on this result; wait for it, or choose another --out",
-                ));
-            }
-            Err(TryLockError::Error(error)) => {
-                return Err(OutputError::io(&path, "cannot lock")(error));
-            }
+    /// Takes hold of the directory for the result `target`; parents are made. It may hold what an earlier simulation left to resume.
+    ///
+    /// # Errors
+    /// [`OutputError::Refused`] for a target that is neither absent, nor empty, nor a result of the same kind, and while another run
+    /// is at work on it.
+    pub fn open(target: &Path, kind: ResultKind) -> Result<Self, OutputError> {
+        let named = target.to_path_buf();
+        let target = locate(target)?;
+        permit(&target, kind)?;
+        let folder = Self::folder_of(&target)?;
+        if let Some(parent) = target.parent() {
+            fs::create_dir_all(parent).map_err(OutputError::unwritten(parent, "cannot create"))?;
         }
-        Ok(Self {
+        let directory = Self {
+            _lock: lock(&folder)?,
+            named,
+            target,
+            kind,
             folder,
-            _lock: lock,
-        })
+        };
+        // What a dead run has put there may be of the other kind.
+        directory.put_in_place()?;
+        permit(&directory.target, kind)?;
+        if !directory.folder.join(CHECKPOINT_FILE).exists() {
+            directory.clear()?;
+        } else if kind == ResultKind::Simulate {
+            directory.clear_result()?;
+        } else {
+            return Err(OutputError::refused(
+                &directory.folder,
+                format!(
+                    "holds a simulation that was stopped and can be resumed, which `softarm {}` does not replace; choose another \
+                     --out, or remove it",
+                    kind.command()
+                ),
+            ));
+        }
+        Ok(directory)
     }
 
     /// Where the run of the result `target` is, or would be.
     pub fn folder_of(target: &Path) -> Result<PathBuf, OutputError> {
-        let target = resolve(target)?;
-        let Some(name) = target.file_name() else {
-            return Err(OutputError::refused(&target, "not a name for a directory"));
-        };
-        Ok(target.with_file_name(format!(".{}.running", name.to_string_lossy())))
+        let target = locate(target)?;
+        let mut name = OsStr::new(".").to_os_string();
+        name.push(target.file_name().unwrap_or_default());
+        name.push(".running");
+        Ok(target.with_file_name(name))
     }
 
     /// Where the files are.
+    #[must_use]
     pub fn path(&self) -> &Path {
         &self.folder
     }
 
-    /// Removes everything but the lock.
+    /// Removes what softarm has put there, but the lock.
     pub fn clear(&self) -> Result<(), OutputError> {
+        self.clear_where(|name| name != LOCK_FILE)
+    }
+
+    /// Removes what is left of a result that a dead run was writing.
+    fn clear_result(&self) -> Result<(), OutputError> {
+        self.clear_where(|name| {
+            [DRAFT, READY, MANIFEST, PLACEHOLDER]
+                .iter()
+                .any(|own| name == *own)
+        })
+    }
+
+    /// Removes what softarm has put there under names that are `doomed`.
+    fn clear_where(&self, doomed: impl Fn(&OsStr) -> bool) -> Result<(), OutputError> {
         let remove_all = || {
             for entry in fs::read_dir(&self.folder)? {
-                let path = entry?.path();
-                if path.is_dir() {
-                    fs::remove_dir_all(&path)?;
-                } else if !path.ends_with(LOCK_FILE) {
+                let entry = entry?;
+                if !doomed(&entry.file_name()) || !is_own(&entry)? {
+                    continue;
+                }
+                let path = entry.path();
+                if entry.file_type()?.is_dir() {
+                    for inner in fs::read_dir(&path)? {
+                        let inner = inner?;
+                        if is_own_within(&entry.file_name(), &inner)? {
+                            fs::remove_file(inner.path())?;
+                        }
+                    }
+                    fs::remove_dir(&path)?;
+                } else {
                     fs::remove_file(&path)?;
                 }
             }
             Ok(())
         };
-        remove_all().map_err(OutputError::io(&self.folder, "cannot empty"))
+        remove_all().map_err(OutputError::unwritten(&self.folder, "cannot empty"))
     }
 
     /// Removes the directory.
     pub fn remove(self) -> Result<(), OutputError> {
-        fs::remove_dir_all(&self.folder).map_err(OutputError::io(&self.folder, "cannot remove"))
+        self.clear() // the rest when it is dropped
+    }
+
+    /// Lets `fill` write the files of the result, puts them in the place of those of an earlier one, and removes this directory.
+    /// Returns the result directory, by the name that the user gave it.
+    ///
+    /// # Errors
+    /// What `fill` returns, and [`OutputError`] when the files cannot be put in place. A simulation that is here can still be resumed.
+    pub fn publish(
+        self,
+        fill: impl FnOnce(&ResultDirectory) -> Result<(), OutputError>,
+    ) -> Result<PathBuf, OutputError> {
+        self.write(fill)?;
+        self.put_in_place()?;
+        self.clear()?;
+        Ok(self.named.clone())
+    }
+
+    /// [Publishes](Self::publish), or else writes the result to another place and returns [`OutputError::Elsewhere`].
+    ///
+    /// # Errors
+    /// [`OutputError::Elsewhere`], and [`OutputError::Nowhere`] when no place takes the result.
+    pub fn publish_or_rescue(
+        self,
+        fill: impl Fn(&ResultDirectory) -> Result<(), OutputError>,
+    ) -> Result<PathBuf, OutputError> {
+        let Err(source) = self.write(&fill).and_then(|()| self.put_in_place()) else {
+            self.clear()?;
+            return Ok(self.named.clone());
+        };
+        let source = Box::new(source);
+        let name = self.target.file_name().unwrap_or_default();
+        match ResultDirectory::rescue(name, &fill) {
+            Ok(place) => {
+                let _ = self.clear(); // the next run would
+                Err(OutputError::Elsewhere { place, source })
+            }
+            Err(last) => Err(OutputError::Nowhere {
+                source,
+                last: Box::new(last),
+            }),
+        }
+    }
+
+    /// Writes the files of a result, up to the point from which the next run would put them in place.
+    fn write(
+        &self,
+        fill: impl FnOnce(&ResultDirectory) -> Result<(), OutputError>,
+    ) -> Result<(), OutputError> {
+        let draft = self.folder.join(DRAFT);
+        let write = || {
+            fs::create_dir(&draft).map_err(OutputError::unwritten(&draft, "cannot create"))?;
+            fill(&ResultDirectory::new(&draft, &self.named))?;
+            let names = self.names_in(&draft)?;
+            let manifest = self.folder.join(MANIFEST);
+            fs::write(&manifest, names.join("\n"))
+                .and_then(|()| fs::rename(&draft, self.folder.join(READY)))
+                .map_err(OutputError::unwritten(&manifest, "cannot write"))
+        };
+        write().inspect_err(|_| {
+            let _ = self.clear_result(); // makes room
+        })
+    }
+
+    /// The names of the files in the draft of a result; all must be names that the kind of result has.
+    fn names_in(&self, draft: &Path) -> Result<Vec<&'static str>, OutputError> {
+        let n_entries = fs::read_dir(draft).map_err(cannot_read(draft))?.count();
+        let names: Vec<&str> = (self.kind.files().iter())
+            .copied()
+            .filter(|name| draft.join(name).is_file())
+            .collect();
+        if names.len() == n_entries {
+            Ok(names)
+        } else {
+            let names = names.join(", ");
+            Err(OutputError::malformed(
+                draft,
+                format!("{n_entries} entries, of which only {names} belong to such a result"),
+            ))
+        }
+    }
+
+    /// Puts the files that are ready into the result directory, the summary last; files of the same kind of result that are not among
+    /// them are removed. Goes on where a run that died had come to.
+    fn put_in_place(&self) -> Result<(), OutputError> {
+        let Self { folder, target, .. } = self;
+        let ready = folder.join(READY);
+        // Without a summary nothing is ready: the summary goes last.
+        let Some(kind) = ResultKind::of_directory(&ready) else {
+            return Ok(());
+        };
+        permit(target, kind)?;
+        if !target.exists() {
+            return fs::rename(&ready, target).map_err(cannot_replace(target));
+        }
+        let manifest = folder.join(MANIFEST);
+        let names = fs::read_to_string(&manifest).map_err(cannot_read(&manifest))?;
+        self.put_placeholder(kind)?;
+        for name in kind.files() {
+            let (from, to) = (ready.join(name), target.join(name));
+            if from.exists() {
+                move_file(&from, &to).map_err(cannot_replace(&to))?;
+            } else if !names.lines().any(|written| written == *name) {
+                absent_is_fine(fs::remove_file(&to)).map_err(cannot_replace(&to))?;
+            }
+        }
+        empty_folder(&ready).map_err(OutputError::unwritten(&ready, "cannot remove"))
+    }
+
+    /// Marks the result directory as one whose files are being replaced.
+    fn put_placeholder(&self, kind: ResultKind) -> Result<(), OutputError> {
+        let placeholder = self.folder.join(PLACEHOLDER);
+        let text = json!({
+            "schema_version": SCHEMA_VERSION,
+            "tool": TOOL,
+            "command": kind.command(),
+            "status": "unfinished",
+            "message": "softarm was stopped while it replaced the files of this directory; its next run into it completes them",
+        });
+        fs::write(&placeholder, format!("{text:#}\n"))
+            .and_then(|()| move_file(&placeholder, &self.target.join(SUMMARY)))
+            .map_err(OutputError::unwritten(&placeholder, "cannot write"))
+    }
+}
+
+impl Drop for RunDirectory {
+    /// Leaves nothing where nothing is left to resume.
+    fn drop(&mut self) {
+        let holds_more =
+            |entries: fs::ReadDir| (entries.flatten()).any(|entry| entry.file_name() != LOCK_FILE);
+        if fs::read_dir(&self.folder).is_ok_and(|entries| !holds_more(entries)) {
+            let _ = fs::remove_file(self.folder.join(LOCK_FILE));
+            let _ = fs::remove_dir(&self.folder);
+        }
+    }
+}
+
+/// Makes the folder where there is none, and locks it.
+fn lock(folder: &Path) -> Result<File, OutputError> {
+    let path = folder.join(LOCK_FILE);
+    let at_work = || {
+        OutputError::refused(
+            folder,
+            "another run is at work on this result; wait for it, or choose another --out",
+        )
+    };
+    for _ in 0..ATTEMPTS {
+        match fs::create_dir(folder) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+                return Err(OutputError::unwritten(folder, "cannot create")(error));
+            }
+            _ => refuse_foreign(folder)?,
+        }
+        let file = match OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+        {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+            other => other.map_err(OutputError::unwritten(&path, "cannot create"))?,
+        };
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(at_work()),
+            Err(TryLockError::Error(error)) => {
+                return Err(OutputError::unwritten(&path, "cannot lock")(error));
+            }
+        }
+        // Whoever held it may have removed the directory since it was opened.
+        if is_at(&file, &path) {
+            return Ok(file);
+        }
+    }
+    Err(at_work())
+}
+
+/// Whether an open file is the one at `path`.
+fn is_at(file: &File, path: &Path) -> bool {
+    let (Ok(open), Ok(named)) = (file.metadata(), fs::symlink_metadata(path)) else {
+        return false;
+    };
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        (open.dev(), open.ino()) == (named.dev(), named.ino())
+    }
+    #[cfg(not(unix))]
+    {
+        open.is_file() && named.is_file() // where an open file cannot be removed
+    }
+}
+
+fn cannot_read(path: &Path) -> impl FnOnce(io::Error) -> OutputError {
+    OutputError::io(path, "cannot read")
+}
+
+fn cannot_replace(path: &Path) -> impl FnOnce(io::Error) -> OutputError {
+    OutputError::unwritten(path, "cannot put in place")
+}
+
+/// `Ok` if the folder is a directory, and all in it is what softarm puts there.
+fn refuse_foreign(folder: &Path) -> Result<(), OutputError> {
+    let refuse = |path: &Path| {
+        Err(OutputError::refused(
+            path,
+            "stands where softarm keeps a run on its way, and is not from it; move it away, or choose another --out",
+        ))
+    };
+    match fs::symlink_metadata(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        other => {
+            if !other.map_err(cannot_read(folder))?.is_dir() {
+                return refuse(folder);
+            }
+        }
+    }
+    let entries = |path: &Path| -> Result<Vec<DirEntry>, OutputError> {
+        match fs::read_dir(path).and_then(Iterator::collect) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+            other => other.map_err(cannot_read(path)),
+        }
+    };
+    for entry in entries(folder)? {
+        let path = entry.path();
+        if !is_own(&entry).map_err(cannot_read(&path))? {
+            return refuse(&path);
+        }
+        if !entry.file_type().map_err(cannot_read(&path))?.is_dir() {
+            continue;
+        }
+        for inner in entries(&path)? {
+            let inner_path = inner.path();
+            if !is_own_within(&entry.file_name(), &inner).map_err(cannot_read(&inner_path))? {
+                return refuse(&inner_path);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether softarm puts such an entry into the directory of a run.
+fn is_own(entry: &DirEntry) -> io::Result<bool> {
+    let (name, kind) = (entry.file_name(), entry.file_type()?);
+    let is_one_of = |names: &[&str]| names.iter().any(|own| name == *own);
+    let files = [
+        LOCK_FILE,
+        MANIFEST,
+        PLACEHOLDER,
+        CHECKPOINT_FILE,
+        FRESH_CHECKPOINT_FILE,
+    ];
+    Ok((kind.is_file() && is_one_of(&files))
+        || (kind.is_dir() && (is_one_of(&ROW_FOLDERS) || is_one_of(&[DRAFT, READY]))))
+}
+
+/// Whether softarm puts such an entry into one of the folders there.
+fn is_own_within(folder: &OsStr, entry: &DirEntry) -> io::Result<bool> {
+    let name = entry.file_name();
+    let is_known = if ROW_FOLDERS.iter().any(|rows| folder == *rows) {
+        Path::new(&name).extension() == Some(OsStr::new(ROW_ENDING))
+    } else {
+        (ResultKind::ALL.iter())
+            .flat_map(|kind| kind.files())
+            .any(|own| name == *own)
+    };
+    Ok(is_known && entry.file_type()?.is_file())
+}
+
+/// Moves a file over another, or over a link, in one go; in two onto another disk.
+fn move_file(from: &Path, to: &Path) -> io::Result<()> {
+    match fs::rename(from, to) {
+        Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
+            absent_is_fine(fs::remove_file(to))?; // a link would be followed
+            let mut target = File::create_new(to)?;
+            io::copy(&mut File::open(from)?, &mut target)?;
+            fs::remove_file(from)
+        }
+        other => other,
+    }
+}
+
+/// Removes a folder of files.
+fn empty_folder(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        fs::remove_file(entry?.path())?;
+    }
+    fs::remove_dir(folder)
+}
+
+fn absent_is_fine(outcome: io::Result<()>) -> io::Result<()> {
+    match outcome {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        other => other,
     }
 }
 
@@ -195,89 +445,308 @@ impl RunDirectory {
 mod tests {
     use super::*;
 
-    /// Any finite numbers come back with the same bits: zeros of both signs, subnormals, numbers with a long tail.
-    #[test]
-    fn checkpoint_round_trip_is_exact() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(Checkpoint::read(folder.path()).unwrap().is_none());
-        let mut bits = 1_u64;
-        let mut number = || {
-            bits = bits.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            match bits >> 61 {
-                0 => 0.0,
-                1 => -0.0,
-                2 => f64::from_bits(bits >> 13),
-                _ => f64::from_bits((bits & !(0x7FF << 52)) | ((bits >> 54) + 500) << 52),
-            }
-        };
-        let mut vectors = |n: usize| -> Vec<Vector3<f64>> {
-            (0..n).map(|_| Vector3::from_fn(|_, _| number())).collect()
-        };
-        let n = 200;
-        let state = State {
-            configuration: Configuration {
-                positions: vectors(n),
-                rotations: (0..n).map(|_| Matrix3::from_columns(&vectors(3))).collect(),
-            },
-            linear_momentum: vectors(n),
-            angular_momentum: vectors(n),
-        };
-        let written = Checkpoint::new(12345, 0.1 + 0.2, &state, "[rod]\n");
-        written.write(folder.path()).unwrap();
-        let read = Checkpoint::read(folder.path()).unwrap().unwrap();
-        assert_eq!(
-            (read.step, read.step_s.to_bits()),
-            (12345, (0.1f64 + 0.2).to_bits())
-        );
-        // Unlike `==`, this tells the two zeros apart.
-        assert_eq!(format!("{:?}", read.state()), format!("{state:?}"));
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
     }
 
-    /// A checkpoint of another version, one that breaks off, and one of uneven arrays are refused by name.
-    #[test]
-    fn foreign_checkpoints_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let state = State::at_rest(Configuration {
-            positions: vec![Vector3::zeros(); 2],
-            rotations: vec![Matrix3::identity(); 2],
-        });
-        let good = serde_json::to_string(&Checkpoint::new(1, 0.1, &state, "")).unwrap();
-        let version = format!("\"{}\"", env!("CARGO_PKG_VERSION"));
-        for (text, word) in [
-            (good.replace(&version, "\"0.0.0\""), "softarm 0.0.0"),
-            (good[..good.len() / 2].to_string(), "not a checkpoint"),
-            (
-                good.replace("\"x\":[[0.0,0.0,0.0],", "\"x\":["),
-                "one length",
-            ),
-        ] {
-            assert_ne!(text, good);
-            fs::write(folder.path().join(CHECKPOINT_FILE), text).unwrap();
-            let error = Checkpoint::read(folder.path()).unwrap_err().to_string();
-            assert!(
-                error.contains(word) && error.contains(CHECKPOINT_FILE),
-                "{error}"
-            );
+    fn summary(kind: ResultKind) -> serde_json::Value {
+        json!({"schema_version": SCHEMA_VERSION, "tool": TOOL, "command": kind.command()})
+    }
+
+    /// Writes a solve with these files beside the summary, and their own names as content.
+    fn fill(files: &[&str]) -> impl Fn(&ResultDirectory) -> Result<(), OutputError> {
+        move |result| {
+            for name in files {
+                result.write_text(name, name)?;
+            }
+            result.write_json(SUMMARY, &summary(ResultKind::Solve))
         }
     }
 
-    /// Two runs cannot share a directory; when the first lets go, what it left is there for the next.
+    fn solve(target: &Path, files: &[&str]) -> Result<PathBuf, OutputError> {
+        RunDirectory::open(target, ResultKind::Solve)?.publish(fill(files))
+    }
+
+    /// Until it is published the target does not exist; after it, it holds what was written, and no sibling remains. A run that is
+    /// given up leaves nothing.
+    #[test]
+    fn result_appears_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("deep").join("result");
+        drop(RunDirectory::open(&target, ResultKind::Solve).unwrap());
+        assert!(names(target.parent().unwrap()).is_empty());
+        let run = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+        let written = run
+            .publish(|result| {
+                assert_eq!(result.place(), target);
+                fill(&["scene.toml"])(result)?;
+                assert!(!target.exists());
+                Ok(())
+            })
+            .unwrap();
+        assert_eq!(written, target);
+        assert_eq!(names(&target), ["scene.toml", SUMMARY]);
+        assert_eq!(names(target.parent().unwrap()), ["result"]);
+    }
+
+    /// Files of an earlier result go, whether the new one has them or not; files and folders of the user stay, with their content, also
+    /// in a directory that was empty.
+    #[test]
+    fn only_own_files_are_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("result");
+        fs::create_dir(&target).unwrap();
+        solve(&target, &["controls.csv", "report.html"]).unwrap();
+        fs::write(target.join("notes.md"), "mine").unwrap();
+        fs::write(
+            target.join("checkpoint.json"),
+            "mine: no solve has such a file",
+        )
+        .unwrap();
+        fs::create_dir(target.join("figures")).unwrap();
+        fs::write(target.join("figures/report.html"), "mine").unwrap();
+        fs::write(target.join("report.html"), "changed").unwrap();
+        solve(&target, &["iterations.csv", "report.html"]).unwrap();
+        let expected = [
+            "checkpoint.json",
+            "figures",
+            "iterations.csv",
+            "notes.md",
+            "report.html",
+            SUMMARY,
+        ];
+        assert_eq!(names(&target), expected);
+        let read = |name: &str| fs::read_to_string(target.join(name)).unwrap();
+        assert_eq!(read("report.html"), "report.html");
+        assert_eq!(read("notes.md"), "mine");
+        assert_eq!(read("figures/report.html"), "mine");
+        assert_eq!(names(folder.path()), ["result"]);
+    }
+
+    /// A file, a directory of other files, one with somebody else's summary, one with the result of another command, and one where a
+    /// directory has the name of one of our files, are refused and stay as they are; so is one that becomes foreign on the way.
+    #[test]
+    fn foreign_directories_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("thesis");
+        let refused = |word: &str| {
+            let before = names(&target);
+            let error = solve(&target, &["report.html"]).unwrap_err();
+            assert!(matches!(error, OutputError::Refused { .. }), "{error}");
+            let error = error.to_string();
+            assert!(error.contains(word) && error.contains("thesis"), "{error}");
+            assert_eq!(names(&target), before);
+            assert_eq!(names(folder.path()), ["thesis"]);
+        };
+        fs::create_dir(&target).unwrap();
+        fs::write(target.join("chapter.tex"), "").unwrap();
+        refused("no result of softarm");
+        fs::write(
+            target.join(SUMMARY),
+            r#"{"schema_version": 1, "command": "solve"}"#,
+        )
+        .unwrap();
+        refused("no result of softarm");
+        let simulation = summary(ResultKind::Simulate).to_string();
+        fs::write(target.join(SUMMARY), simulation).unwrap();
+        refused("`softarm simulate`");
+        fs::write(target.join(SUMMARY), summary(ResultKind::Solve).to_string()).unwrap();
+        fs::create_dir(target.join("controls.csv")).unwrap();
+        refused("`controls.csv`");
+        fs::remove_dir(target.join("controls.csv")).unwrap();
+        let run = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+        fs::write(target.join(SUMMARY), r#"{"chapters": 7}"#).unwrap();
+        assert!(run.publish(fill(&[])).is_err());
+        assert_eq!(names(&target), ["chapter.tex", SUMMARY]);
+        let error = solve(&target.join(SUMMARY), &[]).unwrap_err().to_string();
+        assert!(error.contains("not a directory"), "{error}");
+    }
+
+    /// A symbolic link in the place of the result, of the run's directory, of its lock or of one of its folders is refused, and what it
+    /// leads to stays; one in the place of a file of the result is replaced, not followed.
+    #[cfg(unix)]
+    #[test]
+    fn links_are_not_followed() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let target = path("result");
+        fs::create_dir(path("precious")).unwrap();
+        fs::write(path("precious/report.html"), "mine").unwrap();
+        fs::write(path("precious/lock"), "mine").unwrap();
+        let refused = |link: &str, to: &str| {
+            symlink(path(to), path(link)).unwrap();
+            for kind in ResultKind::ALL {
+                let error = RunDirectory::open(&target, kind).unwrap_err().to_string();
+                assert!(error.contains(link), "{error}");
+            }
+            fs::remove_file(path(link)).unwrap();
+        };
+        refused("result", "precious");
+        refused("result", "nothing");
+        refused(".result.running", "precious");
+        refused(".result.running", "nothing");
+        fs::create_dir(path(".result.running")).unwrap();
+        for link in ["lock", "draft", "ready", "trajectory", "checkpoint.json"] {
+            refused(&format!(".result.running/{link}"), "precious");
+            refused(&format!(".result.running/{link}"), "precious/lock");
+        }
+        solve(&target, &["report.html"]).unwrap();
+        fs::remove_file(target.join("report.html")).unwrap();
+        symlink(path("precious/report.html"), target.join("report.html")).unwrap();
+        solve(&target, &["report.html"]).unwrap();
+        let read = |name: &str| fs::read_to_string(path(name)).unwrap();
+        assert_eq!(read("result/report.html"), "report.html");
+        assert_eq!(read("precious/report.html"), "mine");
+        assert_eq!(names(folder.path()), ["precious", "result"]);
+    }
+
+    /// Anything else in the directory of a run is refused before anything is touched.
+    #[test]
+    fn foreign_files_in_a_run_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("result");
+        let running = folder.path().join(".result.running");
+        for foreign in [
+            "notes.md",
+            "draft/notes.md",
+            "trajectory/notes.md",
+            "draft/deep/x",
+        ] {
+            let path = running.join(foreign);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(running.join(MANIFEST), "").unwrap();
+            fs::write(&path, "mine").unwrap();
+            let error = solve(&target, &[]).unwrap_err().to_string();
+            assert!(error.contains("move it away"), "{error}");
+            assert_eq!(fs::read_to_string(&path).unwrap(), "mine");
+            assert!(running.join(MANIFEST).exists());
+            fs::remove_dir_all(&running).unwrap();
+        }
+    }
+
+    /// Two runs cannot share a directory; what the first leaves is there for the next of its kind, and refused to the other.
     #[test]
     fn run_directory_is_locked_and_stays() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("result");
-        let first = RunDirectory::open(&target).unwrap();
-        fs::create_dir(first.path().join("rows")).unwrap();
-        fs::write(first.path().join("rows/t.f64"), "12345678").unwrap();
-        let error = RunDirectory::open(&target).unwrap_err().to_string();
-        assert!(error.contains("another run"), "{error}");
+        let open = || RunDirectory::open(&target, ResultKind::Simulate);
+        let first = open().unwrap();
+        fs::create_dir(first.path().join("trajectory")).unwrap();
+        fs::write(first.path().join("trajectory/t.f64"), "12345678").unwrap();
+        fs::write(first.path().join(CHECKPOINT_FILE), "{}").unwrap();
+        for kind in ResultKind::ALL {
+            let error = RunDirectory::open(&target, kind).unwrap_err().to_string();
+            assert!(error.contains("another run"), "{error}");
+        }
         drop(first);
-        let second = RunDirectory::open(&target).unwrap();
-        assert!(second.path().join("rows/t.f64").exists());
+        let error = solve(&target, &[]).unwrap_err().to_string();
+        assert!(error.contains("can be resumed"), "{error}");
+        let second = open().unwrap();
+        assert!(second.path().join("trajectory/t.f64").exists());
         second.clear().unwrap();
-        assert!(!second.path().join("rows").exists());
-        assert!(RunDirectory::open(&target).is_err());
+        assert_eq!(names(second.path()), [LOCK_FILE]);
+        assert!(open().is_err());
         second.remove().unwrap();
-        assert!(fs::read_dir(folder.path()).unwrap().next().is_none());
+        assert!(names(folder.path()).is_empty());
+    }
+
+    /// Wherever a run dies while its files replace those of an earlier result, the next one finds a directory that is not taken for a
+    /// finished result, completes it, and has lost nothing of the user's.
+    #[test]
+    fn a_dead_run_is_completed() {
+        let new = ["scene.toml", "controls.csv", "report.html"];
+        // The files that had been moved when the run died; the summary goes last.
+        for (n_moved, placeholder) in [(0, false), (0, true), (1, true), (3, true), (4, true)] {
+            let folder = tempfile::tempdir().unwrap();
+            let target = folder.path().join("result");
+            solve(&target, &["scene.toml", "feedback.npz", "report.html"]).unwrap();
+            fs::write(target.join("scene.toml"), "old").unwrap();
+            fs::write(target.join("notes.md"), "mine").unwrap();
+
+            let run = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+            let ready = run.path().join(READY);
+            fs::create_dir(&ready).unwrap();
+            fill(&new)(&ResultDirectory::new(&ready, &target)).unwrap();
+            fs::write(
+                run.path().join(MANIFEST),
+                [&new[..], &[SUMMARY]].concat().join("\n"),
+            )
+            .unwrap();
+            if placeholder {
+                run.put_placeholder(ResultKind::Solve).unwrap();
+                let summary = fs::read_to_string(target.join(SUMMARY)).unwrap();
+                assert!(summary.contains("unfinished"));
+            }
+            for name in [&new[..], &[SUMMARY]].concat().iter().take(n_moved) {
+                fs::rename(ready.join(name), target.join(name)).unwrap();
+            }
+            drop(run);
+
+            let next = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+            if n_moved < 4 {
+                assert_eq!(
+                    names(&target),
+                    [
+                        "controls.csv",
+                        "notes.md",
+                        "report.html",
+                        "scene.toml",
+                        SUMMARY
+                    ]
+                );
+            }
+            let read = |name: &str| fs::read_to_string(target.join(name)).unwrap();
+            assert_eq!(read("scene.toml"), "scene.toml");
+            assert_eq!(read("notes.md"), "mine");
+            assert!(!read(SUMMARY).contains("unfinished"));
+            next.clear().unwrap();
+            drop(next);
+            assert_eq!(names(folder.path()), ["result"]);
+        }
+    }
+
+    /// What `fill` could not write leaves the earlier result as it was, and nothing of its own; a result that its place does not take is
+    /// written to another one, which the error names.
+    #[test]
+    fn a_result_without_a_place_is_rescued() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("result");
+        solve(&target, &["report.html"]).unwrap();
+        let run = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+        let full = || io::Error::from(io::ErrorKind::StorageFull);
+        let error = run
+            .publish_or_rescue(|result| {
+                result.write_text("report.html", "new")?;
+                if result.place() == target {
+                    return Err(OutputError::unwritten(result.path(), "cannot write")(full()));
+                }
+                result.write_json(SUMMARY, &summary(ResultKind::Solve))
+            })
+            .unwrap_err();
+        assert!(error.is_unwritten());
+        let OutputError::Elsewhere { place, source } = error else {
+            panic!("{error}")
+        };
+        assert!(source.to_string().contains("cannot write"), "{source}");
+        assert_eq!(names(&place), ["report.html", SUMMARY]);
+        fs::remove_dir_all(place).unwrap();
+        assert_eq!(names(folder.path()), ["result"]);
+        let kept = fs::read_to_string(target.join("report.html")).unwrap();
+        assert_eq!(kept, "report.html");
+
+        let run = RunDirectory::open(&target, ResultKind::Solve).unwrap();
+        let error = run
+            .publish_or_rescue(|result| {
+                Err(OutputError::unwritten(result.path(), "cannot write")(full()))
+            })
+            .unwrap_err();
+        assert!(matches!(error, OutputError::Nowhere { .. }), "{error}");
+        assert_eq!(names(folder.path()), ["result"]);
     }
 }

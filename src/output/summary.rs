@@ -9,6 +9,8 @@ use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
+/// The program that writes a result, as the summary in a result directory names it.
+pub const TOOL: &str = "softarm";
 
 /// Summary of `check`.
 #[derive(Clone, Debug, Serialize)]
@@ -166,6 +168,8 @@ pub struct EnergySummary {
 pub struct SimulateSummary {
     /// [`SCHEMA_VERSION`]
     pub schema_version: u32,
+    /// [`TOOL`]
+    pub tool: &'static str,
     /// `simulate`
     pub command: &'static str,
     /// Name of the scene.
@@ -456,6 +460,8 @@ pub struct StartSummary {
 pub struct SolveSummary {
     /// [`SCHEMA_VERSION`]
     pub schema_version: u32,
+    /// [`TOOL`]
+    pub tool: &'static str,
     /// `solve`
     pub command: &'static str,
     /// Name of the scene.

@@ -1,5 +1,7 @@
 //! The command line's exit codes, and a scene that it solves in a blink.
 
+#![allow(dead_code)] // no test program uses all of it
+
 pub const DONE: i32 = 0;
 pub const USAGE: i32 = 2;
 pub const NOT_CONVERGED: i32 = 3;
@@ -7,6 +9,7 @@ pub const INFEASIBLE: i32 = 4;
 pub const NUMERICAL: i32 = 5;
 pub const STOPPED: i32 = 6;
 pub const REJECTED: i32 = 7;
+pub const UNWRITTEN: i32 = 8;
 
 /// Four elements, 0.3 s, five blocks: solved in a blink.
 pub const SCENE: &str = "\
