@@ -23,7 +23,7 @@ const ENDLESS: [&str; 4] = [
     "--set",
     "solver.tolerance=1e-300",
     "--set",
-    "solver.max_iterations=1000000000",
+    "solver.max_iterations=1000000",
 ];
 
 impl Desk {
@@ -557,4 +557,78 @@ fn a_second_request_ends_at_once() {
         assert_eq!(names(desk.folder.path()), ["run", "scene.toml"]);
         fs::remove_dir_all(desk.path("run")).unwrap();
     }
+}
+
+/// A checkpoint that is no file, has no end, or is longer than any of the scene, and one that was changed, are refused at once, with what to
+/// do; so are rows and archives that are not those of the checkpoint. What is there stays, and a run from the start replaces it.
+#[cfg(unix)]
+#[test]
+fn what_is_resumed_is_checked() {
+    let desk = Desk::new();
+    // 600 steps: the checkpoint is at step 512.
+    let short = ["--set", "time.step_s=5e-4"];
+    let simulate = [&["simulate", "scene.toml", "--out", "run"], &short[..]].concat();
+    let later = [&simulate[..], &["--resume", "--set", "time.end_s=0.6"]].concat();
+    desk.run(&simulate).exits(DONE);
+    let checkpoint = desk.path("run/checkpoint.json");
+    let good = fs::read_to_string(&checkpoint).unwrap();
+    let refused = |words: &[&str]| {
+        desk.run(&later).exits(USAGE).says(words);
+        assert_eq!(names(desk.folder.path()), ["run", "scene.toml"]);
+    };
+
+    fs::remove_file(&checkpoint).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &checkpoint).unwrap();
+    refused(&["checkpoint.json", "not a file"]);
+    fs::remove_file(&checkpoint).unwrap();
+    let made = Command::new("mkfifo").arg(&checkpoint).status().unwrap();
+    assert!(made.success());
+    refused(&["checkpoint.json", "not a file"]);
+    fs::remove_file(&checkpoint).unwrap();
+    let sparse = fs::File::create(&checkpoint).unwrap();
+    sparse.set_len(1 << 36).unwrap();
+    refused(&["checkpoint.json", "68719476736 bytes", "without --resume"]);
+    let step = good.find("\"step\":").unwrap() + "\"step\":".len();
+    let changed = [&good[..step], "1", &good[step..]].concat();
+    fs::write(&checkpoint, changed).unwrap();
+    refused(&["checkpoint.json", "checksum", "without --resume"]);
+    let number = good.rfind("0.").unwrap();
+    let changed = [&good[..number], "1.", &good[number + 2..]].concat();
+    fs::write(&checkpoint, changed).unwrap();
+    refused(&["checkpoint.json", "checksum"]);
+    fs::write(&checkpoint, &good).unwrap();
+
+    // The rows of another motion, of the same shape.
+    let rows = fs::read(desk.path("run/trajectory.npz")).unwrap();
+    let gravity = ["--set", "gravity.acceleration_m_s2=[1,0,0]"];
+    let other = [
+        &["simulate", "scene.toml", "--out", "other"],
+        &short[..],
+        &gravity,
+    ]
+    .concat();
+    desk.run(&other).exits(DONE);
+    fs::rename(
+        desk.path("other/trajectory.npz"),
+        desk.path("run/trajectory.npz"),
+    )
+    .unwrap();
+    fs::remove_dir_all(desk.path("other")).unwrap();
+    refused(&["the rows are not those", "without --resume"]);
+    fs::write(desk.path("run/trajectory.npz"), &rows).unwrap();
+    desk.run(&later).exits(DONE);
+
+    // Rows of a run that was stopped.
+    cramped(&desk, &simulate).exits(UNWRITTEN);
+    let x = desk.path(".run.running/trajectory/x.f64");
+    let mut bytes = fs::read(&x).unwrap();
+    bytes[7] ^= 1;
+    fs::write(&x, &bytes).unwrap();
+    let resume = [&simulate[..], &["--resume"]].concat();
+    desk.run(&resume)
+        .exits(USAGE)
+        .says(&["the rows are not those"]);
+    assert_eq!(fs::read(&x).unwrap(), bytes);
+    desk.run(&simulate).exits(DONE);
+    assert_eq!(names(desk.folder.path()), ["run", "scene.toml"]);
 }

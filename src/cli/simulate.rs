@@ -20,7 +20,7 @@ use crate::output::summary::{
 };
 use crate::output::{
     ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory,
-    ResultKind, RowFiles, RunDirectory, ThinnedMotion, render_report,
+    ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
 use crate::stop::StopSignal;
@@ -42,7 +42,7 @@ pub(super) fn run(
     let target = arguments.directory("simulate");
     let (directory, setup, found) = if resume {
         let directory = Found::directory(&target)?;
-        let found = Found::beside(&directory, &target)?;
+        let found = Found::beside(&directory, &target, &scene)?;
         let setup = continued(&scene, &source, &found.checkpoint, &stop)?;
         (directory, setup, Some(found))
     } else {
@@ -160,9 +160,10 @@ impl Found {
     }
 
     /// A run that was killed, or else one that wrote its result.
-    fn beside(directory: &RunDirectory, target: &Path) -> Result<Self, CliError> {
+    fn beside(directory: &RunDirectory, target: &Path, scene: &Scene) -> Result<Self, CliError> {
+        let most_bytes = Checkpoint::most_bytes(scene.rod.elements + 1, scene.to_toml().len());
         for (folder, killed) in [(directory.path(), true), (target, false)] {
-            if let Some(checkpoint) = Checkpoint::read(folder)? {
+            if let Some(checkpoint) = Checkpoint::read(folder, most_bytes)? {
                 return Ok(Self { checkpoint, killed });
             }
         }
@@ -221,11 +222,30 @@ fn continued(
     }
     setup.grid.step = step;
     setup.resolved.time.step_s = TimeStep::Seconds(step);
+    let rows = checkpoint.step / setup.steps_per_row + 1; // and one at the end
+    if checkpoint.n_nodes() != setup.rod.n_nodes()
+        || !checkpoint.step.is_multiple_of(Stepper::SEAT)
+        || !(rows..=rows + 1).contains(&checkpoint.trajectory.rows)
+        || checkpoint.diagnostics.is_some() != setup.diagnostics
+    {
+        return refuse(format!(
+            "the checkpoint, of {} nodes and {} rows at step {}, is not one of this scene",
+            checkpoint.n_nodes(),
+            checkpoint.trajectory.rows,
+            checkpoint.step
+        ));
+    }
     if setup.grid.n_steps < checkpoint.step {
         return refuse(format!(
             "time.end_s is {} s, before the {} s from where the earlier run can be continued",
             scene.time.end_s,
             setup.grid.time(checkpoint.step)
+        ));
+    }
+    if setup.n_rows(checkpoint.step) > checkpoint.trajectory.rows {
+        return refuse(format!(
+            "time.end_s is {} s, from where the earlier run can be continued, but it has no row there; choose a later one",
+            scene.time.end_s
         ));
     }
     Ok(setup)
@@ -262,6 +282,8 @@ struct Run<'a> {
     integrator: Stepper<'a>,
     trajectory: RowFiles,
     diagnostics: Option<RowFiles>,
+    /// The rows of both at the last step from which the run can be resumed.
+    resumable: (RowPrefix, Option<RowPrefix>),
     /// The last row.
     row: MotionRecord,
     thinned: ThinnedMotion,
@@ -273,10 +295,25 @@ impl<'a> Run<'a> {
     fn start(setup: &'a Simulation, directory: &RunDirectory) -> Result<Self, CliError> {
         directory.clear()?;
         let files = |name: &str, layout: &[ArrayView]| {
-            RowFiles::open(&directory.path().join(name), layout, 0)
+            RowFiles::create(&directory.path().join(name), layout)
         };
-        let integrator = Stepper::new(&setup.rod, setup.grid.step, setup.initial.clone());
-        let mut run = Self::of(setup, directory, integrator, files)?;
+        let row = MotionRecord::empty(setup.rod.n_nodes());
+        let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
+        let mut run = Self {
+            setup,
+            folder: directory.path().into(),
+            integrator: Stepper::new(&setup.rod, setup.grid.step, setup.initial.clone()),
+            trajectory: files("trajectory", &row.arrays())?,
+            diagnostics: if setup.diagnostics {
+                Some(files("diagnostics", &diagnostics.arrays())?)
+            } else {
+                None
+            },
+            resumable: (RowPrefix::default(), None),
+            thinned: ThinnedMotion::new(row.n_nodes),
+            row,
+            tally: Tally::default(),
+        };
         run.observe(None)?;
         Ok(run)
     }
@@ -293,59 +330,54 @@ impl<'a> Run<'a> {
             directory.clear()?;
         }
         let n_rows = setup.n_rows(checkpoint.step);
-        let files = |name: &str, layout: &[ArrayView]| {
+        // A result ends before the next step from which it could be resumed, with one more row at its end.
+        let most_rows = (checkpoint.step + Stepper::SEAT) / setup.steps_per_row + 2;
+        let files = |name: &str,
+                     layout: &[ArrayView],
+                     written: RowPrefix,
+                     visit: &mut dyn FnMut(&[Vec<f64>])| {
             let folder = directory.path().join(name);
-            if found.killed {
-                RowFiles::open(&folder, layout, n_rows)
-            } else {
-                RowFiles::unpack(&target.join(format!("{name}.npz")), &folder, layout, n_rows)
+            if !found.killed {
+                let archive = target.join(format!("{name}.npz"));
+                RowFiles::unpack(&archive, &folder, layout, most_rows)?;
             }
+            RowFiles::resume(&folder, layout, written, n_rows, visit)
         };
-        let integrator = Stepper::resume(
-            &setup.rod,
-            setup.grid.step,
-            checkpoint.state(),
-            checkpoint.step,
-        );
-        let mut run = Self::of(setup, directory, integrator, files)?;
-        let Self {
-            row,
-            thinned,
-            tally,
-            trajectory,
-            ..
-        } = &mut run;
-        trajectory.replay(|values| {
-            for (array, values) in row.arrays_mut().into_iter().zip(values) {
-                array.clone_from(values);
-            }
-            thinned.push(row);
-            tally.include(row, &setup.rod);
-        })?;
-        Ok(run)
-    }
-
-    fn of(
-        setup: &'a Simulation,
-        directory: &RunDirectory,
-        integrator: Stepper<'a>,
-        files: impl Fn(&str, &[ArrayView]) -> Result<RowFiles, OutputError>,
-    ) -> Result<Self, CliError> {
-        let row = MotionRecord::empty(setup.rod.n_nodes());
-        let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
+        let layout = MotionRecord::empty(setup.rod.n_nodes());
+        let mut row = layout.clone();
+        let mut thinned = ThinnedMotion::new(row.n_nodes);
+        let mut tally = Tally::default();
+        let trajectory = files(
+            "trajectory",
+            &layout.arrays(),
+            checkpoint.trajectory,
+            &mut |values| {
+                for (array, values) in row.arrays_mut().into_iter().zip(values) {
+                    array.clone_from(values);
+                }
+                thinned.push(&row);
+                tally.include(&row, &setup.rod);
+            },
+        )?;
+        let layout = DiagnosticsRecord::empty(setup.rod.n_elements());
+        let diagnostics = (checkpoint.diagnostics)
+            .map(|written| files("diagnostics", &layout.arrays(), written, &mut |_| ()))
+            .transpose()?;
         Ok(Self {
             setup,
             folder: directory.path().into(),
-            integrator,
-            trajectory: files("trajectory", &row.arrays())?,
-            diagnostics: if setup.diagnostics {
-                Some(files("diagnostics", &diagnostics.arrays())?)
-            } else {
-                None
-            },
-            thinned: ThinnedMotion::new(row.n_nodes),
+            integrator: Stepper::resume(
+                &setup.rod,
+                setup.grid.step,
+                checkpoint.state(),
+                checkpoint.step,
+            ),
+            trajectory,
+            diagnostics,
+            resumable: (RowPrefix::default(), None),
             row,
-            tally: Tally::default(),
+            thinned,
+            tally,
         })
     }
 
@@ -355,10 +387,14 @@ impl<'a> Run<'a> {
         let bar = console.progress(n_steps as u64);
         bar.set_position(self.integrator.step() as u64);
         bar.reset_eta();
+        self.note_rows();
         self.save()?;
         let mut saved = Instant::now();
         let end = loop {
             let k = self.integrator.step();
+            if k.is_multiple_of(Stepper::SEAT) {
+                self.note_rows();
+            }
             if k == n_steps {
                 break End::Completed;
             }
@@ -440,7 +476,21 @@ impl<'a> Run<'a> {
     fn checkpoint(&self) -> Checkpoint {
         let (step, state) = self.integrator.seat();
         let scene = self.setup.resolved.to_toml();
-        Checkpoint::new(*step, self.setup.grid.step, state, &scene)
+        let (trajectory, diagnostics) = self.resumable;
+        Checkpoint::new(
+            *step,
+            self.setup.grid.step,
+            state,
+            &scene,
+            trajectory,
+            diagnostics,
+        )
+    }
+
+    /// Takes note of the rows that belong to the integrator's [seat](Stepper::seat), which is at the present step.
+    fn note_rows(&mut self) {
+        let diagnostics = self.diagnostics.as_ref().map(RowFiles::prefix);
+        self.resumable = (self.trajectory.prefix(), diagnostics);
     }
 
     /// Makes sure that a run that dies from here on can be continued from here. Rows first: a checkpoint never promises

@@ -27,5 +27,5 @@ pub use report::{
     ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath, ReportSensitivity,
     ReportShape, ReportTarget, ReportVerdict, render_report,
 };
-pub use rows::{ArrayView, RowFiles, row_bytes};
+pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
 pub use running::RunDirectory;
