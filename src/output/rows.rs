@@ -483,7 +483,7 @@ mod tests {
                 .to_string()
         };
         // Zeros: a thousandth of their size in the archive.
-        record.arrays_mut().map(|values| values.fill(0.0));
+        (record.arrays_mut().into_iter()).for_each(|values| values.fill(0.0));
         record.write_npz(&path).unwrap();
         let message = error(&record, 499);
         assert!(message.contains("array t: more than 499 rows"), "{message}");
