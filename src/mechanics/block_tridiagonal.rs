@@ -5,6 +5,8 @@
 
 use nalgebra::{Matrix6, Vector6};
 
+use super::strain::ElementStiffness;
+
 /// Lower factor `L` of `A = L Lᵀ`: diagonal blocks and the blocks below them.
 #[derive(Clone, Debug)]
 pub struct BlockCholesky {
@@ -90,6 +92,37 @@ impl BlockTridiagonal {
             diagonal: vec![Matrix6::zeros(); n_blocks],
             below: off_diagonal.clone(),
             above: off_diagonal,
+        }
+    }
+
+    /// Adds a matrix over `(x_b - x_a, η_a, η_b)` of element `q` to the rows and columns `(x, η)` of its nodes; block `0` is node
+    /// `first`, and what belongs to nodes before it is left out.
+    pub(super) fn add_element(&mut self, first: usize, q: usize, k: &ElementStiffness) {
+        for (row_end, column_end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            if q + row_end.min(column_end) < first {
+                continue;
+            }
+            let at = q + row_end.min(column_end) - first;
+            let block = match (row_end, column_end) {
+                (0, 1) => &mut self.above[at],
+                (1, 0) => &mut self.below[at],
+                _ => &mut self.diagonal[at],
+            };
+            // Node a moves the chord by -δx, node b by δx.
+            let sign = |end: usize| if end == 0 { -1.0 } else { 1.0 };
+            for (i, row) in [(0, 0), (3, 3 + 3 * row_end)] {
+                for (j, column) in [(0, 0), (3, 3 + 3 * column_end)] {
+                    let mut factor = 1.0;
+                    if row == 0 {
+                        factor *= sign(row_end);
+                    }
+                    if column == 0 {
+                        factor *= sign(column_end);
+                    }
+                    let mut part = block.fixed_view_mut::<3, 3>(i, j);
+                    part += k.fixed_view::<3, 3>(row, column) * factor;
+                }
+            }
         }
     }
 

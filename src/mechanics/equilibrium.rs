@@ -14,12 +14,13 @@ use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::block_tridiagonal::BlockCholesky;
+use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
 use super::configuration::Configuration;
 use super::forces::NodalForces;
 use super::load::{LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+use super::stiffness::tangent_stiffness;
 use crate::stop::{Stop, StopSignal};
 
 /// Springs that pull the tip to a place and an orientation.
@@ -203,14 +204,6 @@ struct Statics<'a> {
     spring: TipSpring,
     forces: NodalForces,
 }
-
-/// Blocks of the tangent stiffness over `(δx, η)` of the free nodes.
-struct TangentStiffness {
-    diagonal: Vec<Matrix6<f64>>,
-    below: Vec<Matrix6<f64>>,
-    above: Vec<Matrix6<f64>>,
-}
-
 impl<'a> Statics<'a> {
     fn new(rod: &'a Rod, t: f64, spring: TipSpring) -> Self {
         Self {
@@ -262,54 +255,11 @@ impl<'a> Statics<'a> {
         4.0 * f64::EPSILON * farthest * stiffest / self.rod.scales.force
     }
 
-    fn stiffness(&self, at: &Configuration) -> TangentStiffness {
-        let rod = self.rod;
-        let k = rod.n_elements();
-        let mut out = TangentStiffness {
-            diagonal: vec![Matrix6::zeros(); k],
-            below: vec![Matrix6::zeros(); k - 1],
-            above: vec![Matrix6::zeros(); k - 1],
-        };
-        for (q, element) in rod.elements.iter().enumerate() {
-            let (_, s) = element.stiffness(
-                rod.strain_rule,
-                &Rod::element_pose(q, &at.positions, &at.rotations),
-            );
-            let block = |row: usize, column: usize| s.fixed_view::<3, 3>(row, column);
-            // Node b = q + 1 is free node q; node a = q is free node q - 1 (fixed for q = 0).
-            let b = &mut out.diagonal[q];
-            add(b, 0, 0, &block(0, 0).into());
-            add(b, 0, 3, &block(0, 6).into());
-            add(b, 3, 0, &block(6, 0).into());
-            add(b, 3, 3, &block(6, 6).into());
-            if q == 0 {
-                continue;
-            }
-            let a = &mut out.diagonal[q - 1];
-            add(a, 0, 0, &block(0, 0).into());
-            add(a, 0, 3, &-block(0, 3));
-            add(a, 3, 0, &-block(3, 0));
-            add(a, 3, 3, &block(3, 3).into());
-            // Row b, column a.
-            let ba = &mut out.below[q - 1];
-            add(ba, 0, 0, &-block(0, 0));
-            add(ba, 0, 3, &block(0, 3).into());
-            add(ba, 3, 0, &-block(6, 0));
-            add(ba, 3, 3, &block(6, 3).into());
-            let ab = &mut out.above[q - 1];
-            add(ab, 0, 0, &-block(0, 0));
-            add(ab, 0, 3, &-block(0, 6));
-            add(ab, 3, 0, &block(3, 0).into());
-            add(ab, 3, 3, &block(3, 6).into());
+    fn stiffness(&self, at: &Configuration) -> BlockTridiagonal {
+        let mut out = tangent_stiffness(self.rod, at, self.t);
+        if let Some(tip) = out.diagonal.last_mut() {
+            *tip += self.spring.stiffness(&at.rotations[self.rod.tip()]);
         }
-        for load in &rod.loads {
-            if load.node > 0 {
-                let (force, moment) = load.wrench_derivative(self.t, &at.rotations[load.node]);
-                add(&mut out.diagonal[load.node - 1], 0, 3, &-force);
-                add(&mut out.diagonal[load.node - 1], 3, 3, &-moment);
-            }
-        }
-        out.diagonal[k - 1] += self.spring.stiffness(&at.rotations[rod.tip()]);
         out
     }
 
@@ -450,11 +400,6 @@ impl<'a> Statics<'a> {
         factor.solve_lower_transposed(&mut step);
         moved(center, &step)
     }
-}
-
-fn add(m: &mut Matrix6<f64>, row: usize, column: usize, block: &Matrix3<f64>) {
-    let mut view = m.fixed_view_mut::<3, 3>(row, column);
-    view += block;
 }
 
 fn blocks(flat: &[f64]) -> Vec<Vector6<f64>> {

@@ -437,32 +437,7 @@ pub(super) fn step_matrix(
             .copy_from(&spin_inertia[q]);
     }
     for (q, k) in couplings.enumerate() {
-        for (row_end, column_end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            if q + row_end.min(column_end) < first {
-                continue;
-            }
-            let at = q + row_end.min(column_end) - first;
-            let block = match (row_end, column_end) {
-                (0, 1) => &mut matrix.above[at],
-                (1, 0) => &mut matrix.below[at],
-                _ => &mut matrix.diagonal[at],
-            };
-            // Node a moves the chord by -δx, node b by δx.
-            let sign = |end: usize| if end == 0 { -1.0 } else { 1.0 };
-            for (i, row) in [(0, 0), (3, 3 + 3 * row_end)] {
-                for (j, column) in [(0, 0), (3, 3 + 3 * column_end)] {
-                    let mut factor = 1.0;
-                    if row == 0 {
-                        factor *= sign(row_end);
-                    }
-                    if column == 0 {
-                        factor *= sign(column_end);
-                    }
-                    let mut part = block.fixed_view_mut::<3, 3>(i, j);
-                    part += k.fixed_view::<3, 3>(row, column) * factor;
-                }
-            }
-        }
+        matrix.add_element(first, q, &k);
     }
     matrix
 }

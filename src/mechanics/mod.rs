@@ -27,8 +27,10 @@ pub mod sparse_motion;
 pub mod stability;
 pub mod step_derivative;
 pub mod stepper;
+mod stiffness;
 pub mod strain;
 pub mod strain_coordinates;
+pub mod vibration;
 
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
@@ -49,3 +51,4 @@ pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
 pub use strain::StrainRule;
+pub use vibration::SmallMotions;

@@ -1,0 +1,30 @@
+//! The tangent stiffness of the whole rod.
+
+use nalgebra::Matrix3;
+
+use super::block_tridiagonal::BlockTridiagonal;
+use super::configuration::Configuration;
+use super::rod::Rod;
+
+/// Derivative of minus the forces and body moments on the free nodes (elements, and loads at their value at time `t`) along
+/// `(δx, η)` of these nodes, the first of them in block 0. Symmetric at an equilibrium under loads that have a potential.
+pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
+    let first = rod.first_free_node();
+    let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);
+    for (q, element) in rod.elements.iter().enumerate() {
+        let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+        let (_, k) = element.stiffness(rod.strain_rule, &pose);
+        out.add_element(first, q, &k);
+    }
+    for load in rod.loads.iter().filter(|load| load.node >= first) {
+        let (force, moment) = load.wrench_derivative(t, &at.rotations[load.node]);
+        let block = &mut out.diagonal[load.node - first];
+        let mut subtract = |row: usize, change: &Matrix3<f64>| {
+            let mut part = block.fixed_view_mut::<3, 3>(row, 3);
+            part -= change;
+        };
+        subtract(0, &force);
+        subtract(3, &moment);
+    }
+    out
+}

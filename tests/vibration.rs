@@ -1,0 +1,270 @@
+//! Small motions about an equilibrium: first frequencies of beams, the weight under which a column topples, and how fast.
+
+mod common;
+
+use common::published::frequencies::{ALL, frequencies};
+use common::{
+    MODELS, RULES, SILICONE, assert_second_order, busy_arm, equilibrium, soft_arm, tip_load,
+};
+use nalgebra::Vector3;
+use softarm::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};
+use softarm::mechanics::{
+    BaseCondition, Integrator, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters, Section,
+    SectionProfile, SmallMotions, State, StrainRule, stable_step,
+};
+
+/// An arm so slender that shear and rotary inertia, of relative size (r/L)², change its frequencies by less than 1e-4.
+const RADIUS: f64 = 0.004;
+
+fn slender(n_elements: usize) -> RodParameters {
+    let section = SectionProfile::Uniform(Section::circle(&SILICONE, RADIUS));
+    RodParameters::straight(1.0, n_elements, section)
+}
+
+/// `ρA` and `EI` of the slender arm.
+fn mass_and_bending() -> (f64, f64) {
+    let section = Section::circle(&SILICONE, RADIUS);
+    (section.mass, section.angular_stiffness.x)
+}
+
+fn first(parameters: &RodParameters) -> f64 {
+    let rod = Rod::new(parameters).unwrap();
+    (SmallMotions::about(&rod, &rod.rest, 0.0).first_frequency()).unwrap()
+}
+
+/// Smallest positive root of `f`, between `low` and `high`.
+fn root(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
+    assert!(f(low) * f(high) < 0.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if f(low) * f(middle) <= 0.0 {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    0.5 * (low + high)
+}
+
+/// Clamped-free Euler-Bernoulli beams without and with a point mass at the tip, `1 + cos β cosh β + μ β (cos β sinh β - sin β cosh β) = 0`
+/// with `ω = β² sqrt(EI/(ρA L⁴))`: second order in the length of the elements, and within `(β l)²/4`, as much as lumped inertia slows a
+/// bending wave. The beam without a mass has `β² = 3.516`.
+#[test]
+fn first_frequencies_of_cantilevers() {
+    let (mass, bending) = mass_and_bending();
+    for ratio in [0.0, 0.1, 1.0, 10.0] {
+        let characteristic = |b: f64| {
+            let waves = b.cos() * b.sinh() - b.sin() * b.cosh();
+            1.0 + b.cos() * b.cosh() + ratio * b * waves
+        };
+        let beta = root(characteristic, 0.1, 3.0);
+        assert!(ratio > 0.0 || (beta * beta - 3.516).abs() < 1e-4);
+        let exact = beta * beta * (bending / mass).sqrt();
+        let error = |n: usize| {
+            let found = first(&RodParameters {
+                payload: Some(NodeInertia {
+                    mass: ratio * mass,
+                    rotary: Vector3::zeros(),
+                }),
+                ..slender(n)
+            });
+            found / exact - 1.0
+        };
+        let (coarse, fine) = (error(10), error(20));
+        assert_second_order(&format!("tip mass {ratio}"), coarse, fine);
+        assert!(
+            fine.abs() < 0.25 * (beta / 20.0).powi(2),
+            "{ratio}: {fine:e}"
+        );
+    }
+}
+
+/// A slender beam that is free at both ends swings at `4.73004² sqrt(EI/(ρA L⁴))`: its six rigid motions are no frequencies.
+#[test]
+fn first_frequency_of_a_free_beam() {
+    let (mass, bending) = mass_and_bending();
+    let exact = 4.730_041_f64.powi(2) * (bending / mass).sqrt();
+    let error = |n: usize| {
+        let base = BaseCondition::Free;
+        first(&RodParameters { base, ..slender(n) }) / exact - 1.0
+    };
+    let (coarse, fine) = (error(20), error(40));
+    assert_second_order("free beam", coarse, fine);
+    assert!(fine.abs() < 0.25 * (4.73_f64 / 40.0).powi(2), "{fine:e}");
+}
+
+/// A cone clamped at its base swings at `8.719 sqrt(E I₀/(ρ A₀ L⁴))` (Kirchhoff 1879); its tip here is a fiftieth of the base, which changes
+/// the frequency by less than a percent, and so does the grid of 80 elements.
+#[test]
+fn first_frequency_of_a_cone() {
+    let base = Section::circle(&SILICONE, RADIUS);
+    let exact = 8.719 * (base.angular_stiffness.x / base.mass).sqrt();
+    let found = first(&RodParameters {
+        section: SectionProfile::TaperedCircle {
+            material: SILICONE,
+            base_radius: RADIUS,
+            tip_radius: RADIUS / 50.0,
+        },
+        ..slender(80)
+    });
+    assert!((found / exact - 1.0).abs() < 0.02, "{found} of {exact}");
+}
+
+/// Every mode of a rod with taper, rest curvature and payload, of each base and both rules, is that of the dense eigenvalue problem, to the
+/// rounding of the largest.
+#[test]
+fn bisection_finds_every_mode() {
+    for rule in RULES {
+        for base in [BaseCondition::Clamped, BaseCondition::Free] {
+            let rod = Rod::new(&RodParameters {
+                base: base.clone(),
+                loads: Vec::new(),
+                distributed_loads: Vec::new(),
+                ..busy_arm(rule, 7)
+            })
+            .unwrap();
+            let dense = frequencies(&rod, ALL);
+            let largest = dense.last().unwrap().powi(2);
+            let motions = SmallMotions::about(&rod, &rod.rest, 0.0);
+            for (mode, frequency) in dense.iter().enumerate() {
+                let found = motions.squared_frequency(mode);
+                assert!(
+                    (found - frequency * frequency).abs() < 1e-12 * largest,
+                    "{rule:?} {base:?} mode {mode}: {found} of {}",
+                    frequency * frequency
+                );
+            }
+            assert!(motions.squared_frequency(dense.len()).is_nan());
+            assert_eq!(motions.growth_rate(), None);
+        }
+    }
+}
+
+/// The upright column of weight number `number`: base below, gravity against its direction.
+fn column(n_elements: usize, number: f64) -> RodParameters {
+    let (mass, bending) = mass_and_bending();
+    RodParameters {
+        gravity: Vector3::new(0.0, 0.0, -number * bending / mass),
+        ..slender(n_elements)
+    }
+}
+
+/// About its upright equilibrium.
+fn upright(parameters: &RodParameters) -> SmallMotions {
+    let (rod, shape) = equilibrium(parameters, 1);
+    // The search must have stayed upright: only then the column's own stability is asked.
+    assert!(shape.positions.iter().all(|x| x.xy().norm() < 1e-6));
+    SmallMotions::about(&rod, &shape, 0.0)
+}
+
+/// A column topples under its own weight from `ρA g L³/EI = 7.837` on (Greenhill 1881), at second order in the length of the elements;
+/// hanging, it never does, and its weight makes it swing faster.
+#[test]
+fn columns_topple_under_their_weight() {
+    let rod = Rod::new(&column(12, 5.0)).unwrap();
+    assert!((weight_number(&rod) - 5.0).abs() < 1e-12);
+    let error = |n: usize| {
+        let topples = |number: f64| upright(&column(n, number)).growth_rate().is_some();
+        let critical = root(|number| if topples(number) { 1.0 } else { -1.0 }, 6.0, 9.0);
+        critical / TOPPLING_WEIGHT_NUMBER - 1.0
+    };
+    let (coarse, fine) = (error(10), error(20));
+    assert_second_order("toppling", coarse, fine);
+    // As the lumped inertia of a wave with the column's own wave number.
+    assert!(fine.abs() < 0.25 * (1.875_f64 / 20.0).powi(2), "{fine:e}");
+    let frequency = |number| upright(&column(12, number)).first_frequency().unwrap();
+    assert!(frequency(-20.0) > 1.5 * frequency(0.0));
+    assert!(frequency(5.0) < 0.7 * frequency(0.0));
+}
+
+/// A column clamped upright with a tip mass whose weight is the whole load buckles at Euler's `π²/4 EI/L²`.
+#[test]
+fn columns_buckle_under_a_payload() {
+    let (mass, bending) = mass_and_bending();
+    let euler = 0.25 * std::f64::consts::PI.powi(2) * bending;
+    // A payload that outweighs the rod a million times.
+    let payload = 1e6 * mass;
+    let grows = |part: f64| {
+        let gravity = Vector3::new(0.0, 0.0, -part * euler / payload);
+        let payload = Some(NodeInertia {
+            mass: payload,
+            rotary: Vector3::zeros(),
+        });
+        upright(&RodParameters {
+            gravity,
+            payload,
+            ..slender(20)
+        })
+        .growth_rate()
+        .is_some()
+    };
+    // Within (π/2 l)²/4 of the continuous column.
+    let margin = 0.25 * (0.5 * std::f64::consts::PI / 20.0).powi(2);
+    assert!(!grows(1.0 - margin) && grows(1.0 + margin));
+}
+
+/// The rate of growth is that of the simulated column: with viscous damping, once the growing part leads, the tip's deflection grows
+/// by `exp(s t)`. The explicit scheme with step h errs by `(s h)²/24`, the deflection's part that does not grow is below 1e-3 of it, and the
+/// largest deflection, 1e-4 of the length, changes the rate by its square.
+#[test]
+fn columns_topple_at_the_computed_rate() {
+    let parameters = RodParameters {
+        viscous_damping: 0.7,
+        // A short, thick arm, whose stable step is long.
+        ..soft_arm(StrainRule::Helical, 8)
+    };
+    let unit = weight_number(
+        &Rod::new(&RodParameters {
+            gravity: Vector3::new(0.0, 0.0, -1.0),
+            ..parameters.clone()
+        })
+        .unwrap(),
+    );
+    let parameters = RodParameters {
+        gravity: Vector3::new(0.0, 0.0, -16.0 / unit),
+        ..parameters
+    };
+    for model in MODELS {
+        let (rod, shape) = equilibrium(
+            &RodParameters {
+                model,
+                ..parameters.clone()
+            },
+            1,
+        );
+        let rate = SmallMotions::about(&rod, &shape, 0.0)
+            .growth_rate()
+            .unwrap();
+        let step = 0.5 * stable_step(&rod);
+        let mut state = State::at_rest(shape.clone());
+        for (momentum, node) in state.linear_momentum.iter_mut().zip(&rod.nodes).skip(1) {
+            momentum.x = 1e-9 * node.mass;
+        }
+        let mut integrator = Integrator::new(&rod, step, state);
+        let mut deflection_after = |seconds: f64| {
+            for _ in 0..(seconds / step).round() as usize {
+                integrator.advance([NodeWrenches::NONE; 2]).unwrap();
+            }
+            integrator.state().configuration.positions[rod.tip()].x
+        };
+        let before = deflection_after(8.0 / rate);
+        let span = 2.0 / rate;
+        let grown = (deflection_after(span) / before).ln();
+        let taken = (span / step).round() * step;
+        assert!(before > 0.0 && before < 1e-4);
+        assert!(
+            (grown / (rate * taken) - 1.0).abs() < 2e-3,
+            "{model:?}: {grown}"
+        );
+    }
+}
+
+/// A load that turns with the tip has no potential: the symmetric part of its stiffness is used, and no number of it is lost on the way.
+#[test]
+fn follower_loads_keep_the_frequencies_real() {
+    let mut parameters = slender(10);
+    parameters.loads = tip_load(10, [0.0, 0.0, -1e-3], [0.0; 3], LoadFrame::Body);
+    let rod = Rod::new(&parameters).unwrap();
+    let motions = SmallMotions::about(&rod, &rod.rest, 0.0);
+    assert!(motions.squared_frequency(0).is_finite());
+}
