@@ -3,18 +3,17 @@
 mod common;
 
 use common::published::frequencies::{ALL, frequencies};
-use common::{
-    MODELS, RULES, SILICONE, assert_second_order, busy_arm, equilibrium, soft_arm, tip_load,
-};
-use nalgebra::Vector3;
+use common::{MODELS, RULES, SILICONE, busy_arm, equilibrium, soft_arm, tip_load};
+use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};
 use softarm::mechanics::{
     BaseCondition, Integrator, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters, Section,
     SectionProfile, SmallMotions, State, StrainRule, stable_step,
 };
 
-/// An arm so slender that shear and rotary inertia, of relative size (r/L)², change its frequencies by less than 1e-4.
-const RADIUS: f64 = 0.004;
+/// Of an arm so slender that shear and rotary inertia, which make an Euler-Bernoulli beam slower by `β² (1 + E/G) I/(2 A) = β² r²/2` or so,
+/// change its frequencies by less than 1e-4.
+const RADIUS: f64 = 0.003;
 
 fn slender(n_elements: usize) -> RodParameters {
     let section = SectionProfile::Uniform(Section::circle(&SILICONE, RADIUS));
@@ -30,6 +29,29 @@ fn mass_and_bending() -> (f64, f64) {
 fn first(parameters: &RodParameters) -> f64 {
     let rod = Rod::new(parameters).unwrap();
     (SmallMotions::about(&rod, &rod.rest, 0.0).first_frequency()).unwrap()
+}
+
+/// The values that a quantity has with `n`, `2 n` and `4 n` elements: it converges at second order, and the last one is within `tolerance` of
+/// `exact`.
+#[track_caller]
+fn assert_converges(
+    what: &str,
+    value: impl Fn(usize) -> f64,
+    n: usize,
+    exact: f64,
+    tolerance: f64,
+) {
+    let [a, b, c] = [n, 2 * n, 4 * n].map(value);
+    let order = ((a - b) / (b - c)).log2();
+    assert!((1.9..2.1).contains(&order), "{what}: order {order}");
+    let error = c / exact - 1.0;
+    assert!(error.abs() < tolerance, "{what}: {error:e}");
+}
+
+/// Relative error that a wave number `beta` of a beam of length 1 may leave with `n` elements: lumped inertia slows a bending wave by less
+/// than `(β l)²/4`, and shear and rotary inertia by `β² r²/2`.
+fn wave_error(beta: f64, n: usize) -> f64 {
+    0.25 * (beta / n as f64).powi(2) + 0.5 * (beta * RADIUS).powi(2)
 }
 
 /// Smallest positive root of `f`, between `low` and `high`.
@@ -60,21 +82,21 @@ fn first_frequencies_of_cantilevers() {
         let beta = root(characteristic, 0.1, 3.0);
         assert!(ratio > 0.0 || (beta * beta - 3.516).abs() < 1e-4);
         let exact = beta * beta * (bending / mass).sqrt();
-        let error = |n: usize| {
-            let found = first(&RodParameters {
+        let found = |n: usize| {
+            first(&RodParameters {
                 payload: Some(NodeInertia {
                     mass: ratio * mass,
                     rotary: Vector3::zeros(),
                 }),
                 ..slender(n)
-            });
-            found / exact - 1.0
+            })
         };
-        let (coarse, fine) = (error(10), error(20));
-        assert_second_order(&format!("tip mass {ratio}"), coarse, fine);
-        assert!(
-            fine.abs() < 0.25 * (beta / 20.0).powi(2),
-            "{ratio}: {fine:e}"
+        assert_converges(
+            &format!("tip mass {ratio}"),
+            found,
+            6,
+            exact,
+            wave_error(beta, 24),
         );
     }
 }
@@ -84,30 +106,73 @@ fn first_frequencies_of_cantilevers() {
 fn first_frequency_of_a_free_beam() {
     let (mass, bending) = mass_and_bending();
     let exact = 4.730_041_f64.powi(2) * (bending / mass).sqrt();
-    let error = |n: usize| {
+    let found = |n: usize| {
         let base = BaseCondition::Free;
-        first(&RodParameters { base, ..slender(n) }) / exact - 1.0
+        first(&RodParameters { base, ..slender(n) })
     };
-    let (coarse, fine) = (error(20), error(40));
-    assert_second_order("free beam", coarse, fine);
-    assert!(fine.abs() < 0.25 * (4.73_f64 / 40.0).powi(2), "{fine:e}");
+    assert_converges("free beam", found, 12, exact, wave_error(4.73, 48));
 }
 
-/// A cone clamped at its base swings at `8.719 sqrt(E I₀/(ρ A₀ L⁴))` (Kirchhoff 1879); its tip here is a fiftieth of the base, which changes
-/// the frequency by less than a percent, and so does the grid of 80 elements.
+/// `β²` of a clamped circular beam whose radius falls linearly to `ratio` of that at the base, over `sqrt(E I₀/(ρ A₀ L⁴))`, by
+/// Rayleigh and Ritz with the deflections `x², x³, …, x¹³`; the integrands are polynomials, summed by Gauss's rule on parts.
+fn tapered_beam(ratio: f64) -> f64 {
+    const TERMS: usize = 12;
+    let radius = |x: f64| 1.0 - (1.0 - ratio) * x;
+    let (mut k, mut m) = (DMatrix::zeros(TERMS, TERMS), DMatrix::zeros(TERMS, TERMS));
+    let parts = 200;
+    for part in 0..parts {
+        for offset in [-0.6_f64.sqrt(), 0.0, 0.6_f64.sqrt()] {
+            let x = (part as f64 + 0.5 + 0.5 * offset) / f64::from(parts);
+            let weight = if offset == 0.0 { 4.0 / 9.0 } else { 5.0 / 18.0 } / f64::from(parts);
+            for i in 0..TERMS {
+                for j in 0..TERMS {
+                    let (a, b) = (i as f64 + 2.0, j as f64 + 2.0);
+                    let bent = a * (a - 1.0) * b * (b - 1.0) * x.powf(a + b - 4.0);
+                    k[(i, j)] += weight * radius(x).powi(4) * bent;
+                    m[(i, j)] += weight * radius(x).powi(2) * x.powf(a + b);
+                }
+            }
+        }
+    }
+    // Powers are nearly dependent: the stiffness, the better conditioned, is factored, and the largest 1/ω² sought.
+    let root = k.cholesky().unwrap().l();
+    let half = root.solve_lower_triangular(&m).unwrap();
+    let scaled = root.solve_lower_triangular(&half.transpose()).unwrap();
+    let symmetric: DMatrix<f64> = (&scaled + scaled.transpose()) * 0.5;
+    let largest = symmetric.symmetric_eigenvalues().max();
+    1.0 / largest.sqrt()
+}
+
+/// Clamped beams whose radius tapers to half and to a fifth, against Rayleigh and Ritz, which themselves give the 3.516 of a uniform beam and
+/// the 8.719 of a cone (Kirchhoff 1879). Second order in the length of the elements.
 #[test]
-fn first_frequency_of_a_cone() {
+fn first_frequencies_of_tapered_beams() {
+    assert!((tapered_beam(1.0) - 3.516_015).abs() < 1e-5);
+    assert!((tapered_beam(1e-9) / 8.719 - 1.0).abs() < 1e-3);
     let base = Section::circle(&SILICONE, RADIUS);
-    let exact = 8.719 * (base.angular_stiffness.x / base.mass).sqrt();
-    let found = first(&RodParameters {
-        section: SectionProfile::TaperedCircle {
-            material: SILICONE,
-            base_radius: RADIUS,
-            tip_radius: RADIUS / 50.0,
-        },
-        ..slender(80)
-    });
-    assert!((found / exact - 1.0).abs() < 0.02, "{found} of {exact}");
+    let unit = (base.angular_stiffness.x / base.mass).sqrt();
+    for ratio in [0.5, 0.2] {
+        let square = tapered_beam(ratio);
+        let found = |n: usize| {
+            first(&RodParameters {
+                section: SectionProfile::TaperedCircle {
+                    material: SILICONE,
+                    base_radius: RADIUS,
+                    tip_radius: ratio * RADIUS,
+                },
+                ..slender(n)
+            })
+        };
+        // The wave is the shorter the thinner the arm.
+        let tolerance = wave_error((square / ratio).sqrt(), 48);
+        assert_converges(
+            &format!("taper {ratio}"),
+            found,
+            12,
+            square * unit,
+            tolerance,
+        );
+    }
 }
 
 /// Every mode of a rod with taper, rest curvature and payload, of each base and both rules, is that of the dense eigenvalue problem, to the
@@ -163,44 +228,42 @@ fn upright(parameters: &RodParameters) -> SmallMotions {
 fn columns_topple_under_their_weight() {
     let rod = Rod::new(&column(12, 5.0)).unwrap();
     assert!((weight_number(&rod) - 5.0).abs() < 1e-12);
-    let error = |n: usize| {
+    let critical = |n: usize| {
         let topples = |number: f64| upright(&column(n, number)).growth_rate().is_some();
-        let critical = root(|number| if topples(number) { 1.0 } else { -1.0 }, 6.0, 9.0);
-        critical / TOPPLING_WEIGHT_NUMBER - 1.0
+        root(|number| if topples(number) { 1.0 } else { -1.0 }, 6.0, 9.0)
     };
-    let (coarse, fine) = (error(10), error(20));
-    assert_second_order("toppling", coarse, fine);
-    // As the lumped inertia of a wave with the column's own wave number.
-    assert!(fine.abs() < 0.25 * (1.875_f64 / 20.0).powi(2), "{fine:e}");
+    assert_converges(
+        "toppling",
+        critical,
+        10,
+        TOPPLING_WEIGHT_NUMBER,
+        wave_error(1.875, 40),
+    );
     let frequency = |number| upright(&column(12, number)).first_frequency().unwrap();
     assert!(frequency(-20.0) > 1.5 * frequency(0.0));
     assert!(frequency(5.0) < 0.7 * frequency(0.0));
 }
 
-/// A column clamped upright with a tip mass whose weight is the whole load buckles at Euler's `π²/4 EI/L²`.
+/// A clamped column that a dead force presses on its tip buckles at Euler's `π²/4 EI/L²`, at second order in the length of the elements.
 #[test]
-fn columns_buckle_under_a_payload() {
-    let (mass, bending) = mass_and_bending();
+fn columns_buckle_under_a_force() {
+    let (_, bending) = mass_and_bending();
     let euler = 0.25 * std::f64::consts::PI.powi(2) * bending;
-    // A payload that outweighs the rod a million times.
-    let payload = 1e6 * mass;
-    let grows = |part: f64| {
-        let gravity = Vector3::new(0.0, 0.0, -part * euler / payload);
-        let payload = Some(NodeInertia {
-            mass: payload,
-            rotary: Vector3::zeros(),
-        });
-        upright(&RodParameters {
-            gravity,
-            payload,
-            ..slender(20)
-        })
-        .growth_rate()
-        .is_some()
+    let critical = |n: usize| {
+        let grows = |part: f64| {
+            let force = [0.0, 0.0, -part * euler];
+            let loads = tip_load(n, force, [0.0; 3], LoadFrame::Spatial);
+            (upright(&RodParameters {
+                loads,
+                ..slender(n)
+            })
+            .growth_rate())
+            .is_some()
+        };
+        root(|part| if grows(part) { 1.0 } else { -1.0 }, 0.8, 1.2)
     };
-    // Within (π/2 l)²/4 of the continuous column.
-    let margin = 0.25 * (0.5 * std::f64::consts::PI / 20.0).powi(2);
-    assert!(!grows(1.0 - margin) && grows(1.0 + margin));
+    let tolerance = wave_error(0.5 * std::f64::consts::PI, 24);
+    assert_converges("buckling", critical, 6, 1.0, tolerance);
 }
 
 /// The rate of growth is that of the simulated column: with viscous damping, once the growing part leads, the tip's deflection grows
