@@ -65,6 +65,9 @@ const SCENES: [&[&str]; 4] = [
         "task.via.0.hard=true",
         "task.via.0.tolerance_m=0.002",
         "task.via.0.tolerance_rad=0.02",
+        "task.via.1.at_s=0.25",
+        "task.via.1.node='base'",
+        "task.via.1.position_m=[0.1, 0.2, 0.3]",
         "control.blocks=17",
         "control.hold='linear'",
         "control.force_max_n=2.0",
@@ -103,6 +106,8 @@ const SCENES: [&[&str]; 4] = [
         "limit.3.node=4",
         "limit.4.speed_max_m_s=5.0",
         "limit.4.node='tip'",
+        "limit.5.speed_max_m_s=5.0",
+        "limit.5.node='base'",
         "objective.effort=2.0",
         "objective.rate=0.5",
         "objective.energy=0.1",
@@ -280,12 +285,7 @@ fn form_of(value: &Value, words: &BTreeSet<String>) -> String {
 
 /// The dotted path of every key of the schema that holds a value, with the forms of the value; of a list of sections, the first one.
 fn leaves(schema: &Json) -> BTreeMap<String, BTreeSet<String>> {
-    fn walk(
-        root: &Json,
-        node: &Json,
-        path: &str,
-        out: &mut BTreeMap<String, BTreeSet<String>>,
-    ) {
+    fn walk(root: &Json, node: &Json, path: &str, out: &mut BTreeMap<String, BTreeSet<String>>) {
         let inner = |key: &str| match path {
             "" => key.to_string(),
             path => format!("{path}.{key}"),
@@ -325,7 +325,11 @@ fn leaves(schema: &Json) -> BTreeMap<String, BTreeSet<String>> {
         if words.is_empty() {
             forms.extend(types.iter().map(|name| name.to_string()));
         }
-        forms.extend(words.iter().map(|word| format!("'{}'", word.as_str().unwrap())));
+        forms.extend(
+            words
+                .iter()
+                .map(|word| format!("'{}'", word.as_str().unwrap())),
+        );
         // That a section may be absent is none of its forms.
         forms.remove("null");
         if forms.is_empty() {
@@ -381,7 +385,10 @@ fn every_key_can_be_set() {
         }
     }
     assert!(missing.is_empty(), "no example is read of {missing:#?}");
-    let unknown: Vec<_> = given.keys().filter(|key| !leaves.contains_key(*key)).collect();
+    let unknown: Vec<_> = given
+        .keys()
+        .filter(|key| !leaves.contains_key(*key))
+        .collect();
     assert!(unknown.is_empty(), "not in the schema: {unknown:?}");
 }
 
@@ -410,18 +417,31 @@ fn choices_with_values_explain_themselves() {
         let text = format!("solver.continuation={value}");
         let overrides = [text];
         let error = Scene::load("reach", &overrides).unwrap_err();
-        (
-            error.key().unwrap().to_string(),
-            format!("{error}"),
-        )
+        (error.key().unwrap().to_string(), format!("{error}"))
     };
     let cases = [
-        ("'target'", "solver.continuation", "expected { target = ... }"),
+        (
+            "'target'",
+            "solver.continuation",
+            "expected { target = ... }",
+        ),
         ("3", "solver.continuation", "one of \"target\", \"load\""),
         ("{}", "solver.continuation", "one of \"target\", \"load\""),
-        ("{target = 3, load = 2}", "solver.continuation", "a section of 2"),
-        ("{tagret = 3}", "solver.continuation.tagret", "did you mean \"target\"?"),
-        ("{target = 'x'}", "solver.continuation.target", "a whole number"),
+        (
+            "{target = 3, load = 2}",
+            "solver.continuation",
+            "a section of 2",
+        ),
+        (
+            "{tagret = 3}",
+            "solver.continuation.tagret",
+            "did you mean \"target\"?",
+        ),
+        (
+            "{target = 'x'}",
+            "solver.continuation.target",
+            "a whole number",
+        ),
         ("{target = 0}", "solver.continuation.target", "from 1 to"),
     ];
     for (value, key, part) in cases {

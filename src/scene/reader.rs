@@ -195,18 +195,105 @@ impl<'de> Deserializer<'de> for Reader<'_> {
         choices: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Misfit> {
-        match self.0 {
-            Value::String(text) => visitor.visit_enum(text.as_str().into_deserializer()),
-            other => Err(Misfit::of_type(
-                other,
-                format_args!("one of \"{}\"", choices.join("\", \"")),
-            )),
-        }
+        let choice = match self.0 {
+            Value::String(name) => Choice { name, value: None },
+            Value::Table(table) => match (table.iter().next(), table.len()) {
+                (Some((name, value)), 1) => Choice {
+                    name,
+                    value: Some(value),
+                },
+                _ => {
+                    let mut misfit = Misfit::of_type(self.0, one_of(choices));
+                    misfit.message = format!("a section of {} keys does not fit here", table.len());
+                    misfit.help = Some("a choice with a value is written { name = value }".into());
+                    return Err(misfit);
+                }
+            },
+            other => return Err(Misfit::of_type(other, one_of(choices))),
+        };
+        visitor.visit_enum(choice)
     }
 
     serde::forward_to_deserialize_any! {
         i8 i16 i32 i64 i128 u8 u16 u32 u128 f32 char str string bytes byte_buf unit unit_struct newtype_struct
         tuple_struct map identifier ignored_any
+    }
+}
+
+fn one_of(choices: &[&str]) -> String {
+    format!("one of \"{}\"", choices.join("\", \""))
+}
+
+/// One of several choices: its name, or `{ name = value }` where the choice carries a value.
+struct Choice<'a> {
+    name: &'a str,
+    value: Option<&'a Value>,
+}
+
+impl<'a> Choice<'a> {
+    fn value(&self) -> Result<&'a Value, Misfit> {
+        self.value.ok_or_else(|| {
+            let mut misfit = Misfit::new(format!("\"{}\" needs a value", excerpt(self.name)));
+            misfit.expected = Some(format!("expected {{ {} = ... }}", excerpt(self.name)));
+            misfit
+        })
+    }
+}
+
+impl<'de> de::EnumAccess<'de> for Choice<'_> {
+    type Error = Misfit;
+    type Variant = Self;
+
+    fn variant_seed<V: de::DeserializeSeed<'de>>(
+        self,
+        seed: V,
+    ) -> Result<(V::Value, Self), Misfit> {
+        let name: StringDeserializer<Misfit> = self.name.to_string().into_deserializer();
+        let chosen = seed.deserialize(name).map_err(|misfit| match self.value {
+            None => misfit,
+            Some(_) => Misfit {
+                mark: Mark::Key,
+                ..misfit.inside(self.name)
+            },
+        })?;
+        Ok((chosen, self))
+    }
+}
+
+impl<'de> de::VariantAccess<'de> for Choice<'_> {
+    type Error = Misfit;
+
+    fn unit_variant(self) -> Result<(), Misfit> {
+        if self.value.is_none() {
+            return Ok(());
+        }
+        let mut misfit = Misfit::new(format!("\"{}\" has no value", excerpt(self.name)));
+        misfit.expected = Some(format!("expected \"{}\" alone", excerpt(self.name)));
+        Err(misfit)
+    }
+
+    fn newtype_variant_seed<T: de::DeserializeSeed<'de>>(
+        self,
+        seed: T,
+    ) -> Result<T::Value, Misfit> {
+        seed.deserialize(Reader(self.value()?))
+            .map_err(|misfit| misfit.inside(self.name))
+    }
+
+    fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, Misfit> {
+        Reader(self.value()?)
+            .deserialize_tuple(length, visitor)
+            .map_err(|misfit| misfit.inside(self.name))
+    }
+
+    fn struct_variant<V: Visitor<'de>>(
+        self,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Misfit> {
+        Reader(self.value()?)
+            .deserialize_struct("", fields, visitor)
+            .map_err(|misfit| misfit.inside(self.name))
     }
 }
 
