@@ -9,7 +9,7 @@ use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, Configuration, Integrator, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
-    StrainRule, stable_step,
+    StrainRule, TimeNode, stable_step,
 };
 
 fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
@@ -173,7 +173,7 @@ fn impulses_balance() {
         let rod = Rod::new(&p).unwrap();
         let h = 0.5 * stable_step(&rod);
         let a = 0.5 * rod.viscous_damping * h;
-        let impulse = |at: &Configuration, t: f64| {
+        let impulse = |at: &Configuration, node: &TimeNode| {
             let mut force = rod.gravity * rod.mass();
             let mut moment = Vector3::zeros();
             for (node, x) in rod.nodes.iter().zip(&at.positions) {
@@ -181,7 +181,7 @@ fn impulses_balance() {
             }
             for load in &rod.loads {
                 let (x, r) = (&at.positions[load.node], &at.rotations[load.node]);
-                let wrench = load.wrench(t, r);
+                let wrench = load.wrench_at_node(node, r);
                 force += wrench.force;
                 moment += x.cross(&wrench.force) + r * wrench.moment;
             }
@@ -191,13 +191,14 @@ fn impulses_balance() {
         let (mut linear, mut angular) = (linear_momentum(&initial), angular_momentum(&initial));
         let mut integrator = Integrator::new(&rod, h, initial);
         let mut size: f64 = 0.0;
-        for _ in 0..2000 {
-            let (f, m) = impulse(&integrator.state().configuration, integrator.time());
+        for k in 0..2000 {
+            let [start, end] = TimeNode::ends_of_step(k, h);
+            let (f, m) = impulse(&integrator.state().configuration, &start);
             let decay = (1.0 - a) / (1.0 + a);
             linear = (linear + f) * decay;
             angular = (angular + m) * decay;
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
-            let (f, m) = impulse(&integrator.state().configuration, integrator.time());
+            let (f, m) = impulse(&integrator.state().configuration, &end);
             linear += f;
             angular += m;
             let state = integrator.state();

@@ -69,12 +69,12 @@ fn flying_beam_momentum() {
 
 /// The planar flying beam of Simo and Vu-Quoc (1986): EI = 100, force 8 and moment 80 for 2.5 s, then free. The motion
 /// stays in its plane, converges at second order, and obeys the laws: momentum 20, center of mass, angular momentum and
-/// energy after unloading. The load ends half-way between two time nodes, so that its impulse is exact; the center of
-/// mass is then ahead by `f h²/(8 m)`.
+/// energy after unloading, with the load's end on a time node and half-way between two: its impulse and the moment of the impulse in time are
+/// exact. With 80 elements the tip at 5 s is within 5e-4 m of its place with a tenth of the step, 0.6 ms as well as 1 ms.
 #[test]
 fn planar_flying_beam() {
-    let run = |n: usize, half: usize| {
-        let h = 2.5 / (half as f64 + 0.5);
+    let run = |n: usize, half: usize, fraction: f64| {
+        let h = 2.5 / (half as f64 + fraction);
         let rod = Rod::new(&planar_beam(StrainRule::Helical, n)).unwrap();
         let states = states(&rod, h, &[5.0, 10.0]);
         for (state, t) in states.iter().zip([5.0, 10.0]) {
@@ -89,7 +89,7 @@ fn planar_flying_beam() {
             let p = linear_momentum(state);
             assert!((p - Vector3::new(20.0, 0.0, 0.0)).norm() < 1e-11, "{p}");
             let center = center_of_mass(&rod, state);
-            let exact = Vector3::new(10.5 + 2.0 * (t - 5.0) + 0.1 * h * h, 4.0, 0.0);
+            let exact = Vector3::new(10.5 + 2.0 * (t - 5.0), 4.0, 0.0);
             assert!((center - exact).norm() < 1e-11, "{center}");
         }
         let (before, after) = (angular_momentum(&states[0]), angular_momentum(&states[1]));
@@ -98,13 +98,19 @@ fn planar_flying_beam() {
         let tips = [0, 1].map(|i| states[i].configuration.positions[n]);
         (energy, tips)
     };
-    let (coarse, middle, fine) = (run(40, 2000), run(80, 4000), run(160, 8000));
+    run(40, 2000, 0.5);
+    let (coarse, middle, fine) = (run(40, 2000, 0.0), run(80, 4000, 0.0), run(160, 8000, 0.0));
     // By 10 s the errors of the coarser grids have outgrown the asymptotic range.
     let (a, b) = (
         (coarse.1[0] - middle.1[0]).norm(),
         (middle.1[0] - fine.1[0]).norm(),
     );
     assert_second_order("tip", a, b);
+    let near = run(80, 25_000, 0.0);
+    for half in [2500, 4000] {
+        let off = (run(80, half, 0.0).1[0] - near.1[0]).norm();
+        assert!(off < 5e-4, "{half} steps: {off:e}");
+    }
     // Free after 2.5 s: the energy only ripples.
     assert!(
         (fine.0[0] - fine.0[1]).abs() < 1e-4 * fine.0[0],

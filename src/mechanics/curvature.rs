@@ -205,7 +205,7 @@ pub(super) fn load_curvatures(
             let rotation = &trajectory.rotations_at(k)[load.node];
             let (linear, angular) = multipliers.at(motion, k, load.node);
             let (linear, angular) = (weight * linear, weight * angular);
-            let wrench = load.wrench(motion.grid.time(k), rotation);
+            let wrench = load.wrench_at_node(&motion.grid.node(k), rotation);
             let rotation = match load.frame {
                 LoadFrame::Spatial => load_curvature(&angular, &wrench.moment),
                 LoadFrame::Body => {

@@ -31,6 +31,7 @@ use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::{InertiaRule, momentum_after, momentum_before};
+use super::integrator::TimeNode;
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::cay_inverse;
@@ -98,7 +99,8 @@ impl ElementStress {
 /// even time node on; the model `dilatation` has no energy to balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PowerBalance {
-    /// Of the loads and of what drives the base, `Σ f·v + τ·ω`, the mean of both ends of the step. Gravity counts as energy.
+    /// Of the loads and of what drives the base, `Σ f·v + τ·ω`, the mean of both ends of the step, with what the step applies
+    /// there. Gravity counts as energy.
     pub external: f64,
     /// Taken by damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
     pub dissipated: f64,
@@ -112,12 +114,13 @@ impl PowerBalance {
     /// Over the step of length `time_step` that ends at time `t`.
     #[must_use]
     pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
-        let ends = [(t - time_step, before), (t, after)];
-        let mean = |power: &dyn Fn(f64, &State) -> f64| -> f64 {
-            ends.iter().map(|(t, state)| 0.5 * power(*t, state)).sum()
+        let ends = ends_of_step(time_step, t, before, after);
+        let power = |node: &TimeNode, state: &State| {
+            load_power(rod, node, state) + base_power(rod, time_step, node, state)
         };
-        let external =
-            mean(&|t, state| load_power(rod, t, state) + base_power(rod, time_step, t, state));
+        let external = (ends.iter())
+            .map(|(node, state)| 0.5 * power(node, state))
+            .sum::<f64>();
         let energies = ends.map(|(_, state)| Energy::of(rod, state));
         let viscous: f64 = energies
             .iter()
@@ -133,6 +136,26 @@ impl PowerBalance {
             residual: energy_rate - external + dissipated,
         }
     }
+}
+
+/// The ends of the step of length `time_step` that ends at time `t`, and the states there.
+fn ends_of_step<'a>(
+    time_step: f64,
+    t: f64,
+    before: &'a State,
+    after: &'a State,
+) -> [(TimeNode, &'a State); 2] {
+    let start = TimeNode {
+        time: t - time_step,
+        before: 0.0,
+        after: time_step,
+    };
+    let end = TimeNode {
+        time: t,
+        before: time_step,
+        after: 0.0,
+    };
+    [(start, before), (end, after)]
 }
 
 /// Velocity (spatial) and angular velocity (body frame) of every node.
@@ -171,13 +194,14 @@ fn viscous_stresses(rod: &Rod, state: &State) -> Vec<IntervalStress> {
 
 /// All forces of the rod on its nodes but viscous damping and the reaction, at the configuration and the velocities of
 /// `state`: elastic and viscous stress, gravity, loads, and the kinetic reaction.
-fn forces_of_motion(rod: &Rod, t: f64, state: &State) -> NodalForces {
+fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     let (x, r) = (
         &state.configuration.positions,
         &state.configuration.rotations,
     );
     let mut net = NodalForces::zeros(rod.n_nodes());
-    net.evaluate(rod, x, r, t);
+    net.evaluate_elastic(rod, x, r);
+    net.add_loads(rod, r, node);
     if rod.internal_damping > 0.0 {
         for (q, stress) in viscous_stresses(rod, state).iter().enumerate() {
             let pose = Rod::element_pose(q, x, r);
@@ -242,22 +266,22 @@ fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces)
 }
 
 /// `Σ f·v + τ·ω` of what drives the base, W.
-fn base_power(rod: &Rod, time_step: f64, t: f64, state: &State) -> f64 {
-    let Some(base) = rod.driven_base(t) else {
+fn base_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 {
+    let Some(base) = rod.driven_base(node.time) else {
         return 0.0;
     };
-    let net = forces_of_motion(rod, t, state);
-    let wrench = reaction(rod, time_step, t, state, &net);
+    let net = forces_of_motion(rod, node, state);
+    let wrench = reaction(rod, time_step, node.time, state, &net);
     wrench.force.dot(&base.velocity) + wrench.moment.dot(&base.angular_velocity)
 }
 
 /// `Σ f·v + τ·ω` of the loads, W.
-fn load_power(rod: &Rod, t: f64, state: &State) -> f64 {
+fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
     let [velocity, spin] = velocities(rod, state);
     (rod.loads.iter())
         .map(|load| {
             let q = load.node;
-            let wrench = load.wrench(t, &state.configuration.rotations[q]);
+            let wrench = load.wrench_at_node(node, &state.configuration.rotations[q]);
             wrench.force.dot(&velocity[q]) + wrench.moment.dot(&spin[q])
         })
         .sum()
@@ -285,17 +309,17 @@ impl MomentumBalance {
     #[must_use]
     pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
         let h = time_step;
-        let ends = [(t - h, before), (t, after)];
+        let ends = ends_of_step(h, t, before, after);
         let step = Step::between(rod, h, t, before, after);
         let mut out = Self::default();
-        for (end, (t, state)) in ends.into_iter().enumerate() {
-            add_loads(&mut out.loads, 0.5, rod, t, state);
+        for (end, (node, state)) in ends.into_iter().enumerate() {
+            add_loads(&mut out.loads, 0.5, rod, &node, state);
             for q in 0..rod.n_nodes() {
                 let (p, pi) = (&step.linear[q], &step.angular[end][q]);
                 out.damping.add(-0.5 * rod.viscous_damping, state, q, p, pi);
             }
             if rod.base != BaseCondition::Free {
-                let impulse = step.base_impulse(rod, h, end, t, ends.map(|(_, state)| state));
+                let impulse = step.base_impulse(rod, h, end, &node, [before, after]);
                 out.reaction
                     .add(1.0 / h, state, 0, &impulse.force, &impulse.moment);
             }
@@ -356,8 +380,15 @@ impl Step {
         }
     }
 
-    /// What the constraint on node 0 adds to its momenta where the step leaves (`end` 0) or arrives (1), at time `t`.
-    fn base_impulse(&self, rod: &Rod, h: f64, end: usize, t: f64, states: [&State; 2]) -> Wrench {
+    /// What the constraint on node 0 adds to its momenta where the step leaves (`end` 0) or arrives (1), at the time node `node`.
+    fn base_impulse(
+        &self,
+        rod: &Rod,
+        h: f64,
+        end: usize,
+        node: &TimeNode,
+        states: [&State; 2],
+    ) -> Wrench {
         let poses = states.map(|state| {
             let at = &state.configuration;
             Rod::element_pose(0, &at.positions, &at.rotations)
@@ -373,7 +404,7 @@ impl Step {
 
         let mut forces = NodalForces::zeros(rod.n_nodes());
         let at = &state.configuration;
-        forces.evaluate_at_node(rod, &at.positions, &at.rotations, t);
+        forces.evaluate_at_node(rod, &at.positions, &at.rotations, node);
         change[0] -= 0.5 * h * forces.forces[0];
         change[1] -= 0.5 * h * forces.moments[0];
         if let Some(weights) = IntervalWeights::of(rod, h) {
@@ -393,14 +424,14 @@ impl Step {
     }
 }
 
-/// Adds `factor` times gravity and loads at time `t`.
-fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, t: f64, state: &State) {
-    for (q, node) in rod.nodes.iter().enumerate() {
-        let weight = rod.gravity * node.mass;
+/// Adds `factor` times gravity and loads at a time node.
+fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, state: &State) {
+    for (q, inertia) in rod.nodes.iter().enumerate() {
+        let weight = rod.gravity * inertia.mass;
         sum.add(factor, state, q, &weight, &Vector3::zeros());
     }
     for load in &rod.loads {
-        let wrench = load.wrench(t, &state.configuration.rotations[load.node]);
+        let wrench = load.wrench_at_node(node, &state.configuration.rotations[load.node]);
         sum.add(factor, state, load.node, &wrench.force, &wrench.moment);
     }
 }
@@ -419,7 +450,7 @@ pub struct Diagnostics {
     /// on node 0 (those of the stress of the first element, of viscosity and of the kinetic reaction among them), give it its
     /// motion; zero for a free base.
     pub reaction: Wrench,
-    /// Gravity, loads and the reaction.
+    /// Gravity, loads and the reaction; where a load jumps, the mean of both sides.
     pub external: TotalWrench,
     /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta that
     /// the forces at its start give it.
@@ -449,11 +480,20 @@ impl Diagnostics {
             }
         }
 
-        let net = forces_of_motion(rod, t, state);
+        let start = TimeNode {
+            time: t,
+            before: 0.0,
+            after: time_step,
+        };
+        let node = TimeNode {
+            before: if t > 0.0 { time_step } else { 0.0 },
+            ..start
+        };
+        let net = forces_of_motion(rod, &node, state);
         let reaction = reaction(rod, time_step, t, state, &net);
 
         let mut external = TotalWrench::default();
-        add_loads(&mut external, 1.0, rod, t, state);
+        add_loads(&mut external, 1.0, rod, &node, state);
         external.add(1.0, state, 0, &reaction.force, &reaction.moment);
 
         let c = rod.viscous_damping;
@@ -465,6 +505,7 @@ impl Diagnostics {
             damping.force -= c * p;
             damping.moment -= c * (base.position.cross(&p) + base.rotation * spin);
         }
+        let net = forces_of_motion(rod, &start, state);
         for q in rod.first_free_node()..rod.n_nodes() {
             let p = (state.linear_momentum[q] + 0.5 * time_step * net.forces[q]) * undamp;
             let g = (state.angular_momentum[q] + 0.5 * time_step * net.moments[q]) * undamp;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::integrator::TimeScheme;
+use super::integrator::{TimeNode, TimeScheme};
 use super::rod::Rod;
 
 /// Force (spatial, N) and moment (body frame, N m) on every node.
@@ -24,7 +24,7 @@ impl NodalForces {
         }
     }
 
-    /// `-dU/dx`, `-dU/dη`, gravity and loads at time `t`. Control wrenches are not included.
+    /// `-dU/dx`, `-dU/dη`, gravity and loads at the instant `t`. Control wrenches are not included.
     pub fn evaluate(
         &mut self,
         rod: &Rod,
@@ -32,26 +32,49 @@ impl NodalForces {
         rotations: &[Matrix3<f64>],
         t: f64,
     ) {
-        self.start_with_gravity(rod);
-        self.add_elastic(rod, positions, rotations);
-        self.add_loads(rod, rotations, t);
+        self.evaluate_elastic(rod, positions, rotations);
+        let instant = TimeNode {
+            time: t,
+            before: 0.0,
+            after: 0.0,
+        };
+        self.add_loads(rod, rotations, &instant);
     }
 
-    /// What acts at a time node by itself: all of [`Self::evaluate`], or under [`TimeScheme::Implicit`] gravity and loads
+    /// `-dU/dx`, `-dU/dη` and gravity, whatever the time scheme.
+    pub fn evaluate_elastic(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+    ) {
+        self.start_with_gravity(rod);
+        self.add_elastic(rod, positions, rotations);
+    }
+
+    /// What acts at a time node by itself: elastic forces, gravity and loads, or under [`TimeScheme::Implicit`] gravity and loads
     /// only, because the elastic forces are those of the intervals.
     pub fn evaluate_at_node(
         &mut self,
         rod: &Rod,
         positions: &[Vector3<f64>],
         rotations: &[Matrix3<f64>],
-        t: f64,
+        node: &TimeNode,
+    ) {
+        self.evaluate_without_loads(rod, positions, rotations);
+        self.add_loads(rod, rotations, node);
+    }
+
+    /// [`Self::evaluate_at_node`] without loads, which the steps before and after the time node may find different.
+    pub fn evaluate_without_loads(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
     ) {
         match rod.scheme {
-            TimeScheme::Explicit => self.evaluate(rod, positions, rotations, t),
-            TimeScheme::Implicit => {
-                self.start_with_gravity(rod);
-                self.add_loads(rod, rotations, t);
-            }
+            TimeScheme::Explicit => self.evaluate_elastic(rod, positions, rotations),
+            TimeScheme::Implicit => self.start_with_gravity(rod),
         }
     }
 
@@ -78,9 +101,10 @@ impl NodalForces {
         }
     }
 
-    fn add_loads(&mut self, rod: &Rod, rotations: &[Matrix3<f64>], t: f64) {
+    /// Adds what the loads apply at a time node.
+    pub fn add_loads(&mut self, rod: &Rod, rotations: &[Matrix3<f64>], node: &TimeNode) {
         for load in &rod.loads {
-            let wrench = load.wrench(t, &rotations[load.node]);
+            let wrench = load.wrench_at_node(node, &rotations[load.node]);
             self.forces[load.node] += wrench.force;
             self.moments[load.node] += wrench.moment;
         }

@@ -85,10 +85,52 @@ impl TimeGrid {
         k as f64 * self.step
     }
 
+    /// Node `k` with the intervals beside it, one at either end.
+    #[inline]
+    #[must_use]
+    pub fn node(&self, k: usize) -> TimeNode {
+        let interval = |is_there| if is_there { self.step } else { 0.0 };
+        TimeNode {
+            time: self.time(k),
+            before: interval(k > 0),
+            after: interval(k < self.n_steps),
+        }
+    }
+
     /// `N h`, s.
     #[must_use]
     pub fn end(&self) -> f64 {
         self.time(self.n_steps)
+    }
+}
+
+/// A time node, and the intervals over which what happens beside it acts there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeNode {
+    /// Its time, s.
+    pub time: f64,
+    /// Length of the interval before it, s; 0 where there is none, or where only the one after it is asked for.
+    pub before: f64,
+    /// Length of the interval after it, s; 0 likewise.
+    pub after: f64,
+}
+
+impl TimeNode {
+    /// The two sides of step `k` of length `h`: its start with what comes after it, its end with what came before.
+    #[must_use]
+    pub fn ends_of_step(k: usize, h: f64) -> [Self; 2] {
+        [
+            Self {
+                time: k as f64 * h,
+                before: 0.0,
+                after: h,
+            },
+            Self {
+                time: (k + 1) as f64 * h,
+                before: h,
+                after: 0.0,
+            },
+        ]
     }
 }
 
@@ -300,11 +342,10 @@ impl<'a> Integrator<'a> {
     #[must_use]
     pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
         let mut forces = NodalForces::zeros(rod.n_nodes());
-        forces.evaluate_at_node(
+        forces.evaluate_without_loads(
             rod,
             &state.configuration.positions,
             &state.configuration.rotations,
-            step as f64 * time_step,
         );
         let implicit = IntervalWeights::of(rod, time_step)
             .map(|weights| ImplicitStep::new(rod, weights, &state.configuration));
@@ -344,7 +385,7 @@ impl<'a> Integrator<'a> {
         self.implicit.as_ref().map_or(0, ImplicitStep::iterations)
     }
 
-    /// Forces at the current configuration, without the control wrench, and under [`TimeScheme::Implicit`] without the
+    /// Forces at the current configuration, without loads and control wrenches, and under [`TimeScheme::Implicit`] without the
     /// elastic forces.
     #[must_use]
     pub fn forces(&self) -> &NodalForces {
@@ -440,10 +481,13 @@ impl<'a> Integrator<'a> {
         self.arrive(control[1])
     }
 
-    /// The first half of the kicks, with the forces at hand and the control just after the time node.
+    /// The first half of the kicks, with the forces at hand, and the loads and the control just after the time node.
     fn leave(&mut self, control: NodeWrenches, undamp: f64) {
         let half_step = 0.5 * self.time_step;
         let tip = self.rod.tip();
+        let [start, _] = TimeNode::ends_of_step(self.step, self.time_step);
+        let rotations = &self.state.configuration.rotations;
+        self.forces.add_loads(self.rod, rotations, &start);
         for (node, wrench) in control.iter() {
             self.forces.forces[node] += wrench.force;
             self.forces.moments[node] += wrench.moment;
@@ -459,23 +503,20 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// The second half, with the forces at the next time node and the control just before it.
+    /// The second half, with the forces at the next time node, and the loads and the control just before it.
     fn arrive(&mut self, control: NodeWrenches) -> Result<(), StepError> {
         let half_step = 0.5 * self.time_step;
         let tip = self.rod.tip();
         self.check_folds()?;
+        let [_, end] = TimeNode::ends_of_step(self.step, self.time_step);
         self.step += 1;
         let State {
             configuration,
             linear_momentum,
             angular_momentum,
         } = &mut self.state;
-        self.forces.evaluate_at_node(
-            self.rod,
-            &configuration.positions,
-            &configuration.rotations,
-            self.step as f64 * self.time_step,
-        );
+        let rotations = &configuration.rotations;
+        (self.forces).evaluate_without_loads(self.rod, &configuration.positions, rotations);
         // Not finite as soon as one momentum is not, and then looked into.
         let mut probe = Vector3::zeros();
         for node in self.rod.first_free_node()..=tip {
@@ -484,6 +525,12 @@ impl<'a> Integrator<'a> {
             probe += linear_momentum[node] + angular_momentum[node];
         }
         let first = self.rod.first_free_node();
+        for load in self.rod.loads.iter().filter(|load| load.node >= first) {
+            let wrench = load.wrench_at_node(&end, &rotations[load.node]);
+            linear_momentum[load.node] += half_step * wrench.force;
+            angular_momentum[load.node] += half_step * wrench.moment;
+            probe += linear_momentum[load.node] + angular_momentum[load.node];
+        }
         for (node, wrench) in control.iter().filter(|(node, _)| *node >= first) {
             linear_momentum[node] += half_step * wrench.force;
             angular_momentum[node] += half_step * wrench.moment;

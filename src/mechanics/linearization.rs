@@ -307,7 +307,7 @@ pub fn defects(
     let mut pi = initial.angular_momentum.clone();
     for k in 0..=grid.n_steps {
         let positions = trajectory.positions_at(k);
-        forces.evaluate_at_node(rod, positions, trajectory.rotations_at(k), grid.time(k));
+        forces.evaluate_at_node(rod, positions, trajectory.rotations_at(k), &grid.node(k));
         for (node, wrench) in control.at(k).iter() {
             forces.forces[node] += wrench.force;
             forces.moments[node] += wrench.moment;
@@ -481,9 +481,11 @@ pub(super) fn load_derivatives(
 ) -> Vec<LoadDerivative> {
     let Motion { rod, grid, .. } = *motion;
     let rotations = trajectory.rotations_at(k);
+    let node = grid.node(k);
     (rod.loads.iter().filter(|load| load.turns()))
         .map(|load| {
-            let (force, moment) = load.wrench_derivative(grid.time(k), &rotations[load.node]);
+            let rotation = &rotations[load.node];
+            let (force, moment) = load.wrench_derivative_at_node(&node, rotation);
             LoadDerivative {
                 node: load.node,
                 force,

@@ -1,6 +1,13 @@
 //! Loads: wrenches on nodes as functions of time and, for some frames, of the node's rotation.
+//!
+//! The profile of a load jumps where it begins or ends with a factor other than zero, and may jump in between. At a time node a step function
+//! that rises at `t₀` has the value `∫ φ(t) [t ≥ t₀] dt / ∫ φ(t) dt`, `φ` the hat that is 1 at the node and falls to 0 at its neighbors:
+//! half of the jump where it falls on the node, as the mean of both sides says. The steps then apply the impulse of the load, and its first
+//! moment in time, exactly, wherever the jump lies between the nodes, and the motion stays second order in the step.
 
 use nalgebra::{Matrix3, Vector3};
+
+use super::integrator::TimeNode;
 
 /// A force and a moment on a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -84,12 +91,13 @@ pub struct Load {
     pub moment: Vector3<f64>,
     /// Frame of both.
     pub frame: LoadFrame,
-    /// `(t, factor)`: piecewise linear, zero outside; empty means a constant factor of 1.
+    /// `(t, factor)` in order of time: piecewise linear, zero outside, a jump where a time occurs twice; empty means a constant factor
+    /// of 1.
     pub profile: Vec<(f64, f64)>,
 }
 
 impl Load {
-    /// Factor of the profile at time `t`.
+    /// Factor of the profile at the instant `t`; at a jump the value just after it, at the end of the table the last one.
     #[must_use]
     pub fn factor(&self, t: f64) -> f64 {
         let (Some(first), Some(last)) = (self.profile.first(), self.profile.last()) else {
@@ -107,6 +115,54 @@ impl Load {
         f0 + (f1 - f0) * (t - t0) / (t1 - t0)
     }
 
+    /// What the steps on either side of a time node apply there: [`Self::factor`], with jumps shared between the time nodes beside them
+    /// (see the [module](self)).
+    #[must_use]
+    pub fn factor_at_node(&self, node: &TimeNode) -> f64 {
+        let &TimeNode {
+            time: t,
+            before,
+            after,
+        } = node;
+        let mut factor = self.factor(t);
+        if self.profile.is_empty() || !(before + after > 0.0) {
+            return factor;
+        }
+        // Part of a step function from `start` on that the node takes.
+        let share = |start: f64| {
+            let part = |length: f64, distance: f64| {
+                // Of the half of the hat that is `length` long, what lies farther than `distance` from the node.
+                let rest = (1.0 - distance / length).clamp(0.0, 1.0);
+                if length > 0.0 {
+                    length * rest * rest
+                } else {
+                    0.0
+                }
+            };
+            let covered = if start >= t {
+                part(after, start - t)
+            } else {
+                after + before - part(before, t - start)
+            };
+            covered / (before + after)
+        };
+        let mut jump = |start: f64, size: f64, is_in: bool| {
+            factor += size * (share(start) - f64::from(u8::from(is_in)));
+        };
+        let (first, last) = (self.profile[0], self.profile[self.profile.len() - 1]);
+        jump(first.0, first.1, first.0 <= t);
+        // At the end of the table `factor` has the last value.
+        jump(last.0, -last.1, last.0 < t);
+        let from = self.profile.partition_point(|&(own, _)| own < t - before);
+        let to = self.profile.partition_point(|&(own, _)| own <= t + after);
+        for pair in self.profile[from..to].windows(2) {
+            if pair[0].0 == pair[1].0 {
+                jump(pair[0].0, pair[1].1 - pair[0].1, pair[0].0 <= t);
+            }
+        }
+        factor
+    }
+
     /// Whether the wrench depends on the rotation of the node at all.
     #[must_use]
     pub fn turns(&self) -> bool {
@@ -116,10 +172,19 @@ impl Load {
         }
     }
 
-    /// The wrench at time `t` on a node turned by `rotation`.
+    /// The wrench at the instant `t` on a node turned by `rotation`.
     #[must_use]
     pub fn wrench(&self, t: f64, rotation: &Matrix3<f64>) -> Wrench {
-        let factor = self.factor(t);
+        self.scaled(self.factor(t), rotation)
+    }
+
+    /// The wrench that the steps beside a time node apply, with [`Self::factor_at_node`].
+    #[must_use]
+    pub fn wrench_at_node(&self, node: &TimeNode, rotation: &Matrix3<f64>) -> Wrench {
+        self.scaled(self.factor_at_node(node), rotation)
+    }
+
+    fn scaled(&self, factor: f64, rotation: &Matrix3<f64>) -> Wrench {
         match self.frame {
             LoadFrame::Spatial => Wrench {
                 force: self.force * factor,
@@ -139,7 +204,24 @@ impl Load {
         t: f64,
         rotation: &Matrix3<f64>,
     ) -> (Matrix3<f64>, Matrix3<f64>) {
-        let factor = self.factor(t);
+        self.scaled_derivative(self.factor(t), rotation)
+    }
+
+    /// The same of [`Load::wrench_at_node`].
+    #[must_use]
+    pub fn wrench_derivative_at_node(
+        &self,
+        node: &TimeNode,
+        rotation: &Matrix3<f64>,
+    ) -> (Matrix3<f64>, Matrix3<f64>) {
+        self.scaled_derivative(self.factor_at_node(node), rotation)
+    }
+
+    fn scaled_derivative(
+        &self,
+        factor: f64,
+        rotation: &Matrix3<f64>,
+    ) -> (Matrix3<f64>, Matrix3<f64>) {
         let hat = super::rotation::hat;
         match self.frame {
             LoadFrame::Spatial => (
@@ -154,6 +236,7 @@ impl Load {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mechanics::TimeGrid;
     use crate::mechanics::rotation::exp;
 
     fn load(frame: LoadFrame, profile: Vec<(f64, f64)>) -> Load {
@@ -182,6 +265,78 @@ mod tests {
             assert!((l.factor(t) - expected).abs() < 1e-15, "t = {t}");
         }
         assert_eq!(load(LoadFrame::Body, vec![]).factor(1e9), 1.0);
+    }
+
+    /// The factors of the time nodes of a grid, each with its share of the time, apply the impulse of a profile and its first moment in
+    /// time exactly: jumps at its beginning, at its end and in between, on the nodes, between them, several within one step, and outside
+    /// of the grid. The profile is constant between the jumps, so that nothing else is left to the quadrature.
+    #[test]
+    fn jumps_keep_impulse_and_moment() {
+        let grid = TimeGrid {
+            step: 0.125,
+            n_steps: 8,
+        };
+        for times in [
+            [0.0, 0.25, 0.5],
+            [0.0, 1.0, 1.0],
+            [-1.0, 0.5, 2.0],
+            [0.3, 0.31, 0.32],
+            [0.01, 0.06, 0.99],
+            [0.2, 0.2, 0.9],
+            [-0.1, -0.05, 0.03],
+            [0.25, 1.0, 1.05],
+        ] {
+            let [a, b, c] = times;
+            let (first, second) = (2.0, -3.0);
+            let l = load(
+                LoadFrame::Spatial,
+                vec![(a, first), (b, first), (b, second), (c, second)],
+            );
+            // `∫ t^power dt` of the part of a piece that the grid covers.
+            let piece = |from: f64, to: f64, power: i32| {
+                let [from, to] = [from, to].map(|t: f64| t.clamp(0.0, 1.0));
+                (to.powi(power + 1) - from.powi(power + 1)) / f64::from(power + 1)
+            };
+            for power in [0, 1] {
+                let exact = first * piece(a, b, power) + second * piece(b, c, power);
+                let found: f64 = (0..=grid.n_steps)
+                    .map(|k| {
+                        let node = grid.node(k);
+                        let weight = 0.5 * (node.before + node.after);
+                        weight * l.factor_at_node(&node) * node.time.powi(power)
+                    })
+                    .sum();
+                assert!((found - exact).abs() < 1e-14, "{times:?}: {found} {exact}");
+            }
+        }
+    }
+
+    /// Where a jump falls on a time node the node has the mean of both sides, each of its two steps its own side; the ends of the grid have
+    /// the side that lies in the grid. Without a jump nearby all of them have the factor itself.
+    #[test]
+    fn a_jump_on_a_node_is_halved() {
+        let h = 0.1;
+        let grid = TimeGrid {
+            step: h,
+            n_steps: 5,
+        };
+        let l = load(
+            LoadFrame::Spatial,
+            vec![(0.0, 1.0), (0.3, 1.0), (0.3, 5.0), (0.5, 3.0)],
+        );
+        let at = |k: usize| l.factor_at_node(&grid.node(k));
+        assert_eq!([at(0), at(1), at(2), at(5)], [1.0, 1.0, 1.0, 3.0]);
+        assert!((at(3) - 3.0).abs() < 1e-15 && (at(4) - 4.0).abs() < 1e-15);
+        let [after, _] = TimeNode::ends_of_step(3, h).map(|node| l.factor_at_node(&node));
+        let [_, before] = TimeNode::ends_of_step(2, h).map(|node| l.factor_at_node(&node));
+        assert!((before - 1.0).abs() < 1e-15 && (after - 5.0).abs() < 1e-15);
+        // A longer grid: half of what ends at its node 5, nothing after.
+        let longer = TimeGrid {
+            step: h,
+            n_steps: 9,
+        };
+        assert!((l.factor_at_node(&longer.node(5)) - 1.5).abs() < 1e-15);
+        assert_eq!(l.factor_at_node(&longer.node(6)), 0.0);
     }
 
     /// Whatever part is loaded, and however it lies between the nodes, the nodes carry it all, each at most its own

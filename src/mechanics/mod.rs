@@ -40,7 +40,7 @@ pub use energy::Energy;
 pub use energy_norm::EnergyNorm;
 pub use equilibrium::{TipSpring, static_equilibrium, static_equilibrium_until};
 pub use forms::{FormTerm, StateForm};
-pub use integrator::{Integrator, StepError, TimeGrid, TimeScheme};
+pub use integrator::{Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{

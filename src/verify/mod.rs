@@ -29,7 +29,7 @@ use crate::control::{
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
-    State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
+    State, StepError, Stepper, TimeGrid, TimeNode, Trajectory, Wrench,
 };
 use crate::sqp::{KktResidual, SADDLE_GAIN};
 use crate::stop::{Stop, StopSignal};
@@ -404,15 +404,22 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// What acts on node 0 apart from what drives it; nothing where nothing drives it.
-    fn base_wrench(&self) -> Wrench {
-        match self {
-            Self::Plain(integrator) => Wrench {
-                force: integrator.forces().forces[0],
-                moment: integrator.forces().moments[0],
-            },
-            Self::Fast(_) => Wrench::default(),
+    /// What acts on node 0 apart from what drives it, on the side of the time node that `node` names; nothing where nothing drives it.
+    fn base_wrench(&self, rod: &Rod, node: &TimeNode) -> Wrench {
+        let Self::Plain(integrator) = self else {
+            return Wrench::default();
+        };
+        let mut acting = Wrench {
+            force: integrator.forces().forces[0],
+            moment: integrator.forces().moments[0],
+        };
+        let rotation = &integrator.state().configuration.rotations[0];
+        for load in rod.loads.iter().filter(|load| load.node == 0) {
+            let wrench = load.wrench_at_node(node, rotation);
+            acting.force += wrench.force;
+            acting.moment += wrench.moment;
         }
+        acting
     }
 }
 
@@ -440,12 +447,13 @@ fn account(
     for k in 0..grid.n_steps {
         stop.check_at(k)?;
         let pair = [control.at(k), control.at(k + 1)];
-        let base_before = simulation.base_wrench();
+        let ends = TimeNode::ends_of_step(k, grid.step);
+        let base_before = simulation.base_wrench(rod, &ends[0]);
         simulation.advance(pair)?;
         let before = std::mem::replace(&mut after, simulation.state());
         balance.work += step_work(rod, grid, k, &before, &after, &pair);
         balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
-        let mut passive = [base_before, simulation.base_wrench()];
+        let mut passive = [base_before, simulation.base_wrench(rod, &ends[1])];
         if let Some(internal) = &mut internal {
             balance.dissipation += internal.advance(&after, &mut passive);
         }
@@ -570,8 +578,10 @@ fn step_work(
     }
     for load in &rod.loads {
         let (dx, turn) = displacement(before, after, load.node);
-        for (state, k) in [(before, k), (after, k + 1)] {
-            let wrench = load.wrench(grid.time(k), &state.configuration.rotations[load.node]);
+        let ends = TimeNode::ends_of_step(k, grid.step);
+        for (state, node) in [before, after].into_iter().zip(&ends) {
+            let rotation = &state.configuration.rotations[load.node];
+            let wrench = load.wrench_at_node(node, rotation);
             work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
         }
     }

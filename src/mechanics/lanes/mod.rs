@@ -28,7 +28,8 @@ use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::InertiaRule;
 use super::integrator::{
-    StepError, approach_base, check_dilatation, check_fold, rotation_error, solve_rotation,
+    StepError, TimeNode, approach_base, check_dilatation, check_fold, rotation_error,
+    solve_rotation,
 };
 use super::load::Wrench;
 use super::rod::{BaseCondition, NodeInertia, Rod};
@@ -218,11 +219,11 @@ impl<'a> LaneIntegrator<'a> {
         }
         let configuration = &state.configuration;
         let mut forces = NodalForces::zeros(rod.n_nodes());
-        forces.evaluate(
+        forces.evaluate_at_node(
             rod,
             &configuration.positions,
             &configuration.rotations,
-            self.time(),
+            &self.end_of_step(),
         );
         let free = rod.first_free_node();
         if free > 0 {
@@ -395,6 +396,7 @@ impl<'a> LaneIntegrator<'a> {
             BaseCondition::Clamped | BaseCondition::Free => None,
         };
         self.add_control(control[0]);
+        self.share_jumps();
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -536,12 +538,42 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    fn add_loads(&mut self) {
+    /// This time node, as the end of the step before it.
+    fn end_of_step(&self) -> TimeNode {
+        TimeNode {
+            time: self.time(),
+            before: self.time_step,
+            after: 0.0,
+        }
+    }
+
+    /// Half of what loads that jump near this time node apply after it more than before it.
+    fn share_jumps(&mut self) {
         let rod = self.rod;
-        let time = self.time();
+        let [start, end] = [
+            TimeNode::ends_of_step(self.step, self.time_step)[0],
+            self.end_of_step(),
+        ];
         let free = rod.first_free_node();
         for load in rod.loads.iter().filter(|load| load.node >= free) {
-            let wrench = load.wrench(time, &self.rotation(load.node));
+            if load.factor_at_node(&start) == load.factor_at_node(&end) {
+                continue;
+            }
+            let rotation = self.rotation(load.node);
+            let [after, before] = [start, end].map(|node| load.wrench_at_node(&node, &rotation));
+            let place = self.slots.place(load.node);
+            self.add(place, FORCE, &((after.force - before.force) * 0.5));
+            self.add(place, MOMENT, &((after.moment - before.moment) * 0.5));
+        }
+    }
+
+    /// The loads just before this time node.
+    fn add_loads(&mut self) {
+        let rod = self.rod;
+        let end = self.end_of_step();
+        let free = rod.first_free_node();
+        for load in rod.loads.iter().filter(|load| load.node >= free) {
+            let wrench = load.wrench_at_node(&end, &self.rotation(load.node));
             let place = self.slots.place(load.node);
             self.add(place, FORCE, &wrench.force);
             self.add(place, MOMENT, &wrench.moment);

@@ -95,7 +95,7 @@ pub(super) fn in_lanes(
             }
             let rotations = trajectory.rotations_at(k);
             for load in &rod.loads {
-                let wrench = load.wrench(grid.time(k), &rotations[load.node]);
+                let wrench = load.wrench_at_node(&grid.node(k), &rotations[load.node]);
                 forces[load.node] += wrench.force;
                 moments[load.node] += wrench.moment;
             }

@@ -250,9 +250,9 @@ impl Conditions<'_> {
     ) -> (Vector3<f64>, Vector3<f64>) {
         let mut force = -gradient.x[q];
         let mut moment = -gradient.eta[q];
-        let t = self.problem.grid.time(k);
+        let node = self.problem.grid.node(k);
         for load in self.rod().loads.iter().filter(|load| load.node == q) {
-            let wrench = load.wrench(t, &self.trajectory.rotations_at(k)[q]);
+            let wrench = load.wrench_at_node(&node, &self.trajectory.rotations_at(k)[q]);
             force += wrench.force;
             moment += wrench.moment;
         }
