@@ -8,9 +8,9 @@ use softarm::scene::Scene;
 use toml::Value;
 
 /// Scenes that together give every key of the schema in each of its forms; a new key needs a line here. The first one is a reach with
-/// material and section, the second a driven arm with stiffness and inertia, the third a free one, and the fourth a reach whose
-/// goals are soft.
-const SCENES: [&[&str]; 4] = [
+/// material and section, the second a driven arm with stiffness and inertia, the third a free one, the fourth a reach whose
+/// goals are soft, and the fifth an arm of a named material that is given by its diameters.
+const SCENES: [&[&str]; 5] = [
     &[
         "rod.length_m=1.5",
         "rod.elements=12",
@@ -172,7 +172,7 @@ const SCENES: [&[&str]; 4] = [
         "rod.material.youngs_modulus_pa=1e6",
         "rod.material.poisson_ratio=0.45",
         "rod.material.density_kg_m3=1070.0",
-        "rod.section.radius_m=0.04",
+        "rod.section.diameter_m=0.08",
         "time.end_s=1.0",
         "task.position_m=[0.5, 0.2, 0.9]",
         "task.hard=false",
@@ -191,6 +191,14 @@ const SCENES: [&[&str]; 4] = [
         "control.actuator.0.force_max_n=[1.0, 0.0, 0.0]",
         "control.actuator.0.moment_max_n_m=[0.1, 0.0, 0.0]",
         "solver.continuation.load=4",
+    ],
+    &[
+        "rod.length_m=0.3",
+        "rod.elements=12",
+        "rod.material.preset='ecoflex-00-30'",
+        "rod.section.diameter_base_m=0.02",
+        "rod.section.diameter_tip_m=0.01",
+        "time.end_s=1.0",
     ],
 ];
 

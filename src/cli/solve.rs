@@ -242,6 +242,17 @@ struct Earlier {
 impl Earlier {
     fn read(directory: &Path, stop: &StopSignal) -> Result<Self, CliError> {
         let path = directory.join("scene.toml");
+        if !path.is_file() {
+            return Err(CliError::Directory(format!(
+                "--from {}: {}; give the result directory of an earlier solve, as results/reach-solve",
+                directory.display(),
+                if directory.is_dir() {
+                    "a directory without scene.toml is no result"
+                } else {
+                    "there is no such directory"
+                }
+            )));
+        }
         let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
         let described = scene.optimal_control_until(&source, stop);
         let problem = described

@@ -49,7 +49,7 @@ impl GuessError {
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum GuessError {
     /// A static shape was not found.
-    #[error("{0}")]
+    #[error("{0}; solver.guess = \"rest\" starts without static shapes")]
     Equilibrium(#[from] EquilibriumError),
     /// The uncontrolled motion could not be simulated.
     #[error("{0}")]

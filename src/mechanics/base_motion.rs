@@ -128,7 +128,7 @@ impl CubicSpline {
     /// No points, times that do not increase, or numbers that are not finite.
     pub fn through(points: &[(f64, Vector3<f64>)]) -> Result<Self, RodError> {
         if points.is_empty() {
-            return Err(RodError {
+            return Err(RodError::OutOfRange {
                 parameter: "base motion table",
                 value: 0.0,
                 expected: "at least one point",
@@ -142,7 +142,7 @@ impl CubicSpline {
         }
         for pair in points.windows(2) {
             if pair[1].0 <= pair[0].0 {
-                return Err(RodError {
+                return Err(RodError::OutOfRange {
                     parameter: "base motion table time",
                     value: pair[1].0,
                     expected: "after the time before it",
@@ -206,7 +206,7 @@ fn require_finite(value: f64) -> Result<(), RodError> {
     if value.is_finite() {
         Ok(())
     } else {
-        Err(RodError {
+        Err(RodError::OutOfRange {
             parameter: "base motion",
             value,
             expected: "finite",

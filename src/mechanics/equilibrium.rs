@@ -78,12 +78,11 @@ impl TipSpring {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EquilibriumError {
     /// A free rod has no place to rest.
-    #[error("base.kind: a static equilibrium needs a base that is held")]
+    #[error("a static equilibrium needs a base that is held, and this one is free")]
     FreeBase,
     /// The iteration limit was reached.
     #[error(
-        "no static equilibrium within {iterations} iterations: residual {residual:.3e} of the rod's force scale EI/L²; \
-         apply the load in smaller parts"
+        "no static equilibrium within {iterations} iterations: residual {residual:.3e} of the rod's force scale EI/L²"
     )]
     NotConverged {
         /// Iterations spent.
@@ -93,8 +92,7 @@ pub enum EquilibriumError {
     },
     /// An element is stretched beyond all measure: the load is more than its model bears.
     #[error(
-        "element {element} would be stretched to {dilatation:.1e} of its length: its model bears no such load; reduce it, or \
-         stiffen the rod"
+        "element {element} would be stretched to {dilatation:.1e} of its length: its model bears no such load"
     )]
     Overstretched {
         /// Element, between nodes `element` and `element + 1`.

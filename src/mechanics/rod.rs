@@ -277,14 +277,35 @@ pub struct Rod {
 
 /// A parameter that no rod can have.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{parameter}: {value} is not {expected}")]
-pub struct RodError {
-    /// Name of the field of [`RodParameters`].
-    pub parameter: &'static str,
-    /// The offending value.
-    pub value: f64,
-    /// What it should have been.
-    pub expected: &'static str,
+pub enum RodError {
+    /// A number out of its range.
+    #[error("{parameter}: {value} is not {expected}")]
+    OutOfRange {
+        /// Name of the field of [`RodParameters`], or of what was computed from them.
+        parameter: &'static str,
+        /// The offending value.
+        value: f64,
+        /// What it should have been.
+        expected: &'static str,
+    },
+    /// Something that only [`RodModel::Standard`] has.
+    #[error("{parameter}: only the standard model has it")]
+    NeedsStandardModel {
+        /// Name of the field of [`RodParameters`].
+        parameter: &'static str,
+    },
+}
+
+impl RodError {
+    /// Name of the field of [`RodParameters`], or of what was computed from them.
+    #[must_use]
+    pub fn parameter(&self) -> &'static str {
+        match self {
+            Self::OutOfRange { parameter, .. } | Self::NeedsStandardModel { parameter } => {
+                parameter
+            }
+        }
+    }
 }
 
 /// `|RᵀR - I|` of what is taken for a rotation.
@@ -299,7 +320,7 @@ fn require(
     if value.is_finite() && holds(value) {
         Ok(())
     } else {
-        Err(RodError {
+        Err(RodError::OutOfRange {
             parameter,
             value,
             expected,
@@ -337,19 +358,22 @@ impl Rod {
             |c| c >= 0.0,
             "a non-negative damping",
         )?;
-        let standard = p.model == RodModel::Standard;
         require(
             "internal_damping",
             p.internal_damping,
-            |tau| tau == 0.0 || (tau > 0.0 && standard),
-            "a non-negative time, nor 0 where the model is not standard",
+            |tau| tau >= 0.0,
+            "a non-negative time",
         )?;
-        require(
-            "scheme",
-            f64::from(u8::from(p.scheme == TimeScheme::Implicit)),
-            |implicit| implicit == 0.0 || standard,
-            "explicit (0), the only scheme where the model is not standard",
-        )?;
+        if p.model != RodModel::Standard {
+            for (parameter, is_used) in [
+                ("internal_damping", p.internal_damping > 0.0),
+                ("scheme", p.scheme == TimeScheme::Implicit),
+            ] {
+                if is_used {
+                    return Err(RodError::NeedsStandardModel { parameter });
+                }
+            }
+        }
         for i in 0..3 {
             require("gravity", p.gravity[i], |_| true, "finite")?;
             require("base_position", p.base_position[i], |_| true, "finite")?;

@@ -148,16 +148,30 @@ pub(crate) fn cayley_quaternion(f: &Vector3<f64>) -> Quaternion<f64> {
 /// Rotation matrix of a quaternion `[w, x, y, z]` of any non-zero length.
 #[must_use]
 pub fn from_quaternion(wxyz: [f64; 4]) -> Matrix3<f64> {
-    let q = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    let [w, i, j, k] = unit(wxyz);
+    let q = Quaternion::new(w, i, j, k);
     UnitQuaternion::from_quaternion(q)
         .to_rotation_matrix()
         .into_inner()
 }
 
+/// A vector of any length but zero, divided by its length; scaled first, so that squares neither overflow nor vanish.
+#[must_use]
+pub fn unit<const N: usize>(vector: [f64; N]) -> [f64; N] {
+    let largest = (vector.iter()).fold(0.0, |largest: f64, component| largest.max(component.abs()));
+    let scaled = vector.map(|component| component / largest);
+    let length = scaled
+        .iter()
+        .map(|component| component * component)
+        .sum::<f64>()
+        .sqrt();
+    scaled.map(|component| component / length)
+}
+
 /// The smallest rotation that takes `e3` to `direction` (any non-zero length), preceded by `roll` about `e3`.
 #[must_use]
 pub fn from_direction(direction: &Vector3<f64>, roll: f64) -> Matrix3<f64> {
-    let d = direction.normalize();
+    let d = Vector3::from(unit((*direction).into()));
     // Rodrigues with axis e3 × d; the antipode turns about e1.
     let minimal = if d.z < -1.0 + 1e-12 {
         Matrix3::new(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)

@@ -8,7 +8,7 @@ use super::model::{
 use super::{SceneError, SceneSource};
 
 /// Elements beyond this number are a typing error rather than a wish.
-const MOST_ELEMENTS: usize = 5000;
+pub(super) const MOST_ELEMENTS: usize = 5000;
 
 /// Blocks and iterations beyond this number are a typing error rather than a wish.
 const LARGEST_COUNT: usize = 1_000_000;
@@ -614,6 +614,11 @@ impl Keys<'_> {
     }
 
     fn check_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
+        self.check_numbers_of_obstacle(obstacle, index)
+            .map_err(|error| error.of_item("obstacle", &obstacle.name(index)))
+    }
+
+    fn check_numbers_of_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
         let key = |name: &str| format!("obstacle.{index}.{name}");
         let shapes = [
             ("sphere", obstacle.sphere.is_some()),
@@ -657,7 +662,13 @@ impl Keys<'_> {
         self.positive_if_given(&key("rate_hz"), obstacle.rate_hz, "rate", "Hz")
     }
 
+    /// Errors say which limit they mean by its name as well: indices count from 0, and readers from 1.
     fn check_limit(&self, limit: &Limit, index: usize, elements: usize) -> Checked {
+        self.check_numbers_of_limit(limit, index, elements)
+            .map_err(|error| error.of_item("limit", &limit.name()))
+    }
+
+    fn check_numbers_of_limit(&self, limit: &Limit, index: usize, elements: usize) -> Checked {
         let key = |name: &str| format!("limit.{index}.{name}");
         let kinds = [
             ("stretch", limit.stretch.is_some()),

@@ -64,6 +64,13 @@ impl SceneError {
         SceneError::new(None, message, Place::Source(excerpt(name)))
     }
 
+    /// Adds the name of the item of a list that the error is about.
+    pub(super) fn of_item(mut self, kind: &str, name: &str) -> SceneError {
+        let name = excerpt(name);
+        self.0.message.push_str(&format!(" ({kind} \"{name}\")"));
+        self
+    }
+
     /// Adds what was expected, which is shown beside the marked text.
     pub fn expecting(mut self, expected: impl Into<String>) -> SceneError {
         self.0.expected = Some(expected.into());

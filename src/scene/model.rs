@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::materials::{MaterialFigures, MaterialPreset, Shear};
+use crate::mechanics::rotation::unit;
 use crate::sqp::SqpSettings;
 
 /// A soft arm, what acts on it, and what it should do. SI units throughout.
@@ -1162,9 +1163,9 @@ impl Base {
     /// for `d = -e3` the shortest rotation is the half turn about e1.
     pub fn unit_quaternion(&self) -> [f64; 4] {
         if let Some(orientation) = self.orientation_wxyz {
-            return normalized(orientation);
+            return unit(orientation);
         }
-        let [x, y, z] = normalized(self.direction.unwrap_or([0.0, 0.0, 1.0]));
+        let [x, y, z] = unit(self.direction.unwrap_or([0.0, 0.0, 1.0]));
         // 1 + z, without cancellation where d is close to -e3.
         let one_plus_z = if z < 0.0 {
             (x * x + y * y) / (1.0 - z)
@@ -1172,12 +1173,38 @@ impl Base {
             1.0 + z
         };
         let [w, i, j, _] = if one_plus_z > 0.0 {
-            normalized([one_plus_z, -y, x, 0.0])
+            unit([one_plus_z, -y, x, 0.0])
         } else {
             [0.0, 1.0, 0.0, 0.0]
         };
         let (sin, cos) = (0.5 * self.roll_rad.unwrap_or(0.0)).sin_cos();
         [w * cos, i * cos + j * sin, j * cos - i * sin, w * sin]
+    }
+}
+
+impl Limit {
+    /// Name in reports and errors: its own, or the key of what is limited.
+    #[must_use]
+    pub fn name(&self) -> String {
+        if let Some(name) = &self.name {
+            return name.clone();
+        }
+        let kinds = [
+            ("stretch", self.stretch.is_some()),
+            ("curvature", self.curvature_max_1_m.is_some()),
+            ("twist", self.twist_max_1_m.is_some()),
+            ("speed", self.speed_max_m_s.is_some()),
+        ];
+        let kind = kinds.iter().find(|(_, given)| *given);
+        kind.map_or("without a kind", |(name, _)| name).to_string()
+    }
+}
+
+impl Obstacle {
+    /// Name in reports and errors: its own, or its place in the list.
+    #[must_use]
+    pub fn name(&self, index: usize) -> String {
+        (self.name.clone()).unwrap_or_else(|| format!("obstacle {index}"))
     }
 }
 
@@ -1199,20 +1226,6 @@ impl Task {
             self.tolerance_rad_s.unwrap_or(REST_SPIN / duration_s),
         ]
     }
-}
-
-/// The vector divided by its norm; scaled first, so that neither huge nor tiny components overflow or vanish.
-fn normalized<const N: usize>(vector: [f64; N]) -> [f64; N] {
-    let largest = vector
-        .iter()
-        .fold(0.0, |largest: f64, component| largest.max(component.abs()));
-    let scaled = vector.map(|component| component / largest);
-    let norm = scaled
-        .iter()
-        .map(|component| component * component)
-        .sum::<f64>()
-        .sqrt();
-    scaled.map(|component| component / norm)
 }
 
 /// Speed of a tip at rest, over the length of the arm per duration: a hundredth of what moves the tip by the arm's length in that time.

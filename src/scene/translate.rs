@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::check::MOST_STEPS;
+use super::check::{MOST_ELEMENTS, MOST_STEPS};
 use super::error::SceneError;
 use super::model::{self, InitialShape, Objective, Scene, TimeStep};
 use super::source::SceneSource;
@@ -15,7 +15,7 @@ use crate::control::{
     PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
 };
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
-use crate::mechanics::rotation::{from_quaternion, log};
+use crate::mechanics::rotation::{from_quaternion, log, unit};
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
     BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
@@ -487,19 +487,19 @@ impl Scene {
                 enforcement: price(obstacle.soft),
             });
         let limits = self.limit.iter().filter_map(|limit| {
-            let (key, definition) = if let Some([least, largest]) = limit.stretch {
-                ("stretch", PathLimit::Stretch { least, largest })
+            let definition = if let Some([least, largest]) = limit.stretch {
+                PathLimit::Stretch { least, largest }
             } else if let Some(largest) = limit.curvature_max_1_m {
-                ("curvature", PathLimit::Curvature { largest })
+                PathLimit::Curvature { largest }
             } else if let Some(largest) = limit.twist_max_1_m {
-                ("twist", PathLimit::Twist { largest })
+                PathLimit::Twist { largest }
             } else {
                 let node = limit.node.unwrap_or_default().index(rod.tip());
                 let largest = limit.speed_max_m_s?;
-                ("speed", PathLimit::Speed { node, largest })
+                PathLimit::Speed { node, largest }
             };
             Some(PathConstraint {
-                name: limit.name.clone().unwrap_or_else(|| key.to_string()),
+                name: limit.name(),
                 limit: definition,
                 time_nodes: time_nodes(limit.rate_hz),
                 enforcement: price(limit.soft),
@@ -515,7 +515,7 @@ impl Scene {
         let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
         (self.obstacle.iter().enumerate())
             .filter_map(|(index, obstacle)| {
-                let name = (obstacle.name.clone()).unwrap_or_else(|| format!("obstacle {index}"));
+                let name = obstacle.name(index);
                 let shape = shape(obstacle)?;
                 let margin = obstacle.margin_m;
                 let radius = shape.least_radius() + thinnest + margin;
@@ -692,9 +692,84 @@ impl Scene {
 
     fn rod_of(&self, source: &SceneSource) -> Result<(RodParameters, Rod), SceneError> {
         let parameters = self.rod_parameters(source)?;
-        let rod = Rod::new(&parameters)
-            .map_err(|error| source.error_at("rod", error.to_string(), None))?;
+        let rod = Rod::new(&parameters).map_err(|error| self.rod_error(source, &error))?;
         Ok((parameters, rod))
+    }
+
+    /// What [`Rod::new`] refuses, by the key of the scene that says it.
+    fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
+        let RodError::OutOfRange {
+            parameter,
+            value,
+            expected,
+        } = *error
+        else {
+            let (key, remedy) = match error.parameter() {
+                "scheme" => ("time.integrator", "set it to \"explicit\""),
+                _ => ("damping.internal_s", "leave it out"),
+            };
+            let help = format!("{remedy}, or set rod.model = \"standard\"");
+            let name = match self.rod.model {
+                model::RodModel::Standard => "standard",
+                model::RodModel::Dilatation => "dilatation",
+                model::RodModel::Consistent => "consistent",
+            };
+            let message = format!("the {name} model does not have it, only the standard one");
+            return source.error_at(key, message, Some(help));
+        };
+        const APART: &str = "the numbers are too far apart to be computed with: look for a unit that was mistaken, and give lengths in m, \
+                             moduli in Pa and densities in kg/m³";
+        let given = |material: &'static str, directly: &'static str| match &self.rod.material {
+            Some(_) => material,
+            None => directly,
+        };
+        let (key, message, help) = match parameter {
+            "rest_curvature" => {
+                let curvature: Vector3<f64> = (self.rod.reference.as_ref())
+                    .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
+                let least = curvature.norm() * self.rod.length_m / std::f64::consts::PI;
+                let help = if least < MOST_ELEMENTS as f64 {
+                    format!(
+                        "make it smaller, or rod.elements {} or more",
+                        least as usize + 1
+                    )
+                } else {
+                    "make it smaller: it is in 1/m, one over the radius of the bend".into()
+                };
+                let message = format!("turns each element by {value:.4} rad, half a turn or more");
+                ("rod.reference.curvature_1_m", message, help)
+            }
+            "section mass" | "mass of a node" => (
+                given("rod.material.density_kg_m3", "rod.inertia.mass_kg_m"),
+                format!(
+                    "makes the {parameter} {value} kg/m or kg, which is not positive and finite"
+                ),
+                APART.into(),
+            ),
+            "section rotary inertia" | "inertia of a node" => (
+                given("rod.section", "rod.inertia.rotary_kg_m"),
+                format!("makes the {parameter} {value}, which is not positive and finite"),
+                APART.into(),
+            ),
+            "section linear stiffness"
+            | "section angular stiffness"
+            | "stiffness of an element" => (
+                given("rod.section", "rod.stiffness"),
+                format!("makes the {parameter} {value}, which is not positive and finite"),
+                APART.into(),
+            ),
+            "length of an element" => (
+                "rod.length_m",
+                format!("makes the {parameter} {value} m, which is not positive and finite"),
+                APART.into(),
+            ),
+            _ => (
+                "rod",
+                format!("the {parameter} is {value}, which is not {expected}"),
+                APART.into(),
+            ),
+        };
+        source.error_at(key, message, Some(help))
     }
 
     fn rod_parameters(&self, source: &SceneSource) -> Result<RodParameters, SceneError> {
@@ -886,8 +961,24 @@ impl Scene {
         rod: &Rod,
         stop: &StopSignal,
     ) -> Result<State, SceneError> {
-        self.starting_state_until(rod, stop)
-            .map_err(|error| source.error_at("initial.shape", error.to_string(), None))
+        self.starting_state_until(rod, stop).map_err(|error| {
+            let help = match error {
+                EquilibriumError::FreeBase => {
+                    "set base.kind = \"clamped\", or initial.shape = \"rest\""
+                }
+                EquilibriumError::NotConverged { .. } => {
+                    "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
+                     make gravity and loads smaller or the rod stiffer"
+                }
+                EquilibriumError::Overstretched { .. } => {
+                    "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
+                }
+                EquilibriumError::Stopped(_) => {
+                    "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"
+                }
+            };
+            source.error_at("initial.shape", error.to_string(), Some(help.into()))
+        })
     }
 
     /// State at t = 0 of a rod of this scene: in the shape of `[initial]`, moving as a rigid body with the velocities
@@ -1006,7 +1097,7 @@ fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
     if let Some(half_space) = &obstacle.half_space {
         return Some(Shape::HalfSpace {
             point: half_space.point_m.into(),
-            normal: Vector3::from(half_space.normal).normalize(),
+            normal: Vector3::from(unit(half_space.normal)),
         });
     }
     obstacle.cuboid.as_ref().map(|cuboid| Shape::Cuboid {
