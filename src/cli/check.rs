@@ -154,11 +154,16 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
         ));
     }
     if rod.model == RodModel::Dilatation {
-        out.push(
+        let finer = match rod.strain_rule {
+            crate::mechanics::StrainRule::Helical => {
+                ", with helical strains the earlier the finer the grid"
+            }
+            crate::mechanics::StrainRule::Trapezoidal => "",
+        };
+        out.push(format!(
             "rod.model: \"dilatation\" is the paper's, which keeps neither energy nor angular momentum and can blow up in \
-             long or violent motions; \"consistent\" keeps both"
-                .into(),
-        );
+             long or violent motions{finer}; \"consistent\" keeps both"
+        ));
     }
     // Below the stable step there are no waves that a step does not resolve.
     let bent = bent_step(rod).max(stable_step(rod));

@@ -1,5 +1,6 @@
 //! The command line: one file a verb. Only here is anything printed.
 
+mod advice;
 mod check;
 mod console;
 mod derivatives;

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use clap::Args;
 
+use super::advice;
 use super::check::warnings;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
@@ -140,6 +141,14 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         certify_time,
         &target,
     );
+    if summary.status != "converged" {
+        let problem = &setup.problem;
+        let mut causes = advice::causes(&problem.rod, &problem.initial, problem.grid.end());
+        if !causes.is_empty() {
+            causes.extend(summary.message.take());
+            summary.message = Some(causes.join("; "));
+        }
+    }
     summary.phases_s.feedback = feedback_time;
     summary.second_opinion = other;
     if let Some(feedback) = &feedback {
