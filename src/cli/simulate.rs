@@ -54,6 +54,7 @@ pub(super) fn run(
     memory::require(&of_simulation(&setup), &source)?;
     let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
     concerns.extend(size_warning(&output_size(&setup)));
+    concerns.extend(setup.row_warning());
     for warning in concerns {
         console.warn(&warning);
     }

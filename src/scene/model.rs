@@ -317,7 +317,8 @@ pub struct Gravity {
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
     /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
-    /// angular momentum.
+    /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
+    /// only half of the time, as exp(-c t/2).
     #[schemars(range(min = 0.0))]
     pub viscous_1_s: f64,
     /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
@@ -1028,7 +1029,8 @@ pub enum InitialShape {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
-    /// Rows of the trajectory per second, positive. Absent: every time step.
+    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
+    /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub rate_hz: Option<f64>,

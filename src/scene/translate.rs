@@ -52,6 +52,24 @@ impl Simulation {
         let at_end = k == self.grid.n_steps && !k.is_multiple_of(self.steps_per_row);
         k / self.steps_per_row + 1 + usize::from(at_end)
     }
+
+    /// Where rows cannot fall at the times that `output.rate_hz` asks for, because the steps do not divide their interval: what they do
+    /// instead, in a sentence.
+    #[must_use]
+    pub fn row_warning(&self) -> Option<String> {
+        let rate = self.resolved.output.as_ref()?.rate_hz?;
+        let step = self.grid.step;
+        let rows = self.steps_per_row as f64 * step;
+        // One row at the start and one at the end, whatever the interval.
+        let only_ends = self.steps_per_row >= self.grid.n_steps;
+        (!only_ends && (rows * rate - 1.0).abs() > SAME_INTERVAL).then(|| {
+            format!(
+                "output.rate_hz: steps of {step:.6e} s do not divide the interval of {:.6e} s between rows; rows fall every {rows:.6e} s; give \
+                 a time.step_s that divides it, or \"auto\" and an end_s that is a multiple of it",
+                1.0 / rate
+            )
+        })
+    }
 }
 
 /// An optimal-control problem, and how to solve it.
@@ -158,11 +176,14 @@ impl Scene {
         stop: &StopSignal,
     ) -> Result<Simulation, SceneError> {
         let (parameters, rod) = self.rod_of(source)?;
-        let grid = self.grid(source, &rod, self.time.end_s, 1)?;
+        let output = self.output.clone().unwrap_or_default();
+        let mut grid = self.grid(source, &rod, self.time.end_s, 1)?;
+        if let (Some(rate), TimeStep::Auto) = (output.rate_hz, self.time.step_s) {
+            grid = row_grid(source, grid, rate)?;
+        }
         let initial = self.initial_state(source, &rod, stop)?;
         let mut resolved = self.with_material_resolved();
         resolve_time(&mut resolved, &grid);
-        let output = self.output.clone().unwrap_or_default();
         Ok(Simulation {
             parameters,
             rod,
@@ -699,9 +720,7 @@ impl Scene {
     /// What [`Rod::new`] refuses, by the key of the scene that says it.
     fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
         let RodError::OutOfRange {
-            parameter,
-            value,
-            expected,
+            parameter, value, ..
         } = *error
         else {
             let (key, remedy) = match error.parameter() {
@@ -764,8 +783,8 @@ impl Scene {
                 APART.into(),
             ),
             _ => (
-                "rod",
-                format!("the {parameter} is {value}, which is not {expected}"),
+                "rod.length_m",
+                format!("makes the {parameter} {value}"),
                 APART.into(),
             ),
         };
@@ -921,8 +940,12 @@ impl Scene {
     ) -> Result<TimeGrid, SceneError> {
         let limit = stable_step(rod);
         if !(limit > 0.0 && limit.is_finite()) {
+            let key = match &self.rod.material {
+                Some(_) => "rod.section",
+                None => "rod.stiffness",
+            };
             return Err(source.error_at(
-                "rod",
+                key,
                 format!("the stable time step of this rod is {limit}"),
                 Some("its stiffness and inertia are too far apart to be computed with".into()),
             ));
@@ -1160,6 +1183,41 @@ fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
             o.rotation_rad
         })?,
     })
+}
+
+/// Relative difference below which two intervals are one: roundings of a quotient.
+const SAME_INTERVAL: f64 = 1e-9;
+/// Numbers of steps per row that are tried beyond the least: with ends that are no multiple of the interval, one of them may still divide
+/// both.
+const MORE_STEPS_PER_ROW: usize = 100;
+
+/// A grid with steps no longer than those of `grid` that divide the interval between rows, where there is one that ends at the same time:
+/// rows then fall where they were asked for.
+fn row_grid(source: &SceneSource, grid: TimeGrid, rate: f64) -> Result<TimeGrid, SceneError> {
+    let intervals = grid.end() * rate;
+    let least = (1.0 / (rate * grid.step) * (1.0 - SAME_INTERVAL))
+        .ceil()
+        .max(1.0);
+    if !(intervals >= 1.0) {
+        return Ok(grid);
+    }
+    if !(intervals * least <= MOST_STEPS) {
+        let message = format!(
+            "a row every {:.3e} s up to time.end_s, {} s, takes {:.3e} steps, more than {MOST_STEPS:e}",
+            1.0 / rate,
+            grid.end(),
+            intervals * least
+        );
+        let help = "give a lower rate".to_string();
+        return Err(source.error_at("output.rate_hz", message, Some(help)));
+    }
+    let whole = (0..=MORE_STEPS_PER_ROW)
+        .map(|more| intervals * (least + more as f64))
+        .find(|steps| (steps - steps.round()).abs() <= SAME_INTERVAL * steps);
+    Ok(whole.map_or(grid, |steps| TimeGrid {
+        step: grid.end() / steps.round(),
+        n_steps: steps.round() as usize,
+    }))
 }
 
 /// The grid at the longest duration: what a rate of samples is counted on, so that it does not depend on where the search begins.
