@@ -331,3 +331,76 @@ fn follower_loads_keep_the_frequencies_real() {
     let motions = SmallMotions::about(&rod, &rod.rest, 0.0);
     assert!(motions.squared_frequency(0).is_finite());
 }
+
+/// Viscous damping `c`: the velocity of a free arm that drifts and spins about its axis falls as `exp(-c t)`, and an arm of one element that
+/// swings along its axis, a spring `EA/l` with the mass of its end, follows `A exp(-c t/2) (cos ω_d t + c/(2 ω_d) sin ω_d t)` with
+/// `ω_d² = ω² - c²/4`: its amplitude falls half as fast. The scheme errs in the exponent by `(c h)²/12` and in the frequency by `(ω h)²/24`.
+#[test]
+fn viscous_damping_of_velocities_and_of_swings() {
+    let c = 0.8;
+    for rule in RULES {
+        let damped = RodParameters {
+            viscous_damping: c,
+            ..soft_arm(rule, 1)
+        };
+        let free = Rod::new(&RodParameters {
+            base: BaseCondition::Free,
+            ..damped.clone()
+        })
+        .unwrap();
+        let h = 0.2 * stable_step(&free);
+        let (velocity, spin) = (Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.0, 0.0, 2.0));
+        let initial = free.rigid_motion(free.rest.clone(), &Vector3::zeros(), &velocity, &spin);
+        let mut integrator = Integrator::new(&free, h, initial.clone());
+        let n_steps = (3.0 / (c * h)) as usize;
+        for _ in 0..n_steps {
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
+        }
+        let t = n_steps as f64 * h;
+        let left = (-c * t).exp();
+        let tolerance = 1.01 * (c * h).powi(2) / 12.0 * c * t;
+        for (now, then) in [
+            (
+                &integrator.state().linear_momentum,
+                &initial.linear_momentum,
+            ),
+            (
+                &integrator.state().angular_momentum,
+                &initial.angular_momentum,
+            ),
+        ] {
+            for (now, then) in now.iter().zip(then) {
+                let off = (now - then * left).norm();
+                assert!(
+                    off <= tolerance * left * then.norm(),
+                    "{rule:?}: {:e} of {tolerance:e}",
+                    off / (left * then.norm())
+                );
+            }
+        }
+
+        let rod = Rod::new(&damped).unwrap();
+        let stiffness = rod.elements[0].linear_stiffness.z / rod.elements[0].length;
+        let omega = (stiffness / rod.nodes[1].mass).sqrt();
+        let swinging = (omega * omega - 0.25 * c * c).sqrt();
+        let h = 0.01 / omega;
+        let amplitude = 1e-3;
+        let mut shape = rod.rest.clone();
+        shape.positions[1].z += amplitude;
+        let mut integrator = Integrator::new(&rod, h, State::at_rest(shape));
+        let n_steps = (3.0 / (c * h)) as usize;
+        for k in 1..=n_steps {
+            integrator.advance([NodeWrenches::NONE; 2]).unwrap();
+            let t = k as f64 * h;
+            let (sine, cosine) = (swinging * t).sin_cos();
+            let envelope = amplitude * (-0.5 * c * t).exp();
+            let exact = envelope * (cosine + 0.5 * c / swinging * sine);
+            let found = integrator.state().configuration.positions[1].z - rod.rest.positions[1].z;
+            let phase = omega * t * (omega * h).powi(2) / 24.0;
+            assert!(
+                (found - exact).abs() < envelope * (1.5 * phase + 1e-9),
+                "{rule:?}, t = {t}: {found} of {exact}"
+            );
+        }
+    }
+}

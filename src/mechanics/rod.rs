@@ -165,7 +165,8 @@ pub struct RodParameters {
     pub base_rotation: Matrix3<f64>,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
-    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
+    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum. A velocity that nothing else changes falls as
+    /// `exp(-c t)`, the amplitude of a swing as `exp(-c t/2)`.
     pub viscous_damping: f64,
     /// Kelvin-Voigt time `τ`, s: an additional stress `τ C ṡ`, `ṡ` the rate of strain; [`RodModel::Standard`] only.
     pub internal_damping: f64,
