@@ -5,8 +5,8 @@ mod common;
 
 use common::extremes::{
     arc_errors, assembled_limit, compliance, drift, fold, growth, half_turn_error,
-    locked_bending_error, objectivity_error, orthonormalization_effect, release,
-    same_in_other_units, spin_error, uneven_drift,
+    leaking_uneven_drift, locked_bending_error, objectivity_error, orthonormalization_effect,
+    release, same_in_other_units, spin_error, uneven_drift,
 };
 use common::{Dice, MODELS, RULES, bases, laws, random_state, soft_arm};
 use nalgebra::{Matrix3, Vector3};
@@ -98,16 +98,22 @@ fn loads_of_all_sizes() {
 }
 
 /// Masses and moments of inertia ten orders of magnitude apart along a free rod: momenta stay to rounding, which grows like
-/// the root of the steps, and the energy within the ripple of half the stable step.
+/// the root of the steps, and the energy within the ripple that half the stable step gives the modes of this motion, half as much again
+/// for what large deformations change of them. A leak of the energy as large as two such ripples is seen.
 #[test]
 fn inertias_ten_orders_apart() {
     for law in laws().filter(|law| law.1.has_potential()) {
-        let drift = uneven_drift(law, 10.0).unwrap();
+        let (drift, ripple) = leaking_uneven_drift(law, 10.0, 0.0).unwrap();
         assert!(
             drift.linear < 1e-12 && drift.angular < 1e-12,
             "{law:?} {drift:?}"
         );
-        assert!(drift.energy < 0.2, "{law:?} {drift:?}");
+        assert!(drift.energy < 1.5 * ripple, "{law:?} {drift:?} {ripple}");
+        let (leaking, _) = leaking_uneven_drift(law, 10.0, 2.0).unwrap();
+        assert!(
+            leaking.energy > 1.5 * ripple,
+            "{law:?} {leaking:?} {ripple}"
+        );
     }
 }
 
@@ -365,7 +371,7 @@ fn rods_that_cannot_be_computed_are_refused() {
     let name = |change: fn(&mut RodParameters)| {
         let mut parameters = soft_arm(StrainRule::Helical, 4);
         change(&mut parameters);
-        Rod::new(&parameters).unwrap_err().parameter
+        Rod::new(&parameters).unwrap_err().parameter()
     };
     assert_eq!(
         name(|p| p.base_rotation *= 1.1),

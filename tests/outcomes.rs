@@ -22,9 +22,6 @@ use softarm::sqp::{SqpStatus, solve};
 use tempfile::TempDir;
 use tool::{DONE, INFEASIBLE, NOT_CONVERGED, NUMERICAL, REJECTED, SCENE, STOPPED, USAGE};
 
-/// Solved, or not, but not infeasible: for problems whose conditioning is beyond what digits there are.
-const ANY_END: [i32; 3] = [DONE, NOT_CONVERGED, REJECTED];
-
 /// A run that takes longer hangs: the slowest takes seconds.
 const HANGS: Duration = Duration::from_secs(300);
 
@@ -679,16 +676,20 @@ fn extreme_weights() {
         assert!((of(&desk.solve(&[small], "", &[DONE])) / plain - 1.0).abs() < 1e-9);
     }
     assert!((of(&desk.solve(&[], &path("1e-12"), &[DONE])) / plain - 1.0).abs() < 1e-9);
-    // Twelve digits of 1e12 are those of the effort, or of the multipliers.
+    // Twelve digits of 1e12 are those of the effort, or of the multipliers: what remains is enough to solve for the large term alone, and for
+    // both where the other does not compete with it. A path that cannot be kept competes with the target by 1e12: the target is met, and the
+    // last digits of the controls may be out of reach.
     let few = "solver.max_iterations=30";
     for settings in [
         &["objective.rate=1e12", few][..],
         &["objective.rate=1e12", "objective.effort=0.0", few][..],
         &["objective.energy=1e12", few][..],
     ] {
-        desk.solve(settings, "", &ANY_END);
+        let summary = desk.solve(settings, "", &[DONE]);
+        assert!(summary["tip_error_m"].as_f64().unwrap() < 1e-6);
     }
-    desk.solve(&[few], &path("1e12"), &ANY_END);
+    let summary = desk.solve(&[few], &path("1e12"), &[DONE, NOT_CONVERGED]);
+    assert!(summary["tip_error_m"].as_f64().unwrap() < 1e-5);
     // Beyond what floating point holds: typed as well.
     for wild in [
         "objective.effort=1e300",
@@ -741,7 +742,7 @@ fn starts_and_limits() {
         &["rod.elements=6", "control.blocks=7", "time.end_s=0.5"],
         "",
         &from,
-        &ANY_END,
+        &[DONE],
     );
     let path = desk.folder.path().join("earlier/controls.csv");
     let written = std::fs::read_to_string(&path).unwrap();

@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::extremes::energy_ripple;
 use common::published::dynamics::{
     Row, SIMO_SIGNS, SWINGS, Swing, bending_and_stretching, bending_and_stretching_rod,
     center_of_mass, dalembert, energy_at, errors, flights, flying_beam, planar_beam, states,
@@ -14,7 +15,7 @@ use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, LoadFrame, NodeWrenches, Rod, RodModel,
-    RodParameters, State, StrainRule, Wrench, stable_step,
+    RodParameters, SmallMotions, State, StrainRule, Wrench, stable_step,
 };
 
 /// Both sign choices, and moments kept in the body frame: second order at every time with h in proportion to l, an absolute
@@ -349,20 +350,33 @@ fn second_order_in_space_over_a_decade() {
     }
 }
 
-/// A million steps of a swinging arm without loads and damping: the energy ripples as it did in the first hundredth and
-/// its mean does not drift, and the rotations stay orthogonal to 1e-12 (a random walk of the rounding of a product).
+/// A million steps of a swinging arm without loads and damping: the energy ripples as it did in the first hundredth, by no more than half as
+/// much again as steps of this length give the modes that it starts with (`energy_ripple`), and its mean does not drift: the means over
+/// both halves, of `T` seconds each, differ by no more than the ripple over `ω T`, what an oscillation of the lowest frequency leaves in a mean. A
+/// damping of 2e-9 1/s, which takes 3e-6 of the energy by the end, is seen as a drift. The rotations stay orthogonal to 1e-12 (a random walk
+/// of the rounding of a product).
 #[test]
 fn a_million_steps() {
-    for rule in RULES {
+    for (rule, damping) in [
+        (StrainRule::Helical, 0.0),
+        (StrainRule::Trapezoidal, 0.0),
+        (StrainRule::Helical, 2e-9),
+    ] {
         let n = 3;
-        let rod = Rod::new(&soft_arm(rule, n)).unwrap();
+        let rod = Rod::new(&RodParameters {
+            viscous_damping: damping,
+            ..soft_arm(rule, n)
+        })
+        .unwrap();
         let mut initial = State::at_rest(rod.rest.clone());
         for q in 1..=n {
             let s = q as f64 / n as f64;
             initial.linear_momentum[q] = Vector3::new(1.0, 0.4, 0.0) * (s * s * rod.nodes[q].mass);
         }
         let start = Energy::of(&rod, &initial).total();
-        let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
+        let h = 0.5 * stable_step(&rod);
+        let allowed = 1.5 * energy_ripple(&rod, &initial, h);
+        let mut integrator = Integrator::new(&rod, h, initial);
         // Mean and largest deviation of the energy over each of a hundred stretches of 10 000 steps.
         let mut stretches = Vec::new();
         for _ in 0..100 {
@@ -389,11 +403,17 @@ fn a_million_steps() {
             .iter()
             .map(|r| (r.transpose() * r - Matrix3::identity()).norm())
             .fold(0.0, f64::max);
+        let slowest = SmallMotions::about(&rod, &rod.rest, 0.0).first_frequency();
+        let drifts = drift > first / (slowest.unwrap() * 5e5 * h);
+        if damping > 0.0 {
+            assert!(drifts, "{rule:?}: {drift} of {first}");
+            continue;
+        }
         assert!(
-            most < 2.0 * first && first < 0.05 * start,
-            "{rule:?}: {first} {most} of {start}"
+            most < 1.2 * first && first < allowed,
+            "{rule:?}: {first} {most} of {start}, allowed {allowed}"
         );
-        assert!(drift < 0.1 * first, "{rule:?}: {drift} of {first}");
+        assert!(!drifts, "{rule:?}: {drift} of {first}");
         assert!(orthogonality < 1e-12, "{rule:?}: {orthogonality}");
     }
 }
