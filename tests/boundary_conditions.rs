@@ -237,7 +237,7 @@ fn impossible_parameters_are_refused() {
     let refused = |change: &dyn Fn(&mut RodParameters)| {
         let mut p = busy_arm(StrainRule::Helical, 4);
         change(&mut p);
-        Rod::new(&p).expect_err("should be refused").parameter
+        Rod::new(&p).expect_err("should be refused").parameter()
     };
     let part = |from: f64, to: f64| {
         refused(&|p| {

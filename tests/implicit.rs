@@ -526,7 +526,7 @@ fn impossible_steps_are_refused() {
                 ..soft_arm(StrainRule::Helical, 4)
             })
             .unwrap_err();
-            assert_eq!(error.parameter, parameter);
+            assert_eq!(error.parameter(), parameter);
         }
     }
 }
