@@ -6,7 +6,7 @@ mod common;
 use common::extremes::{
     arc_errors, assembled_limit, compliance, drift, fold, growth, half_turn_error,
     leaking_uneven_drift, locked_bending_error, objectivity_error, orthonormalization_effect,
-    release, same_in_other_units, spin_error, uneven_drift,
+    release, same_in_other_units, spin_error,
 };
 use common::{Dice, MODELS, RULES, bases, laws, random_state, soft_arm};
 use nalgebra::{Matrix3, Vector3};
