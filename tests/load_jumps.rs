@@ -194,6 +194,7 @@ fn all_agree_at_jumps() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                stop: None,
             };
             let control = ControlSignal::tip(&rod, vec![Default::default(); grid.n_steps + 1]);
             let rest = defects(&motion, &trajectory, &control).unwrap();

@@ -9,7 +9,8 @@ use toml::Value;
 
 /// Scenes that together give every key of the schema in each of its forms; a new key needs a line here. The first one is a reach with
 /// material and section, the second a driven arm with stiffness and inertia, the third a free one, the fourth a reach whose
-/// goals are soft, and the fifth an arm of a named material that is given by its diameters.
+/// goals are soft, and the fifth an arm of a named material that is given by its diameters
+/// and comes to rest within tolerances.
 const SCENES: [&[&str]; 5] = [
     &[
         "rod.length_m=1.5",
@@ -122,6 +123,7 @@ const SCENES: [&[&str]; 5] = [
         "solver.tolerance=1e-7",
         "solver.max_iterations=70",
         "solver.saddle_escapes=1",
+        "solver.saddle_gain=0.02",
         "solver.hessian='exact'",
         "solver.qp='condensed'",
         "solver.guess='rest'",
@@ -199,6 +201,10 @@ const SCENES: [&[&str]; 5] = [
         "rod.section.diameter_base_m=0.02",
         "rod.section.diameter_tip_m=0.01",
         "time.end_s=1.0",
+        "task.position_m=[0.05, 0.0, 0.25]",
+        "task.tolerance_m_s=0.001",
+        "task.tolerance_rad_s=0.01",
+        "control.force_max_n=1.0",
     ],
 ];
 
