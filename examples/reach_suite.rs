@@ -790,7 +790,10 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     if index.is_multiple_of(5) {
         let settings = SqpSettings {
             tolerance: 1e-10,
-            deadline: limit,
+            stop: StopSignal::new(
+                limit.and_then(|limit| Instant::now().checked_add(limit)),
+                None,
+            ),
             ..setup.settings.clone()
         };
         outcome.tight = solve(setup, &one_start(setup), &settings).map(|attempt| {
