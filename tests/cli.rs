@@ -671,6 +671,36 @@ fn saddles_are_rejected() {
     assert_eq!(check["second_order"]["verdict"], "not a minimum");
 }
 
+/// A force that cannot hold the arm at its target: locally infeasible, and the static force that it takes is said beside the bound, on the
+/// terminal and in the summary; a solve that is certified has no advice.
+#[test]
+fn failures_come_with_advice() {
+    let desk = Desk::new();
+    let weak = [
+        "solve",
+        "scene.toml",
+        "--json",
+        "--set",
+        "task.at_rest=true",
+        "--set",
+        "control.moment_max_n_m=0",
+        "--set",
+        "control.force_max_n=0.5",
+    ];
+    let run = desk.run(&weak).exits(INFEASIBLE);
+    assert!(run.stderr.contains("holding the tip at the target takes"));
+    let summary = run.summary();
+    let advice = summary["advice"].as_array().unwrap();
+    assert!(
+        advice[0].as_str().unwrap().contains("bound of 5.000e-1 N"),
+        "{advice:?}"
+    );
+    let run = desk
+        .run(&["solve", "scene.toml", "--json", "--out", "strong"])
+        .exits(DONE);
+    assert_eq!(run.summary()["advice"], serde_json::json!([]));
+}
+
 /// No time: code 6; one iteration: code 3; either way the best point is written.
 #[test]
 fn limits_stop_with_files() {
