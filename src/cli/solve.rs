@@ -672,6 +672,7 @@ fn summarize(
 pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
     CheckOutcome {
         same_grid_m: check.same_grid,
+        same_grid_rad: check.same_grid_turn,
         refined_time_m: check.refined_time,
         refined_space_m: check.refined_space,
         order_time: check.order_time,

@@ -5,18 +5,23 @@ use std::time::Instant;
 
 use clap::Args;
 use nalgebra::Matrix3;
+use serde_json::Value;
 
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::solve::{check_outcome, show_check, show_tracking};
 use super::{Global, Outcome, exit, memory};
-use crate::control::{OptimalControlProblem, tracking_errors};
+use crate::control::{Feedback, OptimalControlProblem, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::memory::of_verify;
 use crate::output::summary::{CheckRecord, NOT_CHECKED, SCHEMA_VERSION, VerifySummary};
-use crate::output::{ControlRow, MotionRecord, read_controls, read_multipliers};
-use crate::scene::Scene;
-use crate::verify::Solution;
+use crate::output::{
+    ControlRow, MotionRecord, OutputError, read_controls, read_feedback, read_multipliers,
+    read_text,
+};
+use crate::scene::{OptimalControl, Scene};
+use crate::verify::files::{self, FileCheck, Mismatch};
+use crate::verify::{CheckError, ForwardCheck, Solution};
 
 /// Arguments of `verify`.
 #[derive(Debug, Args)]
@@ -34,45 +39,45 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     console.catch_interrupts();
     let stop = stop_signal(None);
     let directory = arguments.directory.as_path();
-    if !directory.join("controls.csv").is_file() {
+    if !directory.join("controls.csv").exists() {
         return Err(CliError::Directory(format!(
             "{}: not the result directory of a solve (no controls.csv); `softarm solve SCENE --out DIR` makes one",
             directory.display()
         )));
     }
-    let scene_path = directory.join("scene.toml");
-    let (scene, source) = Scene::load(&scene_path.to_string_lossy(), &global.set)?;
+    let path = directory.join("scene.toml");
+    let text = read_text(&path, LARGEST_SCENE)?;
+    let (scene, source) = Scene::from_toml(&path.to_string_lossy(), &text, &global.set)?;
     let setup = (scene.optimal_control_until(&source, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
     memory::require(&of_verify(&setup, !arguments.quick), &source)?;
-    let trajectory = read_trajectory(directory, &setup.problem)?;
-    let coefficients = read_coefficients(directory, &setup.problem)?;
-    let multipliers = read_multipliers(&directory.join("multipliers.json"))?;
-    let expected = setup.problem.goal_rows().len();
-    if multipliers.goals.len() != expected {
-        return Err(CliError::Directory(format!(
-            "{}: {} multipliers of goals, but scene.toml describes {expected}",
-            directory.join("multipliers.json").display(),
-            multipliers.goals.len()
-        )));
-    }
+    let rows = read_rows(directory, &setup.problem)?;
+    let coefficients = coefficients_of(&rows);
+    let path = directory.join("multipliers.json");
+    let multipliers = read_multipliers(&path, &setup.problem)?;
+    (multipliers.borrowed().validate(&setup.problem))
+        .map_err(|error| CliError::Directory(format!("{}: {error}", path.display())))?;
+    let record = read_motion(directory, &setup.problem)?;
+    let trajectory = trajectory_of(&record);
     let solution = Solution {
         trajectory: &trajectory,
         coefficients: &coefficients,
         multipliers: multipliers.borrowed(),
     };
-    let check = setup.certify(&solution).and_then(|mut check| {
-        // What is rejected already need not be a stationary point.
-        if !arguments.quick && check.is_certified() {
-            check.deepen(&setup.problem, &solution)?;
-        }
-        Ok(check)
-    });
-    let check = match check {
-        Ok(check) => check,
+    let files = Files {
+        directory,
+        setup: &setup,
+        solution: &solution,
+        threads: global.n_threads(),
+    };
+    let (check, cover) = match files.examine(&rows, &record, arguments.quick) {
+        Ok(found) => found,
         Err(error) => {
-            let Some(stop) = error.stopped() else {
-                return Err(error.into());
+            let CliError::Check(check) = &error else {
+                return Err(error);
+            };
+            let Some(stop) = check.stopped() else {
+                return Err(error);
             };
             console.always(&format!("{NOT_CHECKED}: {stop}"));
             console.summary(&VerifySummary {
@@ -80,6 +85,10 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
                 command: "verify",
                 directory: directory.display().to_string(),
                 check: CheckRecord::not_checked(stop),
+                covers: Vec::new(),
+                not_covered: Vec::new(),
+                summary_not_recomputed: Vec::new(),
+                mismatches: Vec::new(),
                 tip_error_m: f64::NAN,
                 tip_angle_rad: f64::NAN,
                 tip_speed_m_s: f64::NAN,
@@ -92,11 +101,25 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     show_check(&check, true, console);
     let tracking = tracking_errors(&setup.problem, &trajectory);
     show_tracking(&tracking, console);
+    let mismatches: Vec<Mismatch> = (cover.checks.into_iter())
+        .filter_map(|file| file.mismatch)
+        .collect();
+    for mismatch in &mismatches {
+        console.always(&mismatch.to_string());
+    }
+    console.say(&format!("covers {}", cover.covers.join(", ")));
+    if !cover.not_covered.is_empty() {
+        console.say(&format!("does not cover {}", cover.not_covered.join(", ")));
+    }
     console.summary(&VerifySummary {
         schema_version: SCHEMA_VERSION,
         command: "verify",
         directory: directory.display().to_string(),
         check: CheckRecord::Made(Box::new(check_outcome(&check))),
+        covers: cover.covers,
+        not_covered: cover.not_covered,
+        summary_not_recomputed: cover.summary_not_recomputed,
+        mismatches,
         tip_error_m: check.tip_error,
         tip_angle_rad: check.tip_angle,
         tip_speed_m_s: check.tip_speed,
@@ -110,23 +133,191 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     })
 }
 
-fn read_trajectory(
+/// What the certificate says about the files.
+struct Cover {
+    checks: Vec<FileCheck>,
+    covers: Vec<String>,
+    not_covered: Vec<String>,
+    summary_not_recomputed: Vec<String>,
+}
+
+/// Growth of disturbances up to the edges of the blocks, without and with feedback.
+type FoundGrowth = Option<[Vec<f64>; 2]>;
+
+/// The files of a result directory beside its solution.
+struct Files<'a> {
+    directory: &'a Path,
+    setup: &'a OptimalControl,
+    solution: &'a Solution<'a>,
+    threads: usize,
+}
+
+impl Files<'_> {
+    /// The check of the solution and of the files, with curvature and growth unless it is to be quick.
+    fn examine(
+        &self,
+        rows: &[ControlRow],
+        record: &MotionRecord,
+        quick: bool,
+    ) -> Result<(ForwardCheck, Cover), CliError> {
+        let problem = &self.setup.problem;
+        let mut check = self.setup.certify(self.solution)?;
+        let cover = self.compare(rows, record, &check)?;
+        problem.stop.check().map_err(CheckError::from)?;
+        check.items.extend(cover.checks.iter().map(FileCheck::item));
+        // What is rejected already need not be a stationary point.
+        if !quick && check.is_certified() {
+            check.deepen(problem, self.solution)?;
+        }
+        Ok((check, cover))
+    }
+
+    /// Compares every file that is there with what it must say.
+    fn compare(
+        &self,
+        rows: &[ControlRow],
+        record: &MotionRecord,
+        check: &ForwardCheck,
+    ) -> Result<Cover, CliError> {
+        let problem = &self.setup.problem;
+        let summary = self.summary()?;
+        // A solve that was stopped before its check wrote the energies of a motion at rest.
+        let energies = summary.as_ref().is_none_or(files::summary::was_checked);
+        let coefficients = self.solution.coefficients;
+        let mut checks = vec![
+            files::controls::check(problem, rows),
+            files::motion::check(problem, coefficients, check, record, energies),
+        ];
+        let mut growth = None;
+        let path = self.directory.join("feedback.npz");
+        if path.exists() {
+            let (file, found) = self.feedback(&path)?;
+            checks.push(file);
+            growth = found;
+        }
+        let mut summary_not_recomputed = Vec::new();
+        if let Some(summary) = &summary {
+            let compared = files::summary::Expected {
+                problem,
+                check,
+                outcome: &serde_json::to_value(check_outcome(check)).unwrap_or_default(),
+                limits: &self.setup.check_limits(),
+                hessian: self.setup.settings.hessian.name(),
+                tolerance: self.setup.settings.tolerance,
+                trajectory: self.solution.trajectory,
+                multipliers: self.solution.multipliers.goals,
+                growth: growth
+                    .as_ref()
+                    .map(|[open, closed]| [&open[..], &closed[..]]),
+            }
+            .compare(summary);
+            checks.push(compared.check);
+            summary_not_recomputed = compared.not_recomputed;
+        }
+        let mut covers: Vec<String> = ["scene.toml", "multipliers.json"]
+            .into_iter()
+            .chain(checks.iter().map(|file| file.file))
+            .map(String::from)
+            .collect();
+        covers.sort();
+        let mut not_covered = others(self.directory, &covers)?;
+        if !energies {
+            not_covered.push("energy in trajectory.npz".into());
+        }
+        Ok(Cover {
+            not_covered,
+            covers,
+            checks,
+            summary_not_recomputed,
+        })
+    }
+
+    fn summary(&self) -> Result<Option<Value>, CliError> {
+        let path = self.directory.join("summary.json");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let text = read_text(&path, LARGEST_SUMMARY)?;
+        let summary = serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
+            path: path.clone(),
+            line: Some(error.line() as u64),
+            reason: error.to_string(),
+        })?;
+        Ok(Some(summary))
+    }
+
+    /// The gains against those that scene, motion and controls lead to; and the growth of disturbances without and with them.
+    fn feedback(&self, path: &Path) -> Result<(FileCheck, FoundGrowth), CliError> {
+        let problem = &self.setup.problem;
+        let nothing = |why: &str| {
+            let mut file = FileCheck::of("feedback.npz");
+            file.word("gains", why, || "all arrays".into());
+            (file, None)
+        };
+        let Some(weights) = &self.setup.feedback else {
+            return Ok(nothing("absent, as scene.toml asks for no gains"));
+        };
+        let Solution {
+            trajectory,
+            coefficients,
+            ..
+        } = self.solution;
+        let feedback =
+            match Feedback::along(problem, trajectory, coefficients, weights, self.threads) {
+                Ok(feedback) => feedback,
+                Err(error) => return Ok(nothing(&format!("absent: {error}"))),
+            };
+        let expected = files::feedback::expected(problem, &feedback);
+        let found = read_feedback(path, &expected)?;
+        let file = files::feedback::check(problem, &expected, &found);
+        Ok((file, Some([feedback.open_loop, feedback.closed_loop])))
+    }
+}
+
+/// Names in the directory that are not among `covered`, sorted; of very many, the first.
+fn others(directory: &Path, covered: &[String]) -> Result<Vec<String>, CliError> {
+    let cannot_read = |error| OutputError::Io {
+        path: directory.to_path_buf(),
+        action: "cannot read",
+        source: error,
+    };
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(directory).map_err(cannot_read)? {
+        let name = entry.map_err(cannot_read)?.file_name();
+        let name: String = name.to_string_lossy().escape_debug().collect();
+        if !covered.contains(&name) {
+            names.push(name);
+        }
+        if names.len() > MOST_NAMES {
+            names.push("…".into());
+            break;
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Names that are listed, at most.
+const MOST_NAMES: usize = 100;
+/// Bytes of a summary, at most: of a thousand starts.
+const LARGEST_SUMMARY: u64 = 1 << 22;
+/// Bytes of a scene, at most.
+const LARGEST_SCENE: u64 = 1 << 20;
+
+fn read_motion(
     directory: &Path,
     problem: &OptimalControlProblem,
-) -> Result<Trajectory, CliError> {
-    let path = directory.join("trajectory.npz");
-    let record = MotionRecord::read_npz(&path)?;
-    let (n_nodes, n_times) = (problem.rod.n_nodes(), problem.grid.n_steps + 1);
-    if record.n_nodes != n_nodes || record.n_rows() != n_times {
-        return Err(CliError::Directory(format!(
-            "{}: {} times of {} nodes, but scene.toml describes {n_times} times of {n_nodes} nodes",
-            path.display(),
-            record.n_rows(),
-            record.n_nodes
-        )));
-    }
-    Ok(Trajectory {
-        n_nodes,
+) -> Result<MotionRecord, OutputError> {
+    MotionRecord::read_npz_of(
+        &directory.join("trajectory.npz"),
+        problem.grid.n_steps + 1,
+        problem.rod.n_nodes(),
+    )
+}
+
+fn trajectory_of(record: &MotionRecord) -> Trajectory {
+    Trajectory {
+        n_nodes: record.n_nodes,
         positions: record
             .x
             .chunks_exact(3)
@@ -137,24 +328,24 @@ fn read_trajectory(
             .chunks_exact(9)
             .map(Matrix3::from_row_slice)
             .collect(),
-    })
+    }
 }
 
+/// The coefficients of the controls in the result directory of a problem.
 pub(super) fn read_coefficients(
     directory: &Path,
     problem: &OptimalControlProblem,
 ) -> Result<Vec<Wrench>, CliError> {
+    Ok(coefficients_of(&read_rows(directory, problem)?))
+}
+
+fn read_rows(
+    directory: &Path,
+    problem: &OptimalControlProblem,
+) -> Result<Vec<ControlRow>, CliError> {
     let path = directory.join("controls.csv");
-    let rows = read_controls(&path)?;
     let nodes = problem.actuated_nodes();
-    let expected = problem.control.n_coefficients() * nodes.len();
-    if rows.len() != expected {
-        return Err(CliError::Directory(format!(
-            "{}: {} rows, but scene.toml describes {expected}",
-            path.display(),
-            rows.len()
-        )));
-    }
+    let rows = read_controls(&path, problem.control.n_coefficients() * nodes.len())?;
     if let Some(row) = (rows.iter().zip(nodes.iter().cycle())).position(|(row, q)| row.node != *q) {
         return Err(CliError::Directory(format!(
             "{}:{}: node {}, but scene.toml describes node {} there",
@@ -164,10 +355,11 @@ pub(super) fn read_coefficients(
             nodes[row % nodes.len()]
         )));
     }
-    Ok(rows
-        .iter()
-        .map(|row: &ControlRow| {
-            Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz])
-        })
-        .collect())
+    Ok(rows)
+}
+
+fn coefficients_of(rows: &[ControlRow]) -> Vec<Wrench> {
+    rows.iter()
+        .map(|row| Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz]))
+        .collect()
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::OutputError;
+use super::reading::read_text;
 
 /// The force and moment on a node on one interval of time: a row of `controls.csv`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -89,10 +90,17 @@ pub fn write_controls(path: &Path, rows: &[ControlRow]) -> Result<(), OutputErro
         .map_err(OutputError::unwritten(path, "cannot write"))
 }
 
-/// Reads what [`write_controls`] writes; columns may stand in any order, and others beside them.
-pub fn read_controls(path: &Path) -> Result<Vec<ControlRow>, OutputError> {
-    let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
-    let mut reader = csv::Reader::from_reader(file);
+/// Bytes of a row, at most, with what others may have written beside.
+const LARGEST_ROW: u64 = 1 << 10;
+
+/// Reads `n_rows` rows of what [`write_controls`] writes; columns may stand in any order, and others beside them.
+///
+/// # Errors
+/// [`OutputError`] for another number of rows, or one that is not as [`ControlRow`] describes.
+pub fn read_controls(path: &Path, n_rows: usize) -> Result<Vec<ControlRow>, OutputError> {
+    let largest = LARGEST_ROW.saturating_mul(n_rows as u64 + 4);
+    let text = read_text(path, largest)?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
     let read_error = |error| csv_error(path, "cannot read", error);
     let malformed = |line, reason| OutputError::Malformed {
         path: path.to_path_buf(),
@@ -118,6 +126,12 @@ pub fn read_controls(path: &Path) -> Result<Vec<ControlRow>, OutputError> {
         let row: ControlRow = record.deserialize(Some(&header)).map_err(read_error)?;
         row.validate().map_err(|reason| malformed(line, reason))?;
         rows.push(row);
+    }
+    if rows.len() != n_rows {
+        return Err(OutputError::malformed(
+            path,
+            format!("{} rows, but scene.toml describes {n_rows}", rows.len()),
+        ));
     }
     Ok(rows)
 }
@@ -160,6 +174,8 @@ fn csv_error(path: &Path, action: &'static str, error: csv::Error) -> OutputErro
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::reading::tests::{accidents, damaged};
+    use proptest::prelude::*;
 
     fn row(start: f64) -> ControlRow {
         ControlRow {
@@ -187,7 +203,7 @@ mod tests {
                 text.lines().next(),
                 Some("t_start,t_end,fx,fy,fz,mx,my,mz,node")
             );
-            let read = read_controls(&path).unwrap();
+            let read = read_controls(&path, rows.len()).unwrap();
             let bits = |rows: &[ControlRow]| -> Vec<_> {
                 rows.iter().map(|r| r.values().map(f64::to_bits)).collect()
             };
@@ -219,12 +235,59 @@ mod tests {
         ];
         for (text, message) in cases {
             std::fs::write(&path, text).unwrap();
-            let error = read_controls(&path).unwrap_err().to_string();
+            let error = read_controls(&path, 2).unwrap_err().to_string();
             assert!(error.contains(&format!("controls.csv{message}")), "{error}");
         }
         let mut bad = row(0.0);
         bad.my = f64::NAN;
         let error = write_controls(&path, &[row(0.0), bad]).unwrap_err();
         assert!(error.to_string().contains(":3: my: NaN"), "{error}");
+    }
+
+    /// Another number of rows, and a file longer than so many can be, are refused.
+    #[test]
+    fn the_number_of_rows_is_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("controls.csv");
+        write_controls(&path, &[row(0.0), row(0.1)]).unwrap();
+        assert_eq!(read_controls(&path, 2).unwrap().len(), 2);
+        for n_rows in [1, 3] {
+            let error = read_controls(&path, n_rows).unwrap_err().to_string();
+            assert!(error.contains("2 rows, but scene.toml"), "{error}");
+        }
+        let mut text = std::fs::read_to_string(&path).unwrap();
+        text.push_str(&",".repeat(10_000));
+        std::fs::write(&path, text).unwrap();
+        let error = read_controls(&path, 2).unwrap_err().to_string();
+        assert!(error.contains("it should hold takes at most"), "{error}");
+    }
+
+    proptest! {
+        /// Whatever happens to the bytes, reading ends with finite rows or with an error that names the file.
+        #[test]
+        fn damaged_rows_are_read_or_refused(accidents in accidents()) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("controls.csv");
+            write_controls(&path, &[row(0.0), row(0.1), row(0.2)]).unwrap();
+            let bytes = damaged(&std::fs::read(&path).unwrap(), &accidents);
+            std::fs::write(&path, bytes).unwrap();
+            match read_controls(&path, 3) {
+                Ok(rows) => prop_assert!(rows.iter().all(|row| row.validate().is_ok())),
+                Err(error) => prop_assert!(error.to_string().contains("controls.csv")),
+            }
+        }
+
+        /// Any numbers in any field, as text: rows of finite numbers, or an error with the line.
+        #[test]
+        fn any_fields_are_read_or_refused(fields in prop::collection::vec(
+            prop_oneof![any::<f64>().prop_map(|v| v.to_string()), "[ -~]{0,6}", Just("1e999".to_string()), Just("-5".to_string())], 9)) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("controls.csv");
+            std::fs::write(&path, format!("{}\n{}\n", COLUMNS.join(","), fields.join(","))).unwrap();
+            match read_controls(&path, 1) {
+                Ok(rows) => prop_assert!(rows[0].values().iter().all(|v| v.is_finite())),
+                Err(error) => prop_assert!(error.to_string().contains("controls.csv")),
+            }
+        }
     }
 }

@@ -6,11 +6,14 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::OutputError;
-use super::npz::{self, write_array};
+use super::npz::{self, read_array, write_array};
 use crate::control::Feedback;
 use crate::mechanics::State;
 
-/// Writes gains and what they act on. With `B` blocks, `m` inputs, `F` free nodes and `n = 12 F`:
+/// Name, shape and numbers of an array.
+pub type NamedArray = (&'static str, Vec<usize>, Vec<f64>);
+
+/// Gains and what they act on, as arrays. With `B` blocks, `m` inputs, `F` free nodes and `n = 12 F`:
 ///
 /// | array | shape | what |
 /// |---|---|---|
@@ -21,10 +24,8 @@ use crate::mechanics::State;
 /// | `x`, `R`, `p`, `pi` | B, F, … | the reference: positions, rotations, momenta (spatial), angular momenta (body frame) |
 /// | `cost_to_go` | n, n | cost of a deviation at the start |
 /// | `t_edge`, `sensitivity`, `sensitivity_closed_loop` | B + 1 | growth of the norm of a perturbation up to every edge |
-///
-/// # Errors
-/// [`OutputError`] when the file cannot be written.
-pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), OutputError> {
+#[must_use]
+pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
     let blocks = feedback.times.len();
     let (m, n) = (feedback.inputs.len(), feedback.cost_to_go.nrows());
     let nodes = n / 12;
@@ -43,7 +44,7 @@ pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), 
         .flat_map(|&(node, axis)| [node as f64, axis as f64])
         .collect();
     let edges = feedback.times.iter().copied().chain([end]).collect();
-    let arrays: [(&str, Vec<usize>, Vec<f64>); 12] = [
+    [
         ("t", vec![blocks], feedback.times.clone()),
         (
             "gain",
@@ -80,12 +81,47 @@ pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), 
             vec![blocks + 1],
             feedback.closed_loop.clone(),
         ),
-    ];
+    ]
+}
+
+/// Writes the [arrays](feedback_arrays) of gains.
+///
+/// # Errors
+/// [`OutputError`] when the file cannot be written.
+pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), OutputError> {
+    let arrays = feedback_arrays(feedback, end);
     npz::write(path, |archive| {
         (arrays.iter()).try_for_each(|(name, shape, values)| {
             write_array(archive, name, shape, values.iter().copied().map(Ok))
         })
     })
+}
+
+/// Reads arrays with the names and shapes of `expected`; no more is read than these take.
+///
+/// # Errors
+/// [`OutputError`] for a missing array, another shape, and numbers that are not finite.
+pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedArray>, OutputError> {
+    let sizes: Vec<usize> = expected.iter().map(|(_, _, values)| values.len()).collect();
+    let mut archive = npz::open_within(path, npz::largest_archive(&sizes))?;
+    (expected.iter())
+        .map(|(name, shape, _)| {
+            let malformed =
+                |reason| OutputError::malformed(path, format!("array {name}: {reason}"));
+            let sizes: Vec<_> = shape.iter().map(|size| Some(*size)).collect();
+            let (shape, values) = read_array(&mut archive, name, &sizes).map_err(malformed)?;
+            match values.iter().position(|value| !value.is_finite()) {
+                None => Ok((*name, shape, values)),
+                Some(i) => {
+                    let row = i / (values.len() / shape[0]);
+                    Err(malformed(format!(
+                        "{} in row {row}, not a finite number",
+                        values[i]
+                    )))
+                }
+            }
+        })
+        .collect()
 }
 
 fn rows(matrix: &Mat<f64>) -> Vec<f64> {

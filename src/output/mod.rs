@@ -9,6 +9,7 @@ mod feedback;
 mod motion;
 mod multipliers;
 mod npz;
+mod reading;
 mod report;
 mod rows;
 mod running;
@@ -19,9 +20,10 @@ pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::DiagnosticsRecord;
 pub use directory::{ResultDirectory, ResultKind};
 pub use error::OutputError;
-pub use feedback::write_feedback;
+pub use feedback::{NamedArray, feedback_arrays, read_feedback, write_feedback};
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
+pub use reading::read_text;
 pub use report::{
     Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
     ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath, ReportSensitivity,

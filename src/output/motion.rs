@@ -58,15 +58,33 @@ impl MotionRecord {
 
     /// Reads what [`write_npz`](Self::write_npz) writes; refuses wrong shapes, missing arrays and non-finite numbers.
     pub fn read_npz(path: &Path) -> Result<Self, OutputError> {
-        let mut archive = npz::open(path)?;
+        Self::read(path, npz::open(path)?, None, None)
+    }
+
+    /// The same of `n_rows` rows of `n_nodes` nodes; no more is read than they take.
+    pub fn read_npz_of(path: &Path, n_rows: usize, n_nodes: usize) -> Result<Self, OutputError> {
+        // Numbers per row: time, two vectors, three energies; twelve a node, one an element.
+        let per_row = n_nodes.saturating_mul(13).saturating_add(9);
+        let mut sizes = [0; 7];
+        sizes[0] = n_rows.saturating_mul(per_row);
+        let archive = npz::open_within(path, npz::largest_archive(&sizes))?;
+        Self::read(path, archive, Some(n_rows), Some(n_nodes))
+    }
+
+    fn read(
+        path: &Path,
+        mut archive: npz::Archive,
+        n_rows: Option<usize>,
+        n_nodes: Option<usize>,
+    ) -> Result<Self, OutputError> {
         let mut read = |name: &str, expected: &[Option<usize>]| {
             read_array(&mut archive, name, expected)
                 .map_err(|reason| OutputError::malformed(path, format!("array {name}: {reason}")))
         };
 
-        let (shape, t) = read("t", &[None])?;
+        let (shape, t) = read("t", &[n_rows])?;
         let n = Some(shape[0]);
-        let (shape, x) = read("x", &[n, None, Some(3)])?;
+        let (shape, x) = read("x", &[n, n_nodes, Some(3)])?;
         let n_nodes = shape[1];
         let record = Self {
             n_nodes,
@@ -231,6 +249,8 @@ impl ThinnedMotion {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::output::reading::tests::{accidents, damaged};
+    use proptest::prelude::*;
 
     /// A record whose numbers span magnitudes, signs and subnormals.
     pub(in crate::output) fn record(n: usize, n_nodes: usize) -> MotionRecord {
@@ -417,6 +437,91 @@ pub(super) mod tests {
             assert!(gaps.split_last().is_none_or(|(last, gaps)| {
                 gaps.iter().all(|gap| *gap == gaps[0] && last <= gap)
             }));
+        }
+    }
+
+    /// Archives whose headers lie: an array of gigabytes of zeros in some kilobytes, a header of four gigabytes, one nested a thousand deep, more
+    /// arrays than there are, numbers of four bytes, and columns first. All are refused by name, none is unpacked.
+    #[test]
+    fn archives_that_lie_are_refused() {
+        use std::io::Write as _;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectory.npz");
+        let record = record(3, 4);
+        let error_with = |t: &[u8]| {
+            npz::write(&path, |archive| {
+                let options = npz::tests::plain(archive);
+                archive.zip_writer().start_file("t.npy", options)?;
+                archive.zip_writer().write_all(t)?;
+                for (name, shape, values) in &record.arrays()[1..] {
+                    write_array(archive, name, shape, values.iter().copied().map(Ok))?;
+                }
+                Ok(())
+            })
+            .unwrap();
+            let error = MotionRecord::read_npz_of(&path, 3, 4)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains("trajectory.npz"), "{error}");
+            error
+        };
+        let array = |header: &str, data: &[u8]| {
+            let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+            bytes.extend((header.len() as u16).to_le_bytes());
+            bytes.extend(header.as_bytes());
+            bytes.extend(data);
+            bytes
+        };
+        let of = |descr: &str, order: &str, shape: &str| {
+            format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}")
+        };
+        let honest: Vec<u8> = (record.t.iter()).flat_map(|t| t.to_le_bytes()).collect();
+        let many = vec![0; 5_000_000];
+        let error = error_with(&array(&of("<f8", "False", "(625000,)"), &many));
+        assert!(error.contains("shape [625000], not [3]"), "{error}");
+        let error = error_with(&array(&of("<f8", "False", "(3,)"), &many));
+        assert!(error.contains("longer than its shape"), "{error}");
+        let error = error_with(b"\x93NUMPY\x02\x00\xff\xff\xff\xff{");
+        assert!(error.contains("a header of 4294967295 bytes"), "{error}");
+        let error = error_with(&array(&"(".repeat(1000), &honest));
+        assert!(error.contains("not an array of plain numbers"), "{error}");
+        let error = error_with(&array(&of("<f4", "False", "(3,)"), &honest));
+        assert!(error.contains("array t"), "{error}");
+        let error = error_with(&array(&of("<f8", "True", "(3, 1)"), &honest));
+        assert!(error.contains("shape [3, 1], not [3]"), "{error}");
+        let error = error_with(b"\x93NUM");
+        assert!(error.contains("breaks off"), "{error}");
+        let error = error_with(b"plain text, and long enough");
+        assert!(error.contains("not a numpy array"), "{error}");
+
+        npz::write(&path, |archive| {
+            (0..65).try_for_each(|i| write_array(archive, &format!("a{i}"), &[1], [Ok(0.0)]))
+        })
+        .unwrap();
+        let error = MotionRecord::read_npz_of(&path, 3, 4)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("65 arrays"), "{error}");
+        std::fs::write(&path, vec![0; 100_000]).unwrap();
+        let error = MotionRecord::read_npz_of(&path, 3, 4)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("100000 bytes or more"), "{error}");
+    }
+
+    proptest! {
+        /// Whatever happens to the bytes, reading ends, with a record of the size that was asked for or with an error that names the file.
+        #[test]
+        fn damaged_archives_are_read_or_refused(accidents in accidents()) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("trajectory.npz");
+            record(3, 4).write_npz(&path).unwrap();
+            let bytes = damaged(&std::fs::read(&path).unwrap(), &accidents);
+            std::fs::write(&path, bytes).unwrap();
+            match MotionRecord::read_npz_of(&path, 3, 4) {
+                Ok(record) => prop_assert_eq!([record.n_rows(), record.n_nodes], [3, 4]),
+                Err(error) => prop_assert!(error.to_string().contains("trajectory.npz")),
+            }
         }
     }
 }

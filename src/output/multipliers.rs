@@ -5,7 +5,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::OutputError;
-use crate::control::{LiftedPoint, PathMultiplier, Transcription};
+use super::reading::read_text;
+use crate::control::{LiftedPoint, OptimalControlProblem, PathMultiplier, Transcription};
 use crate::sqp::SqpOutcome;
 use crate::verify::SolutionMultipliers;
 
@@ -43,12 +44,29 @@ impl MultiplierRecord {
     }
 }
 
-/// Reads `multipliers.json`.
+/// Bytes of a number, or of a row's name and indentation, at most.
+const LARGEST_ENTRY: u64 = 1 << 6;
+
+/// Reads the `multipliers.json` of a problem; no more is read than its rows take.
 ///
 /// # Errors
-/// [`OutputError`] when the file cannot be read or does not hold multipliers.
-pub fn read_multipliers(path: &Path) -> Result<MultiplierRecord, OutputError> {
-    let text = std::fs::read_to_string(path).map_err(OutputError::io(path, "cannot read"))?;
+/// [`OutputError`] when the file cannot be read or does not hold multipliers. Whether these are the problem's is for
+/// [`Solution::validate`](crate::verify::Solution::validate) to say.
+pub fn read_multipliers(
+    path: &Path,
+    problem: &OptimalControlProblem,
+) -> Result<MultiplierRecord, OutputError> {
+    let goals = problem.goal_rows().len() as u64;
+    let path_rows = (problem.path_constraints().iter()).fold(0u64, |sum, constraint| {
+        let rows = constraint.limit.n_items(&problem.rod) as u64;
+        sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
+    });
+    let rates = (problem.control.n_coefficients() * problem.actuators.len()) as u64;
+    // A row of a path takes six lines, one of rates eight.
+    let entries = (path_rows.saturating_add(rates))
+        .saturating_mul(8)
+        .saturating_add(goals + 64);
+    let text = read_text(path, entries.saturating_mul(LARGEST_ENTRY))?;
     serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
         path: path.to_path_buf(),
         line: Some(error.line() as u64),

@@ -7,19 +7,46 @@ use std::path::Path;
 use npyz::npz::{NpzArchive, NpzWriter, NpzWriterBuilder, file_name_from_array_name};
 use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
 
-use super::OutputError;
+use super::{OutputError, reading};
 
 /// An archive that is being read.
 pub(super) type Archive = NpzArchive<BufReader<File>>;
 /// An archive that is being written.
 pub(super) type ArchiveWriter = NpzWriter<BufWriter<File>>;
 
-/// Opens an archive.
+/// Opens an archive of any size.
 pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
-    let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
-    NpzArchive::new(BufReader::new(file))
-        .map_err(|error| OutputError::malformed(path, format!("not a numpy archive: {error}")))
+    open_within(path, u64::MAX)
 }
+
+/// Opens an archive of at most `largest` bytes.
+pub(super) fn open_within(path: &Path, largest: u64) -> Result<Archive, OutputError> {
+    let file = reading::open(path, largest)?;
+    let mut archive = NpzArchive::new(BufReader::new(file))
+        .map_err(|error| OutputError::malformed(path, format!("not a numpy archive: {error}")))?;
+    let entries = archive.zip_archive().len();
+    if entries > MOST_ENTRIES {
+        return Err(OutputError::malformed(
+            path,
+            format!("{entries} arrays; expected at most {MOST_ENTRIES}"),
+        ));
+    }
+    Ok(archive)
+}
+
+/// Bytes that an archive of arrays with so many numbers takes at most, whoever packed it: deflate makes nothing longer by more than a
+/// thousandth, and headers of the arrays and of the archive are short.
+pub(super) fn largest_archive(arrays: &[usize]) -> u64 {
+    let numbers = arrays
+        .iter()
+        .fold(0u64, |sum, &n| sum.saturating_add(n as u64));
+    let data = numbers.saturating_mul(8);
+    data.saturating_add(data / 100)
+        .saturating_add(4 * HEADER_ALLOWANCE * (arrays.len() as u64 + 4))
+}
+
+/// Arrays of an archive, at most.
+const MOST_ENTRIES: usize = 64;
 
 /// Creates an archive and lets `fill` write its arrays.
 pub(super) fn write(
@@ -102,10 +129,14 @@ pub(super) fn visit_array(
     expected: &[Option<usize>],
     mut visit: impl FnMut(f64) -> io::Result<()>,
 ) -> Result<Vec<usize>, String> {
-    let array = archive
-        .by_name(name)
-        .map_err(|error| error.to_string())?
-        .ok_or("missing")?;
+    if !archive.array_names().any(|found| found == name) {
+        return Err("missing".into());
+    }
+    let file = file_name_from_array_name(name);
+    let mut entry = (archive.zip_archive().by_name(&file)).map_err(|error| error.to_string())?;
+    let header = header_of(&mut entry)?;
+    let mut bytes = header.as_slice().chain(entry);
+    let array = NpyFile::new(&mut bytes).map_err(|error| error.to_string())?;
     let shape: Vec<usize> = array.shape().iter().map(|&size| size as usize).collect();
     let matches = shape.len() == expected.len()
         && shape
@@ -122,11 +153,7 @@ pub(super) fn visit_array(
     if array.order() != Order::C && shape.len() > 1 {
         return Err("in Fortran order; save it in C order".into());
     }
-    let header = array.header().clone();
-    let mut bytes = array.into_inner();
-    let numbers = NpyFile::with_header(header, &mut bytes)
-        .data::<f64>()
-        .map_err(|error| error.to_string())?;
+    let numbers = array.data::<f64>().map_err(|error| error.to_string())?;
     for value in numbers {
         value
             .and_then(&mut visit)
@@ -137,5 +164,52 @@ pub(super) fn visit_array(
         Ok(0) => Ok(shape),
         Ok(_) => Err("longer than its shape".into()),
         Err(error) => Err(error.to_string()),
+    }
+}
+
+/// The header of an array as it stands: as short as that of numbers is, and not nested, before anything interprets it.
+fn header_of(entry: &mut impl Read) -> Result<Vec<u8>, String> {
+    let broken = |error: io::Error| match error.kind() {
+        io::ErrorKind::UnexpectedEof => "breaks off within its header".to_string(),
+        _ => error.to_string(),
+    };
+    let mut header = vec![0; 10];
+    entry.read_exact(&mut header).map_err(broken)?;
+    if !header.starts_with(b"\x93NUMPY") {
+        return Err("not a numpy array".into());
+    }
+    // The length has two bytes in version 1, four in later ones.
+    let mut length = u64::from(header[8]) | u64::from(header[9]) << 8;
+    if header[6] > 1 {
+        let mut more = [0; 2];
+        entry.read_exact(&mut more).map_err(broken)?;
+        length |= u64::from(more[0]) << 16 | u64::from(more[1]) << 24;
+        header.extend(more);
+    }
+    if length > HEADER_ALLOWANCE {
+        return Err(format!(
+            "a header of {length} bytes; expected at most {HEADER_ALLOWANCE}"
+        ));
+    }
+    let before = header.len();
+    header.resize(before + length as usize, 0);
+    entry.read_exact(&mut header[before..]).map_err(broken)?;
+    // One dictionary and one tuple; deeper nests take the parser time that doubles with every level.
+    let opened = (header[before..].iter())
+        .filter(|byte| b"([{".contains(byte))
+        .count();
+    if opened > 2 {
+        return Err("not an array of plain numbers".into());
+    }
+    Ok(header)
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Options of a deflated entry.
+    pub(in crate::output) fn plain<O: Default>(_: &mut ArchiveWriter) -> O {
+        O::default()
     }
 }

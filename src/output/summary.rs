@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
+use crate::verify::files::Mismatch;
 use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
@@ -291,6 +292,8 @@ pub const NOT_CHECKED: &str = "not checked";
 pub struct CheckOutcome {
     /// Distance of the solution from its replay, m.
     pub same_grid_m: f64,
+    /// Distance of its rotations from those of the replay, as the norm of the difference of two matrices.
+    pub same_grid_rad: f64,
     /// Estimated error in time, m.
     pub refined_time_m: f64,
     /// Estimated error in space, m.
@@ -415,7 +418,7 @@ pub struct GrowthSummary {
     pub disturbance: f64,
     /// How far it moves the tip, at most.
     pub tip_from_state_m: f64,
-    /// How far an error of one percent of the control's scale moves the tip, at most.
+    /// How far an error of one percent of the largest force and moment that are used moves the tip, at most.
     pub tip_from_control_m: f64,
     /// In words.
     pub sentence: String,
@@ -555,6 +558,14 @@ pub struct VerifySummary {
     pub directory: String,
     /// The check.
     pub check: CheckRecord,
+    /// Files that the certificate is about: each says what scene and controls lead to.
+    pub covers: Vec<String>,
+    /// Other files of the directory, which were not looked at.
+    pub not_covered: Vec<String>,
+    /// Fields of `summary.json` that cannot be recomputed, by their dotted paths.
+    pub summary_not_recomputed: Vec<String>,
+    /// Where files say something else than the solution, the worst place of each.
+    pub mismatches: Vec<Mismatch>,
     /// Distance of the tip from its target in the forward simulation, m.
     pub tip_error_m: f64,
     /// Angle from the target orientation, rad.

@@ -136,12 +136,22 @@ impl OptimalControl {
                     .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
             },
             solution,
-            &CheckLimits {
-                kkt: self.settings.tolerance.max(CheckLimits::default().kkt),
-                saddle_gain: self.settings.saddle_gain,
-                ..CheckLimits::default()
-            },
+            &self.check_limits(),
         )
+    }
+
+    /// The limits of the check: those of optimality go with the solver's tolerance, as far as a certificate may.
+    #[must_use]
+    pub fn check_limits(&self) -> CheckLimits {
+        let limits = CheckLimits::default();
+        CheckLimits {
+            kkt: self
+                .settings
+                .tolerance
+                .clamp(limits.kkt, CheckLimits::LOOSEST_KKT),
+            saddle_gain: self.settings.saddle_gain,
+            ..limits
+        }
     }
 }
 

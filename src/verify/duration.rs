@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::hold::{self, Spline};
 use super::kkt::controls::{channels, control_cost};
 use super::kkt::motion::Conditions;
 use super::probe::{Motion, roll_out};
@@ -60,7 +61,7 @@ fn terms(
 ) -> Result<[f64; N_TERMS], CheckError> {
     let problem = &problem.stretched(stretch);
     let Motion { trajectory, end } = roll_out(problem, &problem.initial, solution.coefficients)?;
-    let control = problem.signal(&problem.control, solution.coefficients);
+    let control = hold::signal(problem, 1, solution.coefficients);
     let path = problem.path_constraints();
     let conditions = Conditions {
         problem,
@@ -87,7 +88,7 @@ fn terms(
 /// `Σ |z| limit`: what bounds on rates leave to controls, at their multipliers.
 fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
     let n = problem.actuators.len();
-    let gaps = problem.control.rate_gaps();
+    let gaps = Spline::of(problem).gaps();
     let mut sum = 0.0;
     for (i, normals) in rates.iter().enumerate() {
         let (step, a) = (i / n, i % n);

@@ -23,7 +23,8 @@ pub struct Growth {
     pub disturbance: f64,
     /// How far such a deviation moves the tip at the end, at most, m.
     pub tip_from_state: f64,
-    /// The same for an error of one percent of the scale in every coefficient of the control, m: a bound.
+    /// The same for an error of one percent in every coefficient of the control, of the largest that this force or moment has, m: a
+    /// bound.
     pub tip_from_control: f64,
     /// Length of the rod, m.
     pub length: f64,
@@ -44,7 +45,7 @@ impl Growth {
         };
         format!(
             "a disturbance of 1 % of the initial state ({:.2e} J) grows by a factor of {:.3} and moves the tip by up to {:.2e} m at \
-             the target; an error of 1 % of the control's scale, by up to {:.2e} m: {replay}",
+             the target; an error of 1 % of the largest force and moment that are used, by up to {:.2e} m: {replay}",
             self.disturbance, self.amplification, self.tip_from_state, self.tip_from_control
         )
     }
@@ -96,14 +97,39 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
         moved.set_column(i, &(deviation.parts[0][rod.tip()] / amount));
     }
     let largest = |matrix: DMatrix<f64>| matrix.singular_values().max();
-    let rows = tip.row_iter().map(|row| PERCENT * row.lp_norm(1));
     Ok(Growth {
         amplification: largest(DMatrix::from_columns(&grown)),
         disturbance: 0.5 * PERCENT * PERCENT * rod.scales.moment,
         tip_from_state: largest(moved) * PERCENT * root,
-        tip_from_control: rows.map(|d| d * d).sum::<f64>().sqrt(),
+        tip_from_control: PERCENT * moved_by_controls(probe, tip),
         length: rod.scales.length,
     })
+}
+
+/// How far the tip moves at most when every coefficient of a force or moment is off by the largest of them, to first order, m.
+fn moved_by_controls(probe: &Probe, tip: &DMatrix<f64>) -> f64 {
+    let components = probe.problem.actuated_components();
+    let width = components.len();
+    let mut sum = 0.0;
+    for a in 0..probe.problem.actuators.len() {
+        for channel in 0..2 {
+            let of_vector: Vec<usize> = (components.iter().enumerate())
+                .filter(|(_, c)| c.actuator == a && c.axis / 3 == channel)
+                .map(|(i, _)| i)
+                .collect();
+            let columns = |j: usize| of_vector.iter().map(move |i| j * width + i);
+            let count = probe.variables.len() / width.max(1);
+            let size = |j: usize| columns(j).map(|i| probe.variables[i].powi(2)).sum::<f64>();
+            let largest = (0..count).map(size).fold(0.0, f64::max).sqrt();
+            for j in 0..count {
+                let slope = tip.select_columns(&columns(j).collect::<Vec<_>>());
+                if !slope.is_empty() {
+                    sum += largest * slope.singular_values().max();
+                }
+            }
+        }
+    }
+    sum
 }
 
 /// Three times node plus axis, and part, of all that may deviate.

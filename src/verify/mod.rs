@@ -5,14 +5,18 @@
 
 mod dual;
 mod duration;
+pub mod files;
 pub mod growth;
+mod hold;
 mod interval;
 pub mod kkt;
 mod limits;
 pub mod momentum;
 mod probe;
 pub mod refinement;
+mod samples;
 pub mod second_order;
+mod solution;
 
 use nalgebra::Vector3;
 
@@ -23,9 +27,8 @@ use self::momentum::MomentumBalance;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, refine};
 use self::second_order::{Extremum, SecondOrder};
-use crate::control::{
-    ControlGrid, Enforcement, Goal, GoalPart, OptimalControlProblem, PathMultiplier,
-};
+pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
+use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
@@ -59,6 +62,11 @@ pub struct CheckLimits {
     pub between: f64,
     /// What may be left to gain at a saddle, over the objective.
     pub saddle_gain: f64,
+}
+
+impl CheckLimits {
+    /// Residuals of a stationary point, at most, whatever tolerance a scene asks for.
+    pub const LOOSEST_KKT: f64 = 1e-3;
 }
 
 impl Default for CheckLimits {
@@ -101,11 +109,14 @@ impl CheckItem {
             "refined_time_m" | "energy" | "energy_halving" => "use a shorter time.step_s",
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
-            "same_grid_m" => {
+            "same_grid_m" | "same_grid_rad" => {
                 "the files were changed, or the motion is so unstable that it cannot be replayed"
             }
             "between_samples" => {
                 "use a shorter time.step_s, more rod.elements, or a higher rate_hz of what is limited"
+            }
+            "controls.csv" | "trajectory.npz" | "summary.json" | "feedback.npz" => {
+                "the file was changed, or belongs to another solution: solve again"
             }
             _ => "solve again, with a smaller solver.tolerance",
         }
@@ -129,6 +140,8 @@ pub struct ForwardCheck {
     pub kkt_parts: [KktPart; 5],
     /// Largest distance of any node at any time between the solution and its replay, m.
     pub same_grid: f64,
+    /// Largest such distance of any rotation, as the norm of the difference of both matrices.
+    pub same_grid_turn: f64,
     /// Value of the objective, recomputed.
     pub objective: f64,
     /// Estimated error of any node at any time from the time step, m: see [`refinement::ErrorEstimate`].
@@ -183,6 +196,7 @@ impl ForwardCheck {
         problem: &OptimalControlProblem,
         solution: &Solution,
     ) -> Result<(), CheckError> {
+        solution.validate(problem)?;
         let probe = Probe::new(problem, solution);
         let [responses, tip] = probe.responses()?;
         let found = second_order::examine(&probe, &responses)?;
@@ -329,6 +343,9 @@ pub enum CheckError {
     /// The check was not made to its end.
     #[error("not checked: {0}")]
     Stopped(#[from] Stop),
+    /// What is to be checked does not belong to the problem.
+    #[error("{0}")]
+    Solution(#[from] SolutionError),
 }
 
 impl CheckError {
@@ -341,7 +358,7 @@ impl CheckError {
                 source: StepError::Stopped(stop),
                 ..
             } => Some(*stop),
-            Self::Replay { .. } | Self::Rod(_) => None,
+            Self::Replay { .. } | Self::Rod(_) | Self::Solution(_) => None,
         }
     }
 }
@@ -608,46 +625,11 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     h * rod.viscous_damping * sum
 }
 
-/// A solution to check: what a result directory holds.
-#[derive(Clone, Copy, Debug)]
-pub struct Solution<'a> {
-    /// Configurations at every time node.
-    pub trajectory: &'a Trajectory,
-    /// Coefficients of the control, those of all actuators together.
-    pub coefficients: &'a [Wrench],
-    /// Multipliers.
-    pub multipliers: SolutionMultipliers<'a>,
-}
-
-/// Multipliers of a solution, in the solver's scaling.
-#[derive(Clone, Copy, Debug)]
-pub struct SolutionMultipliers<'a> {
-    /// Of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
-    pub goals: &'a [f64],
-    /// Of rows of [`OptimalControlProblem::path_constraints`]; those that are absent are zero.
-    pub path: &'a [PathMultiplier],
-    /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, per step between coefficients and
-    /// actuator (force, moment); empty without such bounds.
-    pub rates: &'a [[f64; 6]],
-}
-
-impl<'a> SolutionMultipliers<'a> {
-    /// Where only goals have multipliers.
-    #[must_use]
-    pub fn of_goals(goals: &'a [f64]) -> Self {
-        Self {
-            goals,
-            path: &[],
-            rates: &[],
-        }
-    }
-}
-
 /// Checks a solution. `parameters` describe the problem's rod, so that it can be built again with twice the elements;
 /// `initial` makes the initial state of any such rod.
 ///
 /// # Errors
-/// [`CheckError`] when a replay breaks down.
+/// [`CheckError`] when a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
 pub fn forward_check(
     problem: &OptimalControlProblem,
     parameters: &RodParameters,
@@ -656,6 +638,7 @@ pub fn forward_check(
     limits: &CheckLimits,
 ) -> Result<ForwardCheck, CheckError> {
     problem.stop.check()?;
+    solution.validate(problem)?;
     let conditions = kkt::recompute(
         problem,
         solution.trajectory,
@@ -665,12 +648,7 @@ pub fn forward_check(
     problem.stop.check()?;
     let run = |factor: usize, which| {
         let grid = refined_grid(problem.grid, factor);
-        let control = refined_signal(
-            problem,
-            &problem.control.refined(factor),
-            &problem.rod,
-            solution,
-        );
+        let control = refined_signal(problem, factor, &problem.rod, solution);
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
         let (rod, initial) = (&problem.rod, problem.initial.clone());
         let simulation = match which {
@@ -698,8 +676,23 @@ pub fn forward_check(
         .map_err(|source| CheckError::Replay { which, source })
     };
     let mut same = run(1, ReplayKind::SameGrid)?;
-    let control = problem.signal(&problem.control, solution.coefficients);
-    let same_grid = largest_distance(solution.trajectory, &same.trajectory);
+    let control = hold::signal(problem, 1, solution.coefficients);
+    let same_grid = largest_of(
+        (solution
+            .trajectory
+            .positions
+            .iter()
+            .zip(&same.trajectory.positions))
+        .map(|(a, b)| (a - b).norm()),
+    );
+    let same_grid_turn = largest_of(
+        (solution
+            .trajectory
+            .rotations
+            .iter()
+            .zip(&same.trajectory.rotations))
+        .map(|(a, b)| (a - b).norm()),
+    );
     let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
@@ -712,6 +705,7 @@ pub fn forward_check(
         kkt_parts: conditions.parts,
         objective: conditions.objective,
         same_grid,
+        same_grid_turn,
         refined_time: refinement.time.error,
         refined_space: refinement.space.error,
         order_time: refinement.time.order,
@@ -758,14 +752,14 @@ fn halving(same: &EnergyBalance, half: &EnergyBalance) -> f64 {
     }
 }
 
-/// The controls on a finer grid, and on the nodes of a rod with a whole multiple of the elements.
+/// The controls on a grid whose steps are `factor` times shorter, and on the nodes of a rod with a whole multiple of the elements.
 fn refined_signal(
     problem: &OptimalControlProblem,
-    grid: &ControlGrid,
+    factor: usize,
     rod: &Rod,
     solution: &Solution,
 ) -> ControlSignal {
-    let mut signal = problem.signal(grid, solution.coefficients);
+    let mut signal = hold::signal(problem, factor, solution.coefficients);
     for node in &mut signal.nodes {
         *node *= rod.n_elements() / problem.rod.n_elements();
     }
@@ -779,17 +773,9 @@ fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
     }
 }
 
-/// Largest distance of any node at any time; NaN if any is.
-fn largest_distance(a: &Trajectory, b: &Trajectory) -> f64 {
-    let mut largest: f64 = 0.0;
-    for (x, y) in a.positions.iter().zip(&b.positions) {
-        let distance = (x - y).norm();
-        if distance.is_nan() {
-            return f64::NAN;
-        }
-        largest = largest.max(distance);
-    }
-    largest
+/// Largest of some distances; NaN if any is.
+fn largest_of(distances: impl Iterator<Item = f64>) -> f64 {
+    distances.fold(0.0, kkt::worse)
 }
 
 /// The goal of the tip at the end that has what `part` picks, if any.
@@ -861,6 +847,14 @@ fn items(
             limits.same_grid * length,
             "m",
             "largest distance of any node at any time from the forward simulation of the controls",
+        ),
+        item(
+            "same_grid_rad",
+            check.same_grid_turn,
+            // An element that is off by this much at one end.
+            limits.same_grid * problem.rod.n_elements() as f64,
+            "",
+            "largest distance of any rotation at any time from that of the forward simulation",
         ),
         item(
             "refined_time_m",

@@ -2,12 +2,13 @@
 
 use nalgebra::DMatrix;
 
+use super::hold::{self, Spline};
 use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_back};
 use super::kkt::motion::Conditions;
 use super::kkt::outcome::AT_LIMIT;
 use super::kkt::rest::RestBall;
 use super::limits::Pose;
-use super::{CheckError, ReplayKind, Solution, SolutionMultipliers};
+use super::{CheckError, ReplayKind, Solution, SolutionMultipliers, samples};
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathMultiplier};
 use crate::mechanics::{State, Stepper, Trajectory, Wrench};
 
@@ -48,7 +49,7 @@ pub(super) fn roll_out(
     initial: &State,
     coefficients: &[Wrench],
 ) -> Result<Motion, CheckError> {
-    let control = problem.signal(&problem.control, coefficients);
+    let control = hold::signal(problem, 1, coefficients);
     let n = problem.grid.n_steps;
     let mut stepper = Stepper::new(&problem.rod, problem.grid.step, initial.clone());
     let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), n + 1);
@@ -83,7 +84,7 @@ impl<'a> Probe<'a> {
             rest: Vec::new(),
             held: Vec::new(),
         };
-        let control = problem.signal(&problem.control, solution.coefficients);
+        let control = hold::signal(problem, 1, solution.coefficients);
         let conditions = Conditions {
             problem,
             trajectory: solution.trajectory,
@@ -143,7 +144,7 @@ impl<'a> Probe<'a> {
     fn rows(&self, variables: &[f64]) -> Result<Vec<f64>, CheckError> {
         let motion = self.motion(variables)?;
         let coefficients = self.coefficients(variables);
-        let control = self.problem.signal(&self.problem.control, &coefficients);
+        let control = hold::signal(self.problem, 1, &coefficients);
         let conditions = self.conditions(&motion.trajectory, &control);
         let end = &motion.end;
         let mut out = conditions.residuals(&end.linear_momentum, &end.angular_momentum);
@@ -196,7 +197,7 @@ impl<'a> Probe<'a> {
         let variables = self.moved(direction, step);
         let Motion { trajectory, end } = self.motion(&variables)?;
         let coefficients = self.coefficients(&variables);
-        let control = problem.signal(&problem.control, &coefficients);
+        let control = hold::signal(problem, 1, &coefficients);
         let conditions = self.conditions(&trajectory, &control);
         let residuals = conditions.residuals(&end.linear_momentum, &end.angular_momentum);
         let goals: Vec<f64> = (problem.goal_rows().iter().zip(self.multipliers.goals))
@@ -222,7 +223,7 @@ impl<'a> Probe<'a> {
         let components = problem.actuated_components();
         let (_, slope) = control_cost(problem, &coefficients);
         let pulled = pull_back(problem, &pulled);
-        Ok((0..problem.control.n_coefficients())
+        Ok((0..Spline::of(problem).n_coefficients())
             .flat_map(|j| components.iter().map(move |c| (j, c)))
             .map(|(j, c)| {
                 let (at, channel, axis) = (j * n + c.actuator, c.axis / 3, c.axis % 3);
@@ -251,7 +252,7 @@ fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
     if conditions.row_value(row) <= AT_LIMIT {
         return None;
     }
-    let lasting = constraint.lasting(conditions.problem.grid.step);
+    let lasting = samples::of_path(constraint, conditions.problem.grid.step);
     let (_, duration) = lasting.into_iter().find(|(k, _)| *k == row.time_node)?;
     Some([linear * duration, quadratic * duration])
 }

@@ -113,7 +113,7 @@ impl<'a> Level<'a> {
         let grid = refined_grid(problem.grid, factor);
         Self {
             stepper: Stepper::new(rod, grid.step, start),
-            signal: refined_signal(problem, &problem.control.refined(factor), rod, solution),
+            signal: refined_signal(problem, factor, rod, solution),
             factor,
             n_nodes: rod.n_nodes(),
             stride: rod.n_elements() / problem.rod.n_elements(),

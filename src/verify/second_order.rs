@@ -111,7 +111,10 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
     let mut basis = DMatrix::zeros(n, 0);
     let mut images = DMatrix::zeros(n, 0);
     let mut seed = 1;
-    let mut next = fresh(n, &mut seed, &project, &basis);
+    let Some(mut next) = fresh(n, &mut seed, &project, &basis) else {
+        (out.eigenvalue, out.gain) = (f64::NAN, f64::NAN);
+        return Ok(out);
+    };
     // Truncation goes with the square of the step, noise with its inverse: h³ = noise / (2 third derivatives), the latter from the
     // change of the first product with its step.
     let mut step = 1e-3;
@@ -144,7 +147,12 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
             out.products = j + 1;
             break vector;
         }
-        next = orthogonal(&image, &basis).unwrap_or_else(|| fresh(n, &mut seed, &project, &basis));
+        let another = orthogonal(&image, &basis).or_else(|| fresh(n, &mut seed, &project, &basis));
+        let Some(another) = another else {
+            (out.eigenvalue, out.gain) = (f64::NAN, f64::NAN);
+            return Ok(out);
+        };
+        next = another;
     };
     let (near, far) = (product(&pair, step)?, product(&pair, 2.0 * step)?);
     out.error += (pair.dot(&(far - near)) / 3.0).abs() + NOISE * probe.scale / step;
@@ -197,14 +205,15 @@ fn orthogonal(v: &DVector<f64>, basis: &DMatrix<f64>) -> Option<DVector<f64>> {
     (size > 1e-10 * v.norm()).then(|| rest / size)
 }
 
-/// A pseudo-random direction of the critical subspace beside the basis.
+/// A pseudo-random direction of the critical subspace beside the basis; `None` where numbers are no numbers.
 fn fresh(
     n: usize,
     seed: &mut u64,
     project: &impl Fn(&DVector<f64>) -> DVector<f64>,
     basis: &DMatrix<f64>,
-) -> DVector<f64> {
-    loop {
+) -> Option<DVector<f64>> {
+    const TRIES: usize = 100;
+    for _ in 0..TRIES {
         let random = DVector::from_fn(n, |_, _| {
             // xorshift64*
             *seed ^= *seed >> 12;
@@ -215,9 +224,10 @@ fn fresh(
         });
         let kept = project(&random);
         if let Some(direction) = orthogonal(&kept, basis) {
-            return direction;
+            return Some(direction);
         }
     }
+    None
 }
 
 /// Orthonormal basis of the gradients of all that is held.

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::rows::{Place, Worst, largest_axis, per};
 use crate::control::{Bound, OptimalControlProblem};
 use crate::mechanics::Wrench;
+use crate::verify::hold::Spline;
 
 /// Of one coefficient of one actuator, scaled: force and moment.
 pub(in crate::verify) type Pair = [Vector3<f64>; 2];
@@ -31,13 +32,16 @@ pub(in crate::verify) fn pull_back(
     pulled: &[Wrench],
 ) -> Vec<Pair> {
     let n = problem.actuators.len();
-    let mut out = vec![[Vector3::zeros(); 2]; problem.control.n_coefficients() * n];
-    for (i, wrench) in pulled.iter().enumerate() {
-        let (k, a) = (i / n, i % n);
-        let scales = channels(problem, a).map(|(scale, ..)| scale);
-        for (j, weight) in problem.control.weights(k) {
-            for (channel, part) in parts(wrench).iter().enumerate() {
-                out[j * n + a][channel] += part * (weight * scales[channel]);
+    let spline = Spline::of(problem);
+    let mut out = vec![[Vector3::zeros(); 2]; spline.n_coefficients() * n];
+    for (k, wrenches) in pulled.chunks(n.max(1)).enumerate() {
+        let weights = spline.weights(k, 1);
+        for (a, wrench) in wrenches.iter().enumerate() {
+            let scales = channels(problem, a).map(|(scale, ..)| scale);
+            for &(j, weight) in &weights {
+                for (channel, part) in parts(wrench).iter().enumerate() {
+                    out[j * n + a][channel] += part * (weight * scales[channel]);
+                }
             }
         }
     }
@@ -50,25 +54,19 @@ pub(in crate::verify) fn control_cost(
     coefficients: &[Wrench],
 ) -> (f64, Vec<Pair>) {
     let n = problem.actuators.len();
-    let (effort, rate) = (
-        problem.control.effort_matrix(),
-        problem.control.rate_matrix(),
-    );
+    let spline = Spline::of(problem);
     let mut cost = 0.0;
     let mut gradient = vec![[Vector3::zeros(); 2]; coefficients.len()];
-    let count = problem.control.n_coefficients();
     for a in 0..n {
         for (channel, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
-            let at = |j: usize| parts(&coefficients[j * n + a])[channel] / scale;
-            for i in 0..count {
-                let mut sum = Vector3::zeros();
-                for j in 0..count {
-                    let weight = problem.objective.effort * effort[(i, j)]
-                        + problem.objective.rate * rate[(i, j)];
-                    sum += at(j) * weight;
-                }
-                cost += 0.5 * sum.dot(&at(i));
-                gradient[i * n + a][channel] = sum;
+            let scaled: Vec<_> = (coefficients.iter().skip(a).step_by(n))
+                .map(|u| parts(u)[channel] / scale)
+                .collect();
+            let (part, slope) =
+                spline.cost(&scaled, problem.objective.effort, problem.objective.rate);
+            cost += part;
+            for (j, slope) in slope.into_iter().enumerate() {
+                gradient[j * n + a][channel] = slope;
             }
         }
     }
@@ -124,8 +122,8 @@ impl ControlConditions {
                 *g += s;
             }
         }
-        let times = problem.control.coefficient_times();
-        let gaps = problem.control.rate_gaps();
+        let spline = Spline::of(problem);
+        let (times, gaps) = (spline.times(), spline.gaps());
         for a in 0..n {
             for (c, (scale, name, unit)) in channels(problem, a).into_iter().enumerate() {
                 let channel = [&problem.actuators[a].force, &problem.actuators[a].moment][c];

@@ -13,14 +13,13 @@ pub(in crate::verify) mod rest;
 mod rows;
 mod stresses;
 
-use faer::Mat;
-
 pub use self::rows::{KktPart, NamedRow};
 
 use self::controls::ControlConditions;
 use self::motion::Conditions;
 use self::rows::{AXES, Place, Worst};
 use super::SolutionMultipliers;
+use super::hold::{self, Spline};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{Trajectory, Wrench};
 use crate::sqp::KktResidual;
@@ -49,7 +48,7 @@ pub fn recompute(
     coefficients: &[Wrench],
     multipliers: &SolutionMultipliers,
 ) -> RecomputedKkt {
-    let control = problem.signal(&problem.control, coefficients);
+    let control = hold::signal(problem, 1, coefficients);
     let path = problem.path_constraints();
     let conditions = Conditions {
         problem,
@@ -94,10 +93,10 @@ pub fn recompute(
 
     let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
     // As the solver: a problem whose terms all vanish is judged against one unit of effort.
-    let largest_of = |m: &Mat<f64>| (0..m.nrows()).map(|i| m[(i, i)]).fold(0.0, f64::max);
+    let spline = Spline::of(problem);
     let unit = 1e-6
-        * (problem.objective.effort * largest_of(&problem.control.effort_matrix())
-            + problem.objective.rate * largest_of(&problem.control.rate_matrix()));
+        * (spline.largest_curvature(problem.objective.effort, 0.0)
+            + spline.largest_curvature(0.0, problem.objective.rate));
     let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
     let stationarity = (controls.stationarity)
         .or(on_path.stationarity)

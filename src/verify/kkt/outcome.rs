@@ -4,11 +4,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::motion::Conditions;
 use super::rows::{Place, Worst, per};
-use crate::control::cost::sample_times;
-use crate::control::{GoalPart, PathEnforcement, PathMultiplier};
+use crate::control::{GoalPart, PathConstraint, PathEnforcement, PathMultiplier};
 use crate::mechanics::rotation::{exp, log};
 use crate::verify::SolutionMultipliers;
 use crate::verify::limits::{Pose, add_state_cost, slope_at_zero};
+use crate::verify::samples;
 
 /// Covectors of a configuration at every time node: of positions and of body rotations, time-major.
 pub(in crate::verify) struct Outcome {
@@ -50,7 +50,15 @@ impl Conditions<'_> {
             multiplier,
         } in multipliers.path
         {
-            let limit = &self.path[*constraint].limit;
+            // What does not exist pulls at nothing; `path_conditions` rejects it.
+            let Some(PathConstraint { limit, .. }) =
+                (self.path.get(*constraint)).filter(|c| c.time_nodes.binary_search(k).is_ok())
+            else {
+                continue;
+            };
+            if *item >= limit.n_items(self.rod()) {
+                continue;
+            }
             let weight = multiplier / limit.scale(self.rod());
             let here = Pose::at(self.trajectory, *k);
             let before = Pose::at(self.trajectory, k.saturating_sub(1));
@@ -71,7 +79,7 @@ impl Conditions<'_> {
             }
         }
         let mut cost = 0.0;
-        for (k, duration) in sample_times(self.problem) {
+        for (k, duration) in samples::of_costs(self.problem) {
             if self.problem.stop.check_at(k).is_err() {
                 break;
             }
@@ -98,7 +106,7 @@ impl Conditions<'_> {
         }
         for (index, constraint) in self.path.iter().enumerate() {
             let scale = constraint.limit.scale(self.rod());
-            let lasting = constraint.lasting(self.problem.grid.step);
+            let lasting = samples::of_path(constraint, self.problem.grid.step);
             for (k, duration) in lasting {
                 if self.problem.stop.is_raised() {
                     break;

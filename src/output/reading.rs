@@ -1,0 +1,134 @@
+//! Files of a result directory as a stranger may have left them: only regular ones are opened, and no more is read than the result can hold.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::Path;
+
+use super::OutputError;
+
+/// Opens a regular file of at most `largest` bytes; anything else (a pipe would wait for ever, a device never ends) is refused unopened.
+pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
+    let cannot_read = |error| OutputError::io(path, "cannot read")(error);
+    let found = fs::metadata(path).map_err(cannot_read)?;
+    if !found.is_file() {
+        let kind = if found.is_dir() {
+            "a directory"
+        } else {
+            "a device or a pipe"
+        };
+        return Err(OutputError::malformed(path, format!("{kind}, not a file")));
+    }
+    let file = File::open(path).map_err(cannot_read)?;
+    let length = file.metadata().map_err(cannot_read)?.len();
+    if length > largest {
+        return Err(too_large(path, length, largest));
+    }
+    Ok(file)
+}
+
+/// Reads a text of at most `largest` bytes.
+///
+/// # Errors
+/// [`OutputError`] for what is no file, larger, or not UTF-8.
+pub fn read_text(path: &Path, largest: u64) -> Result<String, OutputError> {
+    let mut bytes = Vec::new();
+    // Some files say that they are empty and are not.
+    open(path, largest)?
+        .take(largest.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(OutputError::io(path, "cannot read"))?;
+    if bytes.len() as u64 > largest {
+        return Err(too_large(path, bytes.len() as u64, largest));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        OutputError::malformed(
+            path,
+            format!("not UTF-8 text: the byte at offset {at} is invalid"),
+        )
+    })
+}
+
+fn too_large(path: &Path, found: u64, largest: u64) -> OutputError {
+    OutputError::malformed(
+        path,
+        format!("{found} bytes or more; what it should hold takes at most {largest}"),
+    )
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// What may have happened to the bytes of a file.
+    #[derive(Clone, Debug)]
+    pub(in crate::output) enum Accident {
+        Flip(prop::sample::Index, u8),
+        Cut(prop::sample::Index),
+        Insert(prop::sample::Index, Vec<u8>),
+        Remove(prop::sample::Index, usize),
+        Repeat(prop::sample::Index, usize),
+    }
+
+    pub(in crate::output) fn accidents() -> impl Strategy<Value = Vec<Accident>> {
+        let at = any::<prop::sample::Index>;
+        let one = prop_oneof![
+            4 => (at(), 0..8u8).prop_map(|(at, bit)| Accident::Flip(at, bit)),
+            1 => at().prop_map(Accident::Cut),
+            2 => (at(), prop::collection::vec(any::<u8>(), 1..20)).prop_map(|(at, b)| Accident::Insert(at, b)),
+            1 => (at(), 1..200usize).prop_map(|(at, n)| Accident::Remove(at, n)),
+            1 => (at(), 1..200usize).prop_map(|(at, n)| Accident::Repeat(at, n)),
+        ];
+        prop::collection::vec(one, 1..4)
+    }
+
+    pub(in crate::output) fn damaged(bytes: &[u8], accidents: &[Accident]) -> Vec<u8> {
+        let mut bytes = bytes.to_vec();
+        for accident in accidents {
+            if bytes.is_empty() {
+                break;
+            }
+            let n = bytes.len();
+            match accident {
+                Accident::Flip(at, bit) => bytes[at.index(n)] ^= 1 << bit,
+                Accident::Cut(at) => bytes.truncate(at.index(n)),
+                Accident::Insert(at, more) => {
+                    let at = at.index(n);
+                    bytes.splice(at..at, more.iter().copied());
+                }
+                Accident::Remove(at, count) => {
+                    let at = at.index(n);
+                    bytes.drain(at..(at + count).min(n));
+                }
+                Accident::Repeat(at, count) => {
+                    let at = at.index(n);
+                    let part = bytes[at..(at + count).min(n)].to_vec();
+                    bytes.splice(at..at, part);
+                }
+            }
+        }
+        bytes
+    }
+
+    /// A directory, a device, a text that is too long and one that is none are refused by what they are.
+    #[test]
+    fn what_is_no_text_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("text");
+        let refused = |path: &Path, word: &str| {
+            let error = read_text(path, 10).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        };
+        refused(folder.path(), "a directory, not a file");
+        fs::write(&path, "0123456789a").unwrap();
+        refused(&path, "11 bytes or more");
+        fs::write(&path, b"abc\xff").unwrap();
+        refused(&path, "offset 3");
+        fs::write(&path, "0123456789").unwrap();
+        assert_eq!(read_text(&path, 10).unwrap(), "0123456789");
+        if cfg!(unix) {
+            refused(Path::new("/dev/zero"), "a device or a pipe, not a file");
+        }
+    }
+}

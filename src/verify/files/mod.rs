@@ -1,0 +1,149 @@
+//! What the files of a result directory say beside the solution itself, compared with what they must say.
+//!
+//! Numbers that follow from the scene and the controls are recomputed, and compared within what rounding, or replays on another machine, can
+//! change.
+
+pub mod controls;
+pub mod feedback;
+pub mod motion;
+pub mod summary;
+
+use super::CheckItem;
+
+/// Where a file says something else than the solution.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Mismatch {
+    /// The file.
+    pub file: &'static str,
+    /// Column, array or field, with the row.
+    pub place: String,
+    /// What is there.
+    pub found: String,
+    /// What belongs there.
+    pub expected: String,
+    /// Distance of both; absent where they are no numbers.
+    pub difference: Option<f64>,
+    /// Largest acceptable distance.
+    pub allowed: f64,
+}
+
+impl std::fmt::Display for Mismatch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{}: {}: {}, but it must be {}",
+            self.file, self.place, self.found, self.expected
+        )?;
+        match self.difference {
+            Some(difference) => write!(
+                f,
+                " (off by {difference:.2e}; allowed {:.2e})",
+                self.allowed
+            ),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A file beside what it must say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileCheck {
+    /// The file.
+    pub file: &'static str,
+    /// Largest distance over what is allowed.
+    pub worst: f64,
+    /// The worst place beyond what is allowed.
+    pub mismatch: Option<Mismatch>,
+}
+
+impl FileCheck {
+    /// Of a file about which nothing is known yet.
+    #[must_use]
+    pub fn of(file: &'static str) -> Self {
+        Self {
+            file,
+            worst: 0.0,
+            mismatch: None,
+        }
+    }
+
+    /// Compares a number.
+    pub fn number(
+        &mut self,
+        found: f64,
+        expected: f64,
+        allowed: f64,
+        place: impl FnOnce() -> String,
+    ) {
+        let difference = (found - expected).abs();
+        let over = if found == expected {
+            0.0
+        } else if difference.is_nan() {
+            f64::INFINITY
+        } else {
+            difference / allowed
+        };
+        if !(over > self.worst) {
+            return;
+        }
+        self.worst = over;
+        if over > 1.0 {
+            self.mismatch = Some(Mismatch {
+                file: self.file,
+                place: place(),
+                found: written(found),
+                expected: written(expected),
+                difference: Some(difference),
+                allowed,
+            });
+        }
+    }
+
+    /// Compares what is no number, or none that may differ.
+    pub fn word(&mut self, found: &str, expected: &str, place: impl FnOnce() -> String) {
+        if found != expected && self.worst < f64::INFINITY {
+            self.worst = f64::INFINITY;
+            self.mismatch = Some(Mismatch {
+                file: self.file,
+                place: place(),
+                found: found.chars().take(LONGEST_WORD).collect(),
+                expected: expected.into(),
+                difference: None,
+                allowed: 0.0,
+            });
+        }
+    }
+
+    /// As a criterion of the certificate.
+    #[must_use]
+    pub fn item(&self) -> CheckItem {
+        CheckItem {
+            name: self.file,
+            value: self.worst,
+            limit: 1.0,
+            unit: "",
+            meaning: "largest distance of what the file says from what follows from scene and controls, over what rounding and replays elsewhere can change",
+        }
+    }
+}
+
+/// A number with all its digits, and no more zeros than one can count.
+fn written(value: f64) -> String {
+    const PLAIN: std::ops::Range<f64> = 1e-4..1e9;
+    if value == 0.0 || PLAIN.contains(&value.abs()) {
+        format!("{value}")
+    } else {
+        format!("{value:e}")
+    }
+}
+
+/// Characters of a foreign text that are repeated.
+const LONGEST_WORD: usize = 60;
+
+/// Roundings of a few operations.
+const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
+/// Part of the length by which positions may differ, and of what passes through of energies and momenta: replays elsewhere, whose
+/// rounding differs.
+const ELSEWHERE: f64 = 1e-9;
+/// Part by which what is made of differences of positions may differ elsewhere.
+const DERIVED: f64 = 1e-6;

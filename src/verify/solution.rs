@@ -1,0 +1,168 @@
+//! What is checked, and whether it belongs to the problem at all.
+
+use std::collections::HashMap;
+
+use crate::control::{OptimalControlProblem, PathMultiplier};
+use crate::mechanics::{Trajectory, Wrench};
+
+/// A solution to check: what a result directory holds.
+#[derive(Clone, Copy, Debug)]
+pub struct Solution<'a> {
+    /// Configurations at every time node.
+    pub trajectory: &'a Trajectory,
+    /// Coefficients of the control, those of all actuators together.
+    pub coefficients: &'a [Wrench],
+    /// Multipliers.
+    pub multipliers: SolutionMultipliers<'a>,
+}
+
+/// Multipliers of a solution, in the solver's scaling.
+#[derive(Clone, Copy, Debug)]
+pub struct SolutionMultipliers<'a> {
+    /// Of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
+    pub goals: &'a [f64],
+    /// Of rows of [`OptimalControlProblem::path_constraints`]; those that are absent are zero.
+    pub path: &'a [PathMultiplier],
+    /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, per step between coefficients and
+    /// actuator (force, moment); empty without such bounds.
+    pub rates: &'a [[f64; 6]],
+}
+
+impl<'a> SolutionMultipliers<'a> {
+    /// Where only goals have multipliers.
+    #[must_use]
+    pub fn of_goals(goals: &'a [f64]) -> Self {
+        Self {
+            goals,
+            path: &[],
+            rates: &[],
+        }
+    }
+}
+
+/// What of a solution does not belong to the problem.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: {found}, but the problem has {expected}")]
+pub struct SolutionError {
+    /// Which part: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
+    pub place: String,
+    /// What is there.
+    pub found: String,
+    /// What belongs there.
+    pub expected: String,
+}
+
+impl Solution<'_> {
+    /// Whether counts and indices are the problem's, no row has two multipliers, and all numbers are finite.
+    ///
+    /// # Errors
+    /// [`SolutionError`] names the first that is not.
+    pub fn validate(&self, problem: &OptimalControlProblem) -> Result<(), SolutionError> {
+        let size = [self.trajectory.n_nodes, self.trajectory.n_times()];
+        let expected = [problem.rod.n_nodes(), problem.grid.n_steps + 1];
+        require(size == expected, || {
+            let of = |[nodes, times]: [usize; 2]| format!("{times} times of {nodes} nodes");
+            ("trajectory".into(), of(size), of(expected))
+        })?;
+        let numbers = (self.trajectory.positions.iter().flat_map(|x| x.iter()))
+            .chain(self.trajectory.rotations.iter().flat_map(|r| r.iter()));
+        require_finite("trajectory", numbers)?;
+        let count = problem.control.n_coefficients() * problem.actuators.len();
+        require_count("coefficients", self.coefficients.len(), count)?;
+        let numbers =
+            (self.coefficients.iter()).flat_map(|u| u.force.iter().chain(u.moment.iter()));
+        require_finite("coefficients", numbers)?;
+        self.multipliers.validate(problem)
+    }
+}
+
+impl SolutionMultipliers<'_> {
+    /// The multipliers' part of [`Solution::validate`].
+    ///
+    /// # Errors
+    /// [`SolutionError`] names the first that does not belong to the problem.
+    pub fn validate(&self, problem: &OptimalControlProblem) -> Result<(), SolutionError> {
+        require_count("goals", self.goals.len(), problem.goal_rows().len())?;
+        require_finite("goals", self.goals.iter())?;
+        let steps = problem.control.n_coefficients().saturating_sub(1);
+        if !self.rates.is_empty() {
+            let count = steps * problem.actuators.len();
+            require_count("rates", self.rates.len(), count)?;
+            require_finite("rates", self.rates.iter().flatten())?;
+        }
+        let constraints = problem.path_constraints();
+        let mut seen = HashMap::new();
+        for (i, row) in self.path.iter().enumerate() {
+            let field = |name: &str| format!("path[{i}].{name}");
+            let Some(constraint) = constraints.get(row.constraint) else {
+                return Err(SolutionError {
+                    place: field("constraint"),
+                    found: row.constraint.to_string(),
+                    expected: format!("{} path constraints", constraints.len()),
+                });
+            };
+            let known = constraint.time_nodes.binary_search(&row.time_node).is_ok();
+            require(known, || {
+                let expected = match constraint.time_nodes.as_slice() {
+                    [] => format!("no time node where {} holds", constraint.name),
+                    nodes => format!(
+                        "{} time nodes from {} to {} where {} holds",
+                        nodes.len(),
+                        nodes[0],
+                        nodes[nodes.len() - 1],
+                        constraint.name
+                    ),
+                };
+                (field("time_node"), row.time_node.to_string(), expected)
+            })?;
+            let items = constraint.limit.n_items(&problem.rod);
+            require(row.item < items, || {
+                let expected = format!("{items} items of {}", constraint.name);
+                (field("item"), row.item.to_string(), expected)
+            })?;
+            require(row.multiplier.is_finite(), || {
+                let expected = "finite multipliers".into();
+                (field("multiplier"), row.multiplier.to_string(), expected)
+            })?;
+            let before = seen.insert((row.constraint, row.time_node, row.item), i);
+            require(before.is_none(), || {
+                let found = format!("the row of path[{}] again", before.unwrap_or(i));
+                (format!("path[{i}]"), found, "one multiplier a row".into())
+            })?;
+        }
+        Ok(())
+    }
+}
+
+fn require(
+    holds: bool,
+    error: impl FnOnce() -> (String, String, String),
+) -> Result<(), SolutionError> {
+    if holds {
+        return Ok(());
+    }
+    let (place, found, expected) = error();
+    Err(SolutionError {
+        place,
+        found,
+        expected,
+    })
+}
+
+fn require_count(place: &str, found: usize, expected: usize) -> Result<(), SolutionError> {
+    require(found == expected, || {
+        (place.into(), format!("{found} rows"), expected.to_string())
+    })
+}
+
+fn require_finite<'a>(
+    place: &str,
+    numbers: impl Iterator<Item = &'a f64>,
+) -> Result<(), SolutionError> {
+    for number in numbers {
+        require(number.is_finite(), || {
+            (place.into(), number.to_string(), "finite numbers".into())
+        })?;
+    }
+    Ok(())
+}
