@@ -4,9 +4,11 @@
 //! is raised stays raised. Work may therefore be left half done where a loop finds it raised, without a result worth the name: whoever
 //! asked for that work looks at the signal as well, and finds it raised too.
 
+use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
 
 /// Why work ended before it was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -21,6 +23,12 @@ pub enum Stop {
 
 /// Counts of a loop from one look at the signal to the next: no loop that counts takes more than some milliseconds for so many.
 const EVERY: usize = 32;
+
+/// Size of dense matrices from which their factorizations take more than some hundredths of a second.
+pub(crate) const LARGE: usize = 300;
+
+/// Time between two looks at the signal while another thread works.
+const GLANCE: Duration = Duration::from_millis(5);
 
 /// When work must end, and whether somebody asked it to. The default is never raised.
 #[derive(Clone, Debug, Default)]
@@ -91,14 +99,36 @@ impl StopSignal {
         }
     }
 
-    /// Seconds until the deadline: 0 once it is over, infinite without one.
-    #[must_use]
-    pub fn seconds_left(&self) -> f64 {
-        self.deadline.map_or(f64::INFINITY, |deadline| {
-            deadline
-                .saturating_duration_since(Instant::now())
-                .as_secs_f64()
-        })
+    /// `work()`, a dense factorization of matrices of some size, which cannot look at the signal itself. Of large ones, which take longer than
+    /// anybody waits, on a thread of its own, which is left to itself where the signal is raised before it ends; of others, and where it
+    /// cannot be raised, on this thread.
+    ///
+    /// # Errors
+    /// [`Stop`] where the signal was raised first.
+    pub fn unless_raised<T: Send + 'static>(
+        &self,
+        size: usize,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, Stop> {
+        self.check()?;
+        if size < LARGE || !self.is_possible() {
+            return Ok(work());
+        }
+        let (send, receive) = mpsc::channel();
+        let worker = std::thread::spawn(move || {
+            // Nobody listens any more where the signal was raised.
+            let _ = send.send(work());
+        });
+        loop {
+            match receive.recv_timeout(GLANCE) {
+                Ok(found) => return Ok(found),
+                Err(RecvTimeoutError::Timeout) => self.check()?,
+                Err(RecvTimeoutError::Disconnected) => match worker.join() {
+                    Err(panic) => resume_unwind(panic),
+                    Ok(()) => unreachable!("a worker sends before it ends"),
+                },
+            }
+        }
     }
 }
 
@@ -117,7 +147,6 @@ impl PartialEq for StopSignal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     /// A signal is raised by its request at once, by its deadline from then on, and by default never; a request goes before a deadline.
     #[test]
@@ -128,14 +157,34 @@ mod tests {
         let over = StopSignal::new(Some(now), Some(request.clone()));
         assert_eq!(StopSignal::default().raised(), None);
         assert_eq!(later.raised(), None);
-        assert!(later.seconds_left() > 3000.0);
         assert_eq!(over.raised(), Some(Stop::Deadline));
-        assert_eq!(over.seconds_left(), 0.0);
         assert_eq!(over.check_at(1), Ok(()));
         assert_eq!(over.check_at(2 * EVERY), Err(Stop::Deadline));
         request.store(true, Ordering::Relaxed);
         assert_eq!(later.raised(), Some(Stop::Interrupted));
         assert_eq!(over.raised(), Some(Stop::Interrupted));
         assert!(!StopSignal::default().is_possible() && later.is_possible());
+    }
+
+    /// Work that knows nothing of the signal is waited for, wherever it runs; a signal that is raised meanwhile ends the waiting though the work
+    /// never ends; a panic reaches the caller.
+    #[test]
+    fn work_is_left_to_itself_once_the_signal_is_raised() {
+        let request = Arc::new(AtomicBool::new(false));
+        let signal = StopSignal::new(None, Some(request.clone()));
+        assert_eq!(StopSignal::default().unless_raised(LARGE, || 3), Ok(3));
+        assert_eq!(signal.unless_raised(LARGE, || 3), Ok(3));
+        let failed = std::panic::catch_unwind(|| {
+            signal.unless_raised(LARGE, || -> u8 { panic!("on purpose") })
+        });
+        assert!(failed.is_err());
+        let ended: Result<(), Stop> = signal.unless_raised(LARGE, move || {
+            request.store(true, Ordering::Relaxed);
+            loop {
+                std::thread::park();
+            }
+        });
+        assert_eq!(ended, Err(Stop::Interrupted));
+        assert_eq!(signal.unless_raised(1, || 3), Err(Stop::Interrupted));
     }
 }

@@ -369,43 +369,10 @@ fn riccati_until(
     let mut cost = terminal;
     let mut gains = Vec::with_capacity(stages.len());
     for (block, stage) in stages.iter().enumerate().rev() {
-        stop.check().map_err(StepError::from)?;
-        let Stage {
-            state: a, input: b, ..
-        } = stage;
-        let pushed = b.transpose() * &cost;
-        let mut inner = &pushed * b;
-        for i in 0..inner.nrows() {
-            inner[(i, i)] += stage.input_weight;
-        }
-        let ill_posed = FeedbackError::IllPosed {
-            block,
-            what: "matrix R + BᵀPB",
-        };
-        let factor = inner.llt(Side::Lower).map_err(|_| ill_posed.clone())?;
-        let gain = factor.solve(&(&pushed * a));
-        let closed = a - b * &gain;
-        let mut next = gain.transpose() * &gain * faer::Scale(stage.input_weight);
-        triangular::matmul(
-            &mut next,
-            BlockStructure::TriangularLower,
-            Accum::Add,
-            closed.transpose(),
-            BlockStructure::Rectangular,
-            &cost * &closed,
-            BlockStructure::Rectangular,
-            1.0,
-            Par::Seq,
-        );
-        for i in 0..next.nrows() {
-            next[(i, i)] += stage.state_weight;
-            for j in 0..i {
-                next[(j, i)] = next[(i, j)];
-            }
-        }
-        if !next.norm_max().is_finite() {
-            return Err(ill_posed);
-        }
+        let own = stage.clone();
+        let (gain, next) = stop
+            .unless_raised(cost.nrows(), move || backward(block, &own, &cost))
+            .map_err(StepError::from)??;
         cost = next;
         gains.push(gain);
     }
@@ -414,6 +381,51 @@ fn riccati_until(
         gains,
         cost_to_go: cost,
     })
+}
+
+/// The gain of a stage, and the cost from it on, from that after it.
+fn backward(
+    block: usize,
+    stage: &Stage,
+    cost: &Mat<f64>,
+) -> Result<(Mat<f64>, Mat<f64>), FeedbackError> {
+    let Stage {
+        state: a, input: b, ..
+    } = stage;
+    let pushed = b.transpose() * cost;
+    let mut inner = &pushed * b;
+    for i in 0..inner.nrows() {
+        inner[(i, i)] += stage.input_weight;
+    }
+    let ill_posed = FeedbackError::IllPosed {
+        block,
+        what: "matrix R + BᵀPB",
+    };
+    let factor = inner.llt(Side::Lower).map_err(|_| ill_posed.clone())?;
+    let gain = factor.solve(&(&pushed * a));
+    let closed = a - b * &gain;
+    let mut next = gain.transpose() * &gain * faer::Scale(stage.input_weight);
+    triangular::matmul(
+        &mut next,
+        BlockStructure::TriangularLower,
+        Accum::Add,
+        closed.transpose(),
+        BlockStructure::Rectangular,
+        cost * &closed,
+        BlockStructure::Rectangular,
+        1.0,
+        Par::Seq,
+    );
+    for i in 0..next.nrows() {
+        next[(i, i)] += stage.state_weight;
+        for j in 0..i {
+            next[(j, i)] = next[(i, j)];
+        }
+    }
+    if !next.norm_max().is_finite() {
+        return Err(ill_posed);
+    }
+    Ok((gain, next))
 }
 
 /// Vectors that Lanczos' method takes, at most.
@@ -435,13 +447,17 @@ fn growth(
     let mut out = vec![1.0];
     let mut product: Option<Single> = None;
     for (j, stage) in stages.iter().enumerate() {
-        stop.check()?;
         let step = gains.map_or_else(
             || Single::of(&stage.state),
             |gains| Single::of(&(&stage.state - &stage.input * &gains[j])),
         );
-        let next = product.map_or_else(|| step.clone(), |product| step.after(&product));
-        out.push(next.largest_singular_value());
+        let before = product.take();
+        let (next, longest) = stop.unless_raised(stage.state.nrows(), move || {
+            let next = before.map_or_else(|| step.clone(), |before| step.after(&before));
+            let longest = next.largest_singular_value();
+            (next, longest)
+        })?;
+        out.push(longest);
         product = Some(next);
     }
     Ok(out)

@@ -29,6 +29,7 @@ use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
     Multipliers, Softness, StateLinearization, StateRow, StateSize,
 };
+use crate::stop::{LARGE, StopSignal};
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
@@ -36,6 +37,8 @@ const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
 const LARGEST_STRETCH: f64 = 0.1;
 /// Rotation of a node below which a step may stretch the rod, by the square of it.
 const SMALL_TURN: f64 = 1e-3;
+/// Products of a Gauss-Newton Hessian from which they take more than some hundredths of a second.
+const MANY_PRODUCTS: usize = 100_000_000;
 /// Rows of path constraints nearer than this (in rod lengths, radians, ...) enter the subproblem from the start.
 const SCREENING_MARGIN: f64 = 0.05;
 
@@ -698,11 +701,26 @@ impl LiftedProgram for Transcription<'_> {
         .map_err(describe)?;
         let values = gathered.rows_of(&found.forms, &place);
         let answers = gathered.rows_of(&found.form_sources, &place);
-        add_curvature_across(&across, n_rows, &values, &answers, &mut found);
+        add_curvature_across(
+            &across,
+            n_rows,
+            &values,
+            &answers,
+            &mut found,
+            &self.problem.stop,
+        );
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
         let rows = self.along_driven(point, request.rows, &costs, values, &answers);
         let mut linearization = self.assemble(
             point, evaluation, request, &costs, n_goals, &rows, &answers, found,
         );
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
         if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
             self.bend_duration(point, multipliers, stretching, &mut linearization)?;
         }
@@ -1013,7 +1031,14 @@ impl Transcription<'_> {
         let mut model_extra = vec![0.0; n];
         if !costs.is_empty() {
             let rows = values.subrows(first_cost, costs.len());
-            let square = rows.transpose() * rows;
+            let square = if costs.len() * n * n < MANY_PRODUCTS {
+                rows.transpose() * rows
+            } else {
+                let (own, stop) = (rows.to_owned(), &self.problem.stop);
+                // What was stopped is dropped by the caller.
+                stop.unless_raised(LARGE, move || own.transpose() * &own)
+                    .unwrap_or_else(|_| Mat::zeros(rows.ncols(), rows.ncols()))
+            };
             for &(j, from_j) in &driven {
                 for &(i, from_i) in &driven {
                     gauss_newton[(i, j)] += square[(from_i, from_j)];
@@ -1070,6 +1095,7 @@ fn add_curvature_across(
     values: &Mat<f64>,
     answers: &Mat<f64>,
     found: &mut Sensitivities,
+    stop: &StopSignal,
 ) {
     let (Some(curvature), Some(sources)) =
         (found.curvature.as_mut(), found.curvature_sources.as_mut())
@@ -1078,6 +1104,9 @@ fn add_curvature_across(
     };
     let mut first = first;
     for own in bent {
+        if stop.is_raised() {
+            return;
+        }
         let m = own.forms.len();
         let rows = values.subrows(first, m);
         let matrix = Mat::from_fn(m, m, |i, j| own.matrix[(i, j)]);

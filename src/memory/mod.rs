@@ -29,7 +29,7 @@ const WRITING_POSES: f64 = 2.3;
 /// Wrenches that all of these hold for every time and actuator.
 const SIGNALS: f64 = 6.0;
 /// Dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
-const DENSE: f64 = 14.0;
+const DENSE: f64 = 20.0;
 /// Dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.
 const DENSE_ROWS: f64 = 6.0;
 /// Rows that a subproblem linearizes at once, mostly fewer.

@@ -29,7 +29,7 @@ use super::route::QpRoute;
 use super::solver::{
     Convergence, IterationRecord, Leave, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus,
 };
-use crate::stop::Stop;
+use crate::stop::{LARGE, Stop};
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
@@ -561,7 +561,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             }
             _ => {
                 let active = self.active_set(linearization);
-                let mut model = ModelHessian::exact(linearization, self.program.sets(), &active);
+                let mut model = self.exact_hessian(linearization, active);
                 if self.has_earlier_curvature && model.kind == HessianKind::Exact {
                     model.kind = HessianKind::Earlier;
                 }
@@ -588,6 +588,18 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 )
             },
         }
+    }
+
+    /// The exact Hessian; where its factorizations take long and the solve is stopped meanwhile, that of Gauss-Newton, which nobody uses.
+    fn exact_hessian(&self, linearization: &Linearization, active: ActiveSet) -> ModelHessian {
+        let sets = self.program.sets();
+        if self.variables().len() < LARGE || !self.settings.stop.is_possible() {
+            return ModelHessian::exact(linearization, sets, &active);
+        }
+        let (own, sets) = (linearization.clone(), sets.to_vec());
+        (self.settings.stop)
+            .unless_raised(LARGE, move || ModelHessian::exact(&own, &sets, &active))
+            .unwrap_or_else(|_| ModelHessian::gauss_newton(linearization))
     }
 
     fn active_set(&self, linearization: &Linearization) -> ActiveSet {

@@ -68,9 +68,14 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
         .map(|&(node, part)| unit.of(&Deviation::along(rod, node, part)))
         .collect();
     // Combinations of unit energy: columns of R⁻¹.
-    let triangle = DMatrix::from_columns(&sizes).qr().r();
+    let stop = &problem.stop;
     let n = columns.len();
-    let Some(combinations) = triangle.solve_upper_triangular(&DMatrix::identity(n, n)) else {
+    let sizes = DMatrix::from_columns(&sizes);
+    let combinations = stop.unless_raised(n, move || {
+        let triangle = sizes.qr().r();
+        triangle.solve_upper_triangular(&DMatrix::identity(n, n))
+    })?;
+    let Some(combinations) = combinations else {
         return Ok(Growth {
             amplification: f64::NAN,
             disturbance: f64::NAN,
@@ -96,11 +101,12 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
         grown.push(at_end.of(&deviation) / amount);
         moved.set_column(i, &(deviation.parts[0][rod.tip()] / amount));
     }
-    let largest = |matrix: DMatrix<f64>| matrix.singular_values().max();
+    let largest =
+        |matrix: DMatrix<f64>| stop.unless_raised(n, move || matrix.singular_values().max());
     Ok(Growth {
-        amplification: largest(DMatrix::from_columns(&grown)),
+        amplification: largest(DMatrix::from_columns(&grown))?,
         disturbance: 0.5 * PERCENT * PERCENT * rod.scales.moment,
-        tip_from_state: largest(moved) * PERCENT * root,
+        tip_from_state: largest(moved)? * PERCENT * root,
         tip_from_control: PERCENT * moved_by_controls(probe, tip),
         length: rod.scales.length,
     })
