@@ -7,7 +7,7 @@ use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
-use crate::stop::Stop;
+use crate::stop::{Stop, StopSignal};
 
 /// How the first point is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +63,8 @@ const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
 const DETOUR_SPRINGS: usize = 2;
 
 /// Makes the first point, on the way through `detour` (m, halfway to the tip's first goal) where one is given; a static path
-/// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it.
+/// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it. The problem's stop signal ends
+/// all but that motion.
 ///
 /// # Errors
 /// [`GuessError`] when the uncontrolled motion cannot be simulated either.
@@ -72,16 +73,22 @@ pub fn first_point(
     guess: Guess,
     detour: Option<&Vector3<f64>>,
 ) -> Result<(LiftedPoint, Guess), GuessError> {
-    if guess != Guess::Rest
-        && let Ok(path) = StaticPath::through_goals(problem, detour)
-    {
-        if guess == Guess::StaticPath {
-            return Ok((path.point(problem)?, guess));
+    if guess != Guess::Rest {
+        if let Ok(path) = StaticPath::through_goals(problem, detour) {
+            if guess == Guess::StaticPath {
+                return Ok((path.point(problem)?, guess));
+            }
+            if let Ok(point) = simulated(problem, &path.holds(problem)) {
+                return Ok((point, guess));
+            }
         }
-        if let Ok(point) = simulated(problem, &path.holds(problem)) {
-            return Ok((point, guess));
-        }
+        problem.stop.check().map_err(StepError::from)?;
     }
+    // One roll-out is what even a solve that is stopped at once must have to show.
+    let problem = &OptimalControlProblem {
+        stop: StopSignal::default(),
+        ..problem.clone()
+    };
     let none = vec![Wrench::default(); problem.control.n_coefficients() * problem.actuators.len()];
     Ok((simulated(problem, &none)?, Guess::Rest))
 }

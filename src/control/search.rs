@@ -14,7 +14,7 @@ use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
 use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
-use crate::stop::{Stop, StopSignal};
+use crate::stop::Stop;
 
 /// What is made easier at first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -415,10 +415,6 @@ fn unmoved(
     start: usize,
     stop: Stop,
 ) -> Result<Attempt, GuessError> {
-    let problem = &OptimalControlProblem {
-        stop: StopSignal::default(),
-        ..problem.clone()
-    };
     let (point, guess) = first_point(problem, Guess::Rest, None)?;
     Ok(Attempt {
         start,
