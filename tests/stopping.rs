@@ -5,7 +5,6 @@
 
 #![cfg(unix)]
 
-#[expect(dead_code, reason = "shared with tests that need more of it")]
 mod tool;
 
 use std::io::{BufRead as _, BufReader, Read as _};
