@@ -258,3 +258,50 @@ fn conflicts_are_refused_by_name() {
         assert!(error.contains(words), "no `{words}` in {error}");
     }
 }
+
+/// The optimal value swings over the duration, and has several minima. The one that is found is no worse than the solutions at durations
+/// that are held, far from it on both sides.
+#[test]
+fn a_worse_minimum_is_left() {
+    let price = 10.0;
+    let scene = [
+        "task.free_duration.price=10.0",
+        "task.free_duration.shortest_s=0.3",
+    ];
+    let arm = ["control.moment_max_n_m=0.0", "objective.rate=0.0"];
+    let found = solved(&setup(&[&scene[..], &arm].concat()));
+    assert_certified(&found.checked(1.0));
+    for duration in ["0.36", "0.44", "0.48"] {
+        let mut held = setup(&[&scene[..], &arm, &[&format!("task.at_s={duration}")]].concat());
+        held.problem = held.problem.held();
+        let other = solved(&held);
+        let value = other.outcome.objective + price * other.duration();
+        let best = found.outcome.objective;
+        assert!(
+            best <= value * (1.0 + 1e-6),
+            "{best}, but {value} at {duration} s"
+        );
+    }
+}
+
+/// Without an effort, only time counts: certified, the objective is the price of the time, the controls are at their bounds, and the target
+/// cannot be reached a thousandth faster from there.
+#[test]
+fn minimum_time_needs_no_effort() {
+    let arm = ["control.moment_max_n_m=0.0", "objective.rate=0.0"];
+    let price = ["objective.effort=0.0", "task.free_duration.price=7.0"];
+    let found = solved(&setup(&[&arm[..], &price].concat()));
+    assert_certified(&found.checked(1.0));
+    let duration = found.duration();
+    assert!((found.outcome.objective / (7.0 * duration) - 1.0).abs() < 1e-9);
+    let largest = (found.coefficients.iter()).fold(0.0, |m: f64, u| m.max(u.force.norm()));
+    assert!((largest / 20.0 - 1.0).abs() < 1e-6, "{largest}");
+    let faster = setup(&[&arm[..], &["objective.effort=1.0"]].concat());
+    let mut faster = faster.stretched(0.999 * duration / faster.problem.grid.end());
+    faster.problem = faster.problem.held();
+    let on = |_: &IterationRecord| ControlFlow::Continue(());
+    let start = simulated(&faster.problem, &found.coefficients).unwrap();
+    let program = Transcription::new(&faster.problem, 1);
+    let outcome = solve(&program, start, &faster.settings, &mut { on });
+    assert_ne!(outcome.status, SqpStatus::Converged);
+}

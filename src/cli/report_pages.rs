@@ -5,14 +5,14 @@ use nalgebra::{Matrix3, Vector3};
 use super::solve::findings;
 use super::step_kind::{MEANINGS, step_kind};
 use crate::control::{
-    Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking,
+    Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape, SolveLog, Tracking,
 };
 use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
-    self, MotionRecord, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
-    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
+    self, MotionRecord, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls,
+    ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
+    ReportPath, ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
 use crate::scene::{OptimalControl, Scene, Simulation};
@@ -79,6 +79,7 @@ pub(super) fn simulation_page(
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
         sensitivity: None,
         iterations: Vec::new(),
+        attempts: Vec::new(),
         kinds: Vec::new(),
         checks: Vec::new(),
     }
@@ -90,7 +91,7 @@ pub(super) struct SolvePage<'a> {
     pub setup: &'a OptimalControl,
     pub record: &'a MotionRecord,
     pub coefficients: &'a [Wrench],
-    pub history: &'a [IterationRecord],
+    pub solves: &'a [SolveLog],
     pub check: Option<&'a ForwardCheck>,
     pub feedback: Option<&'a Feedback>,
     pub summary: &'a SolveSummary,
@@ -136,7 +137,17 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
             open: feedback.open_loop.clone(),
             closed: feedback.closed_loop.clone(),
         }),
-        iterations: page.history.iter().map(iteration).collect(),
+        iterations: (page.solves.iter().enumerate())
+            .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)))
+            .collect(),
+        attempts: (summary.attempts.iter())
+            .map(|attempt| ReportAttempt {
+                from: attempt.from.clone(),
+                iterations: attempt.iterations,
+                ended: attempt.ended.clone(),
+                is_result: attempt.is_result,
+            })
+            .collect(),
         kinds: (MEANINGS.iter())
             .map(|(sign, meaning)| ((*sign).into(), (*meaning).into()))
             .collect(),
@@ -356,8 +367,9 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportC
     }
 }
 
-fn iteration(row: &IterationRecord) -> ReportIteration {
+fn iteration(number: usize, row: &IterationRecord) -> ReportIteration {
     ReportIteration {
+        attempt: number + 1,
         iteration: row.iteration,
         objective: row.objective,
         stationarity: row.residual.stationarity,

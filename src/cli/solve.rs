@@ -22,14 +22,16 @@ use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     Attempt, Feedback, FeedbackError, Hold, LiftedPoint, OptimalControlProblem, PathEnforcement,
-    PathRow, Search, TrackingError, Transcription, observe, search, tracking_errors,
+    PathRow, Search, SearchEvent, SolveLog, TrackingError, Transcription, observe, search_telling,
+    tracking_errors,
 };
 use crate::mechanics::{Energy, State, StepError, Wrench};
 use crate::memory::of_solve;
 use crate::output::summary::{
-    BetweenSummary, CheckOutcome, CheckRecord, EnergyAccount, GrowthSummary, MomentumAccount,
-    NOT_CHECKED, NamedConstraint, PhaseSummary, SCHEMA_VERSION, SecondOpinionSummary,
-    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary, TOOL,
+    AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, EnergyAccount, GrowthSummary,
+    MomentumAccount, NOT_CHECKED, NamedConstraint, PhaseSummary, SCHEMA_VERSION,
+    SecondOpinionSummary, SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary,
+    StrainSummary, TOOL,
 };
 use crate::output::{
     ControlRow, MotionRecord, MultiplierRecord, OutputError, ResultDirectory, ResultKind,
@@ -49,6 +51,7 @@ const NAMED: usize = 5;
 
 /// Arguments of `solve`.
 #[derive(Debug, Args)]
+#[command(after_help = super::step_kind::help())]
 pub(super) struct SolveArguments {
     #[command(flatten)]
     scene: SceneAndOut,
@@ -100,9 +103,21 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         n_threads: global.n_threads(),
         ..described.search.clone()
     };
-    let attempts = search(&described.problem, &described.settings, &plan, &|_, row| {
-        if plan.starts == 1 {
-            console.say(&table_row(row));
+    let alone = plan.starts == 1;
+    let attempts = search_telling(&described.problem, &described.settings, &plan, &|event| {
+        match event {
+            SearchEvent::Begins { from, before, .. } if alone => {
+                if let Some(last) = before.last() {
+                    let number = before.len() + 1;
+                    let (earlier, ended) = (&last.from, &last.ended);
+                    console.say(&format!(
+                        "attempt {number}, from {from}; the one before, from {earlier}: {ended}"
+                    ));
+                }
+            }
+            SearchEvent::Row { row, .. } if alone => console.say(&table_row(row)),
+            SearchEvent::Ends(attempt) if !alone => console.say(&start_row(attempt)),
+            _ => {}
         }
         ControlFlow::Continue(())
     })?;
@@ -182,8 +197,12 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     if let Err(OutputError::Elsewhere { place, .. }) = &written {
         summary.directory = place.display().to_string();
     }
-    if plan.starts == 1 {
-        console.say(&legend(&solution.attempt.outcome.history));
+    if alone {
+        let rows: Vec<_> = (solution.attempt.solves.iter())
+            .flat_map(|solve| &solve.rows)
+            .copied()
+            .collect();
+        console.say(&legend(&rows));
     }
     conclude(&setup.problem, &summary, &solution, console);
     if let Ok(directory) = &written {
@@ -580,8 +599,21 @@ fn announce(setup: &OptimalControl, console: &Console) {
         problem.control.n_blocks(),
         problem.n_controls(),
     ));
-    console.say(" iter     objective   stationar.  feasib.    complem.   step       radius     kind  qp  time");
+    if let (Some(free), true) = (problem.duration, problem.objective.effort > 0.0) {
+        let size = (2.0 * free.price / problem.objective.effort).sqrt();
+        let tip = &problem.actuators[0];
+        console.say(&format!(
+            "a second costs {}, as much as a force of {:.3e} N or a moment of {:.3e} N m that is held for it",
+            free.price,
+            size * tip.force.scale,
+            size * tip.moment.scale
+        ));
+    }
+    console.say(TABLE_HEAD);
 }
+
+const TABLE_HEAD: &str =
+    " iter     objective   stationar.  feasib.    complem.   step       radius     kind  qp  time";
 
 fn table_row(row: &IterationRecord) -> String {
     format!(
@@ -596,6 +628,31 @@ fn table_row(row: &IterationRecord) -> String {
         step_kind(row),
         row.qp_iterations,
         row.elapsed
+    )
+}
+
+/// The solves of the start that the result is from.
+fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
+    let of = |(number, solve): (usize, &SolveLog)| AttemptSummary {
+        from: solve.from.clone(),
+        iterations: solve.rows.len().saturating_sub(1),
+        ended: solve.ended.clone(),
+        is_result: number == attempt.chosen,
+    };
+    attempt.solves.iter().enumerate().map(of).collect()
+}
+
+/// A start that has ended, of several.
+fn start_row(attempt: &Attempt) -> String {
+    let outcome = &attempt.outcome;
+    format!(
+        "start {:3}  {:9} {:18} {:4} iterations  objective {:12.6e}  infeasibility {:8.2e}",
+        attempt.start,
+        attempt.from,
+        status_words(&outcome.status, &[]).0,
+        attempt.iterations(),
+        outcome.objective,
+        outcome.residual.feasibility
     )
 }
 
@@ -654,6 +711,7 @@ fn summarize(
         hessian: setup.settings.hessian.name(),
         guess: solution.attempt.from,
         abandoned: solution.attempt.abandoned.clone(),
+        attempts: attempts(&solution.attempt),
         starts,
         model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),
@@ -910,7 +968,10 @@ fn write(
             &directory.path().join("controls.csv"),
             &control_rows(&setup.problem, &solution.coefficients),
         )?;
-        write_iterations(&directory.path().join("iterations.csv"), &outcome.history)?;
+        write_iterations(
+            &directory.path().join("iterations.csv"),
+            &solution.attempt.solves,
+        )?;
         directory.write_text("scene.toml", &setup.resolved.to_toml())?;
         directory.write_json("multipliers.json", &solution.multipliers)?;
         if let Some(feedback) = feedback {
@@ -926,7 +987,7 @@ fn write(
             setup,
             record: &record,
             coefficients: &solution.coefficients,
-            history: &outcome.history,
+            solves: &solution.attempt.solves,
             check: solution.check.as_ref(),
             feedback,
             summary,
@@ -995,7 +1056,7 @@ fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec
 }
 
 #[derive(Serialize)]
-struct IterationRow {
+struct IterationRow<'a> {
     iteration: usize,
     objective: f64,
     stationarity: f64,
@@ -1012,14 +1073,19 @@ struct IterationRow {
     contraction: Option<f64>,
     qp_iterations: u32,
     elapsed_s: f64,
+    attempt: usize,
+    from: &'a str,
 }
 
-fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), OutputError> {
+/// The rows of all attempts, one after the other.
+fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError> {
     let cannot_write = |error: csv::Error| {
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
     };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
-    for row in history {
+    let rows = (solves.iter().enumerate())
+        .flat_map(|(number, solve)| solve.rows.iter().map(move |row| (number, solve, row)));
+    for (number, solve, row) in rows {
         writer
             .serialize(IterationRow {
                 iteration: row.iteration,
@@ -1038,6 +1104,8 @@ fn write_iterations(path: &Path, history: &[IterationRecord]) -> Result<(), Outp
                 contraction: row.contraction,
                 qp_iterations: row.qp_iterations,
                 elapsed_s: row.elapsed,
+                attempt: number + 1,
+                from: &solve.from,
             })
             .map_err(cannot_write)?;
     }

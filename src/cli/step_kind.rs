@@ -48,6 +48,16 @@ pub(super) fn step_kind(row: &IterationRecord) -> String {
     format!("{hessian}{states}{}", "+".repeat(row.corrections))
 }
 
+/// All of it, for the help of `solve`.
+pub(super) fn help() -> String {
+    let entry = |(sign, meaning): &(&str, &str)| format!("  {sign:8} {meaning}");
+    let lines: Vec<String> = MEANINGS.iter().map(entry).collect();
+    format!(
+        "The column `kind` of the iteration table (a letter for the Hessian, one for the states, or a word):\n{}",
+        lines.join("\n")
+    )
+}
+
 /// The signs that some rows have, with their meanings, in one line.
 pub(super) fn legend(rows: &[IterationRecord]) -> String {
     let kinds: Vec<String> = rows.iter().map(step_kind).collect();

@@ -7,6 +7,7 @@ mod duration;
 pub mod feedback;
 pub mod guess;
 pub mod hold;
+mod journal;
 pub mod obstacle;
 pub mod path;
 pub mod problem;
@@ -20,12 +21,13 @@ pub use advice::{Observation, observe};
 pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
+pub use journal::{Listener, SearchEvent, SolveLog};
 pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Posture};
 pub use problem::{
     Actuator, Bound, Channel, Component, DurationConflict, Enforcement, FreeDuration, Goal,
     GoalPart, GoalRow, Objective, OptimalControlProblem, Tracking,
 };
-pub use search::{Abandoned, Attempt, Continuation, Search, search};
+pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use tracking_error::{TrackingError, tracking_errors};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

@@ -6,6 +6,7 @@
 
 use std::ops::ControlFlow;
 
+use super::journal::Journal;
 use super::problem::OptimalControlProblem;
 use super::search::Abandoned;
 use super::transcription::{LiftedPoint, Transcription, simulate};
@@ -30,12 +31,84 @@ const FLAT: f64 = 1e-6;
 /// Part of the promised decrease that a change must bring.
 const SUFFICIENT: f64 = 1e-4;
 
+/// Factor between the duration of a solution and those that are looked at beside it.
+const BESIDE: f64 = std::f64::consts::SQRT_2;
+/// Efforts on the way to none, over the price of a second: every solution leads to the next one.
+const VANISHING: [f64; 7] = [1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 0.0];
+
+/// Minimum time: a price of the duration, and no cost of the controls. Where they are not at their bounds nothing tells one control from
+/// another, so that the optimum is approached from those with an effort.
+pub(super) struct Vanishing {
+    problems: Vec<OptimalControlProblem>,
+}
+
+impl Vanishing {
+    /// `None` where controls cost something.
+    pub(super) fn of(problem: &OptimalControlProblem) -> Option<Self> {
+        let free = problem.duration?;
+        let objective = &problem.objective;
+        let costs_nothing = objective.effort == 0.0 && objective.rate == 0.0;
+        costs_nothing.then(|| Self {
+            problems: (VANISHING.iter())
+                .map(|part| {
+                    let mut with_effort = problem.clone();
+                    with_effort.objective.effort = part * free.price;
+                    with_effort
+                })
+                .collect(),
+        })
+    }
+
+    /// The problem that is solved first.
+    pub(super) fn first(&self) -> &OptimalControlProblem {
+        &self.problems[0]
+    }
+
+    /// From the solution of the first problem to that without an effort, or as far as that leads: the outcome is always one of the last
+    /// problem.
+    pub(super) fn follow(
+        &self,
+        releasing: &Releasing,
+        first: SqpOutcome<LiftedPoint>,
+        before: &mut Vec<Abandoned>,
+    ) -> SqpOutcome<LiftedPoint> {
+        // None of these solves has another first point to give way to.
+        let observer = |row: &IterationRecord| releasing.journal.row(row);
+        let mut leads = first.status == SqpStatus::Converged;
+        let mut last = first;
+        for (problem, part) in self.problems.iter().zip(VANISHING).skip(1) {
+            if !leads && part > 0.0 {
+                continue;
+            }
+            before.push(counted("free duration", &last));
+            let stage = Releasing {
+                problem,
+                settings: releasing.settings,
+                n_threads: releasing.n_threads,
+                observer: &observer,
+                journal: releasing.journal,
+            };
+            let program = Transcription::new(problem, stage.n_threads);
+            let name = format!("controls and duration, effort {part} of the price");
+            let found = stage.told(&program, last.point.clone(), stage.settings, name);
+            // Where the way ends, what was asked for is tried from there.
+            leads = found.status == SqpStatus::Converged;
+            if leads || part == 0.0 {
+                // The less an effort costs, the shorter is the best duration.
+                last = stage.lower(found, &[1.0 / BESIDE], before);
+            }
+        }
+        last
+    }
+}
+
 /// What a solve needs to know.
 pub(super) struct Releasing<'a> {
     pub problem: &'a OptimalControlProblem,
     pub settings: &'a SqpSettings,
     pub n_threads: usize,
     pub observer: &'a dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
+    pub journal: &'a Journal<'a>,
 }
 
 /// A solution with a fixed duration.
@@ -66,7 +139,123 @@ impl Held {
 
 impl Releasing<'_> {
     /// From the outcome of the problem held at `stretch`; the solves before the last one are counted in `before`.
+    ///
+    /// The optimal value over the duration swings with the arm's waves and may have several minima. A minimum that is the only one has a
+    /// value that rises away from it: where it falls instead, a [`BESIDE`] shorter or longer, or is lower, there is another, and the
+    /// lower of both is kept.
     pub(super) fn release(
+        &self,
+        stretch: f64,
+        held: SqpOutcome<LiftedPoint>,
+        before: &mut Vec<Abandoned>,
+    ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
+        let found = self.released(stretch, held, before)?;
+        Ok(self.lower(found, &[1.0 / BESIDE, BESIDE], before))
+    }
+
+    /// The lowest of an optimum and those beside it; what is no optimum stays.
+    fn lower(
+        &self,
+        mut best: SqpOutcome<LiftedPoint>,
+        factors: &[f64],
+        before: &mut Vec<Abandoned>,
+    ) -> SqpOutcome<LiftedPoint> {
+        let program = Transcription::new(self.problem, self.n_threads);
+        for &factor in factors {
+            if best.status != SqpStatus::Converged {
+                break;
+            }
+            if let Some(other) = self.beside(&program, &best, factor, before) {
+                before.push(counted("free duration", &best));
+                best = other;
+            }
+        }
+        best
+    }
+
+    /// A better optimum than `best`, if the optimal value at `factor` times its duration says that there is one and it is found.
+    fn beside(
+        &self,
+        program: &Transcription,
+        best: &SqpOutcome<LiftedPoint>,
+        factor: f64,
+        before: &mut Vec<Abandoned>,
+    ) -> Option<SqpOutcome<LiftedPoint>> {
+        let here = self.problem.stretch(&best.point.variables);
+        let [shortest, longest] = self.limits()?;
+        let stretch = (here * factor).clamp(shortest, longest);
+        if stretch == here {
+            return None;
+        }
+        let mut point = best.point.clone();
+        point.variables.pop();
+        let side = self.hold(program, stretch, &point, before)?;
+        let falls = (side.slope - side.held_slope) * (stretch - here) < 0.0;
+        if !(falls || side.value < best.objective) {
+            return None;
+        }
+        let both = self.solve_both(program, self.settings, side.stretch, &side.outcome);
+        let both = both.ok()?;
+        let better = |other: &SqpOutcome<LiftedPoint>| {
+            other.status == SqpStatus::Converged
+                && other.objective < best.objective - FLAT * best.objective.abs()
+        };
+        if better(&both) {
+            return Some(both);
+        }
+        before.push(counted("free duration", &both));
+        if both.status == SqpStatus::Converged {
+            return None;
+        }
+        let lowest = self.descend(program, side, before);
+        let found = lowest.is_flat().then(|| lowest.released())?;
+        better(&found).then_some(found)
+    }
+
+    /// The solution with a duration that is held, from a point near it; `None` where there is none.
+    fn hold(
+        &self,
+        program: &Transcription,
+        stretch: f64,
+        near: &LiftedPoint,
+        before: &mut Vec<Abandoned>,
+    ) -> Option<Held> {
+        let problem = self.problem.stretched(stretch).held();
+        let held_program = Transcription::new(&problem, self.n_threads);
+        let none = vec![0.0; near.variables.len()];
+        let start = held_program.restored_step(near, &none).ok()?;
+        let settings = SqpSettings {
+            max_iterations: self.settings.max_iterations.min(PATIENCE),
+            ..self.settings.clone()
+        };
+        let outcome = self.told(
+            &held_program,
+            start,
+            &settings,
+            format!("duration held at {:.4} s", problem.grid.end()),
+        );
+        before.push(counted("held duration", &outcome));
+        (outcome.status == SqpStatus::Converged)
+            .then(|| self.examine(program, stretch, outcome))
+            .flatten()
+    }
+
+    /// A solve that the journal knows by name.
+    fn told(
+        &self,
+        program: &Transcription,
+        start: LiftedPoint,
+        settings: &SqpSettings,
+        name: String,
+    ) -> SqpOutcome<LiftedPoint> {
+        self.journal.begin(name);
+        let mut observer = |row: &IterationRecord| (self.observer)(row);
+        let outcome = solve(program, start, settings, &mut observer);
+        self.journal.end_as(&outcome.status);
+        outcome
+    }
+
+    fn released(
         &self,
         stretch: f64,
         held: SqpOutcome<LiftedPoint>,
@@ -155,8 +344,8 @@ impl Releasing<'_> {
             variables,
             trajectory: simulate(&problem, problem.grid, &control)?,
         };
-        let mut observer = |row: &IterationRecord| (self.observer)(row);
-        Ok(solve(program, point, settings, &mut observer))
+        let name = String::from("controls and duration");
+        Ok(self.told(program, point, settings, name))
     }
 
     /// Value and slope of a solution with a fixed duration; `None` where its motion cannot be linearized.
@@ -218,12 +407,12 @@ impl Releasing<'_> {
                     length *= SHORTER;
                     continue;
                 };
-                let mut observer = |row: &IterationRecord| (self.observer)(row);
                 let settings = SqpSettings {
                     max_iterations: self.settings.max_iterations.min(PATIENCE),
                     ..self.settings.clone()
                 };
-                let outcome = solve(&held_program, start, &settings, &mut observer);
+                let name = format!("duration held at {:.4} s", problem.grid.end());
+                let outcome = self.told(&held_program, start, &settings, name);
                 before.push(counted("held duration", &outcome));
                 if matches!(outcome.status, SqpStatus::Stopped(_)) {
                     return here;

@@ -7,9 +7,10 @@ use std::sync::Mutex;
 use nalgebra::Vector3;
 
 use super::guess::{Guess, GuessError, first_point, simulated};
+use super::journal::{Journal, Listener, SearchEvent, SolveLog};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
-use super::release::Releasing;
+use super::release::{Releasing, Vanishing};
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
@@ -84,12 +85,20 @@ pub struct Attempt {
     pub outcome: SqpOutcome<LiftedPoint>,
     /// What was tried before it.
     pub abandoned: Vec<Abandoned>,
+    /// All solves of this start in the order in which they were made, with their rows.
+    pub solves: Vec<SolveLog>,
+    /// Which of them has the outcome.
+    pub chosen: usize,
 }
 
 impl Attempt {
     /// Iterations, those of abandoned solves with them.
     #[must_use]
     pub fn iterations(&self) -> usize {
+        if !self.solves.is_empty() {
+            let of = |solve: &SolveLog| solve.rows.len().saturating_sub(1);
+            return self.solves.iter().map(of).sum();
+        }
         let before: usize = self.abandoned.iter().map(|tried| tried.iterations).sum();
         before + iterations(&self.outcome)
     }
@@ -150,6 +159,22 @@ pub fn search(
     search: &Search,
     observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
 ) -> Result<Vec<Attempt>, GuessError> {
+    search_telling(problem, settings, search, &|event| match event {
+        SearchEvent::Row { start, row } => observer(*start, row),
+        SearchEvent::Begins { .. } | SearchEvent::Ends(_) => ControlFlow::Continue(()),
+    })
+}
+
+/// [`search`] that tells where solves begin and starts end as well.
+///
+/// # Errors
+/// As [`search`].
+pub fn search_telling(
+    problem: &OptimalControlProblem,
+    settings: &SqpSettings,
+    search: &Search,
+    listener: &Listener,
+) -> Result<Vec<Attempt>, GuessError> {
     let problem = &OptimalControlProblem {
         stop: settings.stop.clone(),
         ..problem.clone()
@@ -171,7 +196,7 @@ pub fn search(
                     if start >= starts || (start > 0 && problem.stop.is_raised()) {
                         return;
                     }
-                    let result = attempt(problem, settings, search, start, threads_each, observer);
+                    let result = attempt(problem, settings, search, start, threads_each, listener);
                     if let Ok(mut found) = found.lock() {
                         found.push((start, result));
                     }
@@ -279,15 +304,41 @@ impl Patience {
         self.is_lost.set(true);
         ControlFlow::Break(Stop::Interrupted)
     }
+
+    /// Why it was lost.
+    fn words(&self) -> String {
+        if self.from_previous {
+            format!("given up: not solved within {NEXT_BY} iterations")
+        } else {
+            format!("given up: hardly nearer to feasibility in {RECENT} iterations")
+        }
+    }
 }
 
+/// One start, and its solves.
 fn attempt(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
     search: &Search,
     start: usize,
     n_threads: usize,
-    observer: &(dyn Fn(usize, &IterationRecord) -> ControlFlow<Stop> + Sync),
+    listener: &Listener,
+) -> Result<Attempt, GuessError> {
+    let journal = Journal::new(start, listener);
+    let mut found = attempted(problem, settings, search, start, n_threads, &journal)?;
+    (found.solves, found.chosen) = journal.close(&found.outcome);
+    // There is nothing left to stop.
+    let _ = listener(&SearchEvent::Ends(&found));
+    Ok(found)
+}
+
+fn attempted(
+    problem: &OptimalControlProblem,
+    settings: &SqpSettings,
+    search: &Search,
+    start: usize,
+    n_threads: usize,
+    journal: &Journal,
 ) -> Result<Attempt, GuessError> {
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
@@ -306,9 +357,14 @@ fn attempt(
             from_previous: matches!(first, First::Previous(_)),
             ..Patience::default()
         };
-        let from = Start { first, tried_rest };
+        let from = Start {
+            first,
+            tried_rest,
+            journal,
+            is_held: false,
+        };
         let staged = match staged(problem, &settings, search, from, n_threads, &|row| {
-            observer(start, row)?;
+            journal.row(row)?;
             if may_give_up {
                 patience.lasts(row.iteration, row.infeasibility)?;
             }
@@ -319,6 +375,7 @@ fn attempt(
                 let stopped = found.outcome.status == SqpStatus::Stopped(Stop::Interrupted);
                 if stopped && patience.is_lost.get() {
                     found.outcome.status = SqpStatus::IterationLimit;
+                    journal.end(patience.words());
                 }
                 found
             }
@@ -334,6 +391,8 @@ fn attempt(
             from: staged.from,
             outcome: staged.outcome,
             abandoned: staged.before,
+            solves: Vec::new(),
+            chosen: 0,
         };
         let ended = matches!(
             found.outcome.status,
@@ -387,12 +446,16 @@ fn attempt(
     };
     let program = Transcription::new(problem, n_threads);
     let point = best.outcome.point.clone();
-    let outcome = solve(&program, point, &settings, &mut |row| observer(start, row));
+    journal.begin(format!("{}, resumed where it was", best.from));
+    let outcome = solve(&program, point, &settings, &mut |row| journal.row(row));
+    journal.end_as(&outcome.status);
     let mut resumed = Attempt {
         start,
         from: best.from,
         outcome,
         abandoned: best.abandoned.clone(),
+        solves: Vec::new(),
+        chosen: 0,
     };
     if !resumed.improves_on(&best) {
         let mut best = best;
@@ -421,6 +484,8 @@ fn unmoved(
         from: guess.name(),
         outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
         abandoned: Vec::new(),
+        solves: Vec::new(),
+        chosen: 0,
     })
 }
 
@@ -436,6 +501,9 @@ struct Staged {
 struct Start<'a> {
     first: First<'a>,
     tried_rest: bool,
+    journal: &'a Journal<'a>,
+    /// Whether a free duration is held for this solve.
+    is_held: bool,
 }
 
 /// One solve, with its easier problems first; `None` where there is nothing better to start from than rest, from which one came before.
@@ -447,7 +515,12 @@ fn staged(
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 ) -> Result<Option<Staged>, GuessError> {
-    let Start { first, tried_rest } = start;
+    let Start {
+        first,
+        tried_rest,
+        journal,
+        is_held,
+    } = start;
     if problem.duration.is_some() && !matches!(first, First::Previous(_)) {
         return released(problem, settings, search, start, n_threads, observer);
     }
@@ -494,7 +567,16 @@ fn staged(
             }
         };
         let program = Transcription::new(here, n_threads);
+        let mut name = from.to_string();
+        if stages > 1 {
+            name += &format!(", stage {stage} of {stages}");
+        }
+        if is_held {
+            name += &format!(", duration held at {:.4} s", here.grid.end());
+        }
+        journal.begin(name);
         let outcome = solve(&program, point, settings, &mut |row| observer(row));
+        journal.end_as(&outcome.status);
         let mut outcome = outcome;
         let mut stopped = matches!(outcome.status, SqpStatus::Stopped(_));
         if let (true, Some(stop)) = (stage < stages, problem.stop.raised()) {
@@ -524,6 +606,9 @@ fn released(
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 ) -> Result<Option<Staged>, GuessError> {
+    let vanishing = Vanishing::of(problem);
+    let whole = problem;
+    let problem = vanishing.as_ref().map_or(problem, Vanishing::first);
     let stretch = match (start.first, problem.duration) {
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
@@ -533,16 +618,25 @@ fn released(
         _ => 1.0,
     };
     let held = problem.stretched(stretch).held();
+    let start = Start {
+        is_held: true,
+        ..start
+    };
     let Some(mut found) = staged(&held, settings, search, start, n_threads, observer)? else {
         return Ok(None);
     };
-    let releasing = Releasing {
+    let mut releasing = Releasing {
         problem,
         settings,
         n_threads,
         observer,
+        journal: start.journal,
     };
     found.outcome = releasing.release(stretch, found.outcome, &mut found.before)?;
+    if let Some(vanishing) = &vanishing {
+        releasing.problem = whole;
+        found.outcome = vanishing.follow(&releasing, found.outcome, &mut found.before);
+    }
     Ok(Some(found))
 }
 

@@ -25,9 +25,9 @@ pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 pub use reading::read_text;
 pub use report::{
-    Bound, Hold, ReportArm, ReportCheck, ReportCommand, ReportControls, ReportData, ReportEnergy,
-    ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath, ReportSensitivity,
-    ReportShape, ReportTarget, ReportVerdict, render_report,
+    Bound, Hold, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls, ReportData,
+    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
+    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict, render_report,
 };
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
 pub use running::RunDirectory;

@@ -34,6 +34,8 @@ pub struct ReportData {
     pub sensitivity: Option<ReportSensitivity>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
+    /// The solves that the iterations belong to.
+    pub attempts: Vec<ReportAttempt>,
     /// The signs in the kinds of iterations, with their meanings.
     pub kinds: Vec<(String, String)>,
     /// What was checked afterwards, with the verdicts.
@@ -290,9 +292,24 @@ pub struct ReportSensitivity {
     pub closed: Vec<f64>,
 }
 
+/// One solve on the way to the result.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportAttempt {
+    /// What it began from.
+    pub from: String,
+    /// Iterations it took.
+    pub iterations: usize,
+    /// How it ended.
+    pub ended: String,
+    /// Whether it is the result.
+    pub is_result: bool,
+}
+
 /// One SQP iteration.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportIteration {
+    /// Which solve it belongs to, from 1.
+    pub attempt: usize,
     /// Its number.
     pub iteration: usize,
     /// Value of the objective.
@@ -384,6 +401,7 @@ mod tests {
             energy: Some(ReportEnergy::thinned(&motion, 240)),
             sensitivity: None,
             iterations: vec![],
+            attempts: vec![],
             kinds: vec![],
             checks: vec![],
         }

@@ -458,6 +458,19 @@ pub struct StartSummary {
     pub verdict: Option<&'static str>,
 }
 
+/// One solve of the start that the result is from.
+#[derive(Clone, Debug, Serialize)]
+pub struct AttemptSummary {
+    /// What it began from.
+    pub from: String,
+    /// Iterations it took.
+    pub iterations: usize,
+    /// How it ended: of one that is not the result, why it was given up or what it led to.
+    pub ended: String,
+    /// Whether it is the result.
+    pub is_result: bool,
+}
+
 /// Summary of `solve`.
 #[derive(Clone, Debug, Serialize)]
 pub struct SolveSummary {
@@ -523,6 +536,8 @@ pub struct SolveSummary {
     pub guess: &'static str,
     /// Solves from other first points that were given up before; `iterations` has theirs as well.
     pub abandoned: Vec<Abandoned>,
+    /// All solves of this start, in the order in which they were made; `iterations.csv` counts them from 1.
+    pub attempts: Vec<AttemptSummary>,
     /// How every start fared.
     pub starts: Vec<StartSummary>,
     /// Rod model.

@@ -894,7 +894,9 @@ impl Keys<'_> {
             self.table(&key("path_m"), &track.path_m, "no path")?;
             self.positive_if_given(&key("weight"), track.weight, "weight", "")?;
         }
-        if objective.effort == 0.0 && objective.rate == 0.0 {
+        let free = scene.task.as_ref().and_then(|task| task.free_duration);
+        let has_price = free.is_some_and(|free| free.price > 0.0);
+        if objective.effort == 0.0 && objective.rate == 0.0 && !has_price {
             let message =
                 "both this and objective.rate are 0, so that there is nothing to make small";
             return Err(self.source.error_at("objective.effort", message, None));

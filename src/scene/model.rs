@@ -595,8 +595,9 @@ pub struct FreeDuration {
     /// Longest, s; not below `shortest_s`. The time step is chosen for this one.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub longest_s: f64,
-    /// What a second costs, in the units of the objective; not negative, default 1. Against `objective.effort` it weighs time against
-    /// effort; with a small effort it is minimum time.
+    /// What a second costs, a pure number like the effort's: as much as a control of the size sqrt(2 price/effort) costs that is held for a
+    /// second, in units of `objective.force_scale_n` or `moment_scale_n_m`. Not negative, default 1. With `objective.effort = 0` (and
+    /// `rate = 0`) only time counts, whatever its price: minimum time, for which the controls need bounds.
     #[serde(default = "one")]
     #[schemars(range(min = 0.0))]
     pub price: f64,
@@ -866,7 +867,7 @@ pub enum Bound {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
-    /// Weight of the squared controls, integrated over time; not negative, default 1.
+    /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
     #[schemars(range(min = 0.0))]
     pub effort: f64,
     /// Weight of the squared changes of the controls from block to block; not negative, default 0.
