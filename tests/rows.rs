@@ -91,3 +91,78 @@ fn endless_rows_are_refused() {
     assert_eq!(error.key(), Some("output.rate_hz"));
     assert!(error.help().is_some());
 }
+
+/// A stiff arm that is pulled along its axis and let go: its element's waves pass in far less time than between two rows.
+const TWANG: &str = "\
+[rod]
+length_m = 1.0
+elements = 8
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[[load]]
+node = \"tip\"
+force_n = [20.0, 5.0, 300.0]
+profile = [[0.0, 1.0], [0.013, 1.0]]
+[time]
+end_s = 1.0
+step_s = 1e-3
+";
+
+/// Exit code, summary and terminal of a simulation in `folder`.
+fn simulate(folder: &std::path::Path, arguments: &[&str]) -> (serde_json::Value, String) {
+    std::fs::write(folder.join("scene.toml"), TWANG).unwrap();
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(["simulate", "scene.toml", "--json"])
+        .args(arguments)
+        .current_dir(folder)
+        .env("NO_COLOR", "1")
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    (serde_json::from_slice(&output.stdout).unwrap(), said)
+}
+
+/// Smallest and largest energy, dilatation and length count every step: with five rows in a thousand steps they are those of a run that
+/// writes every step, to the bit, and a run that is continued has them from before it was interrupted.
+#[test]
+fn extremes_are_over_every_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |summary: &serde_json::Value| {
+        ["energy_J", "dilatation", "length_m"].map(|name| {
+            let range = &summary[name];
+            [
+                range["min"].as_f64().unwrap(),
+                range["max"].as_f64().unwrap(),
+            ]
+        })
+    };
+    let (every, said) = simulate(folder.path(), &["--out", "every"]);
+    assert!(said.contains("the integrator alone"), "{said}");
+    let few = ["--out", "few", "--set", "output.rate_hz=5.0"];
+    let (thinned, _) = simulate(folder.path(), &few);
+    assert_eq!(of(&thinned), of(&every));
+    // The rows alone would not show them.
+    let text = std::fs::read_to_string(folder.path().join("few/summary.json")).unwrap();
+    assert!(text.contains("\"dilatation\""));
+    let [_, [least, largest], _] = of(&every);
+    assert!(least < 0.9 && largest > 1.1, "{least} {largest}");
+
+    // The first part, up to 0.5 s, holds the extremes of the twang; what follows is quieter.
+    let half = [
+        "--out",
+        "parts",
+        "--set",
+        "output.rate_hz=5.0",
+        "--set",
+        "time.end_s=0.6",
+    ];
+    simulate(folder.path(), &half);
+    let rest = ["--out", "parts", "--resume", "--set", "output.rate_hz=5.0"];
+    let (continued, _) = simulate(folder.path(), &rest);
+    assert_eq!(of(&continued), of(&every));
+}

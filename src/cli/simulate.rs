@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::advice;
 use super::check::{output_size, size_warning, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
@@ -19,7 +20,7 @@ use crate::output::summary::{
     EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose,
 };
 use crate::output::{
-    ArrayView, Checkpoint, DiagnosticsRecord, MotionRecord, OutputError, ResultDirectory,
+    ArrayView, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError, ResultDirectory,
     ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
@@ -107,7 +108,10 @@ pub(super) fn run(
         .map_err(kept)?;
 
     let speed = if summary.steps > first_step {
-        format!(" ({:.1} ns per node-step)", 1e9 / summary.node_steps_per_s)
+        format!(
+            ", the integrator alone {:.1} ns per node-step",
+            1e9 / summary.node_steps_per_s
+        )
     } else {
         String::new()
     };
@@ -138,6 +142,9 @@ pub(super) fn run(
         }
         End::Failed(error) => {
             console.error(&error.into());
+            for cause in advice::causes(&setup.rod, &setup.initial, setup.grid.end()) {
+                console.always(&cause);
+            }
             exit::NUMERICAL
         }
     })
@@ -284,11 +291,13 @@ struct Run<'a> {
     trajectory: RowFiles,
     diagnostics: Option<RowFiles>,
     /// The rows of both at the last step from which the run can be resumed.
-    resumable: (RowPrefix, Option<RowPrefix>),
+    resumable: (RowPrefix, Option<RowPrefix>, Extremes),
     /// The last row.
     row: MotionRecord,
     thinned: ThinnedMotion,
     tally: Tally,
+    /// Time that the integrator took.
+    stepping: Duration,
 }
 
 impl<'a> Run<'a> {
@@ -310,7 +319,8 @@ impl<'a> Run<'a> {
             } else {
                 None
             },
-            resumable: (RowPrefix::default(), None),
+            resumable: (RowPrefix::default(), None, Extremes::EMPTY),
+            stepping: Duration::ZERO,
             thinned: ThinnedMotion::new(row.n_nodes),
             row,
             tally: Tally::default(),
@@ -360,6 +370,7 @@ impl<'a> Run<'a> {
                 tally.include(&row, &setup.rod);
             },
         )?;
+        tally.extremes.widen(&checkpoint.extremes);
         let layout = DiagnosticsRecord::empty(setup.rod.n_elements());
         let diagnostics = (checkpoint.diagnostics)
             .map(|written| files("diagnostics", &layout.arrays(), written, &mut |_| ()))
@@ -375,7 +386,8 @@ impl<'a> Run<'a> {
             ),
             trajectory,
             diagnostics,
-            resumable: (RowPrefix::default(), None),
+            resumable: (RowPrefix::default(), None, Extremes::EMPTY),
+            stepping: Duration::ZERO,
             row,
             thinned,
             tally,
@@ -411,14 +423,20 @@ impl<'a> Run<'a> {
             }
             let leads_to_row = self.setup.n_rows(k + 1) > self.trajectory.n_rows();
             let before = (leads_to_row && self.setup.diagnostics).then(|| self.integrator.state());
-            if let Err(error) = self.integrator.advance([NodeWrenches::NONE; 2]) {
+            let started = Instant::now();
+            let advanced = self.integrator.advance([NodeWrenches::NONE; 2]);
+            self.stepping += started.elapsed();
+            if let Err(error) = advanced {
                 break End::Failed(error);
             }
-            if leads_to_row {
-                match self.observe(before.as_ref()) {
-                    Err(CliError::Step(error)) => break End::Failed(error),
-                    other => other?,
-                }
+            let seen = if leads_to_row {
+                self.observe(before.as_ref())
+            } else {
+                self.count().map_err(CliError::from)
+            };
+            match seen {
+                Err(CliError::Step(error)) => break End::Failed(error),
+                other => other?,
             }
         };
         bar.finish_and_clear();
@@ -460,6 +478,25 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Counts a step that has no row among the extremes.
+    fn count(&mut self) -> Result<(), StepError> {
+        let rod = &self.setup.rod;
+        let state = self.integrator.state();
+        let energy = Energy::of(rod, &state).total();
+        if !energy.is_finite() {
+            return Err(StepError::NotFinite {
+                node: rod.tip(),
+                step: self.integrator.step(),
+                time: self.integrator.time(),
+                quantity: "energy",
+            });
+        }
+        let dilatation = rod.dilatation(&state.configuration.positions);
+        let lengths = rod.elements.iter().map(|element| element.length);
+        (self.tally.extremes).include(energy, dilatation.into_iter().zip(lengths));
+        Ok(())
+    }
+
     /// A motion that grows without bound shows in its energy before a position overflows.
     fn check_finite(&self, row: &[ArrayView]) -> Result<(), StepError> {
         let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
@@ -477,7 +514,7 @@ impl<'a> Run<'a> {
     fn checkpoint(&self) -> Checkpoint {
         let (step, state) = self.integrator.seat();
         let scene = self.setup.resolved.to_toml();
-        let (trajectory, diagnostics) = self.resumable;
+        let (trajectory, diagnostics, extremes) = self.resumable;
         Checkpoint::new(
             *step,
             self.setup.grid.step,
@@ -485,13 +522,14 @@ impl<'a> Run<'a> {
             &scene,
             trajectory,
             diagnostics,
+            extremes,
         )
     }
 
     /// Takes note of the rows that belong to the integrator's [seat](Stepper::seat), which is at the present step.
     fn note_rows(&mut self) {
         let diagnostics = self.diagnostics.as_ref().map(RowFiles::prefix);
-        self.resumable = (self.trajectory.prefix(), diagnostics);
+        self.resumable = (self.trajectory.prefix(), diagnostics, self.tally.extremes);
     }
 
     /// Makes sure that a run that dies from here on can be continued from here. Rows first: a checkpoint never promises
@@ -538,7 +576,12 @@ impl<'a> Run<'a> {
         let rod = &self.setup.rod;
         let tip = rod.tip();
         let error = match end {
-            End::Failed(error) => Some(error.to_string()),
+            End::Failed(error) => {
+                let mut sentences = vec![error.to_string()];
+                let end = self.setup.grid.end();
+                sentences.extend(advice::causes(rod, &self.setup.initial, end));
+                Some(sentences.join("; "))
+            }
             End::Completed | End::Interrupted => None,
         };
         let (position, rotation) = if error.is_some() {
@@ -554,6 +597,7 @@ impl<'a> Run<'a> {
         };
         let q = quaternion(&rotation);
         let steps = self.integrator.step();
+        let extremes = self.tally.extremes;
         SimulateSummary {
             schema_version: SCHEMA_VERSION,
             tool: TOOL,
@@ -572,39 +616,39 @@ impl<'a> Run<'a> {
             steps,
             wall_s: wall,
             node_steps_per_s: ((steps - first_step) * rod.n_nodes()) as f64
-                / wall.max(f64::MIN_POSITIVE),
+                / (self.stepping.as_secs_f64()).max(f64::MIN_POSITIVE),
             tip: TipPose {
                 position_m: position.into(),
                 orientation_wxyz: [q.w, q.i, q.j, q.k],
             },
-            energy: self.tally.energy,
-            dilatation: self.tally.dilatation,
-            length_m: self.tally.length,
+            energy: EnergySummary {
+                initial: self.tally.initial,
+                r#final: self.tally.last,
+                min: extremes.energy.min,
+                max: extremes.energy.max,
+            },
+            dilatation: extremes.dilatation,
+            length_m: extremes.length,
             directory: target.display().to_string(),
         }
     }
 }
 
-/// Extremes over the rows.
+/// Energy of the first and the last row, J, and the extremes over every step.
 struct Tally {
     n_rows: usize,
-    energy: EnergySummary,
-    dilatation: Range,
-    length: Range,
+    initial: f64,
+    last: f64,
+    extremes: Extremes,
 }
 
 impl Default for Tally {
     fn default() -> Self {
         Self {
             n_rows: 0,
-            energy: EnergySummary {
-                initial: 0.0,
-                r#final: 0.0,
-                min: Range::EMPTY.min,
-                max: Range::EMPTY.max,
-            },
-            dilatation: Range::EMPTY,
-            length: Range::EMPTY,
+            initial: 0.0,
+            last: 0.0,
+            extremes: Extremes::EMPTY,
         }
     }
 }
@@ -613,18 +657,13 @@ impl Tally {
     fn include(&mut self, row: &MotionRecord, rod: &Rod) {
         let energy = row.energy[0] + row.energy[1] + row.energy[2];
         if self.n_rows == 0 {
-            self.energy.initial = energy;
+            self.initial = energy;
         }
         self.n_rows += 1;
-        self.energy.r#final = energy;
-        self.energy.min = self.energy.min.min(energy);
-        self.energy.max = self.energy.max.max(energy);
-        for &e in &row.dilatation {
-            self.dilatation.include(e);
-        }
-        let lengths = row.dilatation.iter().zip(&rod.elements);
-        self.length
-            .include(lengths.map(|(e, element)| e * element.length).sum());
+        self.last = energy;
+        let lengths = rod.elements.iter().map(|element| element.length);
+        let elements = row.dilatation.iter().copied().zip(lengths);
+        self.extremes.include(energy, elements);
     }
 }
 

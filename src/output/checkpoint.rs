@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{OutputError, RowPrefix};
+use super::{Extremes, OutputError, RowPrefix};
 use crate::mechanics::{Configuration, State};
 
 /// Name of the checkpoint in a result directory, and in the directory of a run.
@@ -40,6 +40,8 @@ pub struct Checkpoint {
     pub trajectory: RowPrefix,
     /// The rows of the diagnostics, where there are any.
     pub diagnostics: Option<RowPrefix>,
+    /// Over every step up to this one.
+    pub extremes: Extremes,
     /// The resolved scene, as TOML.
     pub scene: String,
     x: Vec<[f64; 3]>,
@@ -58,7 +60,7 @@ struct Head {
 }
 
 impl Checkpoint {
-    /// After `step` steps of `step_s` seconds in `scene`, with so many rows written.
+    /// After `step` steps of `step_s` seconds in `scene`, with so many rows written and such extremes on the way.
     pub fn new(
         step: usize,
         step_s: f64,
@@ -66,6 +68,7 @@ impl Checkpoint {
         scene: &str,
         trajectory: RowPrefix,
         diagnostics: Option<RowPrefix>,
+        extremes: Extremes,
     ) -> Self {
         let arrays = |vectors: &[Vector3<f64>]| vectors.iter().map(|&v| v.into()).collect();
         Self {
@@ -76,6 +79,7 @@ impl Checkpoint {
             step_s,
             trajectory,
             diagnostics,
+            extremes,
             scene: scene.into(),
             x: arrays(&state.configuration.positions),
             rotation: state
@@ -293,7 +297,17 @@ mod tests {
             rows: 7,
             checksum: 1 << 31,
         };
-        Checkpoint::new(12345, 0.1 + 0.2, &state(n), "[rod]\n", rows, Some(rows))
+        let mut extremes = Extremes::EMPTY;
+        extremes.include(0.1 + 0.2, [(0.7, 0.1), (1.0 / 3.0, 0.1)].into_iter());
+        Checkpoint::new(
+            12345,
+            0.1 + 0.2,
+            &state(n),
+            "[rod]\n",
+            rows,
+            Some(rows),
+            extremes,
+        )
     }
 
     /// Any finite numbers come back with the same bits.

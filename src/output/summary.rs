@@ -1,7 +1,7 @@
 //! The summary objects that scripts read: `summary.json`, and what `--json` prints.
 
 use crate::control::{Abandoned, TrackingError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
@@ -120,7 +120,7 @@ pub struct OutputSize {
 }
 
 /// Smallest and largest value over a run.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Range {
     /// Smallest.
     pub min: f64,
@@ -191,7 +191,7 @@ pub struct SimulateSummary {
     pub steps: usize,
     /// Wall time, s, since the start or the last resumption.
     pub wall_s: f64,
-    /// Nodes times steps per second, since the start or the last resumption.
+    /// Nodes times steps per second of the integrator's own time, without rows, extremes and files.
     pub node_steps_per_s: f64,
     /// Tip at the end; in a failed run, in the last row.
     pub tip: TipPose,

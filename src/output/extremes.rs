@@ -1,0 +1,44 @@
+use serde::{Deserialize, Serialize};
+
+use super::summary::Range;
+
+/// Smallest and largest values of a motion, over every step, whether it has a row or not.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Extremes {
+    /// Total energy, J.
+    pub energy: Range,
+    /// Dilatation of any element.
+    pub dilatation: Range,
+    /// Length of the arm along its elements, m.
+    pub length: Range,
+}
+
+impl Extremes {
+    /// Of no step at all.
+    pub const EMPTY: Self = Self {
+        energy: Range::EMPTY,
+        dilatation: Range::EMPTY,
+        length: Range::EMPTY,
+    };
+
+    /// Counts a step: its energy, and the dilatation of every element with its length at rest.
+    pub fn include(&mut self, energy: f64, elements: impl Iterator<Item = (f64, f64)>) {
+        self.energy.include(energy);
+        let mut length = 0.0;
+        for (dilatation, rest) in elements {
+            self.dilatation.include(dilatation);
+            length += dilatation * rest;
+        }
+        self.length.include(length);
+    }
+
+    /// Counts the steps of an earlier part of the motion.
+    pub fn widen(&mut self, earlier: &Self) {
+        let own = [&mut self.energy, &mut self.dilatation, &mut self.length];
+        let others = [earlier.energy, earlier.dilatation, earlier.length];
+        for (own, other) in own.into_iter().zip(others) {
+            own.include(other.min);
+            own.include(other.max);
+        }
+    }
+}
