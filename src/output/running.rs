@@ -408,6 +408,7 @@ fn is_own_within(folder: &OsStr, entry: &DirEntry) -> io::Result<bool> {
     } else {
         (ResultKind::ALL.iter())
             .flat_map(|kind| kind.files())
+            .chain(&[FRESH_CHECKPOINT_FILE])
             .any(|own| name == *own)
     };
     Ok(is_known && entry.file_type()?.is_file())
@@ -627,6 +628,21 @@ mod tests {
             assert_eq!(fs::read_to_string(&path).unwrap(), "mine");
             assert!(running.join(MANIFEST).exists());
             fs::remove_dir_all(&running).unwrap();
+        }
+    }
+
+    /// A run that died while it wrote any file of a result, or a checkpoint there, is cleared by the next.
+    #[test]
+    fn what_a_dead_run_was_writing_is_cleared() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("result");
+        let draft = folder.path().join(".result.running").join(DRAFT);
+        let files = ResultKind::ALL.map(ResultKind::files).concat();
+        for name in [&files[..], &[FRESH_CHECKPOINT_FILE]].concat() {
+            fs::create_dir_all(&draft).unwrap();
+            fs::write(draft.join(name), "half").unwrap();
+            solve(&target, &["report.html"]).unwrap();
+            assert_eq!(names(folder.path()), ["result"], "{name}");
         }
     }
 
