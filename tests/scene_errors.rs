@@ -156,6 +156,7 @@ fn numbers_out_of_range() {
         ("objective.force_scale_n", vec!["0", "nan"]),
         ("objective.moment_scale_n_m", vec!["0", "inf"]),
         ("solver.tolerance", vec!["0", "nan"]),
+        ("solver.saddle_gain", vec!["0", "nan", "0.2"]),
         ("solver.max_iterations", vec!["0", "-1"]),
         ("solver.deadline_s", vec!["0", "nan"]),
         ("output.rate_hz", vec!["0", "-5", "nan"]),

@@ -918,6 +918,14 @@ impl Keys<'_> {
     fn check_solver(&self, solver: &Solver) -> Checked {
         self.positive("solver.tolerance", solver.tolerance, "tolerance", "")?;
         self.positive("solver.saddle_gain", solver.saddle_gain, "part", "")?;
+        if solver.saddle_gain > MOST_SADDLE_GAIN {
+            return Err(self.out_of_range(
+                "solver.saddle_gain",
+                solver.saddle_gain,
+                "part up to 0.1 of the objective",
+                "",
+            ));
+        }
         self.count(
             "solver.max_iterations",
             solver.max_iterations,
@@ -1036,6 +1044,9 @@ impl Keys<'_> {
         )
     }
 }
+
+/// A saddle with more to gain than this part of the objective is no result.
+const MOST_SADDLE_GAIN: f64 = 0.1;
 
 /// What to do where no part of a wrench acts.
 const NAME_A_PART: &str = "a force or moment acts only where it is named; give its largest magnitude, or `inf` for no bound: \

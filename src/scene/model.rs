@@ -925,7 +925,7 @@ pub struct Solver {
     pub max_iterations: usize,
     /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
     pub saddle_escapes: usize,
-    /// Part of the objective that leaving a saddle must gain; positive, default 0.01. A saddle with less to gain is a result, and says
+    /// Part of the objective that leaving a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
     /// how much is left.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub saddle_gain: f64,
