@@ -43,6 +43,7 @@ fn free_rod(
     assert!(step < 0.9 * stable_step(&rod));
     let control = ControlGrid::new(hold, n_blocks, STEPS, step).unwrap();
     OptimalControlProblem {
+        stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
             step,
             n_steps: STEPS,
@@ -451,6 +452,7 @@ fn timed_push(hold: Hold, n_blocks: usize, distance: f64, price: f64) -> Optimal
     });
     let longest = 0.9 * stable_step(&problem.rod) * STEPS as f64;
     OptimalControlProblem {
+        stop: softarm::stop::StopSignal::default(),
         duration: Some(FreeDuration {
             shortest: 0.5,
             longest,

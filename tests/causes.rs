@@ -1,6 +1,5 @@
 //! What a run that broke down says of its cause: an arm that topples, a model that is no variation of an action.
 
-#[allow(dead_code)]
 mod tool;
 
 use std::process::Command;

@@ -1,6 +1,5 @@
 //! What the library refuses is said in the words of the scene: the key, the item by name, and a remedy that a scene can follow.
 
-#[allow(dead_code)]
 mod tool;
 
 use std::collections::BTreeSet;

@@ -48,6 +48,7 @@ impl Case {
         assert!(step < 0.8 * stable_step(&rod));
         let scales = rod.scales;
         let problem = OptimalControlProblem {
+            stop: softarm::stop::StopSignal::default(),
             grid: TimeGrid { step, n_steps },
             duration: None,
             initial: State::at_rest(rod.rest.clone()),
@@ -193,6 +194,7 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
     let (n_steps, step) = (180, 5e-3);
     assert!(step < 0.9 * stable_step(&rod));
     let problem = OptimalControlProblem {
+        stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid { step, n_steps },
         duration: None,
         initial: State::at_rest(rod.rest.clone()),

@@ -56,6 +56,7 @@ fn problem(look: Look) -> OptimalControlProblem {
     let tip = rod.tip();
     let scales = rod.scales;
     OptimalControlProblem {
+        stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
             step,
             n_steps: look.steps,
