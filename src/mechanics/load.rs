@@ -326,7 +326,8 @@ mod tests {
         );
         let at = |k: usize| l.factor_at_node(&grid.node(k));
         assert_eq!([at(0), at(1), at(2), at(5)], [1.0, 1.0, 1.0, 3.0]);
-        assert!((at(3) - 3.0).abs() < 1e-15 && (at(4) - 4.0).abs() < 1e-15);
+        // The node's time, 3 h, is a rounding off the jump's, which is magnified by the jump over the step.
+        assert!((at(3) - 3.0).abs() < 1e-14 && (at(4) - 4.0).abs() < 1e-14);
         let [after, _] = TimeNode::ends_of_step(3, h).map(|node| l.factor_at_node(&node));
         let [_, before] = TimeNode::ends_of_step(2, h).map(|node| l.factor_at_node(&node));
         assert!((before - 1.0).abs() < 1e-15 && (after - 5.0).abs() < 1e-15);
