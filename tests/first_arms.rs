@@ -1,5 +1,8 @@
 //! The first arm of one's own: materials by name, diameters, blocks, the integrator that is chosen, and what `check` says of it.
 
+use nalgebra::Vector3;
+use softarm::control::{OptimalControlProblem, StaticNeed, static_need};
+use softarm::mechanics::{Load, LoadFrame, TimeScheme, TipSpring, static_equilibrium};
 use softarm::scene::{MaterialPreset, Scene, Simulation};
 
 /// Each preset is written as the name in its row of the table, lies in its own range, and has positive figures of its kind.
@@ -154,4 +157,238 @@ fn blocks_are_twenty_by_default() {
         + "[task]\nposition_m = [0.1, 0, 0.27]\n[control]\nforce_max_n = 1\n";
     let (scene, _) = Scene::from_toml("arm", &text, &[]).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(scene.control.map(|control| control.blocks), Some(20));
+}
+
+/// Steel, 0.3 m long and 1 mm thick, to the side in half a second.
+const STEEL_WIRE: &str = "[rod]\nlength_m = 0.3\nelements = 10\n[rod.material]\nyoungs_modulus_pa = 200e9\npoisson_ratio = 0.3\n\
+    density_kg_m3 = 7850\n[rod.section]\nradius_m = 0.5e-3\n[time]\nend_s = 0.5\n[task]\nposition_m = [0.1, 0, 0.27]\n[control]\n\
+    force_max_n = 5\nmoment_max_n_m = 0\n";
+
+fn loaded(text: &str, overrides: &[&str]) -> (Scene, softarm::scene::SceneSource) {
+    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    Scene::from_toml("arm", text, &overrides).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// The integrator that a problem gets, and what its resolved scene calls it.
+fn integrator(text: &str, overrides: &[&str]) -> TimeScheme {
+    let (scene, source) = loaded(text, overrides);
+    let setup = scene
+        .optimal_control(&source)
+        .unwrap_or_else(|error| panic!("{error}\n{text}"));
+    let scheme = setup.problem.rod.scheme;
+    let name = format!("integrator = \"{}\"", scheme.name());
+    assert!(setup.resolved.to_toml().contains(&name));
+    assert_eq!(setup.parameters.scheme, scheme);
+    // The resolved scene gives the same grid again.
+    let (again, source) = loaded(&setup.resolved.to_toml(), &[]);
+    let again = again.optimal_control(&source).expect("a problem").problem;
+    assert_eq!((again.rod.scheme, again.grid), (scheme, setup.problem.grid));
+    scheme
+}
+
+/// A stiff wire gets implicit steps unasked, in a hundredth of the number of explicit ones; not where the scene asks for explicit ones, for
+/// the sparse route or for a model that has explicit steps only, and not with a step that explicit ones can take.
+#[test]
+fn stiff_wires_get_implicit_steps() {
+    assert_eq!(integrator(STEEL_WIRE, &[]), TimeScheme::Implicit);
+    let explicit: [&[&str]; 4] = [
+        &["time.integrator=explicit", "time.end_s=1e-2"],
+        &["solver.qp=sparse", "time.end_s=1e-2"],
+        &["rod.model=consistent", "time.end_s=1e-2"],
+        &["time.step_s=1e-7", "time.end_s=1e-2"],
+    ];
+    for overrides in explicit {
+        assert_eq!(integrator(STEEL_WIRE, overrides), TimeScheme::Explicit);
+    }
+    // Beyond the explicit limit, as long as implicit steps bear it, and no further.
+    assert_eq!(
+        integrator(STEEL_WIRE, &["time.step_s=1e-5"]),
+        TimeScheme::Implicit
+    );
+    let (scene, source) = loaded(STEEL_WIRE, &["time.step_s=1e-3"]);
+    let error = scene.optimal_control(&source).expect_err("too long a step");
+    assert_eq!(error.key(), Some("time.step_s"));
+}
+
+/// Of the built-in scenes only those that name implicit steps have them: what is soft or short is left as it is.
+#[test]
+fn soft_scenes_keep_explicit_steps() {
+    for name in softarm::scene::builtin::names() {
+        let (scene, source) = Scene::load(name, &[]).unwrap_or_else(|error| panic!("{error}"));
+        let rod = if scene.task.is_some() {
+            scene.optimal_control(&source).expect(name).problem.rod
+        } else {
+            scene.simulation(&source).expect(name).rod
+        };
+        let named = softarm::scene::builtin::text(name)
+            .expect(name)
+            .contains("integrator = \"implicit\"");
+        let expected = if named {
+            TimeScheme::Implicit
+        } else {
+            TimeScheme::Explicit
+        };
+        assert_eq!(rod.scheme, expected, "{name}");
+    }
+}
+
+/// An arm of silicone, its tip where a known force holds it: the force is found, and compared with its bounds. With a moment as well less
+/// effort holds it, and bounds on one part shift the effort to the other.
+#[test]
+fn the_force_that_holds_a_target_is_found() {
+    let scene = |control: &str, target: [f64; 3]| {
+        let text = format!(
+            "[rod]\nlength_m = 0.3\nelements = 12\n[rod.material]\npreset = 'dragon-skin-30'\n[rod.section]\nradius_m = 0.01\n[gravity]\n\
+             acceleration_m_s2 = [0, 0, -9.81]\n[base]\ndirection = [0, 0, -1]\n[time]\nend_s = 1\n[task]\nposition_m = {target:?}\n\
+             [control]\n{control}\n"
+        );
+        let (scene, source) = loaded(&text, &[]);
+        scene
+            .optimal_control(&source)
+            .unwrap_or_else(|error| panic!("{error}"))
+            .problem
+    };
+    let mut rod = scene("force_max_n = 1\nmoment_max_n_m = 0", [0.0, 0.0, -0.3]).rod;
+    let force = Vector3::new(0.05, -0.02, 0.03);
+    rod.loads.push(Load {
+        node: rod.tip(),
+        force,
+        moment: Vector3::zeros(),
+        frame: LoadFrame::Spatial,
+        profile: Vec::new(),
+    });
+    let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).expect("a shape");
+    let target: [f64; 3] = shape.positions[rod.tip()].into();
+    let found =
+        static_need(&scene("force_max_n = 1\nmoment_max_n_m = 0", target)).expect("a force");
+    // The goal is met to 1e-6 of the length; the tip's stiffness is at most EA/L in force per length.
+    let stiffness = rod.elements[0].linear_stiffness.z;
+    assert!((found.wrenches[0].force - force).norm() < 1e-6 * stiffness);
+    assert!((found.wrenches[0].force - force).norm() < 0.01 * force.norm());
+    assert!(found.is_within_bounds());
+    let tight =
+        static_need(&scene("force_max_n = 0.03\nmoment_max_n_m = 0", target)).expect("a force");
+    assert!((tight.excess[0][0] - (force.norm() - 0.03)).abs() < 1e-3 * force.norm());
+    // Both parts: no more effort than the force alone, and a bound on the force is kept by a larger moment.
+    let effort = |problem: &OptimalControlProblem, need: &StaticNeed| {
+        let scales = &problem.rod.scales;
+        (need.wrenches[0].force.norm() / scales.force)
+            .hypot(need.wrenches[0].moment.norm() / scales.moment)
+    };
+    let free = scene("force_max_n = 1\nmoment_max_n_m = 1", target);
+    let both = static_need(&free).expect("a wrench");
+    assert!(effort(&free, &both) < effort(&free, &found));
+    let least = both.wrenches[0].force.norm();
+    let bound = 0.9 * least;
+    let limited = scene(
+        &format!("force_max_n = {bound}\nmoment_max_n_m = 1"),
+        target,
+    );
+    let shifted = static_need(&limited).expect("a wrench");
+    assert!(shifted.is_within_bounds(), "{shifted:?}");
+    assert!(effort(&limited, &shifted) > effort(&free, &both));
+}
+
+fn softarm(arguments: &[&str], folder: &std::path::Path) -> std::process::Output {
+    std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("the tool runs")
+}
+
+/// `check --json` of a scene, and what it says.
+fn checked(text: &str) -> (serde_json::Value, String) {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("arm.toml"), text).expect("a scene");
+    let output = softarm(&["check", "arm.toml", "--json"], folder.path());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    let summary = serde_json::from_slice(&output.stdout).expect("JSON");
+    (summary, said)
+}
+
+/// A slender horizontal cantilever: the sag is ρAgL⁴/(8EI) and the first frequency 3.516/(2π) sqrt(EI/(ρAL⁴)), to the second order of the
+/// deflection and of the elements' length.
+#[test]
+fn check_knows_sag_and_frequency() {
+    let text = "[rod]\nlength_m = 0.5\nelements = 20\n[rod.material]\nyoungs_modulus_pa = 1e8\npoisson_ratio = 0.3\ndensity_kg_m3 = 1000\n\
+        [rod.section]\nradius_m = 5e-3\n[base]\ndirection = [1, 0, 0]\n[gravity]\nacceleration_m_s2 = [0, 0, -9.81]\n[time]\nend_s = 1\n";
+    let (summary, said) = checked(text);
+    let (e, rho, r, l) = (1e8, 1000.0, 5e-3, 0.5_f64);
+    // ρAgL³/EI = 4 ρ g L³/(E r²).
+    let weight = 4.0 * rho * 9.81 * l.powi(3) / (e * r * r);
+    let rest = &summary["at_rest"];
+    let number = |key: &str| rest[key].as_f64().expect(key);
+    assert!((number("weight_number") / weight - 1.0).abs() < 1e-9);
+    let sag = l * weight / 8.0;
+    let order = (sag / l).powi(2) + (1.0_f64 / 20.0).powi(2);
+    assert!((number("sag_m") / sag - 1.0).abs() < 2.0 * order, "{rest}");
+    let frequency = 3.516 / (4.0 * std::f64::consts::PI) * (e / rho).sqrt() * r / (l * l);
+    assert!(
+        (number("first_frequency_hz") / frequency - 1.0).abs() < 2.0 * order,
+        "{rest}"
+    );
+    assert!(number("stretch").abs() < 1e-3);
+    assert!(rest["growth_rate_1_s"].is_null() && !said.contains("TOPPLES"));
+}
+
+/// An arm that stands on its base falls over above a weight number of 7.84, and says so; hanging it does not.
+#[test]
+fn check_says_what_topples() {
+    let arm = |direction: &str, length: f64| {
+        checked(&format!(
+            "[rod]\nlength_m = {length}\nelements = 16\n[rod.material]\npreset = 'ecoflex-00-30'\n[rod.section]\ndiameter_m = 0.02\n[base]\n\
+             direction = {direction}\n[gravity]\nacceleration_m_s2 = [0, 0, -9.81]\n[time]\nend_s = 1\n"
+        ))
+    };
+    // Critical length of this silicone: (7.837 E r²/(4 ρ g))^(1/3).
+    let critical = (7.837_347_f64 * 69e3 * 1e-4 / (4.0 * 1070.0 * 9.81)).cbrt();
+    for (direction, length, topples) in [
+        ("[0, 0, 1]", 0.95 * critical, false),
+        ("[0, 0, 1]", 1.05 * critical, true),
+        ("[0, 0, -1]", 1.05 * critical, false),
+    ] {
+        let (summary, said) = arm(direction, length);
+        assert_eq!(said.contains("TOPPLES"), topples, "{said}");
+        assert_eq!(summary["at_rest"]["growth_rate_1_s"].is_f64(), topples);
+        assert_eq!(said.contains("warning: gravity"), topples, "{said}");
+        assert!(said.contains("ecoflex-00-30: E 69 kPa (69 kPa to 118 kPa reported), 1070 kg/m³"));
+    }
+}
+
+/// The first ten lines answer, in at most 80 columns: grams, where it sways, bounds and what has none, what holds the target, and
+/// what a solve takes.
+#[test]
+fn check_answers_in_ten_lines() {
+    let (summary, said) = checked(STEEL_WIRE);
+    let lines: Vec<&str> = said.lines().take(10).collect();
+    assert!(
+        lines.iter().all(|line| line.chars().count() <= 80),
+        "{said}"
+    );
+    let first = lines.join("\n");
+    for word in [
+        "1.85 g",
+        "300 mm",
+        "no gravity",
+        "sways",
+        "at most 5 N",
+        "in space",
+        "implicit",
+        "within the bounds",
+        "iterations",
+    ] {
+        assert!(first.contains(word), "{word} in\n{said}");
+    }
+    // F = 3 EI δ/L³ for small deflections; 0.1 of 0.3 m is not small, and stiffer by the order of its square.
+    let force = &summary["static_need"]["wrenches"][0];
+    let small = 3.0 * summary["scales"]["force_n"].as_f64().expect("a scale") / 3.0;
+    let size = force[0].as_f64().expect("a force");
+    assert!((0.8..1.5).contains(&(size / small)), "{force}");
+    assert!(summary["solve_cost"]["total_s"].as_f64() > Some(10.0));
+    assert!(summary["warnings"].to_string().contains("rod.elements = 5"));
+    let (summary, said) = checked(&STEEL_WIRE.replace("force_max_n = 5", "force_max_n = 0.01"));
+    assert_eq!(summary["static_need"]["verdict"], "above-bounds");
+    assert!(said.contains("ABOVE THE BOUNDS"), "{said}");
 }

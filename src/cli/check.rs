@@ -1,34 +1,64 @@
 //! `softarm check SCENE`
 
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+
 use super::console::Console;
+use super::quantity::{digits, entry, mass, quantity};
 use super::{Global, Outcome, exit, scene_name};
-use crate::control::OptimalControlProblem;
+use crate::control::{Bound, Channel, OptimalControlProblem, StaticNeedError, static_need};
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
-use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
+use crate::mechanics::vibration::{SmallMotions, TOPPLING_WEIGHT_NUMBER, weight_number};
+use crate::mechanics::{
+    BaseCondition, Rod, RodModel, RodParameters, TimeGrid, TimeScheme, TipSpring, Wrench,
+    static_equilibrium,
+};
 use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
-    CheckSummary, CostEstimate, OutputSize, ProblemSize, QpPrediction, SCHEMA_VERSION,
-    ScalesSummary,
+    ActuatorSummary, CheckSummary, CostEstimate, MaterialSummary, OutputSize, ProblemSize,
+    QpPrediction, RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
-use crate::scene::{Scene, Simulation};
+use crate::scene::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
+use crate::scene::{OptimalControl, Scene, Simulation, TimeScheme as TimeSchemeKey};
 use crate::sqp::QpRoute;
 use crate::sqp::route::predict;
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
-/// Seconds of one explicit step of a node with AVX2, and without [internal damping](Rod::internal_damping): `cargo bench --bench
-/// kernels`.
-const EXPLICIT_NODE_STEP_S: f64 = 6e-8;
-/// Seconds of one implicit step of a node with two Newton iterations: `cargo bench --bench stiff`.
-const IMPLICIT_NODE_STEP_S: f64 = 2.7e-6;
+/// Elements up to which an equilibrium and its frequencies take a fraction of a second.
+const MOST_ELEMENTS_AT_REST: usize = 1000;
+/// Of an actuator: a part that there is not.
+const NO_WRENCH: &str = "none";
+/// Verdicts of what holds the tip at its target.
+const WITHIN: &str = "within-bounds";
+const ABOVE: &str = "above-bounds";
+/// Actuators that are described one by one.
+const ACTUATORS_SHOWN: usize = 3;
+/// Seconds of a predicted solve from which it is said what would make it shorter.
+const LONG_S: f64 = 10.0;
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let mut concerns = Vec::new();
+    let mut plan = None;
     let (rod, grid, size, output, memory) = if scene.task.is_some() || scene.control.is_some() {
         let setup = scene.optimal_control(&source)?;
         let size = problem_size(&setup.problem, setup.settings.qp);
+        let time = solve_time(&setup.problem);
+        concerns.extend(shorter(&setup, &time));
+        plan = Some(Plan {
+            actuators: actuators(&setup.problem),
+            need: need(&setup.problem),
+            cost: SolveCost {
+                iteration_s: time.iteration,
+                iterations: TYPICAL_ITERATIONS,
+                check_s: time.check,
+                total_s: time.total(),
+            },
+            distance: distance(&setup.problem),
+        });
         let memory = of_solve(&setup, 1, global.n_threads());
         (
             setup.problem.rod,
@@ -45,6 +75,12 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         (setup.rod, setup.grid, None, Some(output), memory)
     };
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
+    let at_rest = at_rest(&rod);
+    concerns.extend(topples(&at_rest));
+    let distance = plan.as_ref().and_then(|plan| plan.distance);
+    let (actuators, static_need, solve_cost) = plan.map_or((Vec::new(), None, None), |plan| {
+        (plan.actuators, plan.need, Some(plan.cost))
+    });
     let summary = CheckSummary {
         schema_version: SCHEMA_VERSION,
         command: "check",
@@ -68,11 +104,211 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         optimal_control: size,
         output,
         memory_bytes: memory.total() as u64,
+        payload_kg: scene
+            .payload
+            .as_ref()
+            .map_or(0.0, |payload| payload.mass_kg),
+        material: (scene.rod.material.as_ref())
+            .and_then(|material| material.preset)
+            .map(|preset| {
+                let figures = preset.figures();
+                MaterialSummary {
+                    name: figures.name,
+                    youngs_modulus_pa: figures.youngs_modulus_pa,
+                    range_pa: figures.range_pa,
+                    source: figures.source,
+                }
+            }),
+        at_rest,
+        actuators,
+        static_need,
+        solve_cost,
+        integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
         warnings: concerns,
     };
-    show(&summary, console);
+    answer(&summary, &scene, &rod, grid.end(), distance, console);
+    detail(&summary, console);
+    for warning in &summary.warnings {
+        console.warn(warning);
+    }
+    console.verdict(true, "the scene is valid");
     console.summary(&summary);
     Ok(exit::DONE)
+}
+
+/// What is asked of the actuators, and what a solve takes.
+struct Plan {
+    actuators: Vec<ActuatorSummary>,
+    need: Option<StaticNeedSummary>,
+    cost: SolveCost,
+    /// Of the target from where the tip starts, m.
+    distance: Option<f64>,
+}
+
+/// The arm under gravity, with its payload and without loads.
+fn at_rest(rod: &Rod) -> RestSummary {
+    let mut out = RestSummary {
+        weight_number: weight_number(rod),
+        ..RestSummary::default()
+    };
+    if rod.n_elements() > MOST_ELEMENTS_AT_REST {
+        out.no_equilibrium = Some("too many elements to look at in passing".into());
+        return out;
+    }
+    let mut bare = rod.clone();
+    bare.loads.clear();
+    let shape = if bare.base == BaseCondition::Free {
+        out.no_equilibrium = Some("the base is free".into());
+        bare.gravity = Vector3::zeros();
+        bare.rest.clone()
+    } else {
+        match static_equilibrium(&bare, &bare.rest, 0.0, &TipSpring::default()) {
+            Ok(shape) => shape,
+            Err(error) => {
+                out.no_equilibrium = Some(error.to_string());
+                return out;
+            }
+        }
+    };
+    let length = |positions: &[Vector3<f64>]| -> f64 {
+        positions
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).norm())
+            .sum()
+    };
+    let (rest, now) = (&bare.rest.positions, &shape.positions);
+    if out.no_equilibrium.is_none() {
+        out.sag_m = Some((now[bare.tip()] - rest[bare.tip()]).norm());
+        out.stretch = Some(length(now) / length(rest) - 1.0);
+    }
+    let motions = SmallMotions::about(&bare, &shape, 0.0);
+    out.first_frequency_hz = (motions.first_frequency()).map(|omega| omega / TAU);
+    out.growth_rate_1_s = motions.growth_rate();
+    out
+}
+
+/// An arm that does not stay where its weight is balanced.
+fn topples(rest: &RestSummary) -> Option<String> {
+    rest.growth_rate_1_s.map(|rate| {
+        format!(
+            "gravity: the arm topples under its own weight: deviations from its equilibrium grow e-fold in {:.3e} s (rho A g L^3/EI is {:.3}; \
+             a uniform arm that is clamped upright topples above {:.2}); shorten, thicken or hang it, unless that is meant",
+            1.0 / rate,
+            rest.weight_number,
+            TOPPLING_WEIGHT_NUMBER
+        )
+    })
+}
+
+fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
+    let steps = problem.grid.n_steps as f64;
+    SolveTime::of(
+        &problem.rod,
+        steps,
+        problem.n_variables(),
+        problem.state_size(),
+    )
+}
+
+/// What a solve takes, for one that is about to begin: nothing where it takes no time to speak of.
+pub(super) fn expectation(setup: &OptimalControl, n_threads: usize) -> Option<String> {
+    let time = solve_time(&setup.problem);
+    (time.total() > LONG_S).then(|| {
+        let memory = of_solve(setup, 1, n_threads).total();
+        let mut out = format!("expected: {}", time_in_words(&time, memory));
+        if let Some(advice) = shorter(setup, &time) {
+            out.push_str("; ");
+            out.push_str(&advice);
+        }
+        out
+    })
+}
+
+fn time_in_words(time: &SolveTime, memory: f64) -> String {
+    format!(
+        "about {}: {TYPICAL_ITERATIONS} iterations of {}, then a check of {}; memory {}",
+        quantity(time.total(), "s"),
+        quantity(time.iteration, "s"),
+        quantity(time.check, "s"),
+        in_words(memory)
+    )
+}
+
+/// What would make a long solve shorter: half the elements, on which the step depends too.
+fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
+    let rod = &setup.problem.rod;
+    let elements = rod.n_elements() / 2;
+    if time.total() <= LONG_S || elements < 4 {
+        return None;
+    }
+    let coarse = Rod::new(&RodParameters {
+        n_elements: elements,
+        loads: Vec::new(),
+        ..setup.parameters.clone()
+    })
+    .ok()?;
+    // As far below its automatic step as the scene's own.
+    let ratio = setup.problem.grid.step / automatic_step(rod);
+    let steps = setup.problem.grid.end() / (ratio * automatic_step(&coarse));
+    let fewer = SolveTime::of(&coarse, steps, setup.problem.n_variables(), None).total();
+    (fewer < 0.7 * time.total()).then(|| {
+        format!(
+            "rod.elements = {elements} would take about {} (helical elements may be long: the check says how far off the motion is)",
+            quantity(fewer, "s")
+        )
+    })
+}
+
+fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
+    let limit = |channel: &Channel, unit: &str| match channel.bound {
+        None => "UNBOUNDED".to_string(),
+        Some(bound) if !(0..3).any(|axis| bound.actuates(axis)) => NO_WRENCH.into(),
+        Some(Bound::Norm(limit)) => format!("at most {}", quantity(limit, unit)),
+        Some(Bound::PerAxis(limits)) => {
+            let [x, y, z] = [0, 1, 2].map(|axis| digits(limits[axis]));
+            format!("at most [{x}, {y}, {z}] {unit} per axis")
+        }
+    };
+    (problem.actuators.iter())
+        .map(|actuator| ActuatorSummary {
+            node: actuator.node,
+            force: limit(&actuator.force, "N"),
+            moment: limit(&actuator.moment, "N m"),
+        })
+        .collect()
+}
+
+fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
+    match static_need(problem) {
+        Ok(need) => Some(StaticNeedSummary {
+            verdict: if need.is_within_bounds() {
+                WITHIN
+            } else {
+                ABOVE
+            },
+            wrenches: (need.wrenches.iter())
+                .map(
+                    |Wrench {
+                         force: f,
+                         moment: m,
+                     }| [f.x, f.y, f.z, m.x, m.y, m.z],
+                )
+                .collect(),
+            reason: None,
+        }),
+        Err(StaticNeedError::NoGoal) => None,
+        Err(error) => Some(StaticNeedSummary {
+            verdict: "not-found",
+            wrenches: Vec::new(),
+            reason: Some(error.to_string()),
+        }),
+    }
+}
+
+fn distance(problem: &OptimalControlProblem) -> Option<f64> {
+    let start = problem.initial.configuration.positions[problem.rod.tip()];
+    let target = problem.final_goals().find_map(|goal| goal.position)?;
+    Some((target - start).norm())
 }
 
 /// Either integrator with the step that the scene gives it, or its automatic one.
@@ -87,18 +323,17 @@ fn cost(rod: &Rod, grid: &TimeGrid) -> CostEstimate {
             })
         }
     };
+    let seconds = |scheme, step: f64| {
+        let rod = Rod {
+            scheme,
+            ..rod.clone()
+        };
+        simulation_seconds(&rod, (grid.end() / step).ceil())
+    };
     let explicit_step_s = step(TimeScheme::Explicit);
     let implicit_step_s = step(TimeScheme::Implicit);
-    let damped = rod.internal_damping > 0.0;
-    let explicit = if damped {
-        IMPLICIT_NODE_STEP_S
-    } else {
-        EXPLICIT_NODE_STEP_S
-    };
-    let wall =
-        |step: f64, node_step: f64| (grid.end() / step).ceil() * rod.n_nodes() as f64 * node_step;
-    let explicit_wall_s = wall(explicit_step_s, explicit);
-    let implicit_wall_s = wall(implicit_step_s, IMPLICIT_NODE_STEP_S);
+    let explicit_wall_s = seconds(TimeScheme::Explicit, explicit_step_s);
+    let implicit_wall_s = seconds(TimeScheme::Implicit, implicit_step_s);
     let cheaper = if implicit_wall_s < explicit_wall_s {
         TimeScheme::Implicit
     } else {
@@ -217,10 +452,170 @@ fn problem_size(problem: &OptimalControlProblem, qp: QpRoute) -> ProblemSize {
     }
 }
 
-fn show(summary: &CheckSummary, console: &Console) {
+/// The first questions about an arm: what it weighs, how it hangs and sways, what acts on it, whether that suffices, and how long a
+/// solve takes.
+fn answer(
+    summary: &CheckSummary,
+    scene: &Scene,
+    rod: &Rod,
+    duration: f64,
+    distance: Option<f64>,
+    console: &Console,
+) {
+    let say = |word: &str, text: &str| console.say(&entry(word, text));
+    let payload = if summary.payload_kg > 0.0 {
+        format!(" and a payload of {}", mass(summary.payload_kg))
+    } else {
+        String::new()
+    };
     console.say(&format!(
-        "{}: {} elements, {} strain, {} model, {:.4} kg",
-        summary.scene, summary.elements, summary.strain, summary.model, summary.mass_kg
+        "{}: an arm of {}, {}{payload}",
+        summary.scene,
+        quantity(rod.scales.length, "m"),
+        mass(summary.mass_kg - summary.payload_kg),
+    ));
+    if let (Some(preset), Some(material)) = (&summary.material, &scene.rod.material) {
+        let [least, largest] = preset.range_pa.map(|modulus| quantity(modulus, "Pa"));
+        say(
+            "material",
+            &format!(
+                "{}: E {} ({least} to {largest} reported), {} kg/m³",
+                preset.name,
+                quantity(material.youngs_modulus().unwrap_or(f64::NAN), "Pa"),
+                digits(material.density().unwrap_or(f64::NAN))
+            ),
+        );
+    }
+    say("at rest", &rest_in_words(&summary.at_rest, rod));
+    if let Some(frequency) = summary.at_rest.first_frequency_hz {
+        say(
+            "sways",
+            &format!(
+                "at {} first: {} is {} of its periods",
+                quantity(frequency, "Hz"),
+                quantity(duration, "s"),
+                digits(duration * frequency)
+            ),
+        );
+    }
+    let (on_nodes, along) = (scene.load.len(), scene.distributed_load.len());
+    if on_nodes + along > 0 {
+        say(
+            "loads",
+            &format!("{on_nodes} on nodes, {along} along the arm"),
+        );
+    }
+    for actuator in summary.actuators.iter().take(ACTUATORS_SHOWN) {
+        let node = if actuator.node == rod.tip() {
+            "tip".to_string()
+        } else {
+            format!("node {}", actuator.node)
+        };
+        let mut parts = Vec::new();
+        if actuator.force != NO_WRENCH {
+            parts.push(format!("force in space {}", actuator.force));
+        }
+        if actuator.moment != NO_WRENCH {
+            parts.push(format!("moment in the node's frame {}", actuator.moment));
+        }
+        if parts.is_empty() {
+            parts.push("neither force nor moment".into());
+        }
+        say(&node, &parts.join("; "));
+    }
+    if summary.actuators.len() > ACTUATORS_SHOWN {
+        let more = summary.actuators.len() - ACTUATORS_SHOWN;
+        say("", &format!("and {more} actuators more"));
+    }
+    if let Some(need) = &summary.static_need {
+        let away = distance.map_or_else(String::new, |d| format!("{} away; ", quantity(d, "m")));
+        say("target", &(away + &held_by(need)));
+    }
+    let chosen = if summary.integrator_is_chosen {
+        let cost = &summary.cost;
+        format!(
+            ", chosen: a simulation takes {} explicit, {} implicit",
+            quantity(cost.explicit_wall_s, "s"),
+            quantity(cost.implicit_wall_s, "s")
+        )
+    } else {
+        String::new()
+    };
+    say(
+        "steps",
+        &format!(
+            "{} of {}, {}{chosen}",
+            summary.steps,
+            quantity(summary.step_s, "s"),
+            summary.integrator
+        ),
+    );
+    if let Some(cost) = &summary.solve_cost {
+        let time = SolveTime {
+            iteration: cost.iteration_s,
+            check: cost.check_s,
+        };
+        say("solve", &time_in_words(&time, summary.memory_bytes as f64));
+    }
+}
+
+fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
+    let weight = format!("rho A g L^3/EI = {}", digits(rest.weight_number));
+    if rod.gravity == Vector3::zeros() {
+        return "no gravity".into();
+    }
+    if rest.growth_rate_1_s.is_some() {
+        return format!("TOPPLES under its own weight; {weight}");
+    }
+    let (Some(sag), Some(stretch)) = (rest.sag_m, rest.stretch) else {
+        let reason = rest.no_equilibrium.as_deref().unwrap_or("not looked at");
+        return format!("no static shape: {reason}; {weight}");
+    };
+    let percent = 100.0 * stretch.abs();
+    let change = match stretch {
+        _ if percent < 0.01 => "does not stretch".to_string(),
+        longer if longer > 0.0 => format!("stretches {} %", digits(percent)),
+        _ => format!("shortens {} %", digits(percent)),
+    };
+    format!(
+        "gravity moves the tip {} ({} % of the length); the arm {change}; {weight}",
+        quantity(sag, "m"),
+        digits(100.0 * sag / rod.scales.length)
+    )
+}
+
+/// What holds the tip at its target, in words.
+fn held_by(need: &StaticNeedSummary) -> String {
+    let largest = |from: usize| {
+        (need.wrenches.iter())
+            .map(|wrench| Vector3::from_column_slice(&wrench[from..from + 3]).norm())
+            .fold(0.0, f64::max)
+    };
+    let parts: Vec<String> = [(largest(0), "N"), (largest(3), "N m")]
+        .into_iter()
+        .filter(|(size, _)| *size > 0.0)
+        .map(|(size, unit)| quantity(size, unit))
+        .collect();
+    let parts = if parts.is_empty() {
+        "nothing".to_string()
+    } else {
+        parts.join(" and ")
+    };
+    match (need.verdict, &need.reason) {
+        (WITHIN, _) => format!("held there by {parts}: within the bounds"),
+        (ABOVE, _) => {
+            format!("to hold it there takes {parts}: ABOVE THE BOUNDS, it can only be passed")
+        }
+        (_, Some(reason)) => format!("no wrench that holds it there was found: {reason}"),
+        _ => "no wrench that holds it there was found".into(),
+    }
+}
+
+/// Figures for whoever tunes or scripts.
+fn detail(summary: &CheckSummary, console: &Console) {
+    console.say(&format!(
+        "  grid   {} elements, {} strain, {} model",
+        summary.elements, summary.strain, summary.model
     ));
     console.say(&format!(
         "  time   {} step {:.4e} s (explicit: stable below {:.4e} s), {} steps",
@@ -268,8 +663,4 @@ fn show(summary: &CheckSummary, console: &Console) {
         "  memory about {}",
         in_words(summary.memory_bytes as f64)
     ));
-    for warning in &summary.warnings {
-        console.warn(warning);
-    }
-    console.verdict(true, "the scene is valid");
 }

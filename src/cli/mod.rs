@@ -8,6 +8,7 @@ mod error;
 mod example;
 mod memory;
 mod paper;
+mod quantity;
 mod report_pages;
 mod schema;
 mod simulate;

@@ -10,7 +10,7 @@ use serde::Serialize;
 use clap::Args;
 
 use super::advice;
-use super::check::warnings;
+use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::report_pages::{SolvePage, solve_page};
@@ -95,6 +95,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let target = arguments.scene.directory("solve");
     let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
+    if let Some(expected) = expectation(&described, global.n_threads()) {
+        console.say(&expected);
+    }
     announce(&described, console);
     let plan = Search {
         previous,

@@ -137,7 +137,7 @@ fn smooth(s: f64) -> f64 {
 }
 
 /// The shape, moved as a whole to where a driven base is at time `t`.
-fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration {
+pub(super) fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration {
     let Some(base) = rod.driven_base(t) else {
         return shape;
     };

@@ -14,6 +14,7 @@ pub mod problem;
 mod release;
 pub mod search;
 pub mod second_opinion;
+mod static_need;
 mod tracking_error;
 pub mod transcription;
 
@@ -29,5 +30,6 @@ pub use problem::{
     GoalPart, GoalRow, Objective, OptimalControlProblem, Tracking,
 };
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
+pub use static_need::{StaticNeed, StaticNeedError, static_need};
 pub use tracking_error::{TrackingError, tracking_errors};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

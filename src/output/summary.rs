@@ -50,8 +50,87 @@ pub struct CheckSummary {
     pub output: Option<OutputSize>,
     /// Bytes that a run needs for its trajectory, about.
     pub memory_bytes: u64,
+    /// Mass of the payload, part of `mass_kg`, kg.
+    pub payload_kg: f64,
+    /// The material, if the scene names it.
+    pub material: Option<MaterialSummary>,
+    /// The arm left alone.
+    pub at_rest: RestSummary,
+    /// What may be chosen, and where it acts; empty for a simulation.
+    pub actuators: Vec<ActuatorSummary>,
+    /// What holds the tip at its target.
+    pub static_need: Option<StaticNeedSummary>,
+    /// What a solve takes; absent for a simulation.
+    pub solve_cost: Option<SolveCost>,
+    /// Whether the scene left the integrator open.
+    pub integrator_is_chosen: bool,
     /// Things a user should know before running.
     pub warnings: Vec<String>,
+}
+
+/// A material by its name.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct MaterialSummary {
+    /// Name in scenes.
+    pub name: &'static str,
+    /// Young's modulus of the name, Pa; the scene may give another one.
+    pub youngs_modulus_pa: f64,
+    /// Least and largest Young's modulus, Pa.
+    pub range_pa: [f64; 2],
+    /// Where the figures are from.
+    pub source: &'static str,
+}
+
+/// The arm under gravity, with its payload and without loads.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RestSummary {
+    /// Distance of the tip's equilibrium from its place in the stress-free shape, m.
+    pub sag_m: Option<f64>,
+    /// Length of the arm there over its length at rest, less 1.
+    pub stretch: Option<f64>,
+    /// Why there is no equilibrium to speak of.
+    pub no_equilibrium: Option<String>,
+    /// Frequency of the slowest mode about the equilibrium, without damping, Hz.
+    pub first_frequency_hz: Option<f64>,
+    /// Rate at which deviations from the equilibrium grow, 1/s; absent where it is stable.
+    pub growth_rate_1_s: Option<f64>,
+    /// `ρA g L³/EI`, the payload left out.
+    pub weight_number: f64,
+}
+
+/// A wrench that may be chosen.
+#[derive(Clone, Debug, Serialize)]
+pub struct ActuatorSummary {
+    /// Index of the node.
+    pub node: usize,
+    /// Bound of the force, N, in space: `none` where there is no force, `unbounded`, or a number or list in words.
+    pub force: String,
+    /// Bound of the moment, N m, in the node's body frame, likewise.
+    pub moment: String,
+}
+
+/// What holds the tip at its target.
+#[derive(Clone, Debug, Serialize)]
+pub struct StaticNeedSummary {
+    /// `within-bounds`, `above-bounds`, or `not-found`.
+    pub verdict: &'static str,
+    /// The wrench of every actuator: force in space, N, and moment in the body frame, N m; empty where none was found.
+    pub wrenches: Vec<[f64; 6]>,
+    /// Why none was found.
+    pub reason: Option<String>,
+}
+
+/// What a solve takes, predicted.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SolveCost {
+    /// Seconds of an iteration.
+    pub iteration_s: f64,
+    /// Iterations of a solve that is neither lucky nor hard.
+    pub iterations: usize,
+    /// Seconds of the check of the solution.
+    pub check_s: f64,
+    /// Seconds of both.
+    pub total_s: f64,
 }
 
 /// What a simulation costs with either integrator, from the time of a node's step on the machine of ARCHITECTURE.md.

@@ -473,7 +473,7 @@ pub struct Time {
     /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
     #[serde(default)]
     pub step_s: TimeStep,
-    /// How a step is taken. Default: "explicit".
+    /// How a step is taken. Default: "auto".
     #[serde(default)]
     pub integrator: TimeScheme,
 }
@@ -482,8 +482,11 @@ pub struct Time {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
-    /// Cheap steps that must resolve the fastest elastic wave of an element.
+    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and twice as long; explicit with a
+    /// step_s that it can take. `softarm check` shows both predictions.
     #[default]
+    Auto,
+    /// Cheap steps that must resolve the fastest elastic wave of an element.
     Explicit,
     /// Costlier steps that need not resolve elastic waves, for stiff and thin arms; strong bending still limits them.
     Implicit,

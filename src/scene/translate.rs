@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::check::{MOST_ELEMENTS, MOST_STEPS};
 use super::error::SceneError;
 use super::model::{self, InitialShape, Objective, Scene, TimeStep};
+use super::prediction::{Work, automatic_scheme};
 use super::source::SceneSource;
 use crate::control::path::thinnest;
 use crate::control::{
@@ -185,7 +186,7 @@ impl Scene {
         source: &SceneSource,
         stop: &StopSignal,
     ) -> Result<Simulation, SceneError> {
-        let (parameters, rod) = self.rod_of(source)?;
+        let (parameters, rod) = self.rod_of(source, self.time.end_s, Work::Simulation)?;
         let output = self.output.clone().unwrap_or_default();
         let mut grid = self.grid(source, &rod, self.time.end_s, 1)?;
         if let (Some(rate), TimeStep::Auto) = (output.rate_hz, self.time.step_s) {
@@ -194,6 +195,7 @@ impl Scene {
         let initial = self.initial_state(source, &rod, stop)?;
         let mut resolved = self.with_material_resolved();
         resolve_time(&mut resolved, &grid);
+        resolved.time.integrator = integrator(&rod);
         Ok(Simulation {
             parameters,
             rod,
@@ -252,7 +254,6 @@ impl Scene {
         }
         let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
         let solver = self.solver.clone().unwrap_or_default();
-        let (parameters, rod) = self.rod_of(source)?;
         let horizon = task.map_or(self.time.end_s, |task| task.instant(self.time.end_s));
         if !(horizon > 0.0) {
             let message = "a path cannot be followed in no time";
@@ -260,6 +261,13 @@ impl Scene {
             return Err(error.expecting("expected a positive duration"));
         }
         let free_duration = task.and_then(|task| task.free_duration);
+        let work = Work::Solve {
+            n_variables: control
+                .blocks
+                .saturating_mul(6 * (1 + control.actuator.len())),
+        };
+        let longest = free_duration.map_or(horizon, |free| free.longest_s);
+        let (parameters, rod) = self.rod_of(source, longest, work)?;
         let grid = match &free_duration {
             None => self.grid(source, &rod, horizon, control.blocks)?,
             Some(free) => self.stretching_grid(source, &rod, horizon, free, control.blocks)?,
@@ -327,6 +335,7 @@ impl Scene {
         let resolved = {
             let mut resolved = self.with_material_resolved();
             resolve_time(&mut resolved, &grid);
+            resolved.time.integrator = integrator(&rod);
             if let Some(task) = &mut resolved.task {
                 task.at_s = Some(horizon);
                 if task.at_rest && task.hard {
@@ -721,9 +730,25 @@ impl Scene {
         resolved
     }
 
-    fn rod_of(&self, source: &SceneSource) -> Result<(RodParameters, Rod), SceneError> {
-        let parameters = self.rod_parameters(source)?;
-        let rod = Rod::new(&parameters).map_err(|error| self.rod_error(source, &error))?;
+    /// The rod, with the integrator that the scene names, or that suits `work` over `duration`.
+    fn rod_of(
+        &self,
+        source: &SceneSource,
+        duration: f64,
+        work: Work,
+    ) -> Result<(RodParameters, Rod), SceneError> {
+        let mut parameters = self.rod_parameters(source)?;
+        let mut rod = Rod::new(&parameters).map_err(|error| self.rod_error(source, &error))?;
+        let sparse = matches!(work, Work::Solve { .. })
+            && (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
+        if self.time.integrator == model::TimeScheme::Auto && !sparse {
+            let given = match self.time.step_s {
+                TimeStep::Auto => None,
+                TimeStep::Seconds(step) => Some(step),
+            };
+            parameters.scheme = automatic_scheme(&rod, given, duration, work);
+            rod.scheme = parameters.scheme;
+        }
         Ok((parameters, rod))
     }
 
@@ -839,7 +864,7 @@ impl Scene {
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
             internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s),
             scheme: match self.time.integrator {
-                model::TimeScheme::Explicit => TimeScheme::Explicit,
+                model::TimeScheme::Auto | model::TimeScheme::Explicit => TimeScheme::Explicit,
                 model::TimeScheme::Implicit => TimeScheme::Implicit,
             },
             loads: self.load.iter().map(|load| self.load_of(load)).collect(),
@@ -1237,6 +1262,14 @@ fn longest_grid(free: Option<&model::FreeDuration>, grid: TimeGrid) -> TimeGrid 
         ..grid
     };
     free.map_or(grid, longest)
+}
+
+/// The rod's integrator, by its name in scenes.
+fn integrator(rod: &Rod) -> model::TimeScheme {
+    match rod.scheme {
+        TimeScheme::Explicit => model::TimeScheme::Explicit,
+        TimeScheme::Implicit => model::TimeScheme::Implicit,
+    }
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {

@@ -1,0 +1,170 @@
+//! What a run will take, before it starts: seconds, predicted from the number of node-steps, and the integrator that takes fewer of them.
+//!
+//! Time goes with the node-steps `(K + 1) N`. A simulation takes one step of every node each. An iteration of a solve linearizes every
+//! step, differentiates it with respect to every variable, and rolls out about one trial point; the check replays on finer grids. The
+//! constants are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
+//! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
+//! steel wire (iterations and checks); their predictions are within a factor of 2 of all of these.
+
+use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::{Rod, RodModel, TimeScheme};
+use crate::sqp::StateSize;
+use crate::sqp::route::predict;
+
+/// Seconds per node-step of one kind of step.
+struct StepCosts {
+    /// Of a simulation.
+    step: f64,
+    /// Of an iteration, without what follows.
+    iteration: f64,
+    /// Of an iteration, for every variable.
+    variable: f64,
+    /// Of the check.
+    check: f64,
+}
+
+/// Steps that are computed from what is known where they start.
+const EXPLICIT: StepCosts = StepCosts {
+    step: 6e-8,
+    iteration: 1.8e-6,
+    variable: 3e-9,
+    check: 4e-6,
+};
+/// Steps that are solved for, with two Newton iterations: implicit ones, and those with [internal damping](Rod::internal_damping).
+const SOLVED: StepCosts = StepCosts {
+    step: 2.7e-6,
+    iteration: 12e-6,
+    variable: 2e-8,
+    check: 1e-4,
+};
+
+/// Iterations of a solve that is neither lucky nor hard: between the quartiles of `benches/reach_suite.md`.
+pub const TYPICAL_ITERATIONS: usize = 15;
+/// Below so many seconds nobody waits: the explicit integrator, whose steps resolve every wave, is kept.
+const WORTH_CHOOSING_S: f64 = 1.0;
+/// Implicit steps are chosen where they are predicted to take at most this part of the time of explicit ones: predictions may be off by 2.
+const CLEARLY_CHEAPER: f64 = 0.5;
+
+fn costs(rod: &Rod) -> &'static StepCosts {
+    if rod.scheme == TimeScheme::Implicit || rod.internal_damping > 0.0 {
+        &SOLVED
+    } else {
+        &EXPLICIT
+    }
+}
+
+fn node_steps(rod: &Rod, n_steps: f64) -> f64 {
+    rod.n_nodes() as f64 * n_steps
+}
+
+/// Seconds of a simulation of `n_steps`, without what it writes.
+#[must_use]
+pub fn simulation_seconds(rod: &Rod, n_steps: f64) -> f64 {
+    node_steps(rod, n_steps) * costs(rod).step
+}
+
+/// What a solve will take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolveTime {
+    /// Seconds of an iteration.
+    pub iteration: f64,
+    /// Seconds of the check of a solution.
+    pub check: f64,
+}
+
+impl SolveTime {
+    /// Of a solve with `n_variables` over `n_steps`.
+    #[must_use]
+    pub fn of(rod: &Rod, n_steps: f64, n_variables: usize, states: Option<StateSize>) -> Self {
+        let costs = costs(rod);
+        let qp = predict(n_variables, states);
+        let per_node_step = costs.iteration + costs.variable * n_variables as f64;
+        Self {
+            iteration: node_steps(rod, n_steps) * per_node_step
+                + (qp.sparse).map_or(qp.condensed, |sparse| sparse.min(qp.condensed)),
+            check: node_steps(rod, n_steps) * costs.check,
+        }
+    }
+
+    /// Seconds of a solve of [`TYPICAL_ITERATIONS`] from one start, and its check.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        TYPICAL_ITERATIONS as f64 * self.iteration + self.check
+    }
+}
+
+/// What an integrator is chosen for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Work {
+    /// One forward motion.
+    Simulation,
+    /// An optimal-control problem with about so many variables.
+    Solve {
+        /// Controls, at most.
+        n_variables: usize,
+    },
+}
+
+/// An integrator with its automatic step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// The integrator.
+    pub scheme: TimeScheme,
+    /// Its step, s.
+    pub step: f64,
+    /// Seconds that the work takes with it.
+    pub seconds: f64,
+}
+
+impl Candidate {
+    /// The rod's own integrator over `duration`.
+    #[must_use]
+    pub fn of(rod: &Rod, duration: f64, work: Work) -> Self {
+        let step = automatic_step(rod);
+        let n_steps = (duration / step).ceil();
+        Self {
+            scheme: rod.scheme,
+            step,
+            seconds: match work {
+                Work::Simulation => simulation_seconds(rod, n_steps),
+                Work::Solve { n_variables } => {
+                    SolveTime::of(rod, n_steps, n_variables, None).total()
+                }
+            },
+        }
+    }
+}
+
+/// The integrator that `integrator = "auto"` stands for, for a rod with explicit steps.
+///
+/// With a step that is given, explicit as long as that step is stable, and implicit up to its own automatic step. Otherwise the one that is
+/// predicted to be faster: implicit where it takes at most half the time of explicit steps, and these more than a second. Models with
+/// dilatation have explicit steps only.
+#[must_use]
+pub fn automatic_scheme(
+    explicit: &Rod,
+    given_step: Option<f64>,
+    duration: f64,
+    work: Work,
+) -> TimeScheme {
+    if explicit.model != RodModel::Standard {
+        return TimeScheme::Explicit;
+    }
+    let implicit = Rod {
+        scheme: TimeScheme::Implicit,
+        ..explicit.clone()
+    };
+    let choose_implicit = match given_step {
+        Some(step) => step > stable_step(explicit) && step <= automatic_step(&implicit),
+        None => {
+            let seconds = |rod: &Rod| Candidate::of(rod, duration, work).seconds;
+            let explicit = seconds(explicit);
+            explicit > WORTH_CHOOSING_S && seconds(&implicit) < CLEARLY_CHEAPER * explicit
+        }
+    };
+    if choose_implicit {
+        TimeScheme::Implicit
+    } else {
+        TimeScheme::Explicit
+    }
+}
