@@ -265,7 +265,10 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         Some(bound) if !(0..3).any(|axis| bound.actuates(axis)) => NO_WRENCH.into(),
         Some(Bound::Norm(limit)) => format!("at most {}", quantity(limit, unit)),
         Some(Bound::PerAxis(limits)) => {
-            let [x, y, z] = [0, 1, 2].map(|axis| digits(limits[axis]));
+            let [x, y, z] = [0, 1, 2].map(|axis| match limits[axis] {
+                f64::INFINITY => "UNBOUNDED".to_string(),
+                limit => digits(limit),
+            });
             format!("at most [{x}, {y}, {z}] {unit} per axis")
         }
     };
@@ -516,7 +519,7 @@ fn answer(
             parts.push(format!("force in space {}", actuator.force));
         }
         if actuator.moment != NO_WRENCH {
-            parts.push(format!("moment in the node's frame {}", actuator.moment));
+            parts.push(format!("moment in body frame {}", actuator.moment));
         }
         if parts.is_empty() {
             parts.push("neither force nor moment".into());
@@ -604,7 +607,7 @@ fn held_by(need: &StaticNeedSummary) -> String {
     match (need.verdict, &need.reason) {
         (WITHIN, _) => format!("held there by {parts}: within the bounds"),
         (ABOVE, _) => {
-            format!("to hold it there takes {parts}: ABOVE THE BOUNDS, it can only be passed")
+            format!("the least that holds it there, {parts}, is ABOVE THE BOUNDS")
         }
         (_, Some(reason)) => format!("no wrench that holds it there was found: {reason}"),
         _ => "no wrench that holds it there was found".into(),

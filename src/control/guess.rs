@@ -58,7 +58,7 @@ pub enum GuessError {
 
 /// Stiffness of the springs that pull the tip to a goal, in units of EI/L³ and EI/L, one after the other: soft ones first let
 /// the arm bend toward the goal, where stiff ones would press it together before it gives way.
-const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
+pub(super) const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
 /// Of these, how many pull toward a detour: it need not be reached, and may be out of reach.
 const DETOUR_SPRINGS: usize = 2;
 

@@ -2,11 +2,11 @@
 //!
 //! Among the wrenches `u` under which an equilibrium puts the tip where the goal wants it, `c(u) = 0`, the one of least effort (components
 //! over their scales) is found by `u ← J⁺ (J u - c)`, `J = ∂c/∂u` by differences of equilibria, while the goal moves from where the tip rests
-//! without control to where it is. Where that wrench exceeds a bound, the exceeding part is made dearer until it does not, or no longer helps.
+//! without control to where it is, or with a force on the tip from where a stiff spring pulls it.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::guess::carried;
+use super::guess::{SPRINGS, carried};
 use super::problem::{Component, Goal, OptimalControlProblem};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use crate::mechanics::rotation::{exp, log};
@@ -69,11 +69,8 @@ const EFFORT_ROUNDS: usize = 8;
 const SETTLED: f64 = 0.01;
 /// Largest change of the wrench in a round, in the rod's scales and of its size: the goal is met to first order of it.
 const LARGEST_CHANGE: [f64; 2] = [0.2, 0.3];
-/// Rounds that make an exceeding part dearer, and the factor.
-const BOUND_ROUNDS: usize = 5;
-const DEARER: f64 = 2.0;
 
-/// The wrench of least effort that holds the tip at the goal at the end of the horizon, within the bounds if one was found.
+/// The wrench of least effort that holds the tip at the goal at the end of the horizon. Where it exceeds a bound, another one may not.
 ///
 /// # Errors
 /// [`StaticNeedError`]; a failed search proves nothing.
@@ -89,31 +86,13 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
     if problem.rod.n_elements() > MOST_ELEMENTS || components.len() > MOST_COMPONENTS {
         return Err(StaticNeedError::TooLarge);
     }
-    let mut statics = Statics {
+    let statics = Statics {
         problem,
-        prices: vec![1.0; components.len()],
         components,
         end: problem.grid.end(),
     };
-    let mut held = statics.held(goal)?;
-    let mut need = statics.need(&held.u);
-    for _ in 0..BOUND_ROUNDS {
-        if need.is_within_bounds() {
-            break;
-        }
-        statics.make_dearer(&need);
-        let Some(cheaper) = statics.toward(goal, &held, EFFORT_ROUNDS) else {
-            break;
-        };
-        held = cheaper;
-        let next = statics.need(&held.u);
-        let total = |need: &StaticNeed| need.excess.iter().flatten().sum::<f64>();
-        if !(total(&next) < total(&need)) {
-            break;
-        }
-        need = next;
-    }
-    Ok(need)
+    let held = statics.held(goal)?;
+    Ok(statics.need(&held.u))
 }
 
 /// An equilibrium and the components that hold it, in the rod's scales.
@@ -126,8 +105,6 @@ struct Held {
 struct Statics<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
-    /// Of each component: what its effort is multiplied by.
-    prices: Vec<f64>,
     end: f64,
 }
 
@@ -168,14 +145,6 @@ impl Statics<'_> {
             })
             .collect();
         StaticNeed { wrenches, excess }
-    }
-
-    fn make_dearer(&mut self, need: &StaticNeed) {
-        for (component, price) in self.components.iter().zip(&mut self.prices) {
-            if need.excess[component.actuator][component.axis / 3] > 0.0 {
-                *price *= DEARER;
-            }
-        }
     }
 
     /// Equilibrium under `u`, at the end of the horizon.
@@ -233,6 +202,11 @@ impl Statics<'_> {
     fn held(&self, goal: &Goal) -> Result<Held, StaticNeedError> {
         let rod = &self.problem.rod;
         let start = carried(rod, self.problem.initial.configuration.clone(), self.end);
+        if let Some(held) =
+            (self.pulled(goal, &start)).and_then(|from| self.toward(goal, &from, EFFORT_ROUNDS))
+        {
+            return Ok(held);
+        }
         let u = DVector::zeros(self.components.len());
         let rest = self.equilibrium(&u, &start)?;
         let mut held = Held {
@@ -260,6 +234,38 @@ impl Statics<'_> {
         Ok(held)
     }
 
+    /// The shape in which stiff springs hold the tip, and their pull; `None` where the tip's actuator has no force in some direction.
+    fn pulled(&self, goal: &Goal, start: &Configuration) -> Option<Held> {
+        let rod = &self.problem.rod;
+        let at = |axis: usize| {
+            (self.components.iter()).position(|component| {
+                let actuator = &self.problem.actuators[component.actuator];
+                actuator.node == rod.tip() && component.axis == axis
+            })
+        };
+        goal.position?;
+        let forces = [at(0)?, at(1)?, at(2)?];
+        let scales = &rod.scales;
+        let mut shape = start.clone();
+        let mut spring = TipSpring::default();
+        for stiffness in SPRINGS {
+            spring = TipSpring {
+                position: (goal.position).map(|to| (to, stiffness * scales.force / scales.length)),
+                rotation: goal.rotation.map(|to| (to, stiffness * scales.moment)),
+            };
+            shape = static_equilibrium(rod, &shape, self.end, &spring).ok()?;
+        }
+        let pull = spring.wrench(&shape.positions[rod.tip()], &shape.rotations[rod.tip()]);
+        let mut u = DVector::zeros(self.components.len());
+        for axis in 0..3 {
+            u[forces[axis]] = pull.force[axis] / scales.force;
+            if let Some(moment) = at(3 + axis) {
+                u[moment] = pull.moment[axis] / scales.moment;
+            }
+        }
+        Some(Held { u, shape })
+    }
+
     /// From a held shape to one that holds `goal`, then `rounds` that reduce the effort.
     fn toward(&self, goal: &Goal, from: &Held, rounds: usize) -> Option<Held> {
         let mut held = from.clone();
@@ -274,14 +280,8 @@ impl Statics<'_> {
                 return None;
             }
             let jacobian = self.jacobian(goal, &held, &lack)?;
-            // In units of effort: v = price u.
-            let prices = DVector::from_vec(self.prices.clone());
-            let priced = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| {
-                jacobian[(i, j)] / prices[j]
-            });
-            let wanted = &jacobian * &held.u + &lack;
-            let v = priced.svd(true, true).solve(&wanted, 1e-9).ok()?;
-            let wanted = v.component_div(&prices) - &held.u;
+            let target = &jacobian * &held.u + &lack;
+            let wanted = jacobian.svd(true, true).solve(&target, 1e-9).ok()? - &held.u;
             let change = wanted.norm();
             let size = held.u.norm();
             let [least, part] = LARGEST_CHANGE;
