@@ -39,8 +39,11 @@ pub enum StaticNeedError {
     #[error("nothing is actuated")]
     NoActuation,
     /// Too large to be looked at in passing.
-    #[error("the arm or its actuators are too many to look at in passing")]
+    #[error("the elements or actuators are too many to look at in passing")]
     TooLarge,
+    /// Too slender for a search by differences.
+    #[error("the arm is too slender, EA is more than 1e6 times EI/L²")]
+    TooSlender,
     /// The arm without control has no equilibrium.
     #[error("without control: {0}")]
     Equilibrium(#[from] EquilibriumError),
@@ -55,6 +58,8 @@ pub enum StaticNeedError {
 /// Elements, and actuated components, up to which equilibria take a fraction of a second.
 const MOST_ELEMENTS: usize = 200;
 const MOST_COMPONENTS: usize = 24;
+/// Axial over bending stiffness, EA L²/EI, up to which the search by differences gets anywhere: stiff wires it leaves at their start.
+const MOST_SLENDER: f64 = 1e6;
 /// Component of the wrench, in the rod's scales EI/L² and EI/L, by which the equilibrium is differentiated: equilibria are known to 1e-9 of these.
 const DIFFERENCE: f64 = 1e-4;
 /// Distance over length, and angle, at which the tip counts as held.
@@ -85,6 +90,11 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
     }
     if problem.rod.n_elements() > MOST_ELEMENTS || components.len() > MOST_COMPONENTS {
         return Err(StaticNeedError::TooLarge);
+    }
+    let rod = &problem.rod;
+    let stiffest = (rod.elements.iter()).map(|element| element.linear_stiffness.max());
+    if stiffest.fold(0.0, f64::max) > MOST_SLENDER * rod.scales.force {
+        return Err(StaticNeedError::TooSlender);
     }
     let statics = Statics {
         problem,
