@@ -212,10 +212,13 @@ impl Statics<'_> {
     fn held(&self, goal: &Goal) -> Result<Held, StaticNeedError> {
         let rod = &self.problem.rod;
         let start = carried(rod, self.problem.initial.configuration.clone(), self.end);
-        if let Some(held) =
-            (self.pulled(goal, &start)).and_then(|from| self.toward(goal, &from, EFFORT_ROUNDS))
-        {
-            return Ok(held);
+        if let Some(from) = self.pulled(goal, &start) {
+            // Where the effort does not settle, the pull of the springs itself.
+            let held =
+                (self.toward(goal, &from, EFFORT_ROUNDS)).or_else(|| self.toward(goal, &from, 0));
+            if let Some(held) = held {
+                return Ok(held);
+            }
         }
         let u = DVector::zeros(self.components.len());
         let rest = self.equilibrium(&u, &start)?;
