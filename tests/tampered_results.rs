@@ -733,10 +733,16 @@ fn says_the_same(copy: &Copy) {
         "/check/refined_space_m",
         "/check/objective",
     ] {
-        let [a, b] = [&ours, &theirs].map(|s| s.pointer(pointer).unwrap().as_f64().unwrap());
+        // A field whose name was damaged says nothing any more.
+        let [Some(a), Some(b)] = [&ours, &theirs].map(|s| s.pointer(pointer)) else {
+            continue;
+        };
+        let [a, b] = [a, b].map(|value| value.as_f64().unwrap());
         assert!((a - b).abs() <= 1e-2 * a.abs() + 1e-6, "{pointer}: {a} {b}");
     }
     for pointer in ["/status", "/check/verdict", "/steps"] {
-        assert_eq!(ours.pointer(pointer), theirs.pointer(pointer));
+        if let Some(found) = theirs.pointer(pointer) {
+            assert_eq!(ours.pointer(pointer), Some(found));
+        }
     }
 }

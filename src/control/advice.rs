@@ -5,7 +5,6 @@ use nalgebra::Vector3;
 
 use super::hold::Hold;
 use super::problem::{Bound, Channel, OptimalControlProblem};
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{Rod, Trajectory, Wrench};
 
@@ -120,8 +119,6 @@ const MODEL_STRAIN: f64 = 0.3;
 const CALM: f64 = 0.05;
 /// Part of the price of the forces below which a moment counts as cheap.
 const CHEAP: f64 = 0.1;
-/// Stiffness of the spring that holds the tip at its target, in `EI/L³`: stiff beside an arm's own, about 3.
-const HOLDING: f64 = 1e3;
 
 /// What there is to say about a motion and its controls, worst first; nothing where all is in the usual range.
 #[must_use]
@@ -215,24 +212,13 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
         return None;
     };
     let has_moment = (0..3).any(|axis| actuates(&actuator.moment, axis));
-    let goal = problem.final_goals().find(|goal| goal.position.is_some())?;
     let at_rest = problem.final_goals().any(|goal| goal.at_rest);
     if has_moment || problem.actuators.len() > 1 || !at_rest {
         return None;
     }
-    let rod = &problem.rod;
-    let target = goal.position?;
-    let stiffness = HOLDING * rod.scales.force / rod.scales.length;
-    let spring = TipSpring {
-        position: Some((target, stiffness)),
-        rotation: None,
-    };
-    let start = &problem.initial.configuration;
-    let shape = static_equilibrium(rod, start, problem.grid.end(), &spring).ok()?;
-    let force = spring
-        .wrench(&shape.positions[tip], &shape.rotations[tip])
-        .force
-        .norm();
+    let need = super::static_need(problem).ok()?;
+    let at = problem.actuators.iter().position(|a| a.node == tip)?;
+    let force = need.wrenches[at].force.norm();
     (force > bound).then_some(Observation::StaticNeed { force, bound })
 }
 

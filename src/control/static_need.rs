@@ -96,13 +96,29 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
     if stiffest.fold(0.0, f64::max) > MOST_SLENDER * rod.scales.force {
         return Err(StaticNeedError::TooSlender);
     }
-    let statics = Statics {
-        problem,
-        components,
-        end: problem.grid.end(),
+    let need_of = |components: Vec<Component>| {
+        let statics = Statics {
+            problem,
+            components,
+            end: problem.grid.end(),
+        };
+        (statics.held(goal)).map(|held| statics.need(&held.u))
     };
-    let held = statics.held(goal)?;
-    Ok(statics.need(&held.u))
+    // A force on the tip holds it anywhere by itself, which is found most surely: moments are for orientations, and for what its bound denies.
+    let tip_force: Vec<Component> = (components.iter())
+        .filter(|component| {
+            component.axis < 3 && problem.actuators[component.actuator].node == rod.tip()
+        })
+        .copied()
+        .collect();
+    if goal.rotation.is_some() || tip_force.len() < 3 || tip_force.len() == components.len() {
+        return need_of(components);
+    }
+    let alone = need_of(tip_force);
+    match alone {
+        Ok(need) if need.is_within_bounds() => Ok(need),
+        _ => need_of(components).or(alone),
+    }
 }
 
 /// An equilibrium and the components that hold it, in the rod's scales.
