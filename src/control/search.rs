@@ -566,6 +566,14 @@ fn staged(
                 point
             }
         };
+        // A long motion takes as long to evaluate as to simulate; who shows it may do so where it does not.
+        if let Some(stop) = problem.stop.raised() {
+            return Ok(Some(Staged {
+                from,
+                outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
+                before: Vec::new(),
+            }));
+        }
         let program = Transcription::new(here, n_threads);
         let mut name = from.to_string();
         if stages > 1 {

@@ -1,0 +1,86 @@
+//! Estimates of memory against the peak that the system counts for this process.
+
+#![cfg(target_os = "linux")]
+
+mod tool;
+
+use softarm::control::{Feedback, Guess, Search, Transcription, search};
+use softarm::memory::of_solve;
+use softarm::output::MultiplierRecord;
+use softarm::scene::Scene;
+use softarm::verify::Solution;
+use tool::SCENE;
+
+/// What an estimate may be above the peak.
+const GENEROUS: f64 = 4.0;
+
+/// Largest resident memory of this process since it was last [forgotten](forget_peak), bytes.
+fn peak() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let number = line.unwrap().trim().strip_suffix("kB").unwrap().trim();
+    1024.0 * number.parse::<f64>().unwrap()
+}
+
+/// From here on only what is resident from here on counts.
+fn forget_peak() {
+    std::fs::write("/proc/self/clear_refs", "5").unwrap();
+}
+
+/// Solve, check and gains of problems, each large by something else: steps, elements with gains, variables. The peak of each is
+/// no more than its estimate, and no less than a quarter of it.
+#[test]
+fn estimates_are_near_the_peak() {
+    for (name, settings) in [
+        (
+            "steps",
+            ["time.step_s=2e-5", "rod.elements=12", "control.blocks=5"],
+        ),
+        (
+            "gains",
+            [
+                "rod.elements=40",
+                "control.blocks=20",
+                "time.step_s=\"auto\"",
+            ],
+        ),
+        (
+            "variables",
+            ["control.blocks=150", "time.step_s=1e-3", "rod.elements=4"],
+        ),
+    ] {
+        let sets: Vec<String> = (settings.iter().chain(&["solver.max_iterations=2"]))
+            .map(ToString::to_string)
+            .collect();
+        let (scene, source) = Scene::from_toml("scene", SCENE, &sets).unwrap();
+        let setup = scene.optimal_control(&source).unwrap();
+        let problem = &setup.problem;
+        let from_rest = Search {
+            guess: Some(Guess::Rest),
+            ..setup.search.clone()
+        };
+        forget_peak();
+        let estimate = of_solve(&setup, 1, 1).total();
+        let attempt = search(problem, &setup.settings, &from_rest, &|_, _| {
+            std::ops::ControlFlow::Continue(())
+        })
+        .unwrap()
+        .remove(0);
+        let program = Transcription::new(problem, 1);
+        let outcome = &attempt.outcome;
+        let coefficients = problem.wrenches(&outcome.point.variables);
+        let multipliers = MultiplierRecord::of(&program, outcome);
+        let solution = Solution {
+            trajectory: &outcome.point.trajectory,
+            coefficients: &coefficients,
+            multipliers: multipliers.borrowed(),
+        };
+        setup.certify(&solution).unwrap();
+        let weights = setup.feedback.as_ref().unwrap();
+        Feedback::along(problem, solution.trajectory, &coefficients, weights, 1).unwrap();
+        let peak = peak();
+        let words = format!("{name}: {:.0} MB of {:.0}", peak * 1e-6, estimate * 1e-6);
+        println!("{words}");
+        assert!(peak <= estimate && estimate <= GENEROUS * peak, "{words}");
+    }
+}
