@@ -1,7 +1,7 @@
 //! The first arm of one's own: materials by name, diameters, blocks, the integrator that is chosen, and what `check` says of it.
 
 use nalgebra::Vector3;
-use softarm::control::{OptimalControlProblem, StaticNeed, static_need};
+use softarm::control::static_need;
 use softarm::mechanics::{Load, LoadFrame, TimeScheme, TipSpring, static_equilibrium};
 use softarm::scene::{MaterialPreset, Scene, Simulation};
 
