@@ -1120,7 +1120,7 @@ fn add_curvature_across(
 /// Forward simulation of the problem's rod under the given wrenches.
 ///
 /// # Errors
-/// [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
+/// [`StepError`] of the integrator, or of the problem's [`StopSignal`].
 pub fn simulate(
     problem: &OptimalControlProblem,
     grid: TimeGrid,
