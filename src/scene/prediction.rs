@@ -4,7 +4,7 @@
 //! step, differentiates it with respect to every variable, and rolls out about one trial point; the check replays on finer grids. The
 //! constants are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
 //! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
-//! steel wire (iterations and checks); their predictions are within a factor of 2 of all of these.
+//! steel wire (iterations and checks); a prediction is good to a factor of two or three: it ranks, it does not time.
 
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};
