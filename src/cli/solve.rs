@@ -930,11 +930,16 @@ fn advice(setup: &OptimalControl, solution: &Solved) -> Vec<String> {
             outcome.residual.feasibility, outcome.residual.stationarity
         )
     });
-    let motion = observe(
-        &setup.problem,
-        &outcome.point.trajectory,
-        &solution.coefficients,
-    );
+    // Nobody waits for statics after a deadline.
+    let motion = if setup.problem.stop.is_raised() {
+        Vec::new()
+    } else {
+        observe(
+            &setup.problem,
+            &outcome.point.trajectory,
+            &solution.coefficients,
+        )
+    };
     not_optimal
         .into_iter()
         .chain(motion.iter().map(ToString::to_string))
