@@ -14,6 +14,7 @@ use softarm::control::{
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{ControlSignal, Rod, RodParameters, TimeGrid, TimeScheme, Wrench};
+use softarm::scene::Scene;
 use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus, solve,
 };
@@ -21,7 +22,7 @@ use softarm::verify::kkt::{self, NamedRow};
 use softarm::verify::momentum::MomentumBalance;
 use softarm::verify::second_order::Extremum;
 use softarm::verify::{
-    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
+    CheckItem, CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
 };
 
 /// A problem, what its rod is built from, and a solution.
@@ -601,4 +602,41 @@ fn errors_of_the_control_are_those_of_what_is_used() {
         found
     });
     assert!((moved[0] / moved[1] - 1.0).abs() < 1e-4, "{moved:?}");
+}
+
+/// What fails for its errors is told how fine the grid must be: as errors of second order go, with room, and at least twice as fine.
+#[test]
+fn errors_that_are_too_large_name_the_grid_they_need() {
+    let (scene, source) = Scene::load("reach", &[]).unwrap();
+    let problem = scene.optimal_control(&source).unwrap().problem;
+    let remedy = |name: &'static str, excess: f64| {
+        let item = CheckItem {
+            name,
+            value: excess,
+            limit: 1.0,
+            unit: "m",
+            meaning: "",
+        };
+        item.remedy(&problem)
+    };
+    let elements = |excess: f64| -> f64 {
+        let text = remedy("refined_space_m", excess);
+        text.rsplit(' ').next().unwrap().parse().unwrap()
+    };
+    let k = problem.rod.n_elements() as f64;
+    for excess in [1.1, 2.0, 10.0, 100.0] {
+        let finer = elements(excess) / k;
+        assert!(
+            finer >= 2.0 && excess / finer.powi(2) < 0.7,
+            "{excess}: {finer}"
+        );
+        assert!(
+            finer <= 2.0 || excess / finer.powi(2) > 0.6,
+            "{excess}: {finer}"
+        );
+    }
+    let step: f64 = (remedy("refined_time_m", 24.0).rsplit(' ').next().unwrap())
+        .parse()
+        .unwrap();
+    assert!((problem.grid.step / step - 6.0).abs() < 0.05, "{step}");
 }

@@ -280,6 +280,65 @@ fn the_force_that_holds_a_target_is_found() {
     assert!(both.wrenches[0].force.norm() < found.wrenches[0].force.norm());
 }
 
+/// A wire is held nearer to its base than it is long, by a force under which alone it would leave: springs find it, however thin the wire.
+#[test]
+fn the_force_that_presses_a_wire_together_is_found() {
+    for radius in [0.5e-3, 0.1e-3] {
+        let text = STEEL_WIRE.replace("0.5e-3", &format!("{radius:e}"));
+        let (scene, source) = loaded(&text, &[]);
+        let problem = scene.optimal_control(&source).expect("a problem").problem;
+        let need = static_need(&problem).unwrap_or_else(|error| panic!("{radius}: {error}"));
+        let goal = (problem.goals.iter().find_map(|goal| goal.position)).expect("a position");
+        // It bends the wire to the side and presses it together: more than the few EI/L² of a bend, less than the 20.19 EI/L² under which a
+        // straight wire between a clamp and a pin buckles.
+        let force = need.wrenches[0].force;
+        let unit = problem.rod.scales.force;
+        assert!((1.0..20.19).contains(&(force.norm() / unit)), "{force:?}");
+        assert!(
+            force.dot(&goal) < -0.8 * force.norm() * goal.norm(),
+            "{force:?}"
+        );
+        assert!(force.y.abs() < 1e-6 * unit, "{force:?}");
+    }
+}
+
+/// Where steps limited by the rotary inertia of a thin section would take long, that of segments is chosen; not for soft arms, and not where
+/// the scene says otherwise, gives the inertia itself, gives a step, or has another model.
+#[test]
+fn thin_wires_get_the_inertia_of_segments() {
+    let chosen = |text: &str, overrides: &[&str]| {
+        let (scene, source) = loaded(text, overrides);
+        let setup = scene
+            .optimal_control(&source)
+            .unwrap_or_else(|error| panic!("{error}\n{text}"));
+        let name = setup.problem.rod.rotary_inertia.name();
+        let line = format!("rotary_inertia = \"{name}\"");
+        assert!(setup.resolved.to_toml().contains(&line));
+        let (again, source) = loaded(&setup.resolved.to_toml(), &[]);
+        let again = again.optimal_control(&source).expect("a problem").problem;
+        assert_eq!(again.rod.nodes, setup.problem.rod.nodes);
+        (name, setup.problem.grid.n_steps)
+    };
+    let (name, steps) = chosen(STEEL_WIRE, &[]);
+    assert_eq!(name, "segment");
+    let (name, more_steps) = chosen(STEEL_WIRE, &["rod.rotary_inertia=section"]);
+    assert_eq!(name, "section");
+    assert!(more_steps > 10 * steps, "{more_steps} {steps}");
+    for overrides in [
+        ["time.step_s=1e-5", "time.end_s=0.5"],
+        ["rod.model=consistent", "time.end_s=1e-2"],
+        ["rod.section.radius_m=0.02", "time.end_s=0.5"],
+    ] {
+        assert_eq!(chosen(STEEL_WIRE, &overrides).0, "section", "{overrides:?}");
+    }
+    let (scene, source) = loaded(
+        STEEL_WIRE,
+        &["rod.model=consistent", "rod.rotary_inertia=segment"],
+    );
+    let error = scene.optimal_control(&source).expect_err("another model");
+    assert_eq!(error.key(), Some("rod.rotary_inertia"));
+}
+
 fn softarm(arguments: &[&str], folder: &std::path::Path) -> std::process::Output {
     std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
         .args(arguments)
@@ -371,6 +430,10 @@ fn check_answers_in_ten_lines() {
     ] {
         assert!(first.contains(word), "{word} in\n{said}");
     }
+    assert!(summary["solve_cost"]["total_s"].as_f64() > Some(1.0));
+    // With the inertia of its thin sections it would take far longer, and half the elements are offered.
+    let sections = STEEL_WIRE.replace("elements = 10", "elements = 10\nrotary_inertia = 'section'");
+    let (summary, _) = checked(&sections);
     assert!(summary["solve_cost"]["total_s"].as_f64() > Some(10.0));
     assert!(summary["warnings"].to_string().contains("rod.elements = 5"));
     let (_, said) = checked(&STEEL_WIRE.replace("force_max_n = 5", "force_max_n = inf"));

@@ -17,6 +17,7 @@ const SCENES: [&[&str]; 5] = [
         "rod.elements=12",
         "rod.strain='helical'",
         "rod.model='standard'",
+        "rod.rotary_inertia='segment'",
         "rod.material.youngs_modulus_pa=1e6",
         "rod.material.poisson_ratio=0.45",
         "rod.material.density_kg_m3=1070.0",

@@ -8,7 +8,9 @@ use common::published::statics::{bent_across, unit_rod};
 use common::{RULES, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
-use softarm::mechanics::{BaseCondition, LoadFrame, Rod, RodParameters, StrainRule};
+use softarm::mechanics::{
+    BaseCondition, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, StrainRule,
+};
 
 /// Small tip load, both strain rules: the deflection approaches FL³/(3EI) + FL/(GA) at second order in l.
 #[test]
@@ -172,4 +174,39 @@ fn free_base_is_refused() {
         static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()),
         Err(EquilibriumError::FreeBase)
     );
+}
+
+/// Springs pull the tip of a thin wire, which bends long before it stretches, to places nearer to the base than its length.
+#[test]
+fn springs_bend_a_wire() {
+    let material = Material {
+        youngs_modulus: 60e9,
+        shear_modulus: 22e9,
+        density: 6450.0,
+        shear_factor: 1.0,
+    };
+    let length = 0.25;
+    let section = SectionProfile::Uniform(Section::circle(&material, 0.5e-3));
+    let rod = Rod::new(&RodParameters::straight(length, 20, section)).unwrap();
+    for target in [
+        Vector3::new(0.1, 0.0, 0.2),
+        Vector3::new(0.1, 0.05, 0.15),
+        Vector3::new(0.12, 0.0, 0.05),
+    ] {
+        let mut shape = rod.rest.clone();
+        for stiffness in [1.0, 10.0, 100.0, 1e3, 1e4] {
+            let spring = TipSpring {
+                position: Some((target, stiffness * rod.scales.force / length)),
+                rotation: None,
+            };
+            let found = static_equilibrium(&rod, &shape, 0.0, &spring);
+            println!(
+                "{target:?} {stiffness} {:?}",
+                found.as_ref().map(|s| s.positions[20])
+            );
+            shape = found.unwrap();
+        }
+        let pull = (target - shape.positions[20]).norm();
+        assert!(pull < 0.01 * length, "{pull}");
+    }
 }

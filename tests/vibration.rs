@@ -7,8 +7,8 @@ use common::{MODELS, RULES, SILICONE, busy_arm, equilibrium, soft_arm, tip_load}
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};
 use softarm::mechanics::{
-    BaseCondition, Integrator, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters, Section,
-    SectionProfile, SmallMotions, State, StrainRule, stable_step,
+    BaseCondition, Integrator, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters,
+    RotaryInertia, Section, SectionProfile, SmallMotions, State, StrainRule, stable_step,
 };
 
 /// Of an arm so slender that shear and rotary inertia, which make an Euler-Bernoulli beam slower by `β² (1 + E/G) I/(2 A) = β² r²/2` or so,
@@ -99,6 +99,39 @@ fn first_frequencies_of_cantilevers() {
             wave_error(beta, 24),
         );
     }
+}
+
+/// The inertia of segments, `ρA l²/12` more about every axis, slows the first mode by a part of the order of `(β l)²/12`, which vanishes at
+/// second order: the frequency converges to that of the beam, with steps that are as much longer as elements are slender.
+#[test]
+fn the_inertia_of_segments_vanishes_with_their_length() {
+    let (mass, bending) = mass_and_bending();
+    let beta = 1.875_104_f64;
+    let exact = beta * beta * (bending / mass).sqrt();
+    let with_segments = |n: usize| RodParameters {
+        rotary_inertia: RotaryInertia::Segment,
+        ..slender(n)
+    };
+    let found = |n: usize| first(&with_segments(n));
+    let error = wave_error(beta, 24) + (beta / 24.0).powi(2) / 12.0;
+    assert_converges("segments", found, 6, exact, error);
+    let n = 12;
+    let [sections, segments] =
+        [slender(n), with_segments(n)].map(|parameters| Rod::new(&parameters).unwrap());
+    let length = 1.0 / n as f64;
+    let more = (mass * length) * length * length / 12.0;
+    for (thin, thick) in sections.nodes[1..n].iter().zip(&segments.nodes[1..n]) {
+        assert_eq!(thin.mass, thick.mass);
+        assert!(
+            ((thick.rotary - thin.rotary) / more)
+                .add_scalar(-1.0)
+                .amax()
+                < 1e-9
+        );
+    }
+    // Rotations of nodes limit the step by 2/sqrt(GA l/J) or so, and stretching by l/c, which is not touched.
+    let ratio = stable_step(&segments) / stable_step(&sections);
+    assert!(ratio > 5.0, "{ratio}");
 }
 
 /// A slender beam that is free at both ends swings at `4.73004² sqrt(EI/(ρA L⁴))`: its six rigid motions are no frequencies.

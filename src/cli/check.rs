@@ -11,8 +11,8 @@ use crate::control::{Bound, Channel, OptimalControlProblem, StaticNeedError, sta
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::vibration::{SmallMotions, TOPPLING_WEIGHT_NUMBER, weight_number};
 use crate::mechanics::{
-    BaseCondition, Rod, RodModel, RodParameters, TimeGrid, TimeScheme, TipSpring, Wrench,
-    static_equilibrium,
+    BaseCondition, Rod, RodModel, RodParameters, RotaryInertia, TimeGrid, TimeScheme, TipSpring,
+    Wrench, static_equilibrium,
 };
 use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
@@ -21,7 +21,10 @@ use crate::output::summary::{
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
 use crate::scene::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
-use crate::scene::{OptimalControl, Scene, Simulation, TimeScheme as TimeSchemeKey};
+use crate::scene::{
+    OptimalControl, RotaryInertia as RotaryInertiaKey, Scene, Simulation,
+    TimeScheme as TimeSchemeKey,
+};
 use crate::sqp::QpRoute;
 use crate::sqp::route::predict;
 
@@ -91,6 +94,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         mass_kg: rod.mass(),
         stable_step_s: stable_step(&rod),
         integrator: rod.scheme.name(),
+        rotary_inertia: rod.rotary_inertia.name(),
         cost: cost(&rod, &grid),
         step_s: grid.step,
         steps: grid.n_steps,
@@ -390,6 +394,16 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
             100.0 * rod.locking_ratio(),
             rod.n_elements()
         ));
+    }
+    if scene.rod.rotary_inertia == RotaryInertiaKey::Auto
+        && rod.rotary_inertia == RotaryInertia::Segment
+    {
+        out.push(
+            "rod.rotary_inertia: that of segments was chosen, since that of such thin sections would take steps far shorter; what it changes \
+             vanishes with more elements as l^2, and is part of the certificate's refined_space_m; \"section\" if the wire spins \
+             about its own axis"
+                .into(),
+        );
     }
     if rod.model == RodModel::Dilatation {
         let finer = match rod.strain_rule {

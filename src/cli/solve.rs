@@ -1184,7 +1184,7 @@ fn conclude(
     }
     if let Some(check) = check {
         let converged = summary.status == "converged";
-        show_check(check, converged, console);
+        show_check(check, problem, converged, console);
         if console.is_quiet() && converged && check.is_certified() {
             console.always(&format!(
                 "{} after {} iterations, {:.2} s: objective {:.8e}",
@@ -1252,7 +1252,12 @@ pub(super) fn findings(check: &ForwardCheck) -> Vec<String> {
 }
 
 /// Every criterion on its line, then the verdict.
-pub(super) fn show_check(check: &ForwardCheck, converged: bool, console: &Console) {
+pub(super) fn show_check(
+    check: &ForwardCheck,
+    problem: &OptimalControlProblem,
+    converged: bool,
+    console: &Console,
+) {
     for item in &check.items {
         let mark = if item.holds() { "ok  " } else { "FAIL" };
         console.say(&format!(
@@ -1266,7 +1271,7 @@ pub(super) fn show_check(check: &ForwardCheck, converged: bool, console: &Consol
     if converged {
         console.verdict(check.is_certified(), check.verdict());
         for item in check.items.iter().filter(|item| !item.holds()) {
-            console.say(&format!("  {}: {}", item.name, item.remedy()));
+            console.say(&format!("  {}: {}", item.name, item.remedy(problem)));
         }
     }
 }

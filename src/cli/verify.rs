@@ -98,7 +98,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
             return Ok(exit::STOPPED);
         }
     };
-    show_check(&check, true, console);
+    show_check(&check, &setup.problem, true, console);
     let tracking = tracking_errors(&setup.problem, &trajectory);
     show_tracking(&tracking, console);
     let mismatches: Vec<Mismatch> = (cover.checks.into_iter())

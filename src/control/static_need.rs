@@ -41,9 +41,6 @@ pub enum StaticNeedError {
     /// Too large to be looked at in passing.
     #[error("the elements or actuators are too many to look at in passing")]
     TooLarge,
-    /// Too slender for a search by differences.
-    #[error("the arm is too slender, EA is more than 1e6 times EI/L²")]
-    TooSlender,
     /// The arm without control has no equilibrium.
     #[error("without control: {0}")]
     Equilibrium(#[from] EquilibriumError),
@@ -58,12 +55,14 @@ pub enum StaticNeedError {
 /// Elements, and actuated components, up to which equilibria take a fraction of a second.
 const MOST_ELEMENTS: usize = 200;
 const MOST_COMPONENTS: usize = 24;
-/// Axial over bending stiffness, EA L²/EI, up to which the search by differences gets anywhere: stiff wires it leaves at their start.
-const MOST_SLENDER: f64 = 1e6;
 /// Component of the wrench, in the rod's scales EI/L² and EI/L, by which the equilibrium is differentiated: equilibria are known to 1e-9 of these.
 const DIFFERENCE: f64 = 1e-4;
 /// Distance over length, and angle, at which the tip counts as held.
 const TOLERANCE: f64 = 1e-6;
+/// Stiffness of the last springs, in units of EI/L³ and EI/L, and distance over length at which what they hold is there: a pull of a hundred
+/// times the rod's force scale.
+const STIFFEST: f64 = 1e6;
+const NEAR: f64 = 1e-4;
 /// Part of the way in the first step, and the least one.
 const FIRST_STRIDE: f64 = 0.5;
 const LEAST_STRIDE: f64 = 0.02;
@@ -92,10 +91,6 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
         return Err(StaticNeedError::TooLarge);
     }
     let rod = &problem.rod;
-    let stiffest = (rod.elements.iter()).map(|element| element.linear_stiffness.max());
-    if stiffest.fold(0.0, f64::max) > MOST_SLENDER * rod.scales.force {
-        return Err(StaticNeedError::TooSlender);
-    }
     let need_of = |components: Vec<Component>| {
         let statics = Statics {
             problem,
@@ -235,6 +230,12 @@ impl Statics<'_> {
             if let Some(held) = held {
                 return Ok(held);
             }
+            // Held by springs, a shape is found that would leave under the same force alone, such as an arm pressed together; with three
+            // components for three coordinates there is no other force.
+            let is_determined = goal.rotation.is_none() && self.components.len() == 3;
+            if is_determined && self.lack(goal, &from.shape).amax() < NEAR {
+                return Ok(from);
+            }
         }
         let u = DVector::zeros(self.components.len());
         let rest = self.equilibrium(&u, &start)?;
@@ -277,7 +278,7 @@ impl Statics<'_> {
         let scales = &rod.scales;
         let mut shape = start.clone();
         let mut spring = TipSpring::default();
-        for stiffness in SPRINGS {
+        for stiffness in SPRINGS.into_iter().chain([STIFFEST]) {
             spring = TipSpring {
                 position: (goal.position).map(|to| (to, stiffness * scales.force / scales.length)),
                 rotation: goal.rotation.map(|to| (to, stiffness * scales.moment)),

@@ -44,8 +44,8 @@ pub use integrator::{Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{
-    BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, Scales, Section,
-    SectionProfile,
+    BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
+    Section, SectionProfile,
 };
 pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};

@@ -140,6 +140,33 @@ pub struct NodeInertia {
     pub rotary: Vector3<f64>,
 }
 
+/// The rotary inertia that a rod gives to its nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RotaryInertia {
+    /// That of the section, `ρI` per length.
+    #[default]
+    Section,
+    /// That of the section and of the length of rod that a node stands for, `ρI + ρA l²/12` about all three axes, with `l` the length of
+    /// an element.
+    ///
+    /// About the transverse axes it is the inertia of a rigid piece of rod as long as an element; about the rod's own axis it is as much
+    /// more, an isotropic approximation like that of the Abaqus Theory Manual ("Mass and inertia for Timoshenko beams"). It vanishes with
+    /// `l²`, as the other errors of the discretization in space do, and slows down what a slender element cannot resolve: rotations of a
+    /// node against its neighbors, which otherwise limit the step of both schemes. [`RodModel::Standard`] only.
+    Segment,
+}
+
+impl RotaryInertia {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Section => "section",
+            Self::Segment => "segment",
+        }
+    }
+}
+
 /// What a rod is built from; see [`Rod::new`].
 #[derive(Clone, Debug)]
 pub struct RodParameters {
@@ -153,6 +180,8 @@ pub struct RodParameters {
     pub model: RodModel,
     /// Cross-section along the rod.
     pub section: SectionProfile,
+    /// Rotary inertia of the nodes.
+    pub rotary_inertia: RotaryInertia,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
     /// Stress-free stretch (1: the rod is as long as `length`).
@@ -191,6 +220,7 @@ impl RodParameters {
             strain_rule: StrainRule::Helical,
             model: RodModel::Standard,
             section,
+            rotary_inertia: RotaryInertia::Section,
             rest_curvature: Vector3::zeros(),
             rest_stretch: 1.0,
             base: BaseCondition::Clamped,
@@ -255,6 +285,8 @@ pub struct Rod {
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// How node 0 is held.
     pub base: BaseCondition,
+    /// What the rotary inertia of the nodes is made of.
+    pub rotary_inertia: RotaryInertia,
     /// Length of every element's chord in the stress-free configuration, m.
     pub rest_chords: Vec<f64>,
     /// Pose that the motion of a driven base is relative to: position, m, and rotation, body to space.
@@ -336,7 +368,7 @@ impl Rod {
     /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
     /// not exist or on a part that is none, a base rotation that is none, a base motion that is not finite, a negative
     /// payload, half a turn or more of rest curvature per element, numbers whose products overflow or vanish, or a model
-    /// other than the standard one with internal damping or the implicit scheme.
+    /// other than the standard one with internal damping, the implicit scheme or the inertia of segments.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
         let positive = |x: f64| x > 0.0;
@@ -369,6 +401,7 @@ impl Rod {
             for (parameter, is_used) in [
                 ("internal_damping", p.internal_damping > 0.0),
                 ("scheme", p.scheme == TimeScheme::Implicit),
+                ("rotary_inertia", p.rotary_inertia == RotaryInertia::Segment),
             ] {
                 if is_used {
                     return Err(RodError::NeedsStandardModel { parameter });
@@ -462,10 +495,13 @@ impl Rod {
             .map(|q| {
                 let start = q as f64 / n;
                 let (middle, end) = (start + 0.5 / n, start + 1.0 / n);
-                [
-                    p.section.inertia_between(start, middle, p.length),
-                    p.section.inertia_between(middle, end, p.length),
-                ]
+                [(start, middle), (middle, end)].map(|(from, to)| {
+                    let mut share = p.section.inertia_between(from, to, p.length);
+                    if p.rotary_inertia == RotaryInertia::Segment {
+                        share.rotary.add_scalar_mut(share.mass * l * l / 12.0);
+                    }
+                    share
+                })
             })
             .collect();
         let mut nodes = vec![
@@ -540,6 +576,7 @@ impl Rod {
             elements,
             nodes,
             element_inertia,
+            rotary_inertia: p.rotary_inertia,
             rest_chords,
             base: p.base.clone(),
             base_reference: (p.base_position, p.base_rotation),

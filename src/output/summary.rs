@@ -34,6 +34,8 @@ pub struct CheckSummary {
     pub stable_step_s: f64,
     /// `explicit` or `implicit`.
     pub integrator: &'static str,
+    /// `section` or `segment`: what the rotary inertia of the nodes is made of.
+    pub rotary_inertia: &'static str,
     /// What a second of motion costs with either integrator.
     pub cost: CostEstimate,
     /// Step that a run takes, s.

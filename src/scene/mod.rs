@@ -27,8 +27,8 @@ pub use model::{
     Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Feedback,
     Gravity, Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load,
     LoadFrame, LoadNode, Material, Objective, Obstacle, Output, Price, Reference, Rod, RodModel,
-    Scene, Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeScheme, TimeStep, Track,
-    Via,
+    RotaryInertia, Scene, Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeScheme,
+    TimeStep, Track, Via,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};

@@ -77,6 +77,9 @@ pub struct Rod {
     /// How axial stretch enters stiffness and inertia.
     #[serde(default)]
     pub model: RodModel,
+    /// The rotary inertia of the nodes.
+    #[serde(default)]
+    pub rotary_inertia: RotaryInertia,
     /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -120,6 +123,21 @@ pub enum RodModel {
     Dilatation,
     /// The section thins as the rod stretches, with every derivative kept.
     Consistent,
+}
+
+/// The rotary inertia of the nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RotaryInertia {
+    /// That of segments for a slender arm of a material that would take more than a second with that of sections, and five times as
+    /// long; otherwise that of sections. `softarm check` says which, and what it does to the first natural frequency.
+    #[default]
+    Auto,
+    /// That of the section.
+    Section,
+    /// That of the section and of the piece of rod that a node stands for, rho A l²/12 about all axes, l the length of an element. It
+    /// vanishes with more elements and lets a wire take long steps; not for rods that spin fast about their own axis.
+    Segment,
 }
 
 /// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which then count.

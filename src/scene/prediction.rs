@@ -45,6 +45,9 @@ const WORTH_CHOOSING_S: f64 = 1.0;
 /// Implicit steps are chosen where they are predicted to take at most this part of the time of explicit ones: predictions may be off by 2.
 const CLEARLY_CHEAPER: f64 = 0.5;
 
+/// The same for the inertia of segments, which changes what is simulated, if only as a finer grid would.
+const FAR_CHEAPER: f64 = 0.2;
+
 fn costs(rod: &Rod) -> &'static StepCosts {
     if rod.scheme == TimeScheme::Implicit || rod.internal_damping > 0.0 {
         &SOLVED
@@ -133,6 +136,15 @@ impl Candidate {
             },
         }
     }
+}
+
+/// Whether `rotary_inertia = "auto"` stands for that of segments: where the work takes more than a second with that of sections, and at
+/// most a fifth of that time with the other.
+#[must_use]
+pub fn prefers_segments(sections: &Rod, segments: &Rod, duration: f64, work: Work) -> bool {
+    let seconds = |rod: &Rod| Candidate::of(rod, duration, work).seconds;
+    let with_sections = seconds(sections);
+    with_sections > WORTH_CHOOSING_S && seconds(segments) < FAR_CHEAPER * with_sections
 }
 
 /// The integrator that `integrator = "auto"` stands for, for a rod with explicit steps.

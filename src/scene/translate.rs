@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::check::{MOST_ELEMENTS, MOST_STEPS};
 use super::error::SceneError;
 use super::model::{self, InitialShape, Objective, Scene, TimeStep};
-use super::prediction::{Work, automatic_scheme};
+use super::prediction::{Work, automatic_scheme, prefers_segments};
 use super::source::SceneSource;
 use crate::control::path::thinnest;
 use crate::control::{
@@ -20,8 +20,8 @@ use crate::mechanics::rotation::{from_quaternion, log, unit};
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
     BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
-    MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, Section,
-    SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
+    MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, RotaryInertia,
+    Section, SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
 };
 use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -196,6 +196,7 @@ impl Scene {
         let mut resolved = self.with_material_resolved();
         resolve_time(&mut resolved, &grid);
         resolved.time.integrator = integrator(&rod);
+        resolved.rod.rotary_inertia = rotary_inertia(&parameters);
         Ok(Simulation {
             parameters,
             rod,
@@ -336,6 +337,7 @@ impl Scene {
             let mut resolved = self.with_material_resolved();
             resolve_time(&mut resolved, &grid);
             resolved.time.integrator = integrator(&rod);
+            resolved.rod.rotary_inertia = rotary_inertia(&parameters);
             if let Some(task) = &mut resolved.task {
                 task.at_s = Some(horizon);
                 if task.at_rest && task.hard {
@@ -741,14 +743,31 @@ impl Scene {
         let mut rod = Rod::new(&parameters).map_err(|error| self.rod_error(source, &error))?;
         let sparse = matches!(work, Work::Solve { .. })
             && (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
-        if self.time.integrator == model::TimeScheme::Auto && !sparse {
-            let given = match self.time.step_s {
-                TimeStep::Auto => None,
-                TimeStep::Seconds(step) => Some(step),
+        let given = match self.time.step_s {
+            TimeStep::Auto => None,
+            TimeStep::Seconds(step) => Some(step),
+        };
+        let scheme = |rod: &Rod| match self.time.integrator {
+            model::TimeScheme::Auto if !sparse => automatic_scheme(rod, given, duration, work),
+            _ => rod.scheme,
+        };
+        rod.scheme = scheme(&rod);
+        let may_choose = self.rod.rotary_inertia == model::RotaryInertia::Auto
+            && self.rod.material.is_some()
+            && parameters.model == RodModel::Standard
+            && given.is_none();
+        if may_choose {
+            let other = RodParameters {
+                rotary_inertia: RotaryInertia::Segment,
+                ..parameters.clone()
             };
-            parameters.scheme = automatic_scheme(&rod, given, duration, work);
-            rod.scheme = parameters.scheme;
+            let mut segments = Rod::new(&other).map_err(|error| self.rod_error(source, &error))?;
+            segments.scheme = scheme(&segments);
+            if prefers_segments(&rod, &segments, duration, work) {
+                (parameters, rod) = (other, segments);
+            }
         }
+        parameters.scheme = rod.scheme;
         Ok((parameters, rod))
     }
 
@@ -760,6 +779,7 @@ impl Scene {
         else {
             let (key, remedy) = match error.parameter() {
                 "scheme" => ("time.integrator", "set it to \"explicit\""),
+                "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
                 _ => ("damping.internal_s", "leave it out"),
             };
             let help = format!("{remedy}, or set rod.model = \"standard\"");
@@ -841,6 +861,12 @@ impl Scene {
                 model::RodModel::Consistent => RodModel::Consistent,
             },
             section: self.section_profile(source)?,
+            rotary_inertia: match self.rod.rotary_inertia {
+                model::RotaryInertia::Auto | model::RotaryInertia::Section => {
+                    RotaryInertia::Section
+                }
+                model::RotaryInertia::Segment => RotaryInertia::Segment,
+            },
             rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
             rest_stretch: reference.map_or(1.0, |r| r.stretch),
             base: match self.base.kind {
@@ -1269,6 +1295,14 @@ fn integrator(rod: &Rod) -> model::TimeScheme {
     match rod.scheme {
         TimeScheme::Explicit => model::TimeScheme::Explicit,
         TimeScheme::Implicit => model::TimeScheme::Implicit,
+    }
+}
+
+/// The rod's rotary inertia, by its name in scenes.
+fn rotary_inertia(parameters: &RodParameters) -> model::RotaryInertia {
+    match parameters.rotary_inertia {
+        RotaryInertia::Section => model::RotaryInertia::Section,
+        RotaryInertia::Segment => model::RotaryInertia::Segment,
     }
 }
 

@@ -32,7 +32,7 @@ use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
-    State, StepError, Stepper, TimeGrid, TimeNode, Trajectory, Wrench,
+    State, StepError, Stepper, StrainRule, TimeGrid, TimeNode, Trajectory, Wrench,
 };
 use crate::sqp::{KktResidual, SADDLE_GAIN};
 use crate::stop::{Stop, StopSignal};
@@ -101,12 +101,27 @@ pub struct CheckItem {
 }
 
 impl CheckItem {
-    /// What helps when it fails.
+    /// By which factor a grid of second order must be finer for the error to be within two thirds of its limit; at least two, since
+    /// another grid has another solution.
+    fn refinement(&self) -> f64 {
+        (1.5 * self.value / self.limit).sqrt().clamp(2.0, 100.0)
+    }
+
+    /// What helps when it fails, in the keys of the problem's scene.
     #[must_use]
-    pub fn remedy(&self) -> &'static str {
-        match self.name {
-            "refined_space_m" => "use more rod.elements, or rod.strain = \"helical\"",
-            "refined_time_m" | "energy" | "energy_halving" => "use a shorter time.step_s",
+    pub fn remedy(&self, problem: &OptimalControlProblem) -> String {
+        let fixed = match self.name {
+            "refined_space_m" if problem.rod.strain_rule == StrainRule::Trapezoidal => {
+                "use rod.strain = \"helical\", or more rod.elements"
+            }
+            "refined_space_m" => {
+                let elements = problem.rod.n_elements() as f64 * self.refinement();
+                return format!("set rod.elements = {}", elements.ceil());
+            }
+            "refined_time_m" | "energy" | "energy_halving" => {
+                let step = problem.grid.step / self.refinement();
+                return format!("set time.step_s = {step:.2e}");
+            }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" | "same_grid_rad" => {
@@ -119,7 +134,8 @@ impl CheckItem {
                 "the file was changed, or belongs to another solution: solve again"
             }
             _ => "solve again, with a smaller solver.tolerance",
-        }
+        };
+        fixed.into()
     }
 }
 
