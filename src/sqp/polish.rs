@@ -365,7 +365,7 @@ impl<'a> Conditions<'a> {
         out
     }
 
-    /// One step of Newton's method, and the residual after it; `None` where that is not finite.
+    /// One step of Newton's method, and the residual after it; `None` where that is not finite, or where the solve is stopped meanwhile.
     fn improve(
         &self,
         change: &mut [f64],
@@ -374,7 +374,12 @@ impl<'a> Conditions<'a> {
     ) -> Option<Vec<f64>> {
         let matrix = self.matrix(change, multipliers);
         let right = Mat::from_fn(residual.len(), 1, |i, _| -residual[i]);
-        let step = matrix.partial_piv_lu().solve(&right);
+        let stop = self.qp.stop.cloned().unwrap_or_default();
+        let step = stop
+            .unless_raised(residual.len(), move || {
+                matrix.partial_piv_lu().solve(&right)
+            })
+            .ok()?;
         for (i, v) in change.iter_mut().chain(multipliers.iter_mut()).enumerate() {
             *v += step[(i, 0)];
         }

@@ -476,15 +476,19 @@ impl<'a> QuadraticProgram<'a> {
             .iterative_refinement_stop_ratio(attempt.refinement_gain)
             .build()
             .map_err(|error| QpError::refused(error.to_string()))?;
-        let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
-            .map_err(|error| QpError::refused(error.to_string()))?;
-        if let Some(stop) = self.stop.filter(|stop| stop.is_possible()).cloned() {
-            solver.set_termination_callback(move |_| stop.is_raised());
-        }
-        solver.solve();
-        if let Some(stop) = self.stopped() {
-            return Err(QpError::Stopped(stop));
-        }
+        let stop = self.stop.cloned().unwrap_or_default();
+        let signal = stop.clone();
+        // It looks at the signal between its iterations; one of them, and its setting up, may take long where rows or states are many.
+        let solver = stop.unless_raised(p.n, move || {
+            let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
+                .map_err(|error| QpError::refused(error.to_string()))?;
+            if signal.is_possible() {
+                solver.set_termination_callback(move |_| signal.is_raised());
+            }
+            solver.solve();
+            Ok::<_, QpError>(solver)
+        })??;
+        stop.check()?;
         let solution = &solver.solution;
         let info = &solver.info;
         let usable = match solution.status {
