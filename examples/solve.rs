@@ -16,14 +16,11 @@ use std::error::Error;
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
-use softarm::control::{
-    Bound, Channel, ControlGrid, Goal, Guess, Hold, OptimalControlProblem, Transcription,
-    first_point,
-};
-use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
-use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
+use softarm::control::{Guess, Hold, Transcription, first_point};
+use softarm::mechanics::Material;
 use softarm::sqp::{self, SqpSettings, SqpStatus};
-use softarm::verify::{CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check};
+use softarm::task::{Arm, ChannelLimits, Discretization, Task, Tolerances};
+use softarm::verify::{CheckLimits, ForwardCheck, Solution, SolutionMultipliers};
 
 const TARGET: [f64; 3] = [0.5, 0.0, 0.8];
 const BLOCKS_PER_SECOND: usize = 10;
@@ -74,24 +71,27 @@ struct Reach {
 }
 
 fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
-    let parameters = silicone_arm();
-    let rod = Rod::new(&parameters)?;
-    let n_blocks = BLOCKS_PER_SECOND * seconds;
-    // Every block has the same whole number of steps.
-    let longest_step = AUTO_STEP_FRACTION * stable_step(&rod);
-    let grid = TimeGrid::covering(seconds as f64, longest_step, n_blocks);
-    let control = ControlGrid::new(Hold::Constant, n_blocks, grid.n_steps, grid.step)
-        .ok_or("fewer steps than blocks")?;
-    let bounds = [
-        Channel::new(rod.scales.force, Some(Bound::Norm(20.0))),
-        Channel::new(rod.scales.moment, Some(Bound::Norm(5.0))),
-    ];
-    let goal = Goal::reach(&rod, grid, Vector3::from(TARGET));
-    let initial = State::at_rest(rod.rest.clone());
-    let problem = OptimalControlProblem::least_effort(rod, grid, initial, control, bounds, goal);
+    let mut task = Task::reach(Vector3::from(TARGET), seconds as f64, 20.0);
+    task.actuators[0].moment = ChannelLimits::at_most(5.0);
+    // Exactly at rest.
+    task.targets[0].tolerances = Tolerances {
+        speed: Some(0.0),
+        spin: Some(0.0),
+        ..Tolerances::default()
+    };
+    let posed = task.discretize(
+        &silicone_arm(),
+        &Discretization {
+            elements: 8,
+            blocks: BLOCKS_PER_SECOND * seconds,
+            hold: Hold::Constant,
+            ..Discretization::default()
+        },
+    )?;
+    let problem = &posed.discrete;
 
-    let program = Transcription::new(&problem, 2);
-    let (start, _) = first_point(&problem, Guess::StaticPath, None)?;
+    let program = Transcription::new(problem, 2);
+    let (start, _) = first_point(problem, Guess::StaticPath, None)?;
     let outcome = sqp::solve(&program, start, &SqpSettings::default(), &mut |_| {
         ControlFlow::Continue(())
     });
@@ -100,10 +100,7 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
     }
 
     let wrenches = problem.wrenches(&outcome.point.variables);
-    let check = forward_check(
-        &problem,
-        &parameters,
-        &|rod| State::at_rest(rod.rest.clone()),
+    let check = posed.certify(
         &Solution {
             trajectory: &outcome.point.trajectory,
             coefficients: &wrenches,
@@ -115,7 +112,7 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
     let tip = problem.rod.tip();
     let start = problem.initial.configuration.positions[tip];
     let ahead = (Vector3::from(TARGET) - start).normalize();
-    let wind_up = (0..=grid.n_steps)
+    let wind_up = (0..=problem.grid.n_steps)
         .map(|k| -ahead.dot(&(outcome.point.trajectory.positions_at(k)[tip] - start)))
         .fold(0.0, f64::max);
     let squares: f64 = wrenches.iter().map(|u| u.force.norm_squared()).sum();
@@ -130,11 +127,10 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
 }
 
 /// One meter of silicone, five centimeters in radius, upright, in a little damping.
-fn silicone_arm() -> RodParameters {
+fn silicone_arm() -> Arm {
     let silicone = Material::isotropic(1e6, 0.5, 1000.0);
-    let section = SectionProfile::Uniform(Section::circle(&silicone, 0.05));
-    RodParameters {
+    Arm {
         viscous_damping: 1.0,
-        ..RodParameters::straight(1.0, 8, section)
+        ..Arm::cylinder(&silicone, 1.0, 0.05)
     }
 }

@@ -25,6 +25,7 @@ pub mod paper;
 pub mod scene;
 pub mod sqp;
 pub mod stop;
+pub mod task;
 pub mod verify;
 
 /// The README's example, compiled and run by the tests.

@@ -5,7 +5,7 @@ mod common;
 use std::ops::ControlFlow;
 
 use common::tasks::{long_reach, reach};
-use common::{Dice, bases, busy_arm, methods, random_state};
+use common::{Dice, bases, busy_arm, finer_at_rest, methods, random_state};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
     Bound, Channel, ControlGrid, Enforcement, Goal, GoalPart, Guess, Hold, LiftedPoint,
@@ -90,8 +90,7 @@ impl Solved {
         };
         let mut check = forward_check(
             &self.problem,
-            &self.parameters,
-            &|rod| rod.at_rest_on_base(rod.rest.clone()),
+            &|factor| finer_at_rest(&self.parameters, factor),
             &solution,
             &CheckLimits::default(),
         )

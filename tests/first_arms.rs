@@ -72,14 +72,14 @@ fn names_stand_for_figures() {
         let section = "radius_m = 0.01";
         let named = arm(named, section).unwrap_or_else(|error| panic!("{named}: {error}"));
         let plain = arm(figures, section).unwrap_or_else(|error| panic!("{figures}: {error}"));
-        assert_eq!(named.parameters.section, plain.parameters.section);
+        assert_eq!(named.arm.section, plain.arm.section);
         assert_eq!(named.resolved, plain.resolved);
         let text = named.resolved.to_toml();
         assert!(!text.contains("preset"), "{text}");
         let (again, source) =
             Scene::from_toml("again", &text, &[]).unwrap_or_else(|error| panic!("{error}\n{text}"));
         let again = again.simulation(&source).expect("a simulation");
-        assert_eq!(again.parameters.section, plain.parameters.section);
+        assert_eq!(again.arm.section, plain.arm.section);
     }
 }
 
@@ -115,7 +115,7 @@ fn diameters_stand_for_radii() {
     let same = |diameters: &str, radii: &str| {
         let one = arm(material, diameters).unwrap_or_else(|error| panic!("{error}"));
         let other = arm(material, radii).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(one.parameters.section, other.parameters.section);
+        assert_eq!(one.arm.section, other.arm.section);
     };
     same("diameter_m = 0.02", "radius_m = 0.01");
     same(
@@ -178,7 +178,7 @@ fn integrator(text: &str, overrides: &[&str]) -> TimeScheme {
     let scheme = setup.problem.rod.scheme;
     let name = format!("integrator = \"{}\"", scheme.name());
     assert!(setup.resolved.to_toml().contains(&name));
-    assert_eq!(setup.parameters.scheme, scheme);
+    assert_eq!(setup.discretization.scheme, Some(scheme));
     // The resolved scene gives the same grid again.
     let (again, source) = loaded(&setup.resolved.to_toml(), &[]);
     let again = again.optimal_control(&source).expect("a problem").problem;

@@ -4,7 +4,9 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use common::{Dice, Method, RULES, bases, busy_arm, exact_methods, methods, shaking, soft_arm};
+use common::{
+    Dice, Method, RULES, bases, busy_arm, exact_methods, finer_at_rest, methods, shaking, soft_arm,
+};
 use nalgebra::Vector3;
 use softarm::control::{
     Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
@@ -160,8 +162,7 @@ impl Case {
     fn check(&self, point: &LiftedPoint, multipliers: &[f64]) -> ForwardCheck {
         forward_check(
             &self.problem,
-            &self.parameters,
-            &|rod| rod.at_rest_on_base(rod.rest.clone()),
+            &|factor| finer_at_rest(&self.parameters, factor),
             &Solution {
                 trajectory: &point.trajectory,
                 coefficients: &self.problem.wrenches(&point.variables),

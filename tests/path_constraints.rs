@@ -5,7 +5,7 @@ mod common;
 use std::ops::ControlFlow;
 
 use common::tasks::{busy_problem, long_reach};
-use common::{Dice, RULES};
+use common::{Dice, RULES, finer_at_rest};
 use nalgebra::Vector3;
 use softarm::control::{
     Actuator, Bound, Enforcement, Goal, Guess, LiftedPoint, OptimalControlProblem, PathConstraint,
@@ -203,8 +203,7 @@ fn checked(
     let path = program.path_multipliers(&outcome.multipliers.inequalities);
     forward_check(
         problem,
-        parameters,
-        &|rod| rod.at_rest_on_base(rod.rest.clone()),
+        &|factor| finer_at_rest(parameters, factor),
         &Solution {
             trajectory: &outcome.point.trajectory,
             coefficients: &problem.wrenches(&outcome.point.variables),

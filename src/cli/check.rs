@@ -11,8 +11,8 @@ use crate::control::{Bound, Channel, OptimalControlProblem, StaticNeedError, sta
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::vibration::{SmallMotions, TOPPLING_WEIGHT_NUMBER, weight_number};
 use crate::mechanics::{
-    BaseCondition, Rod, RodModel, RodParameters, RotaryInertia, TimeGrid, TimeScheme, TipSpring,
-    Wrench, static_equilibrium,
+    BaseCondition, Rod, RodModel, RotaryInertia, TimeGrid, TimeScheme, TipSpring, Wrench,
+    static_equilibrium,
 };
 use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
@@ -20,13 +20,14 @@ use crate::output::summary::{
     QpPrediction, RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
-use crate::scene::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
 use crate::scene::{
     OptimalControl, RotaryInertia as RotaryInertiaKey, Scene, Simulation,
     TimeScheme as TimeSchemeKey,
 };
 use crate::sqp::QpRoute;
 use crate::sqp::route::predict;
+use crate::task::Discretization;
+use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -245,12 +246,12 @@ fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
     if time.total() <= LONG_S || elements < 4 {
         return None;
     }
-    let coarse = Rod::new(&RodParameters {
-        n_elements: elements,
-        loads: Vec::new(),
-        ..setup.parameters.clone()
-    })
-    .ok()?;
+    let coarse = (setup.arm)
+        .rod(&Discretization {
+            elements,
+            ..setup.discretization
+        })
+        .ok()?;
     // As far below its automatic step as the scene's own.
     let ratio = setup.problem.grid.step / automatic_step(rod);
     let steps = setup.problem.grid.end() / (ratio * automatic_step(&coarse));

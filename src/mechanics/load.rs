@@ -30,9 +30,10 @@ impl Wrench {
 }
 
 /// The frame in which a load's components stay constant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LoadFrame {
     /// Fixed in space (a dead load).
+    #[default]
     Spatial,
     /// Turns with the node (a follower load).
     Body,

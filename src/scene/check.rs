@@ -6,6 +6,7 @@ use super::model::{
     Rod, RodModel, Scene, Section, Solver, Task, Time, TimeStep, Via,
 };
 use super::{SceneError, SceneSource};
+use crate::task::MOST_STEPS;
 
 /// Elements beyond this number are a typing error rather than a wish.
 pub(super) const MOST_ELEMENTS: usize = 5000;
@@ -15,9 +16,6 @@ const LARGEST_COUNT: usize = 1_000_000;
 
 /// Stages of a continuation beyond this number are a typing error rather than a wish.
 const MOST_STAGES: usize = 1000;
-
-/// Steps beyond this number would run for days.
-pub(super) const MOST_STEPS: f64 = 1e10;
 
 /// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
 const LARGEST_STRETCH: f64 = 1.3;

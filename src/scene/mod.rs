@@ -15,10 +15,8 @@ mod file;
 mod materials;
 mod model;
 mod overrides;
-pub mod prediction;
 mod reader;
 mod source;
-mod tracking;
 pub mod translate;
 
 pub use error::SceneError;

@@ -1237,25 +1237,7 @@ impl Task {
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.unwrap_or(end_s)
     }
-
-    /// Speed in m/s and angular speed in rad/s up to which the tip counts as at rest, given the length of the arm and the duration of the
-    /// task; zero where the task does not ask for rest, or pays for it.
-    pub fn rest_tolerances(&self, length_m: f64, duration_s: f64) -> [f64; 2] {
-        if !(self.at_rest && self.hard) {
-            return [0.0; 2];
-        }
-        [
-            self.tolerance_m_s
-                .unwrap_or(REST_SPEED * length_m / duration_s),
-            self.tolerance_rad_s.unwrap_or(REST_SPIN / duration_s),
-        ]
-    }
 }
-
-/// Speed of a tip at rest, over the length of the arm per duration: a hundredth of what moves the tip by the arm's length in that time.
-const REST_SPEED: f64 = 0.01;
-/// Angular speed of a tip at rest, in rad per duration: it has no scale that shrinks with the arm, and a light tip turns with every wave.
-const REST_SPIN: f64 = 0.1;
 
 fn one() -> f64 {
     1.0

@@ -1,37 +1,40 @@
-//! From a checked scene to the rod, the simulation and the optimal-control problem that it describes.
+//! From a checked scene to the arm, the task and the discretization that it describes, and to what is made of them.
 
 use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::check::{MOST_ELEMENTS, MOST_STEPS};
+use super::check::MOST_ELEMENTS;
 use super::error::SceneError;
-use super::model::{self, InitialShape, Objective, Scene, TimeStep};
-use super::prediction::{Work, automatic_scheme, prefers_segments};
+use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
 use super::source::SceneSource;
-use crate::control::path::thinnest;
 use crate::control::{
-    Actuator, Bound, Channel, Continuation, ControlGrid, DurationConflict, Enforcement,
-    FeedbackWeights, FreeDuration, Goal, GoalPart, Guess, Hold, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, Posture, Search, Shape,
+    Bound, Continuation, DurationConflict, FeedbackWeights, FreeDuration, Guess, Hold,
+    OptimalControlProblem, PathEnforcement, PathLimit, Search, Shape,
 };
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
-use crate::mechanics::rotation::{from_quaternion, log, unit};
-use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Load, LoadFrame, Material,
-    MotionCurve, NodeInertia, Oscillation, Rod, RodError, RodModel, RodParameters, RotaryInertia,
-    Section, SectionProfile, State, StrainRule, TimeGrid, TimeScheme,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, LoadFrame, Material, MotionCurve,
+    NodeInertia, Oscillation, Rod, RodError, RodModel, RotaryInertia, Section, SectionProfile,
+    State, StrainRule, TimeGrid, TimeScheme,
 };
 use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 use crate::stop::StopSignal;
-use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
+use crate::task::{
+    Arm, ChannelLimits, Cost, Discretization, DiscretizeError, Hardness, Limit, LimitKind,
+    MOST_STEPS, Obstruction, Place, PointLoad, Problem, Start, StartShape, Target, Task,
+    Tolerances, Track, WrenchActuator,
+};
+use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
 
 /// A forward simulation.
 #[derive(Clone, Debug)]
 pub struct Simulation {
-    /// What the rod is built from.
-    pub parameters: RodParameters,
+    /// The arm.
+    pub arm: Arm,
+    /// The discretization; nothing in it is left open.
+    pub discretization: Discretization,
     /// The rod.
     pub rod: Rod,
     /// The time grid.
@@ -76,9 +79,13 @@ impl Simulation {
 /// An optimal-control problem, and how to solve it.
 #[derive(Clone, Debug)]
 pub struct OptimalControl {
-    /// What the rod is built from.
-    pub parameters: RodParameters,
-    /// The problem.
+    /// The arm.
+    pub arm: Arm,
+    /// The task.
+    pub task: Task,
+    /// The discretization; nothing in it is left open.
+    pub discretization: Discretization,
+    /// The discrete problem of all three.
     pub problem: OptimalControlProblem,
     /// Settings of the solver.
     pub settings: SqpSettings,
@@ -110,7 +117,9 @@ impl OptimalControl {
         if stretch == 1.0 {
             return out;
         }
-        out.problem = self.problem.stretched(stretch);
+        let problem = self.posed().stretched(stretch);
+        (out.task, out.discretization, out.problem) =
+            (problem.task, problem.discretization, problem.discrete);
         resolve_time(&mut out.resolved, &out.problem.grid);
         if let Some(task) = &mut out.resolved.task {
             let end = out.problem.grid.end();
@@ -123,22 +132,23 @@ impl OptimalControl {
         out
     }
 
+    /// Arm, task, discretization and discrete problem together.
+    #[must_use]
+    pub fn posed(&self) -> Problem {
+        Problem {
+            arm: self.arm.clone(),
+            task: self.task.clone(),
+            discretization: self.discretization,
+            discrete: self.problem.clone(),
+        }
+    }
+
     /// Checks a solution, with the limits that the scene asks for.
     ///
     /// # Errors
     /// [`CheckError`] when a replay cannot be made.
     pub fn certify(&self, solution: &Solution) -> Result<ForwardCheck, CheckError> {
-        forward_check(
-            &self.problem,
-            &self.parameters,
-            &|rod| {
-                // The finer rod's equilibrium exists wherever the coarse one's did; its rest shape is the fall-back.
-                (self.resolved.starting_state_until(rod, &self.problem.stop))
-                    .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()))
-            },
-            solution,
-            &self.check_limits(),
-        )
+        self.posed().certify(solution, &self.check_limits())
     }
 
     /// The limits of the check: those of optimality go with the solver's tolerance, as far as a certificate may.
@@ -156,17 +166,8 @@ impl OptimalControl {
     }
 }
 
-/// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
-const MOST_VARIABLES: usize = 2000;
-/// Times at which a path constraint is kept where its scene names no rate: what an arm does in between is of higher order in the
-/// spacing, and the check looks at it.
-const MOST_SAMPLES: usize = 1000;
 /// Elements up to which gains are computed unasked: they take time with the cube of the number, and a part of a solve's up to here.
 const MOST_FEEDBACK_ELEMENTS: usize = 40;
-/// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.
-const START_TOLERANCE: f64 = 1e-9;
-/// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
-const MOST_STORED_STATES: f64 = 5e7;
 
 impl Scene {
     /// The forward simulation that the scene describes.
@@ -186,27 +187,32 @@ impl Scene {
         source: &SceneSource,
         stop: &StopSignal,
     ) -> Result<Simulation, SceneError> {
-        let (parameters, rod) = self.rod_of(source, self.time.end_s, Work::Simulation)?;
+        let arm = self.arm(source)?;
+        let refused = |error| self.discretize_error(source, error);
+        let motion = arm
+            .discretize(self.time.end_s, &self.discretization())
+            .map_err(refused)?;
         let output = self.output.clone().unwrap_or_default();
-        let mut grid = self.grid(source, &rod, self.time.end_s, 1)?;
+        let (mut grid, rod) = (motion.grid, motion.rod);
         if let (Some(rate), TimeStep::Auto) = (output.rate_hz, self.time.step_s) {
             grid = row_grid(source, grid, rate)?;
         }
-        let initial = self.initial_state(source, &rod, stop)?;
-        let mut resolved = self.with_material_resolved();
-        resolve_time(&mut resolved, &grid);
-        resolved.time.integrator = integrator(&rod);
-        resolved.rod.rotary_inertia = rotary_inertia(&parameters);
+        let discretization = Discretization {
+            step: Some(grid.step),
+            ..motion.discretization
+        };
+        let initial = (self.start().state(&rod, stop)).map_err(|error| refused(error.into()))?;
         Ok(Simulation {
-            parameters,
-            rod,
-            grid,
+            arm,
+            discretization,
             steps_per_row: output.rate_hz.map_or(1, |rate| {
                 ((1.0 / (rate * grid.step)).round() as usize).max(1)
             }),
             diagnostics: output.diagnostics,
             initial,
-            resolved,
+            resolved: self.resolved(&discretization),
+            rod,
+            grid,
         })
     }
 
@@ -237,173 +243,16 @@ impl Scene {
         source: &SceneSource,
         stop: &StopSignal,
     ) -> Result<OptimalControl, SceneError> {
-        let missing = |section: &str| {
-            source.error_at(
-                section,
-                format!("[{section}] is missing"),
-                Some(
-                    "an optimal-control problem needs [control], and [task] or [[objective.track]]; `softarm example reach` shows \
-                     [task] and [control]"
-                        .into(),
-                ),
-            )
-        };
-        let objective = self.objective.clone().unwrap_or_default();
-        let task = self.task.as_ref();
-        if task.is_none() && objective.track.is_empty() {
-            return Err(missing("task"));
-        }
-        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
+        let task = self.posed_task(source)?;
         let solver = self.solver.clone().unwrap_or_default();
-        let horizon = task.map_or(self.time.end_s, |task| task.instant(self.time.end_s));
-        if !(horizon > 0.0) {
-            let message = "a path cannot be followed in no time";
-            let error = source.error_at("time.end_s", message, None);
-            return Err(error.expecting("expected a positive duration"));
-        }
-        let free_duration = task.and_then(|task| task.free_duration);
-        let work = Work::Solve {
-            n_variables: control
-                .blocks
-                .saturating_mul(6 * (1 + control.actuator.len())),
-        };
-        let longest = free_duration.map_or(horizon, |free| free.longest_s);
-        let (parameters, rod) = self.rod_of(source, longest, work)?;
-        let grid = match &free_duration {
-            None => self.grid(source, &rod, horizon, control.blocks)?,
-            Some(free) => self.stretching_grid(source, &rod, horizon, free, control.blocks)?,
-        };
-        let states = grid.n_steps as f64 * rod.n_nodes() as f64;
-        if !(states <= MOST_STORED_STATES) {
-            return Err(source.error_at(
-                "time.end_s",
-                format!(
-                    "{:.3e} steps of {:.3e} s with {} nodes do not fit in memory",
-                    grid.n_steps as f64,
-                    grid.step,
-                    rod.n_nodes()
-                ),
-                Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
-            ));
-        }
-        let initial = self.initial_state(source, &rod, stop)?;
-        let hold = match control.hold {
-            model::Hold::Constant => Hold::Constant,
-            model::Hold::Linear => Hold::Linear,
-            model::Hold::Cubic => Hold::Cubic,
-        };
-        let blocks =
-            ControlGrid::new(hold, control.blocks, grid.n_steps, grid.step).ok_or_else(|| {
-                source.error_at(
-                    "control.blocks",
-                    format!(
-                        "{} blocks do not fit into {} time steps",
-                        control.blocks, grid.n_steps
-                    ),
-                    Some("use fewer blocks or a shorter time.step_s".into()),
-                )
-            })?;
-        let force_scale = objective.force_scale_n.unwrap_or(rod.scales.force);
-        let moment_scale = objective
-            .moment_scale_n_m
-            .unwrap_or_else(|| weakest_bending(&rod, control) / rod.scales.length);
-        let actuator = |node: usize, force: Option<model::Bound>, moment: Option<model::Bound>| {
-            let channel =
-                |scale: f64, limit: Option<model::Bound>, rate: Option<model::Bound>| Channel {
-                    scale,
-                    bound: limit.map_or(Some(NOT_ACTUATED), bound),
-                    rate_bound: rate.and_then(bound),
-                };
-            Actuator {
-                node,
-                force: channel(force_scale, force, control.force_rate_max_n_s),
-                moment: channel(moment_scale, moment, control.moment_rate_max_n_m_s),
-            }
-        };
-        let mut actuators = vec![actuator(
-            rod.tip(),
-            control.force_max_n,
-            control.moment_max_n_m,
-        )];
-        actuators.extend((control.actuator.iter()).map(|definition| {
-            actuator(
-                definition.node,
-                definition.force_max_n,
-                definition.moment_max_n_m,
-            )
-        }));
-        let objective = objective.weighted(&rod, &actuators);
-        let resolved = {
-            let mut resolved = self.with_material_resolved();
-            resolve_time(&mut resolved, &grid);
-            resolved.time.integrator = integrator(&rod);
-            resolved.rod.rotary_inertia = rotary_inertia(&parameters);
-            if let Some(task) = &mut resolved.task {
-                task.at_s = Some(horizon);
-                if task.at_rest && task.hard {
-                    let [speed, spin] = task.rest_tolerances(self.rod.length_m, horizon);
-                    task.tolerance_m_s = Some(speed);
-                    task.tolerance_rad_s = Some(spin);
-                }
-            }
-            resolved.objective = Some(Objective {
-                force_scale_n: Some(force_scale),
-                moment_scale_n_m: Some(moment_scale),
-                ..objective.clone()
-            });
-            resolved.solver = Some(solver.clone());
-            resolved
-        };
-        let problem = OptimalControlProblem {
-            stop: stop.clone(),
-            radii: self.display_radii(),
-            goals: task.map_or_else(Vec::new, |task| self.goals(task, &rod, &grid)),
-            path: self.path_constraints(&rod, &longest_grid(free_duration.as_ref(), grid)),
-            duration: free_duration.map(|free| FreeDuration {
-                shortest: free.shortest_s,
-                longest: free.longest_s,
-                price: free.price,
-            }),
-            objective: crate::control::Objective {
-                effort: objective.effort,
-                rate: objective.rate,
-                energy: objective.energy,
-                tracking: (objective.track.iter())
-                    .map(|track| track.tracking(&rod))
-                    .collect(),
-                samples: objective.samples,
-            },
-            grid,
-            initial,
-            control: blocks,
-            actuators,
-            rod,
-        };
-        self.check_start(source, &problem)?;
-        self.check_goals(source, &problem)?;
-        if let Some((conflict, what)) = problem.duration_conflict() {
-            let key = match conflict {
-                DurationConflict::Rate => "control".into(),
-                DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
-                    None => format!("obstacle.{at}.soft"),
-                    Some(at) => format!("limit.{at}.soft"),
-                },
-                DurationConflict::Base => "base.motion".into(),
-            };
-            let message = format!("task.free_duration does not go with {what}");
-            return Err(source.error_at(&key, message, None));
-        }
-        if problem.n_variables() > MOST_VARIABLES {
-            return Err(source.error_at(
-                "control.blocks",
-                format!(
-                    "{} blocks make {} variables, more than {MOST_VARIABLES}",
-                    control.blocks,
-                    problem.n_variables()
-                ),
-                Some("the subproblem is dense in the controls; use fewer blocks".into()),
-            ));
-        }
+        let Problem {
+            arm,
+            task,
+            discretization,
+            discrete: problem,
+        } = task
+            .discretize_until(&self.arm(source)?, &self.discretization(), stop)
+            .map_err(|error| self.discretize_error(source, error))?;
         if solver.qp == model::Qp::Sparse && problem.state_size().is_none() {
             return Err(source.error_at(
                 "solver.qp",
@@ -411,8 +260,38 @@ impl Scene {
                 Some("give \"auto\" or \"condensed\"".into()),
             ));
         }
+        let resolved = {
+            let mut resolved = self.resolved(&discretization);
+            if let Some(definition) = &mut resolved.task {
+                definition.at_s = Some(task.horizon);
+                if definition.at_rest && definition.hard {
+                    let tolerances = definition.tolerances();
+                    let [speed, spin] = tolerances.rest(arm.length, task.horizon);
+                    definition.tolerance_m_s = Some(speed);
+                    definition.tolerance_rad_s = Some(spin);
+                }
+            }
+            let mut objective = self.objective.clone().unwrap_or_default();
+            for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
+                track.weight = Some(tracking.weight);
+            }
+            let tip = problem.actuators.first();
+            resolved.objective = Some(Objective {
+                force_scale_n: tip.map(|tip| tip.force.scale),
+                moment_scale_n_m: tip.map(|tip| tip.moment.scale),
+                ..objective
+            });
+            resolved.solver = Some(solver.clone());
+            resolved
+        };
+        let feedback = self
+            .control
+            .as_ref()
+            .and_then(|control| control.feedback.as_ref());
         Ok(OptimalControl {
-            parameters,
+            arm,
+            task,
+            discretization,
             problem,
             settings: SqpSettings {
                 tolerance: solver.tolerance,
@@ -447,7 +326,7 @@ impl Scene {
                 },
                 ..Search::default()
             },
-            feedback: match &control.feedback {
+            feedback: match feedback {
                 Some(feedback) => Some(FeedbackWeights {
                     state: feedback.state,
                     input: feedback.input,
@@ -463,87 +342,232 @@ impl Scene {
         })
     }
 
-    /// The task and the points on the way to it.
-    fn goals(&self, task: &model::Task, rod: &Rod, grid: &TimeGrid) -> Vec<Goal> {
-        let last = grid.n_steps;
-        let via = task.via.iter().enumerate().flat_map(|(index, via)| {
-            let time_node = ((via.at_s / grid.step).round() as usize).clamp(1, last);
-            let goal = Goal {
-                name: format!("task.via.{index}"),
-                node: via.node.index(rod.tip()),
-                time_node,
-                position: via.position_m.map(Vector3::from),
-                rotation: via.orientation_wxyz.map(from_quaternion),
-                at_rest: false,
-                enforcement: enforcement(via.hard, via.weight),
-            };
-            let tolerances = Tolerances {
-                distance: via.tolerance_m,
-                angle: via.tolerance_rad,
-                ..Tolerances::default()
-            };
-            with_tolerances(goal, tolerances)
-        });
-        let goal = Goal {
-            name: "task".into(),
-            node: rod.tip(),
-            time_node: last,
-            position: task.position_m.map(Vector3::from),
-            rotation: task.orientation_wxyz.map(from_quaternion),
-            at_rest: task.at_rest,
-            enforcement: enforcement(task.hard, task.weight),
-        };
-        let mut goals: Vec<Goal> = via.collect();
-        let tolerances = Tolerances {
-            distance: task.tolerance_m,
-            angle: task.tolerance_rad,
-            rest: task.rest_tolerances(self.rod.length_m, task.instant(self.time.end_s)),
-        };
-        goals.extend(with_tolerances(goal, tolerances));
-        goals
+    /// The arm that the scene describes.
+    ///
+    /// # Errors
+    /// [`SceneError`] where the section is incomplete, or the motion of the base is no curve.
+    pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
+        let reference = self.rod.reference.as_ref();
+        let elements = self.rod.elements;
+        Ok(Arm {
+            length: self.rod.length_m,
+            section: self.section_profile(source)?,
+            model: match self.rod.model {
+                model::RodModel::Standard => RodModel::Standard,
+                model::RodModel::Dilatation => RodModel::Dilatation,
+                model::RodModel::Consistent => RodModel::Consistent,
+            },
+            rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
+            rest_stretch: reference.map_or(1.0, |r| r.stretch),
+            base: match self.base.kind {
+                model::BaseKind::Clamped => BaseCondition::Clamped,
+                model::BaseKind::Driven => {
+                    let motion = self.base.motion.clone().unwrap_or_default();
+                    BaseCondition::driven(
+                        base_motion(&motion).map_err(|error| {
+                            source.error_at("base.motion", error.to_string(), None)
+                        })?,
+                    )
+                }
+                model::BaseKind::Free => BaseCondition::Free,
+            },
+            base_position: self.base.position_m.into(),
+            base_rotation: from_quaternion(self.base.unit_quaternion()),
+            gravity: self
+                .gravity
+                .as_ref()
+                .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
+            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
+            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s),
+            loads: (self.load.iter())
+                .map(|load| PointLoad {
+                    at: load.node.place(elements),
+                    force: load.force_n.into(),
+                    moment: load.moment_n_m.into(),
+                    frame: load_frame(load.frame),
+                    profile: load_profile(&load.profile),
+                })
+                .collect(),
+            distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
+            payload: self.payload.as_ref().map(|payload| NodeInertia {
+                mass: payload.mass_kg,
+                rotary: payload.inertia_kg_m2.into(),
+            }),
+            radii: (self.rod.section.as_ref())
+                .and_then(model::Section::radii)
+                .or(self.rod.display_radius_m.map(|radius| [radius; 2])),
+        })
     }
 
-    fn path_constraints(&self, rod: &Rod, grid: &TimeGrid) -> Vec<PathConstraint> {
-        let time_nodes = |rate: Option<f64>| -> Vec<usize> {
-            let stride = rate.map_or_else(
-                || grid.n_steps.div_ceil(MOST_SAMPLES).max(1),
-                |rate| ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps),
-            );
-            let mut nodes: Vec<usize> = (0..=grid.n_steps).step_by(stride).collect();
-            if nodes[nodes.len() - 1] != grid.n_steps {
-                nodes.push(grid.n_steps);
-            }
-            nodes
+    /// The state in which the scene's motion starts.
+    #[must_use]
+    pub fn start(&self) -> Start {
+        let initial = self.initial.clone().unwrap_or_default();
+        Start {
+            shape: match initial.shape {
+                InitialShape::Rest => StartShape::Rest,
+                InitialShape::Equilibrium => StartShape::Equilibrium,
+            },
+            velocity: initial.velocity_m_s.into(),
+            angular_velocity: initial.angular_velocity_rad_s.into(),
+        }
+    }
+
+    /// The discretization that the scene asks for.
+    #[must_use]
+    pub fn discretization(&self) -> Discretization {
+        let default = Discretization::default();
+        let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
+        Discretization {
+            elements: self.rod.elements,
+            strain_rule: match self.rod.strain {
+                model::StrainRule::Helical => StrainRule::Helical,
+                model::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
+            },
+            scheme: match self.time.integrator {
+                // Implicit steps are not local enough for the sparse route.
+                model::TimeScheme::Auto if is_sparse => Some(TimeScheme::Explicit),
+                model::TimeScheme::Auto => None,
+                model::TimeScheme::Explicit => Some(TimeScheme::Explicit),
+                model::TimeScheme::Implicit => Some(TimeScheme::Implicit),
+            },
+            rotary_inertia: match self.rod.rotary_inertia {
+                model::RotaryInertia::Auto if self.rod.material.is_some() => None,
+                // Whoever gives an inertia means that one.
+                model::RotaryInertia::Auto | model::RotaryInertia::Section => {
+                    Some(RotaryInertia::Section)
+                }
+                model::RotaryInertia::Segment => Some(RotaryInertia::Segment),
+            },
+            step: match self.time.step_s {
+                TimeStep::Auto => None,
+                TimeStep::Seconds(step) => Some(step),
+            },
+            hold: (self.control.as_ref()).map_or(default.hold, |control| match control.hold {
+                model::Hold::Constant => Hold::Constant,
+                model::Hold::Linear => Hold::Linear,
+                model::Hold::Cubic => Hold::Cubic,
+            }),
+            blocks: (self.control.as_ref()).map_or(default.blocks, |control| control.blocks),
+            samples: (self.objective.as_ref())
+                .map_or(default.samples, |objective| objective.samples),
+        }
+    }
+
+    /// The task that the scene describes.
+    ///
+    /// # Errors
+    /// [`SceneError`] when `[control]` is missing, or both `[task]` and `[[objective.track]]`.
+    pub fn posed_task(&self, source: &SceneSource) -> Result<Task, SceneError> {
+        let missing = |section: &str| {
+            source.error_at(
+                section,
+                format!("[{section}] is missing"),
+                Some(
+                    "an optimal-control problem needs [control], and [task] or [[objective.track]]; `softarm example reach` shows \
+                     [task] and [control]"
+                        .into(),
+                ),
+            )
         };
+        let objective = self.objective.clone().unwrap_or_default();
+        let task = self.task.as_ref();
+        if task.is_none() && objective.track.is_empty() {
+            return Err(missing("task"));
+        }
+        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
+        let horizon = task.map_or(self.time.end_s, |task| task.instant(self.time.end_s));
+        if !(horizon > 0.0) {
+            let message = "a path cannot be followed in no time";
+            let error = source.error_at("time.end_s", message, None);
+            return Err(error.expecting("expected a positive duration"));
+        }
+        let elements = self.rod.elements;
+        let limits = |limit: Option<model::Bound>, rate: Option<model::Bound>| ChannelLimits {
+            bound: limit.map_or(ChannelLimits::NONE.bound, bound),
+            rate_bound: rate.and_then(bound),
+        };
+        let actuator = |at, force, moment| WrenchActuator {
+            at,
+            force: limits(force, control.force_rate_max_n_s),
+            moment: limits(moment, control.moment_rate_max_n_m_s),
+        };
+        let mut actuators = vec![actuator(
+            Place::Tip,
+            control.force_max_n,
+            control.moment_max_n_m,
+        )];
+        actuators.extend((control.actuator.iter()).map(|definition| {
+            actuator(
+                Place::of_node(definition.node, elements),
+                definition.force_max_n,
+                definition.moment_max_n_m,
+            )
+        }));
+        Ok(Task {
+            horizon,
+            free_duration: task
+                .and_then(|task| task.free_duration)
+                .map(|free| FreeDuration {
+                    shortest: free.shortest_s,
+                    longest: free.longest_s,
+                    price: free.price,
+                }),
+            start: self.start(),
+            targets: task.map_or_else(Vec::new, |task| targets(task, elements)),
+            limits: self.limits(),
+            actuators,
+            cost: Cost {
+                effort: objective.effort,
+                rate: objective.rate,
+                energy: objective.energy,
+                tracks: (objective.track.iter())
+                    .map(|track| Track {
+                        at: track.node.place(elements),
+                        path: (track.path_m.iter())
+                            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
+                            .collect(),
+                        weight: track.weight,
+                    })
+                    .collect(),
+                force_scale: objective.force_scale_n,
+                moment_scale: objective.moment_scale_n_m,
+            },
+        })
+    }
+
+    /// Obstacles, then limits.
+    fn limits(&self) -> Vec<Limit> {
         let price = |soft: Option<model::Price>| {
             soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
                 linear: price.linear,
                 quadratic: price.quadratic,
             })
         };
-        let obstacles =
-            (self.clearances(rod).into_iter()).map(|(obstacle, name, limit)| PathConstraint {
-                name,
-                limit,
-                time_nodes: time_nodes(obstacle.rate_hz),
+        let obstacles = (self.obstacle.iter().enumerate()).filter_map(|(index, obstacle)| {
+            Some(Limit {
+                name: obstacle.name(index),
+                kind: clearance(obstacle)?,
+                rate: obstacle.rate_hz,
                 enforcement: price(obstacle.soft),
-            });
+            })
+        });
         let limits = self.limit.iter().filter_map(|limit| {
-            let definition = if let Some([least, largest]) = limit.stretch {
-                PathLimit::Stretch { least, largest }
+            let kind = if let Some([least, largest]) = limit.stretch {
+                LimitKind::Stretch { least, largest }
             } else if let Some(largest) = limit.curvature_max_1_m {
-                PathLimit::Curvature { largest }
+                LimitKind::Curvature { largest }
             } else if let Some(largest) = limit.twist_max_1_m {
-                PathLimit::Twist { largest }
+                LimitKind::Twist { largest }
             } else {
-                let node = limit.node.unwrap_or_default().index(rod.tip());
+                let at = limit.node.unwrap_or_default().place(self.rod.elements);
                 let largest = limit.speed_max_m_s?;
-                PathLimit::Speed { node, largest }
+                LimitKind::Speed { at, largest }
             };
-            Some(PathConstraint {
+            Some(Limit {
                 name: limit.name(),
-                limit: definition,
-                time_nodes: time_nodes(limit.rate_hz),
+                kind,
+                rate: limit.rate_hz,
                 enforcement: price(limit.soft),
             })
         });
@@ -553,162 +577,13 @@ impl Scene {
     /// The obstacles with their names in reports, each as a limit on the scene's own rod.
     #[must_use]
     pub fn clearances(&self, rod: &Rod) -> Vec<(&model::Obstacle, String, PathLimit)> {
-        let thinnest = thinnest(&self.display_radii());
-        let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+        let radii = self.display_radii();
         (self.obstacle.iter().enumerate())
             .filter_map(|(index, obstacle)| {
-                let name = obstacle.name(index);
-                let shape = shape(obstacle)?;
-                let margin = obstacle.margin_m;
-                let radius = shape.least_radius() + thinnest + margin;
-                let limit = PathLimit::Clearance {
-                    shape,
-                    margin,
-                    points: PathLimit::points_per_element(chord, radius),
-                };
-                Some((obstacle, name, limit))
+                let limit = clearance(obstacle)?.on(rod, &radii);
+                Some((obstacle, obstacle.name(index), limit))
             })
             .collect()
-    }
-
-    /// Whether the arm, as it is at the start, keeps all that is hard: nothing could be done about it.
-    fn check_start(
-        &self,
-        source: &SceneSource,
-        problem: &OptimalControlProblem,
-    ) -> Result<(), SceneError> {
-        let mut start = crate::mechanics::Trajectory::with_capacity(problem.rod.n_nodes(), 1);
-        start.push(&problem.initial.configuration);
-        let posture = Posture {
-            rod: &problem.rod,
-            radii: &problem.radii,
-            trajectory: &start,
-            step: problem.grid.step,
-        };
-        for (index, constraint) in problem.path.iter().enumerate() {
-            if constraint.enforcement != PathEnforcement::Hard {
-                continue;
-            }
-            let limit = &constraint.limit;
-            let worst = (0..limit.n_items(&problem.rod))
-                .map(|item| (limit.value(&posture, 0, item), item))
-                .fold(
-                    (0.0, 0),
-                    |worst, row| if row.0 > worst.0 { row } else { worst },
-                );
-            if worst.0 <= START_TOLERANCE {
-                continue;
-            }
-            let (name, node) = (&constraint.name, limit.node(worst.1));
-            let amount = worst.0 * limit.scale(&problem.rod);
-            let (key, message, help) = match index.checked_sub(self.obstacle.len()) {
-                None => (
-                    format!("obstacle.{index}"),
-                    format!("at t = 0 the arm is {amount:.3e} m inside \"{name}\" at node {node}"),
-                    "move the obstacle, give it a smaller margin_m, or a soft price",
-                ),
-                Some(index) => (
-                    format!("limit.{index}"),
-                    format!(
-                        "at t = 0 the arm is {amount:.3e} {} beyond \"{name}\" at the element from node {node}",
-                        limit.unit()
-                    )
-                    .replace("  ", " "),
-                    "loosen the limit, start from another shape, or give it a soft price",
-                ),
-            };
-            return Err(source.error_at(&key, message, Some(help.into())));
-        }
-        Ok(())
-    }
-
-    /// Whether hard goals leave room for each other, for the obstacles, and for what holds the base.
-    fn check_goals(
-        &self,
-        source: &SceneSource,
-        problem: &OptimalControlProblem,
-    ) -> Result<(), SceneError> {
-        let rod = &problem.rod;
-        let rounding = START_TOLERANCE * rod.scales.length;
-        let hard: Vec<(&Goal, [f64; 2])> = (problem.goals.iter())
-            .filter_map(|goal| match goal.enforcement {
-                Enforcement::Hard => Some((goal, [rounding, START_TOLERANCE])),
-                Enforcement::Within {
-                    distance, angle, ..
-                } => Some((goal, [distance, angle])),
-                Enforcement::Soft { .. } => None,
-            })
-            .collect();
-        for (at, &(goal, [distance, angle])) in hard.iter().enumerate() {
-            let t = problem.grid.time(goal.time_node);
-            let refuse = |part: GoalPart, off: f64, what: String, help: &str| {
-                let message = format!("{off:.3e} {} {what} (t = {t:.4e} s)", part.unit());
-                let key = format!("{}.{}", goal.name, part.name());
-                Err(source.error_at(&key, message, Some(help.into())))
-            };
-            const APART: &str =
-                "move one of them, give it another time, a larger tolerance, or hard = false";
-            for &(other, [other_distance, other_angle]) in &hard[..at] {
-                if (goal.node, goal.time_node) != (other.node, other.time_node) {
-                    continue;
-                }
-                let what = format!(
-                    "away from where {} has node {} at the same step",
-                    other.name, goal.node
-                );
-                let off = separation(&goal.position, &other.position);
-                if off > distance + other_distance {
-                    return refuse(GoalPart::Position, off, what, APART);
-                }
-                let off = turn(&goal.rotation, &other.rotation);
-                if off > angle + other_angle {
-                    return refuse(GoalPart::Orientation, off, what, APART);
-                }
-            }
-            if goal.node < rod.first_free_node() {
-                const HELD: &str = "choose another node, or base.kind = \"free\"";
-                let (position, rotation) = match rod.driven_base(t) {
-                    Some(base) => (base.position, base.rotation),
-                    None => {
-                        let start = &problem.initial.configuration;
-                        (start.positions[goal.node], start.rotations[goal.node])
-                    }
-                };
-                let what = format!("away from where node {} is held", goal.node);
-                let off = separation(&goal.position, &Some(position));
-                if off > distance {
-                    return refuse(GoalPart::Position, off, what, HELD);
-                }
-                let off = turn(&goal.rotation, &Some(rotation));
-                if off > angle {
-                    return refuse(GoalPart::Orientation, off, what, HELD);
-                }
-            }
-            let Some(position) = &goal.position else {
-                continue;
-            };
-            let radius = problem.radii.get(goal.node).copied().unwrap_or(0.0);
-            for constraint in &problem.path {
-                if let PathLimit::Clearance { shape, margin, .. } = &constraint.limit
-                    && constraint.enforcement == PathEnforcement::Hard
-                {
-                    let depth = radius + margin - shape.distance(position).value;
-                    if depth > distance {
-                        let what = format!(
-                            "too near to \"{}\" for node {}, whose radius is {radius:.3e} m",
-                            constraint.name, goal.node
-                        );
-                        return refuse(
-                            GoalPart::Position,
-                            depth,
-                            what,
-                            "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price",
-                        );
-                    }
-                }
-            }
-        }
-        Ok(())
     }
 
     /// Radius of every node for pictures, m; empty when the scene does not say.
@@ -732,43 +607,116 @@ impl Scene {
         resolved
     }
 
-    /// The rod, with the integrator that the scene names, or that suits `work` over `duration`.
-    fn rod_of(
-        &self,
-        source: &SceneSource,
-        duration: f64,
-        work: Work,
-    ) -> Result<(RodParameters, Rod), SceneError> {
-        let mut parameters = self.rod_parameters(source)?;
-        let mut rod = Rod::new(&parameters).map_err(|error| self.rod_error(source, &error))?;
-        let sparse = matches!(work, Work::Solve { .. })
-            && (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
-        let given = match self.time.step_s {
-            TimeStep::Auto => None,
-            TimeStep::Seconds(step) => Some(step),
-        };
-        let scheme = |rod: &Rod| match self.time.integrator {
-            model::TimeScheme::Auto if !sparse => automatic_scheme(rod, given, duration, work),
-            _ => rod.scheme,
-        };
-        rod.scheme = scheme(&rod);
-        let may_choose = self.rod.rotary_inertia == model::RotaryInertia::Auto
-            && self.rod.material.is_some()
-            && parameters.model == RodModel::Standard
-            && given.is_none();
-        if may_choose {
-            let other = RodParameters {
-                rotary_inertia: RotaryInertia::Segment,
-                ..parameters.clone()
-            };
-            let mut segments = Rod::new(&other).map_err(|error| self.rod_error(source, &error))?;
-            segments.scheme = scheme(&segments);
-            if prefers_segments(&rod, &segments, duration, work) {
-                (parameters, rod) = (other, segments);
+    /// This scene with material, integrator, rotary inertia and time step as they are.
+    fn resolved(&self, discretization: &Discretization) -> Scene {
+        let mut resolved = self.with_material_resolved();
+        if let Some(step) = discretization.step {
+            resolved.time.step_s = TimeStep::Seconds(step);
+        }
+        if let Some(scheme) = discretization.scheme {
+            resolved.time.integrator = integrator(scheme);
+        }
+        if let Some(inertia) = discretization.rotary_inertia {
+            resolved.rod.rotary_inertia = rotary_inertia(inertia);
+        }
+        resolved
+    }
+
+    /// What cannot be discretized, by the key of the scene that says it, with a remedy that a scene can follow.
+    fn discretize_error(&self, source: &SceneSource, error: DiscretizeError) -> SceneError {
+        let message = error.to_string();
+        let at = |key: &str, help: &str| source.error_at(key, message.clone(), Some(help.into()));
+        match error {
+            DiscretizeError::Rod(error) => self.rod_error(source, &error),
+            DiscretizeError::OutOfRange { what, .. } => {
+                let key = match what {
+                    "horizon" => "time.end_s",
+                    "elements" => "rod.elements",
+                    "blocks" => "control.blocks",
+                    "samples" => "objective.samples",
+                    "step" => "time.step_s",
+                    "target.time" => "task.via",
+                    "actuator.at" => "control.actuator",
+                    "limit.rate" => "limit",
+                    _ => "task.free_duration",
+                };
+                source.error_at(key, message, None)
+            }
+            DiscretizeError::NoStableStep(_) => {
+                let key = match &self.rod.material {
+                    Some(_) => "rod.section",
+                    None => "rod.stiffness",
+                };
+                at(
+                    key,
+                    "its stiffness and inertia are too far apart to be computed with",
+                )
+            }
+            DiscretizeError::UnstableStep { automatic, .. } => at(
+                "time.step_s",
+                &format!(
+                    "use \"auto\" ({automatic:.4e} s), fewer elements, or time.integrator = \"implicit\"; with this step the motion would grow \
+                     without bound"
+                ),
+            ),
+            DiscretizeError::UnstableLongest { automatic, .. } => at(
+                "task.free_duration.longest_s",
+                &format!(
+                    "time.step_s counts at task.at_s; make it {automatic:.4e} s or less, or \"auto\""
+                ),
+            ),
+            DiscretizeError::TooManySteps { .. } | DiscretizeError::TooManyStates { .. } => at(
+                "time.end_s",
+                "use a shorter time, fewer elements, or a softer or heavier arm",
+            ),
+            DiscretizeError::Start(error) => at("initial.shape", start_remedy(&error)),
+            DiscretizeError::TooManyBlocks { .. } => at(
+                "control.blocks",
+                "use fewer blocks or a shorter time.step_s",
+            ),
+            DiscretizeError::TooManyVariables { .. } => at(
+                "control.blocks",
+                "the subproblem is dense in the controls; use fewer blocks",
+            ),
+            DiscretizeError::ViolatedAtStart { limit, .. } => {
+                match limit.checked_sub(self.obstacle.len()) {
+                    None => at(
+                        &format!("obstacle.{limit}"),
+                        "move the obstacle, give it a smaller margin_m, or a soft price",
+                    ),
+                    Some(index) => at(
+                        &format!("limit.{index}"),
+                        "loosen the limit, start from another shape, or give it a soft price",
+                    ),
+                }
+            }
+            DiscretizeError::GoalConflict {
+                goal, part, with, ..
+            } => {
+                let help = match with {
+                    Obstruction::Goal => {
+                        "move one of them, give it another time, a larger tolerance, or hard = false"
+                    }
+                    Obstruction::Base => "choose another node, or base.kind = \"free\"",
+                    Obstruction::Obstacle => {
+                        "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
+                    }
+                };
+                at(&format!("{goal}.{}", part.name()), help)
+            }
+            DiscretizeError::Duration { conflict, what } => {
+                let key = match conflict {
+                    DurationConflict::Rate => "control".into(),
+                    DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
+                        None => format!("obstacle.{at}.soft"),
+                        Some(at) => format!("limit.{at}.soft"),
+                    },
+                    DurationConflict::Base => "base.motion".into(),
+                };
+                let message = format!("task.free_duration does not go with {what}");
+                source.error_at(&key, message, None)
             }
         }
-        parameters.scheme = rod.scheme;
-        Ok((parameters, rod))
     }
 
     /// What [`Rod::new`] refuses, by the key of the scene that says it.
@@ -846,62 +794,6 @@ impl Scene {
         source.error_at(key, message, Some(help))
     }
 
-    fn rod_parameters(&self, source: &SceneSource) -> Result<RodParameters, SceneError> {
-        let reference = self.rod.reference.as_ref();
-        Ok(RodParameters {
-            length: self.rod.length_m,
-            n_elements: self.rod.elements,
-            strain_rule: match self.rod.strain {
-                model::StrainRule::Helical => StrainRule::Helical,
-                model::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
-            },
-            model: match self.rod.model {
-                model::RodModel::Standard => RodModel::Standard,
-                model::RodModel::Dilatation => RodModel::Dilatation,
-                model::RodModel::Consistent => RodModel::Consistent,
-            },
-            section: self.section_profile(source)?,
-            rotary_inertia: match self.rod.rotary_inertia {
-                model::RotaryInertia::Auto | model::RotaryInertia::Section => {
-                    RotaryInertia::Section
-                }
-                model::RotaryInertia::Segment => RotaryInertia::Segment,
-            },
-            rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
-            rest_stretch: reference.map_or(1.0, |r| r.stretch),
-            base: match self.base.kind {
-                model::BaseKind::Clamped => BaseCondition::Clamped,
-                model::BaseKind::Driven => {
-                    let motion = self.base.motion.clone().unwrap_or_default();
-                    BaseCondition::driven(
-                        base_motion(&motion).map_err(|error| {
-                            source.error_at("base.motion", error.to_string(), None)
-                        })?,
-                    )
-                }
-                model::BaseKind::Free => BaseCondition::Free,
-            },
-            base_position: self.base.position_m.into(),
-            base_rotation: from_quaternion(self.base.unit_quaternion()),
-            gravity: self
-                .gravity
-                .as_ref()
-                .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
-            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
-            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s),
-            scheme: match self.time.integrator {
-                model::TimeScheme::Auto | model::TimeScheme::Explicit => TimeScheme::Explicit,
-                model::TimeScheme::Implicit => TimeScheme::Implicit,
-            },
-            loads: self.load.iter().map(|load| self.load_of(load)).collect(),
-            distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
-            payload: self.payload.as_ref().map(|payload| NodeInertia {
-                mass: payload.mass_kg,
-                rotary: payload.inertia_kg_m2.into(),
-            }),
-        })
-    }
-
     fn section_profile(&self, source: &SceneSource) -> Result<SectionProfile, SceneError> {
         let incomplete = || {
             source.error_at(
@@ -945,223 +837,90 @@ impl Scene {
             }
         })
     }
+}
 
-    fn load_of(&self, load: &model::Load) -> Load {
-        Load {
-            node: load.node.index(self.rod.elements),
-            force: load.force_n.into(),
-            moment: load.moment_n_m.into(),
-            frame: load_frame(load.frame),
-            profile: load_profile(&load.profile),
+impl LoadNode {
+    /// The place of the node in an arm that is written with so many elements.
+    fn place(self, elements: usize) -> Place {
+        match self {
+            Self::Tip => Place::Tip,
+            Self::Base => Place::Base,
+            Self::Index(node) => Place::of_node(node, elements),
         }
-    }
-
-    /// A grid that can be stretched to the longest duration with steps that can be taken.
-    fn stretching_grid(
-        &self,
-        source: &SceneSource,
-        rod: &Rod,
-        start: f64,
-        free: &model::FreeDuration,
-        multiple: usize,
-    ) -> Result<TimeGrid, SceneError> {
-        let TimeStep::Seconds(step) = self.time.step_s else {
-            let longest = self.grid(source, rod, free.longest_s, multiple)?;
-            return Ok(TimeGrid {
-                step: start / longest.n_steps as f64,
-                ..longest
-            });
-        };
-        let grid = self.grid(source, rod, start, multiple)?;
-        let longest = free.longest_s / grid.n_steps as f64;
-        let limit = stable_step(rod);
-        if longest > limit && rod.scheme == TimeScheme::Explicit {
-            return Err(source.error_at(
-                "task.free_duration.longest_s",
-                format!(
-                    "{} steps of this duration, {longest:.4e} s each, are above the stable step of this rod, {limit:.4e} s",
-                    grid.n_steps
-                ),
-                Some(format!(
-                    "time.step_s counts at task.at_s; make it {:.4e} s or less, or \"auto\"",
-                    automatic_step(rod) * step / longest
-                )),
-            ));
-        }
-        Ok(grid)
-    }
-
-    /// A grid of equal steps, no longer than asked for, whose number is a multiple of `multiple`.
-    fn grid(
-        &self,
-        source: &SceneSource,
-        rod: &Rod,
-        end: f64,
-        multiple: usize,
-    ) -> Result<TimeGrid, SceneError> {
-        let limit = stable_step(rod);
-        if !(limit > 0.0 && limit.is_finite()) {
-            let key = match &self.rod.material {
-                Some(_) => "rod.section",
-                None => "rod.stiffness",
-            };
-            return Err(source.error_at(
-                key,
-                format!("the stable time step of this rod is {limit}"),
-                Some("its stiffness and inertia are too far apart to be computed with".into()),
-            ));
-        }
-        let step = match self.time.step_s {
-            TimeStep::Auto => automatic_step(rod),
-            TimeStep::Seconds(step) if step <= limit || rod.scheme == TimeScheme::Implicit => step,
-            TimeStep::Seconds(step) => {
-                return Err(source.error_at(
-                    "time.step_s",
-                    format!("{step} s is above the stable step of this rod, {limit:.4e} s"),
-                    Some(format!(
-                        "use \"auto\" ({:.4e} s), fewer elements, or time.integrator = \"implicit\"; with this step the motion \
-                         would grow without bound",
-                        automatic_step(rod)
-                    )),
-                ));
-            }
-        };
-        if !(end / step <= MOST_STEPS) {
-            return Err(source.error_at(
-                "time.end_s",
-                format!(
-                    "{:.3e} steps of {step:.3e} s are more than {MOST_STEPS:e}",
-                    end / step
-                ),
-                Some("use a shorter time, fewer elements, or a softer or heavier arm".into()),
-            ));
-        }
-        Ok(TimeGrid::covering(end, step, multiple))
-    }
-
-    fn initial_state(
-        &self,
-        source: &SceneSource,
-        rod: &Rod,
-        stop: &StopSignal,
-    ) -> Result<State, SceneError> {
-        self.starting_state_until(rod, stop).map_err(|error| {
-            let help = match error {
-                EquilibriumError::FreeBase => {
-                    "set base.kind = \"clamped\", or initial.shape = \"rest\""
-                }
-                EquilibriumError::NotConverged { .. } => {
-                    "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
-                     make gravity and loads smaller or the rod stiffer"
-                }
-                EquilibriumError::Overstretched { .. } => {
-                    "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
-                }
-                EquilibriumError::Stopped(_) => {
-                    "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"
-                }
-            };
-            source.error_at("initial.shape", error.to_string(), Some(help.into()))
-        })
-    }
-
-    /// State at t = 0 of a rod of this scene: in the shape of `[initial]`, moving as a rigid body with the velocities
-    /// given there (free base) or with its base (driven).
-    ///
-    /// # Errors
-    /// [`EquilibriumError`] when there is no equilibrium to start from.
-    pub fn starting_state(&self, rod: &Rod) -> Result<State, EquilibriumError> {
-        self.starting_state_until(rod, &StopSignal::default())
-    }
-
-    fn starting_state_until(
-        &self,
-        rod: &Rod,
-        stop: &StopSignal,
-    ) -> Result<State, EquilibriumError> {
-        let initial = self.initial.clone().unwrap_or_default();
-        let shape = match initial.shape {
-            InitialShape::Rest => rod.rest.clone(),
-            InitialShape::Equilibrium => {
-                static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
-            }
-        };
-        Ok(match rod.base {
-            BaseCondition::Clamped | BaseCondition::Driven(_) => rod.at_rest_on_base(shape),
-            BaseCondition::Free => {
-                let center = rod.center_of_mass(&shape.positions);
-                let (velocity, spin) = (initial.velocity_m_s, initial.angular_velocity_rad_s);
-                rod.rigid_motion(shape, &center, &velocity.into(), &spin.into())
-            }
-        })
     }
 }
 
-/// Distance between two places, m; 0 where one is not given.
-fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
-    a.zip(*b).map_or(0.0, |(a, b)| (a - b).norm())
+impl model::Task {
+    fn tolerances(&self) -> Tolerances {
+        Tolerances {
+            distance: self.tolerance_m,
+            angle: self.tolerance_rad,
+            speed: self.tolerance_m_s,
+            spin: self.tolerance_rad_s,
+        }
+    }
 }
 
-/// Angle between two orientations, rad; 0 where one is not given.
-fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
-    a.zip(*b)
-        .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())
+/// The points on the way, then the task itself.
+fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
+    let via = task.via.iter().enumerate().map(|(index, via)| Target {
+        name: format!("task.via.{index}"),
+        at: via.node.place(elements),
+        time: Some(via.at_s),
+        position: via.position_m.map(Vector3::from),
+        rotation: via.orientation_wxyz.map(from_quaternion),
+        at_rest: false,
+        hardness: hardness(via.hard, via.weight),
+        tolerances: Tolerances {
+            distance: via.tolerance_m,
+            angle: via.tolerance_rad,
+            ..Tolerances::default()
+        },
+    });
+    let goal = Target {
+        name: "task".into(),
+        at: Place::Tip,
+        time: None,
+        position: task.position_m.map(Vector3::from),
+        rotation: task.orientation_wxyz.map(from_quaternion),
+        at_rest: task.at_rest,
+        hardness: hardness(task.hard, task.weight),
+        tolerances: task.tolerances(),
+    };
+    via.chain([goal]).collect()
 }
 
-fn enforcement(hard: bool, weight: Option<f64>) -> Enforcement {
+fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     if hard {
-        Enforcement::Hard
+        Hardness::Hard
     } else {
-        Enforcement::Soft {
+        Hardness::Soft {
             weight: weight.unwrap_or(1.0),
         }
     }
 }
 
-/// How near to a goal is near enough; `None` where it must be met exactly.
-#[derive(Clone, Copy, Default)]
-struct Tolerances {
-    /// m
-    distance: Option<f64>,
-    /// rad
-    angle: Option<f64>,
-    /// m/s and rad/s; zero for exactly.
-    rest: [f64; 2],
+fn clearance(obstacle: &model::Obstacle) -> Option<LimitKind> {
+    Some(LimitKind::Clearance {
+        shape: shape(obstacle)?,
+        margin: obstacle.margin_m,
+    })
 }
 
-/// A goal whose parts may be met within tolerances: those that may become a goal of their own.
-fn with_tolerances(goal: Goal, tolerances: Tolerances) -> Vec<Goal> {
-    let Tolerances {
-        distance,
-        angle,
-        rest: [speed, spin],
-    } = tolerances;
-    let mut exact = goal.clone();
-    let mut near = Goal {
-        position: None,
-        rotation: None,
-        at_rest: false,
-        enforcement: Enforcement::Within {
-            distance: distance.unwrap_or(0.0),
-            angle: angle.unwrap_or(0.0),
-            speed,
-            spin,
-        },
-        ..goal
-    };
-    if distance.is_some() {
-        near.position = exact.position.take();
+fn start_remedy(error: &EquilibriumError) -> &'static str {
+    match error {
+        EquilibriumError::FreeBase => "set base.kind = \"clamped\", or initial.shape = \"rest\"",
+        EquilibriumError::NotConverged { .. } => {
+            "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
+             make gravity and loads smaller or the rod stiffer"
+        }
+        EquilibriumError::Overstretched { .. } => {
+            "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
+        }
+        EquilibriumError::Stopped(_) => {
+            "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"
+        }
     }
-    if angle.is_some() {
-        near.rotation = exact.rotation.take();
-    }
-    if speed > 0.0 || spin > 0.0 {
-        near.at_rest = std::mem::take(&mut exact.at_rest);
-    }
-    [near, exact]
-        .into_iter()
-        .filter(|goal| goal.position.is_some() || goal.rotation.is_some() || goal.at_rest)
-        .collect()
 }
 
 fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
@@ -1281,26 +1040,17 @@ fn row_grid(source: &SceneSource, grid: TimeGrid, rate: f64) -> Result<TimeGrid,
     }))
 }
 
-/// The grid at the longest duration: what a rate of samples is counted on, so that it does not depend on where the search begins.
-fn longest_grid(free: Option<&model::FreeDuration>, grid: TimeGrid) -> TimeGrid {
-    let longest = |free: &model::FreeDuration| TimeGrid {
-        step: free.longest_s / grid.n_steps as f64,
-        ..grid
-    };
-    free.map_or(grid, longest)
-}
-
 /// The rod's integrator, by its name in scenes.
-fn integrator(rod: &Rod) -> model::TimeScheme {
-    match rod.scheme {
+fn integrator(scheme: TimeScheme) -> model::TimeScheme {
+    match scheme {
         TimeScheme::Explicit => model::TimeScheme::Explicit,
         TimeScheme::Implicit => model::TimeScheme::Implicit,
     }
 }
 
 /// The rod's rotary inertia, by its name in scenes.
-fn rotary_inertia(parameters: &RodParameters) -> model::RotaryInertia {
-    match parameters.rotary_inertia {
+fn rotary_inertia(inertia: RotaryInertia) -> model::RotaryInertia {
+    match inertia {
         RotaryInertia::Section => model::RotaryInertia::Section,
         RotaryInertia::Segment => model::RotaryInertia::Segment,
     }
@@ -1309,33 +1059,6 @@ fn rotary_inertia(parameters: &RodParameters) -> model::RotaryInertia {
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
     scene.time.step_s = TimeStep::Seconds(grid.step);
 }
-
-/// Bending stiffness in N m² of the weakest section that a moment of the control acts on; the mean of the arm where none does.
-fn weakest_bending(rod: &Rod, control: &model::Control) -> f64 {
-    let acts = |moment: Option<model::Bound>| moment.is_some_and(|moment| !moment.is_zero());
-    let tip = acts(control.moment_max_n_m).then(|| rod.tip());
-    let others = (control.actuator.iter())
-        .filter(|actuator| acts(actuator.moment_max_n_m))
-        .map(|actuator| actuator.node);
-    let beside = |node: usize| {
-        [
-            node.checked_sub(1),
-            (node < rod.n_elements()).then_some(node),
-        ]
-    };
-    (tip.into_iter().chain(others))
-        .flat_map(beside)
-        .flatten()
-        .map(|element| {
-            let stiffness = &rod.elements[element].angular_stiffness;
-            stiffness.x.min(stiffness.y)
-        })
-        .reduce(f64::min)
-        .unwrap_or(rod.scales.moment * rod.scales.length)
-}
-
-/// What a part of a wrench that the scene does not name is bounded by.
-const NOT_ACTUATED: Bound = Bound::Norm(0.0);
 
 /// A bound; `None` where all of it is infinite.
 fn bound(bound: model::Bound) -> Option<Bound> {

@@ -31,8 +31,8 @@ pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
-    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, RodParameters,
-    State, StepError, Stepper, StrainRule, TimeGrid, TimeNode, Trajectory, Wrench,
+    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, State,
+    StepError, Stepper, StrainRule, TimeGrid, TimeNode, Trajectory, Wrench,
 };
 use crate::sqp::{KktResidual, SADDLE_GAIN};
 use crate::stop::{Stop, StopSignal};
@@ -641,15 +641,13 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     h * rod.viscous_damping * sum
 }
 
-/// Checks a solution. `parameters` describe the problem's rod, so that it can be built again with twice the elements;
-/// `initial` makes the initial state of any such rod.
+/// Checks a solution. `finer` builds the problem's rod with a number of times the elements, and the state in which it starts.
 ///
 /// # Errors
 /// [`CheckError`] when a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
 pub fn forward_check(
     problem: &OptimalControlProblem,
-    parameters: &RodParameters,
-    initial: &dyn Fn(&Rod) -> State,
+    finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
     solution: &Solution,
     limits: &CheckLimits,
 ) -> Result<ForwardCheck, CheckError> {
@@ -715,7 +713,7 @@ pub fn forward_check(
     // As large as the solution's, and of no use to what follows.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
     let half = run(2, ReplayKind::ShorterSteps)?;
-    let refinement = refine(problem, parameters, initial, solution)?;
+    let refinement = refine(problem, finer, solution)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
         kkt_parts: conditions.parts,

@@ -7,9 +7,7 @@ use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
 use crate::mechanics::stability::stable_step;
-use crate::mechanics::{
-    ControlSignal, Rod, RodError, RodParameters, State, Stepper, TimeScheme, Trajectory,
-};
+use crate::mechanics::{ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory};
 use crate::stop::StopSignal;
 
 /// An error that was estimated by refining a grid twice.
@@ -77,16 +75,6 @@ fn stable_factor(step: f64, rod: &Rod, least: usize) -> usize {
         }
         TimeScheme::Implicit => least,
     }
-}
-
-/// The same rod with `factor` times the elements; loads stay on the same material points.
-fn divided_rod(parameters: &RodParameters, factor: usize) -> Result<Rod, RodError> {
-    let mut divided = parameters.clone();
-    divided.n_elements *= factor;
-    for load in &mut divided.loads {
-        load.node *= factor;
-    }
-    Rod::new(&divided)
 }
 
 /// One replay, in lockstep with others.
@@ -164,14 +152,13 @@ fn farthest(
 const IN_TIME: [usize; 3] = [1, 2, 4];
 
 /// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
-/// for all); nothing is stored but the latest states.
+/// for all); nothing is stored but the latest states. `finer` builds the rod with a number of times the elements, and its start.
 ///
 /// # Errors
 /// [`CheckError`] when a replay breaks down.
 pub fn refine(
     problem: &OptimalControlProblem,
-    parameters: &RodParameters,
-    initial: &dyn Fn(&Rod) -> State,
+    finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
     solution: &Solution,
 ) -> Result<Refinement, CheckError> {
     let step = problem.grid.step;
@@ -183,9 +170,10 @@ pub fn refine(
     let twice =
         coarse.scheme == TimeScheme::Explicit || 16 * node_steps <= MOST_IMPLICIT_NODE_STEPS;
     let finest_factor = if twice { 4 } else { 2 };
-    let doubled = divided_rod(parameters, 2)?;
-    let finest = divided_rod(parameters, finest_factor)?;
-    let factor = stable_factor(step, &finest, finest_factor);
+    let doubled = finer(2)?;
+    let quadrupled = twice.then(|| finer(4)).transpose()?;
+    let finest = &quadrupled.as_ref().unwrap_or(&doubled).0;
+    let factor = stable_factor(step, finest, finest_factor);
     let mut levels: Vec<Level> = (IN_TIME.iter())
         .map(|&factor| level(coarse, start(), factor, ReplayKind::ShorterSteps))
         .collect();
@@ -196,16 +184,14 @@ pub fn refine(
     if shared.is_none() {
         levels.push(level(coarse, start(), factor, ReplayKind::ShorterSteps));
     }
-    for rod in [Some(&doubled), twice.then_some(&finest)]
-        .into_iter()
-        .flatten()
-    {
+    for (rod, start) in [Some(&doubled), quadrupled.as_ref()].into_iter().flatten() {
         in_space.push(levels.len());
-        levels.push(level(rod, initial(rod), factor, ReplayKind::MoreElements));
+        let start = start.clone();
+        levels.push(level(rod, start, factor, ReplayKind::MoreElements));
     }
 
     let path = problem.path_constraints();
-    let mut watch = Watch::new(problem, &path, &finest, step / factor as f64);
+    let mut watch = Watch::new(problem, &path, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;

@@ -30,6 +30,21 @@ pub fn laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
         .flat_map(|rule| MODELS.map(|model| (rule, model)))
 }
 
+/// The rod of these parameters with `factor` times the elements, its loads on the same material points, and at rest.
+pub fn finer_at_rest(
+    parameters: &RodParameters,
+    factor: usize,
+) -> Result<(Rod, State), softarm::mechanics::RodError> {
+    let mut finer = parameters.clone();
+    finer.n_elements *= factor;
+    for load in &mut finer.loads {
+        load.node *= factor;
+    }
+    let rod = Rod::new(&finer)?;
+    let start = rod.at_rest_on_base(rod.rest.clone());
+    Ok((rod, start))
+}
+
 /// A law of motion with the way it is stepped.
 #[derive(Clone, Copy, Debug)]
 pub struct Method {

@@ -1,44 +1,17 @@
 //! Paths to follow: what a track without a weight weighs.
 
-use nalgebra::Vector3;
-
-use super::model::{Objective, Track};
-use crate::control::{Actuator, Bound, Channel, Tracking};
+use crate::control::{Actuator, Bound, Channel};
 use crate::mechanics::Rod;
 
 /// Part of a displacement that is missed where it is held statically.
 const MISSED: f64 = 1e-4;
-
-impl Objective {
-    /// The same with the weight of every track.
-    pub(super) fn weighted(mut self, rod: &Rod, actuators: &[Actuator]) -> Self {
-        let weight = default_weight(self.effort, rod, actuators);
-        for track in &mut self.track {
-            track.weight.get_or_insert(weight);
-        }
-        self
-    }
-}
-
-impl Track {
-    /// The track of an objective that is [weighted](Objective::weighted).
-    pub(super) fn tracking(&self, rod: &Rod) -> Tracking {
-        Tracking {
-            node: self.node.index(rod.tip()),
-            path: (self.path_m.iter())
-                .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-                .collect(),
-            weight: self.weight.unwrap_or_default(),
-        }
-    }
-}
 
 /// The weight `w` with which the least of `effort/2 |v|² + w/2 |ξ - ξ*|²`, over controls `v` that hold the displacement `ξ = c·v` of the tip
 /// over the length, misses `ξ*` by the part [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
 ///
 /// `c` are the displacements of a straight clamped arm over its length under one unit of each part of the wrench: `f L²/(3EI)` of a force
 /// `f` across the tip and `m L/(2EI)` of a moment `m`. Actuators on other nodes count as if they were on the tip.
-fn default_weight(effort: f64, rod: &Rod, actuators: &[Actuator]) -> f64 {
+pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[Actuator]) -> f64 {
     let acts = |channel: &Channel| {
         (channel.bound).is_none_or(|bound: Bound| (0..3).any(|axis| bound.actuates(axis)))
     };

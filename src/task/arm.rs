@@ -1,0 +1,270 @@
+//! A soft arm as it is, before anybody divides it into elements: material, sections, rest shape, base, gravity, damping, loads, payload.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::discretization::Discretization;
+use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use crate::mechanics::rotation::from_direction;
+use crate::mechanics::{
+    BaseCondition, DistributedLoad, Load, LoadFrame, Material, NodeInertia, Rod, RodError,
+    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, TimeScheme,
+};
+use crate::stop::StopSignal;
+
+/// A place along an arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Place {
+    /// Where the arm is held.
+    Base,
+    /// Its free end.
+    #[default]
+    Tip,
+    /// The arc coordinate at rest over the length, from 0 at the base to 1 at the tip. A discretization takes the nearest node.
+    Fraction(f64),
+}
+
+impl Place {
+    /// The place of a node of a rod of `elements`.
+    #[must_use]
+    pub fn of_node(node: usize, elements: usize) -> Self {
+        match node {
+            0 => Self::Base,
+            last if last == elements => Self::Tip,
+            _ => Self::Fraction(node as f64 / elements as f64),
+        }
+    }
+
+    /// Arc coordinate at rest over the length.
+    #[must_use]
+    pub fn fraction(self) -> f64 {
+        match self {
+            Self::Base => 0.0,
+            Self::Tip => 1.0,
+            Self::Fraction(s) => s,
+        }
+    }
+
+    /// The nearest node of a rod of `elements`.
+    #[must_use]
+    pub fn node(self, elements: usize) -> usize {
+        match self {
+            Self::Base => 0,
+            Self::Tip => elements,
+            Self::Fraction(s) => ((s * elements as f64).round() as usize).min(elements),
+        }
+    }
+}
+
+/// A given force and moment at a place of the arm.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointLoad {
+    /// Where it acts.
+    pub at: Place,
+    /// Force, N.
+    pub force: Vector3<f64>,
+    /// Moment, N m.
+    pub moment: Vector3<f64>,
+    /// The frame that both are given in.
+    pub frame: LoadFrame,
+    /// Factor over time as points `(t, factor)`, t in s and increasing: linear in between and 0 outside. Empty: always 1.
+    pub profile: Vec<(f64, f64)>,
+}
+
+/// A soft arm: a geometrically exact rod, with all that acts on it but the control.
+///
+/// It has no elements and no time step: a [`Discretization`] makes a [`Rod`] of it.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    /// Rest length, m.
+    pub length: f64,
+    /// Cross-section along the arm.
+    pub section: SectionProfile,
+    /// How axial stretch enters stiffness and inertia.
+    pub model: RodModel,
+    /// Stress-free curvature `κ`, 1/m, body frame.
+    pub rest_curvature: Vector3<f64>,
+    /// Stress-free stretch (1: the arm is as long as `length`).
+    pub rest_stretch: f64,
+    /// How the base is held.
+    pub base: BaseCondition,
+    /// Position of the base, m; what a driven base moves from.
+    pub base_position: Vector3<f64>,
+    /// Rotation of the base, body to space; the arm leaves it along its third column. What a driven base turns from.
+    pub base_rotation: Matrix3<f64>,
+    /// Acceleration of gravity, m/s², spatial frame.
+    pub gravity: Vector3<f64>,
+    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
+    pub viscous_damping: f64,
+    /// Kelvin-Voigt time `τ`, s: an additional stress `τ C ṡ`, `ṡ` the rate of strain.
+    pub internal_damping: f64,
+    /// Given loads at places.
+    pub loads: Vec<PointLoad>,
+    /// Given loads along the arm.
+    pub distributed_loads: Vec<DistributedLoad>,
+    /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
+    pub payload: Option<NodeInertia>,
+    /// Radius at base and tip, m, for distances from obstacles and for pictures; `None` for a line without thickness.
+    pub radii: Option<[f64; 2]>,
+}
+
+impl Arm {
+    /// A straight arm, clamped at the origin along the third axis, without gravity, damping, loads and payload.
+    #[must_use]
+    pub fn straight(length: f64, section: SectionProfile) -> Self {
+        let radii = match section {
+            SectionProfile::Uniform(_) => None,
+            SectionProfile::TaperedCircle {
+                base_radius,
+                tip_radius,
+                ..
+            } => Some([base_radius, tip_radius]),
+        };
+        Self {
+            length,
+            section,
+            model: RodModel::Standard,
+            rest_curvature: Vector3::zeros(),
+            rest_stretch: 1.0,
+            base: BaseCondition::Clamped,
+            base_position: Vector3::zeros(),
+            base_rotation: Matrix3::identity(),
+            gravity: Vector3::zeros(),
+            viscous_damping: 0.0,
+            internal_damping: 0.0,
+            loads: Vec::new(),
+            distributed_loads: Vec::new(),
+            payload: None,
+            radii,
+        }
+    }
+
+    /// A straight arm of circular section, of one material, `length` and `radius` in m.
+    #[must_use]
+    pub fn cylinder(material: &Material, length: f64, radius: f64) -> Self {
+        let section = SectionProfile::Uniform(Section::circle(material, radius));
+        Self {
+            radii: Some([radius; 2]),
+            ..Self::straight(length, section)
+        }
+    }
+
+    /// A straight arm of circular section whose radius falls or grows linearly from `base_radius` to `tip_radius`, in m.
+    #[must_use]
+    pub fn cone(material: &Material, length: f64, [base_radius, tip_radius]: [f64; 2]) -> Self {
+        Self::straight(
+            length,
+            SectionProfile::TaperedCircle {
+                material: *material,
+                base_radius,
+                tip_radius,
+            },
+        )
+    }
+
+    /// The same arm with its base turned so that it leaves it along `direction`, which need not be a unit vector.
+    #[must_use]
+    pub fn pointing(self, direction: Vector3<f64>) -> Self {
+        Self {
+            base_rotation: from_direction(&direction, 0.0),
+            ..self
+        }
+    }
+
+    /// Radius at the `elements + 1` nodes of a discretization, m; empty for a line without thickness.
+    #[must_use]
+    pub fn radii_at_nodes(&self, elements: usize) -> Vec<f64> {
+        self.radii.map_or_else(Vec::new, |[base, tip]| {
+            (0..=elements)
+                .map(|q| base + (tip - base) * q as f64 / elements as f64)
+                .collect()
+        })
+    }
+
+    /// What [`Rod::new`] builds the rod of a discretization from. An integrator or a rotary inertia that the discretization leaves open
+    /// is explicit, and that of the section.
+    #[must_use]
+    pub fn rod_parameters(&self, discretization: &Discretization) -> RodParameters {
+        let n_elements = discretization.elements;
+        RodParameters {
+            length: self.length,
+            n_elements,
+            strain_rule: discretization.strain_rule,
+            model: self.model,
+            section: self.section,
+            rotary_inertia: discretization
+                .rotary_inertia
+                .unwrap_or(RotaryInertia::Section),
+            rest_curvature: self.rest_curvature,
+            rest_stretch: self.rest_stretch,
+            base: self.base.clone(),
+            base_position: self.base_position,
+            base_rotation: self.base_rotation,
+            gravity: self.gravity,
+            viscous_damping: self.viscous_damping,
+            internal_damping: self.internal_damping,
+            scheme: discretization.scheme.unwrap_or(TimeScheme::Explicit),
+            loads: (self.loads.iter())
+                .map(|load| Load {
+                    node: load.at.node(n_elements),
+                    force: load.force,
+                    moment: load.moment,
+                    frame: load.frame,
+                    profile: load.profile.clone(),
+                })
+                .collect(),
+            distributed_loads: self.distributed_loads.clone(),
+            payload: self.payload,
+        }
+    }
+
+    /// The rod of a discretization; see [`Self::rod_parameters`].
+    ///
+    /// # Errors
+    /// Those of [`Rod::new`].
+    pub fn rod(&self, discretization: &Discretization) -> Result<Rod, RodError> {
+        Rod::new(&self.rod_parameters(discretization))
+    }
+}
+
+/// The shape in which a motion starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StartShape {
+    /// Free of stress.
+    #[default]
+    Rest,
+    /// In static equilibrium with gravity and loads.
+    Equilibrium,
+}
+
+/// State of an arm at t = 0: a shape, and how it moves. An arm on a clamped base is at rest, one on a driven base moves with it as a rigid body.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Start {
+    /// The shape.
+    pub shape: StartShape,
+    /// Velocity of the center of mass of a free arm, m/s, spatial frame.
+    pub velocity: Vector3<f64>,
+    /// Angular velocity of a free arm, rad/s, spatial frame.
+    pub angular_velocity: Vector3<f64>,
+}
+
+impl Start {
+    /// The state of a rod at t = 0.
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] where there is no equilibrium to start from, or `stop` is raised before it is found.
+    pub fn state(&self, rod: &Rod, stop: &StopSignal) -> Result<State, EquilibriumError> {
+        let shape = match self.shape {
+            StartShape::Rest => rod.rest.clone(),
+            StartShape::Equilibrium => {
+                static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
+            }
+        };
+        Ok(match rod.base {
+            BaseCondition::Clamped | BaseCondition::Driven(_) => rod.at_rest_on_base(shape),
+            BaseCondition::Free => {
+                let center = rod.center_of_mass(&shape.positions);
+                rod.rigid_motion(shape, &center, &self.velocity, &self.angular_velocity)
+            }
+        })
+    }
+}

@@ -1,0 +1,258 @@
+//! What an arm is to do: goals, points on the way, paths to follow, limits, obstacles, and the wrenches that may be chosen for it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::arm::{Place, Start};
+use crate::control::{Bound, FreeDuration, PathEnforcement, Shape};
+
+/// Whether a goal must be met, or is paid for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Hardness {
+    /// A constraint, met within the goal's tolerances.
+    #[default]
+    Hard,
+    /// A term of the objective, `½ weight Σ r²` over the scaled residuals of [`Goal`](crate::control::Goal).
+    Soft {
+        /// Weight on the squared scaled residual.
+        weight: f64,
+    },
+}
+
+/// How near to a hard goal is near enough.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tolerances {
+    /// Distance from the position, m; `None`: it is met exactly.
+    pub distance: Option<f64>,
+    /// Angle from the orientation, rad; `None`: it is met exactly.
+    pub angle: Option<f64>,
+    /// Speed that counts as rest, m/s; 0 for exactly at rest; `None`: 0.01 L/T with the arm's length L and the duration T.
+    pub speed: Option<f64>,
+    /// Angular speed that counts as rest, rad/s; 0 for exactly at rest; `None`: 0.1/T.
+    pub spin: Option<f64>,
+}
+
+/// Speed of a tip at rest, over the length of the arm per duration: a hundredth of what moves the tip by the arm's length in that time.
+const REST_SPEED: f64 = 0.01;
+/// Angular speed of a tip at rest, in rad per duration: it has no scale that shrinks with the arm, and a light tip turns with every wave.
+const REST_SPIN: f64 = 0.1;
+
+impl Tolerances {
+    /// Speed in m/s and angular speed in rad/s that count as rest, for an arm of `length` in m and a task of `duration` in s.
+    #[must_use]
+    pub fn rest(&self, length: f64, duration: f64) -> [f64; 2] {
+        [
+            self.speed.unwrap_or(REST_SPEED * length / duration),
+            self.spin.unwrap_or(REST_SPIN / duration),
+        ]
+    }
+}
+
+/// What a place of the arm must have reached at some time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Target {
+    /// Name in reports.
+    pub name: String,
+    /// Which place.
+    pub at: Place,
+    /// When, s; the nearest time node counts. `None`: at the end of the horizon.
+    pub time: Option<f64>,
+    /// Position, m.
+    pub position: Option<Vector3<f64>>,
+    /// Rotation, body to space.
+    pub rotation: Option<Matrix3<f64>>,
+    /// Zero velocity and angular velocity; only at the end of the horizon.
+    pub at_rest: bool,
+    /// Hard or soft.
+    pub hardness: Hardness,
+    /// How near is near enough, where it is hard.
+    pub tolerances: Tolerances,
+}
+
+/// A place that should follow a path: `weight/2 ∫ |x - x*|²/L² dt` in the objective.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// Which place.
+    pub at: Place,
+    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside.
+    pub path: Vec<(f64, Vector3<f64>)>,
+    /// Weight, 1/s. `None`: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of itself.
+    pub weight: Option<f64>,
+}
+
+/// What is made as small as possible, in integrals over time:
+/// `effort/2 |u/u_s|² + rate/2 |u̇/u_s|² + energy U/(EI/L)`, `u` the wrenches and `u_s` their scales, and the tracks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cost {
+    /// Weight of the squared controls.
+    pub effort: f64,
+    /// Weight of their squared rates, s².
+    pub rate: f64,
+    /// Weight of the elastic energy over `EI/L`.
+    pub energy: f64,
+    /// Places that should follow a path.
+    pub tracks: Vec<Track>,
+    /// Force that counts as 1, N. `None`: `EI/L²`.
+    pub force_scale: Option<f64>,
+    /// Moment that counts as 1, N m. `None`: `EI/L` with the `EI` of the weakest section that a moment acts on.
+    pub moment_scale: Option<f64>,
+}
+
+impl Default for Cost {
+    /// The effort alone.
+    fn default() -> Self {
+        Self {
+            effort: 1.0,
+            rate: 0.0,
+            energy: 0.0,
+            tracks: Vec::new(),
+            force_scale: None,
+            moment_scale: None,
+        }
+    }
+}
+
+/// What is limited at all times.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LimitKind {
+    /// The arm, with its radius, stays `margin` in m clear of an obstacle.
+    Clearance {
+        /// The obstacle.
+        shape: Shape,
+        /// Clearance, m.
+        margin: f64,
+    },
+    /// Length of any piece of the arm over that at rest.
+    Stretch {
+        /// Least.
+        least: f64,
+        /// Largest.
+        largest: f64,
+    },
+    /// Bending curvature, 1/m.
+    Curvature {
+        /// Largest.
+        largest: f64,
+    },
+    /// Twist, 1/m.
+    Twist {
+        /// Largest.
+        largest: f64,
+    },
+    /// Speed of a place, m/s.
+    Speed {
+        /// Which place.
+        at: Place,
+        /// Largest.
+        largest: f64,
+    },
+}
+
+/// A limit, how often it is looked at, and how strictly it holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limit {
+    /// Name in reports.
+    pub name: String,
+    /// What is limited.
+    pub kind: LimitKind,
+    /// Times per second at which it is kept, Hz. `None`: at every time step, or at about 1000 times of a longer motion.
+    pub rate: Option<f64>,
+    /// Hard, or at a price per scaled violation and second.
+    pub enforcement: PathEnforcement,
+}
+
+/// Limits of one of the two vectors of a wrench.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChannelLimits {
+    /// Largest force or moment, N or N m; `None`: unbounded.
+    pub bound: Option<Bound>,
+    /// Largest rate of change, N/s or N m/s; `None`: unbounded.
+    pub rate_bound: Option<Bound>,
+}
+
+impl ChannelLimits {
+    /// A force or moment that is not there.
+    pub const NONE: Self = Self {
+        bound: Some(Bound::Norm(0.0)),
+        rate_bound: None,
+    };
+
+    /// At most so many N or N m in magnitude.
+    #[must_use]
+    pub fn at_most(limit: f64) -> Self {
+        Self {
+            bound: Some(Bound::Norm(limit)),
+            rate_bound: None,
+        }
+    }
+
+    pub(super) fn acts(&self) -> bool {
+        (self.bound).is_none_or(|bound| (0..3).any(|axis| bound.actuates(axis)))
+    }
+}
+
+/// A wrench at a place that may be chosen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrenchActuator {
+    /// Where it acts; no two on one node.
+    pub at: Place,
+    /// Force, spatial frame.
+    pub force: ChannelLimits,
+    /// Moment, body frame.
+    pub moment: ChannelLimits,
+}
+
+/// What an arm is to do, in continuous time and space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Task {
+    /// Duration, s; where it is free, the one that the search begins with.
+    pub horizon: f64,
+    /// Whether the duration may be chosen.
+    pub free_duration: Option<FreeDuration>,
+    /// The state at t = 0.
+    pub start: Start,
+    /// Goals at the end and points on the way.
+    pub targets: Vec<Target>,
+    /// What must hold at all times.
+    pub limits: Vec<Limit>,
+    /// The wrenches that may be chosen.
+    pub actuators: Vec<WrenchActuator>,
+    /// What is made as small as possible.
+    pub cost: Cost,
+}
+
+impl Task {
+    /// The tip reaches a position in m after `horizon` seconds and is at rest there, within the default [`Tolerances`]; with the least effort of a
+    /// tip force of at most `largest_force` in N.
+    #[must_use]
+    pub fn reach(position: Vector3<f64>, horizon: f64, largest_force: f64) -> Self {
+        Self {
+            horizon,
+            free_duration: None,
+            start: Start::default(),
+            targets: vec![Target {
+                name: "task".into(),
+                position: Some(position),
+                at_rest: true,
+                ..Target::default()
+            }],
+            limits: Vec::new(),
+            actuators: vec![WrenchActuator {
+                at: Place::Tip,
+                force: ChannelLimits::at_most(largest_force),
+                moment: ChannelLimits::NONE,
+            }],
+            cost: Cost::default(),
+        }
+    }
+
+    /// The same task that lasts `factor` times as long, its points on the way at the same parts of it.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        let mut out = self.clone();
+        out.horizon *= factor;
+        for target in &mut out.targets {
+            target.time = target.time.map(|time| time * factor);
+        }
+        out
+    }
+}

@@ -1,0 +1,699 @@
+//! From a continuous problem to a discrete one: the rod, the time grid, and the optimal-control problem on both.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::arm::Arm;
+use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task};
+use super::discretization::Discretization;
+use super::error::{DiscretizeError, Obstruction};
+use super::prediction::{Work, automatic_scheme, prefers_segments};
+use super::tracking::default_weight;
+use crate::control::path::thinnest;
+use crate::control::{
+    Actuator, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
+    PathConstraint, PathEnforcement, PathLimit, Posture, Tracking,
+};
+use crate::mechanics::rotation::log;
+use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::{
+    Rod, RodError, RodModel, RodParameters, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
+};
+use crate::stop::StopSignal;
+use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
+
+/// Steps beyond this number would run for days.
+pub(crate) const MOST_STEPS: f64 = 1e10;
+/// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
+const MOST_VARIABLES: usize = 2000;
+/// Times at which a path constraint is kept where its limit names no rate: what an arm does in between is of higher order in the
+/// spacing, and the check looks at it.
+const MOST_SAMPLES: usize = 1000;
+/// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.
+const START_TOLERANCE: f64 = 1e-9;
+/// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
+const MOST_STORED_STATES: f64 = 5e7;
+
+/// An arm, its task and a discretization in which every choice is made, and the discrete problem that they are.
+#[derive(Clone, Debug)]
+pub struct Problem {
+    /// The arm.
+    pub arm: Arm,
+    /// The task.
+    pub task: Task,
+    /// The discretization; nothing in it is left open.
+    pub discretization: Discretization,
+    /// Minimize the objective subject to the discrete equations of motion (77) and (81), the bounds, the goals and the limits.
+    pub discrete: OptimalControlProblem,
+}
+
+/// A rod, a time grid and a state at its beginning: what a simulation needs.
+#[derive(Clone, Debug)]
+pub struct DiscreteMotion {
+    /// The discretization; nothing in it is left open.
+    pub discretization: Discretization,
+    /// The rod.
+    pub rod: Rod,
+    /// Its time grid.
+    pub grid: TimeGrid,
+}
+
+impl Arm {
+    /// The rod and the time grid for a simulation of `duration` seconds.
+    ///
+    /// # Errors
+    /// [`DiscretizeError`] where the arm makes no rod, or the step cannot be taken.
+    pub fn discretize(
+        &self,
+        duration: f64,
+        discretization: &Discretization,
+    ) -> Result<DiscreteMotion, DiscretizeError> {
+        let chosen = self.choose(discretization, duration, Work::Simulation)?;
+        let rod = self.rod(&chosen)?;
+        let grid = grid(&rod, chosen.step, duration, 1)?;
+        Ok(DiscreteMotion {
+            discretization: Discretization {
+                step: Some(grid.step),
+                ..chosen
+            },
+            rod,
+            grid,
+        })
+    }
+
+    /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open.
+    fn choose(
+        &self,
+        discretization: &Discretization,
+        duration: f64,
+        work: Work,
+    ) -> Result<Discretization, DiscretizeError> {
+        let given = discretization.step;
+        let with = |rotary_inertia: RotaryInertia| -> Result<_, RodError> {
+            let mut chosen = Discretization {
+                rotary_inertia: Some(rotary_inertia),
+                ..*discretization
+            };
+            let mut rod = self.rod(&chosen)?;
+            if chosen.scheme.is_none() {
+                rod.scheme = automatic_scheme(&rod, given, duration, work);
+                chosen.scheme = Some(rod.scheme);
+            }
+            Ok((chosen, rod))
+        };
+        if let Some(rotary_inertia) = discretization.rotary_inertia {
+            return Ok(with(rotary_inertia)?.0);
+        }
+        let (sections, rod) = with(RotaryInertia::Section)?;
+        if self.model != RodModel::Standard || given.is_some() {
+            return Ok(sections);
+        }
+        let (segments, other) = with(RotaryInertia::Segment)?;
+        Ok(if prefers_segments(&rod, &other, duration, work) {
+            segments
+        } else {
+            sections
+        })
+    }
+}
+
+impl Task {
+    /// The discrete problem of this task for an arm.
+    ///
+    /// # Errors
+    /// [`DiscretizeError`] where a number is out of its range, the arm makes no rod, a step cannot be taken, there is no state to start from,
+    /// or hard goals and limits leave no room for each other.
+    pub fn discretize(
+        &self,
+        arm: &Arm,
+        discretization: &Discretization,
+    ) -> Result<Problem, DiscretizeError> {
+        self.discretize_until(arm, discretization, &StopSignal::default())
+    }
+
+    /// [`Self::discretize`], unless `stop` is raised before the initial state is found; it ends all work on the problem.
+    ///
+    /// # Errors
+    /// As [`Self::discretize`].
+    pub fn discretize_until(
+        &self,
+        arm: &Arm,
+        discretization: &Discretization,
+        stop: &StopSignal,
+    ) -> Result<Problem, DiscretizeError> {
+        self.check(discretization)?;
+        let blocks = discretization.blocks;
+        let work = Work::Solve {
+            n_variables: blocks.saturating_mul(6 * self.actuators.len()),
+        };
+        let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
+        let chosen = arm.choose(discretization, longest, work)?;
+        let rod = arm.rod(&chosen)?;
+        let grid = self.grid(&rod, chosen.step, blocks)?;
+        let n_steps = grid.n_steps as f64;
+        if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
+            return Err(DiscretizeError::TooManyStates {
+                n_steps,
+                step: grid.step,
+                n_nodes: rod.n_nodes(),
+            });
+        }
+        let initial = self.start.state(&rod, stop)?;
+        let control = ControlGrid::new(chosen.hold, blocks, grid.n_steps, grid.step).ok_or(
+            DiscretizeError::TooManyBlocks {
+                blocks,
+                n_steps: grid.n_steps,
+            },
+        )?;
+        let actuators = self.actuators(&rod);
+        let default_weight = default_weight(self.cost.effort, &rod, &actuators);
+        // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
+        let samples_on = match self.free_duration {
+            None => grid,
+            Some(free) => TimeGrid {
+                step: free.longest / n_steps,
+                ..grid
+            },
+        };
+        let radii = arm.radii_at_nodes(chosen.elements);
+        let path = self.path_constraints(&rod, &radii, &samples_on);
+        let discrete = OptimalControlProblem {
+            stop: stop.clone(),
+            radii,
+            goals: (self.targets.iter())
+                .flat_map(|target| self.goals(target, arm, &rod, &grid))
+                .collect(),
+            path,
+            duration: self.free_duration,
+            objective: Objective {
+                effort: self.cost.effort,
+                rate: self.cost.rate,
+                energy: self.cost.energy,
+                tracking: (self.cost.tracks.iter())
+                    .map(|track| Tracking {
+                        node: track.at.node(rod.tip()),
+                        path: track.path.clone(),
+                        weight: track.weight.unwrap_or(default_weight),
+                    })
+                    .collect(),
+                samples: chosen.samples,
+            },
+            grid,
+            initial,
+            control,
+            actuators,
+            rod,
+        };
+        check_start(&discrete)?;
+        check_goals(&discrete)?;
+        if let Some((conflict, what)) = discrete.duration_conflict() {
+            return Err(DiscretizeError::Duration { conflict, what });
+        }
+        let n_variables = discrete.n_variables();
+        if n_variables > MOST_VARIABLES {
+            return Err(DiscretizeError::TooManyVariables {
+                blocks,
+                n_variables,
+                most: MOST_VARIABLES,
+            });
+        }
+        Ok(Problem {
+            arm: arm.clone(),
+            task: self.clone(),
+            discretization: Discretization {
+                step: Some(grid.step),
+                ..chosen
+            },
+            discrete,
+        })
+    }
+
+    /// What the rest of the work takes for granted.
+    fn check(&self, discretization: &Discretization) -> Result<(), DiscretizeError> {
+        let refuse = |what, value, expected| {
+            Err(DiscretizeError::OutOfRange {
+                what,
+                value,
+                expected,
+            })
+        };
+        if !(self.horizon > 0.0 && self.horizon.is_finite()) {
+            return refuse("horizon", self.horizon, "a positive duration");
+        }
+        if let Some(free) = self.free_duration {
+            if !(free.shortest > 0.0 && free.shortest <= self.horizon) {
+                let expected = "a positive duration of at most the horizon";
+                return refuse("free_duration.shortest", free.shortest, expected);
+            }
+            if !(free.longest >= self.horizon && free.longest.is_finite()) {
+                let expected = "a duration of at least the horizon";
+                return refuse("free_duration.longest", free.longest, expected);
+            }
+        }
+        for (what, count) in [
+            ("elements", discretization.elements),
+            ("blocks", discretization.blocks),
+            ("samples", discretization.samples),
+        ] {
+            if count == 0 {
+                return refuse(what, 0.0, "at least 1");
+            }
+        }
+        if let Some(step) = discretization.step
+            && !(step > 0.0 && step.is_finite())
+        {
+            return refuse("step", step, "a positive time");
+        }
+        for target in &self.targets {
+            let Some(time) = target.time else { continue };
+            if !(time > 0.0 && time <= self.horizon) {
+                return refuse("target.time", time, "within the horizon");
+            }
+            if target.at_rest && time < self.horizon {
+                let expected = "the end of the horizon, where alone rest can be asked for";
+                return refuse("target.time", time, expected);
+            }
+        }
+        let nodes = |at: super::Place| at.node(discretization.elements);
+        for (index, actuator) in self.actuators.iter().enumerate() {
+            let node = nodes(actuator.at);
+            if (self.actuators[..index].iter()).any(|other| nodes(other.at) == node) {
+                let expected = "a node that no other actuator has";
+                return refuse("actuator.at", actuator.at.fraction(), expected);
+            }
+        }
+        for limit in &self.limits {
+            if let Some(rate) = limit.rate
+                && !(rate > 0.0)
+            {
+                return refuse("limit.rate", rate, "a positive frequency");
+            }
+        }
+        Ok(())
+    }
+
+    /// A grid whose steps can be taken at the longest duration as well.
+    fn grid(
+        &self,
+        rod: &Rod,
+        step: Option<f64>,
+        blocks: usize,
+    ) -> Result<TimeGrid, DiscretizeError> {
+        let Some(free) = self.free_duration else {
+            return grid(rod, step, self.horizon, blocks);
+        };
+        let Some(step) = step else {
+            let longest = grid(rod, None, free.longest, blocks)?;
+            return Ok(TimeGrid {
+                step: self.horizon / longest.n_steps as f64,
+                ..longest
+            });
+        };
+        let grid = grid(rod, Some(step), self.horizon, blocks)?;
+        let longest = free.longest / grid.n_steps as f64;
+        let limit = stable_step(rod);
+        if longest > limit && rod.scheme == TimeScheme::Explicit {
+            return Err(DiscretizeError::UnstableLongest {
+                n_steps: grid.n_steps,
+                longest,
+                limit,
+                automatic: automatic_step(rod) * step / longest,
+            });
+        }
+        Ok(grid)
+    }
+
+    fn actuators(&self, rod: &Rod) -> Vec<Actuator> {
+        let force_scale = self.cost.force_scale.unwrap_or(rod.scales.force);
+        let moment_scale = (self.cost.moment_scale)
+            .unwrap_or_else(|| self.weakest_bending(rod) / rod.scales.length);
+        let channel = |scale: f64, limits: &ChannelLimits| Channel {
+            scale,
+            bound: limits.bound,
+            rate_bound: limits.rate_bound,
+        };
+        (self.actuators.iter())
+            .map(|actuator| Actuator {
+                node: actuator.at.node(rod.tip()),
+                force: channel(force_scale, &actuator.force),
+                moment: channel(moment_scale, &actuator.moment),
+            })
+            .collect()
+    }
+
+    /// Bending stiffness in N m² of the weakest section that a moment of the control acts on; the mean of the arm where none does.
+    fn weakest_bending(&self, rod: &Rod) -> f64 {
+        let beside = |node: usize| {
+            [
+                node.checked_sub(1),
+                (node < rod.n_elements()).then_some(node),
+            ]
+        };
+        (self.actuators.iter())
+            .filter(|actuator| actuator.moment.acts())
+            .flat_map(|actuator| beside(actuator.at.node(rod.tip())))
+            .flatten()
+            .map(|element| {
+                let stiffness = &rod.elements[element].angular_stiffness;
+                stiffness.x.min(stiffness.y)
+            })
+            .reduce(f64::min)
+            .unwrap_or(rod.scales.moment * rod.scales.length)
+    }
+
+    /// The discrete goals of a target: what may be met within tolerances is one of its own.
+    fn goals(&self, target: &Target, arm: &Arm, rod: &Rod, grid: &TimeGrid) -> Vec<Goal> {
+        let time_node = target.time.map_or(grid.n_steps, |time| {
+            ((time / grid.step).round() as usize).clamp(1, grid.n_steps)
+        });
+        let exact = Goal {
+            name: target.name.clone(),
+            node: target.at.node(rod.tip()),
+            time_node,
+            position: target.position,
+            rotation: target.rotation,
+            at_rest: target.at_rest,
+            enforcement: match target.hardness {
+                Hardness::Hard => Enforcement::Hard,
+                Hardness::Soft { weight } => Enforcement::Soft { weight },
+            },
+        };
+        if target.hardness != Hardness::Hard {
+            return vec![exact];
+        }
+        let tolerances = &target.tolerances;
+        let [speed, spin] = if target.at_rest {
+            tolerances.rest(arm.length, self.horizon)
+        } else {
+            [0.0; 2]
+        };
+        with_tolerances(exact, tolerances.distance, tolerances.angle, [speed, spin])
+    }
+
+    fn path_constraints(&self, rod: &Rod, radii: &[f64], grid: &TimeGrid) -> Vec<PathConstraint> {
+        let time_nodes = |rate: Option<f64>| -> Vec<usize> {
+            let stride = rate.map_or_else(
+                || grid.n_steps.div_ceil(MOST_SAMPLES).max(1),
+                |rate| ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps),
+            );
+            let mut nodes: Vec<usize> = (0..=grid.n_steps).step_by(stride).collect();
+            if nodes[nodes.len() - 1] != grid.n_steps {
+                nodes.push(grid.n_steps);
+            }
+            nodes
+        };
+        (self.limits.iter())
+            .map(|limit| PathConstraint {
+                name: limit.name.clone(),
+                limit: limit.kind.on(rod, radii),
+                time_nodes: time_nodes(limit.rate),
+                enforcement: limit.enforcement,
+            })
+            .collect()
+    }
+}
+
+impl LimitKind {
+    /// The limit on a rod whose nodes have these radii in m.
+    #[must_use]
+    pub fn on(&self, rod: &Rod, radii: &[f64]) -> PathLimit {
+        match *self {
+            Self::Clearance { shape, margin } => {
+                let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+                let radius = shape.least_radius() + thinnest(radii) + margin;
+                PathLimit::Clearance {
+                    shape,
+                    margin,
+                    points: PathLimit::points_per_element(chord, radius),
+                }
+            }
+            Self::Stretch { least, largest } => PathLimit::Stretch { least, largest },
+            Self::Curvature { largest } => PathLimit::Curvature { largest },
+            Self::Twist { largest } => PathLimit::Twist { largest },
+            Self::Speed { at, largest } => PathLimit::Speed {
+                node: at.node(rod.n_elements()),
+                largest,
+            },
+        }
+    }
+}
+
+impl Problem {
+    /// The rod with `factor` times the elements, and the state in which it starts. Where the finer rod has no equilibrium, although the
+    /// coarse one had, it starts at rest.
+    ///
+    /// # Errors
+    /// Those of [`Rod::new`].
+    pub fn finer(&self, factor: usize) -> Result<(Rod, State), RodError> {
+        let rod = self.arm.rod(&Discretization {
+            elements: self.discretization.elements * factor,
+            ..self.discretization
+        })?;
+        let start = (self.task.start.state(&rod, &self.discrete.stop))
+            .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
+        Ok((rod, start))
+    }
+
+    /// What the rod of the problem is built from.
+    #[must_use]
+    pub fn rod_parameters(&self) -> RodParameters {
+        self.arm.rod_parameters(&self.discretization)
+    }
+
+    /// Checks a solution: see [`forward_check`].
+    ///
+    /// # Errors
+    /// [`CheckError`] when a replay cannot be made.
+    pub fn certify(
+        &self,
+        solution: &Solution,
+        limits: &CheckLimits,
+    ) -> Result<ForwardCheck, CheckError> {
+        forward_check(
+            &self.discrete,
+            &|factor| self.finer(factor),
+            solution,
+            limits,
+        )
+    }
+
+    /// The same problem that lasts `factor` times as long, on as many steps.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        Self {
+            arm: self.arm.clone(),
+            task: self.task.stretched(factor),
+            discretization: Discretization {
+                step: self.discretization.step.map(|step| step * factor),
+                ..self.discretization
+            },
+            discrete: self.discrete.stretched(factor),
+        }
+    }
+}
+
+/// A grid of equal steps, no longer than asked for, whose number is a multiple of `multiple`.
+fn grid(
+    rod: &Rod,
+    step: Option<f64>,
+    end: f64,
+    multiple: usize,
+) -> Result<TimeGrid, DiscretizeError> {
+    let limit = stable_step(rod);
+    if !(limit > 0.0 && limit.is_finite()) {
+        return Err(DiscretizeError::NoStableStep(limit));
+    }
+    let automatic = automatic_step(rod);
+    let step = match step {
+        None => automatic,
+        Some(step) if step <= limit || rod.scheme == TimeScheme::Implicit => step,
+        Some(step) => {
+            return Err(DiscretizeError::UnstableStep {
+                step,
+                limit,
+                automatic,
+            });
+        }
+    };
+    if !(end / step <= MOST_STEPS) {
+        return Err(DiscretizeError::TooManySteps {
+            n_steps: end / step,
+            step,
+            most: MOST_STEPS,
+        });
+    }
+    Ok(TimeGrid::covering(end, step, multiple))
+}
+
+/// A goal whose parts may be met within tolerances: those that may become a goal of their own. `distance` and `angle` are exact where they are
+/// none, and the speed and the angular speed of rest where they are zero.
+fn with_tolerances(
+    goal: Goal,
+    distance: Option<f64>,
+    angle: Option<f64>,
+    [speed, spin]: [f64; 2],
+) -> Vec<Goal> {
+    let mut exact = goal.clone();
+    let mut near = Goal {
+        position: None,
+        rotation: None,
+        at_rest: false,
+        enforcement: Enforcement::Within {
+            distance: distance.unwrap_or(0.0),
+            angle: angle.unwrap_or(0.0),
+            speed,
+            spin,
+        },
+        ..goal
+    };
+    if distance.is_some() {
+        near.position = exact.position.take();
+    }
+    if angle.is_some() {
+        near.rotation = exact.rotation.take();
+    }
+    if speed > 0.0 || spin > 0.0 {
+        near.at_rest = std::mem::take(&mut exact.at_rest);
+    }
+    [near, exact]
+        .into_iter()
+        .filter(|goal| goal.position.is_some() || goal.rotation.is_some() || goal.at_rest)
+        .collect()
+}
+
+/// Whether the arm, as it is at the start, keeps all that is hard: nothing could be done about it.
+fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
+    let mut start = Trajectory::with_capacity(problem.rod.n_nodes(), 1);
+    start.push(&problem.initial.configuration);
+    let posture = Posture {
+        rod: &problem.rod,
+        radii: &problem.radii,
+        trajectory: &start,
+        step: problem.grid.step,
+    };
+    for (index, constraint) in problem.path.iter().enumerate() {
+        if constraint.enforcement != PathEnforcement::Hard {
+            continue;
+        }
+        let limit = &constraint.limit;
+        let worst = (0..limit.n_items(&problem.rod))
+            .map(|item| (limit.value(&posture, 0, item), item))
+            .fold(
+                (0.0, 0),
+                |worst, row| if row.0 > worst.0 { row } else { worst },
+            );
+        if worst.0 <= START_TOLERANCE {
+            continue;
+        }
+        let (unit, relation, place) = match limit {
+            PathLimit::Clearance { .. } => ("m", "inside", "node"),
+            _ => (limit.unit(), "beyond", "the element from node"),
+        };
+        return Err(DiscretizeError::ViolatedAtStart {
+            limit: index,
+            name: constraint.name.clone(),
+            amount: worst.0 * limit.scale(&problem.rod),
+            unit: if unit.is_empty() {
+                String::new()
+            } else {
+                format!("{unit} ")
+            },
+            relation,
+            place,
+            node: limit.node(worst.1),
+        });
+    }
+    Ok(())
+}
+
+/// Whether hard goals leave room for each other, for the obstacles, and for what holds the base.
+fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
+    let rod = &problem.rod;
+    let rounding = START_TOLERANCE * rod.scales.length;
+    let hard: Vec<(&Goal, [f64; 2])> = (problem.goals.iter())
+        .filter_map(|goal| match goal.enforcement {
+            Enforcement::Hard => Some((goal, [rounding, START_TOLERANCE])),
+            Enforcement::Within {
+                distance, angle, ..
+            } => Some((goal, [distance, angle])),
+            Enforcement::Soft { .. } => None,
+        })
+        .collect();
+    for (at, &(goal, [distance, angle])) in hard.iter().enumerate() {
+        let time = problem.grid.time(goal.time_node);
+        let refuse = |part: GoalPart, amount: f64, why: String, with: Obstruction| {
+            Err(DiscretizeError::GoalConflict {
+                goal: goal.name.clone(),
+                part,
+                amount,
+                why,
+                time,
+                with,
+            })
+        };
+        for &(other, [other_distance, other_angle]) in &hard[..at] {
+            if (goal.node, goal.time_node) != (other.node, other.time_node) {
+                continue;
+            }
+            let why = format!(
+                "away from where {} has node {} at the same step",
+                other.name, goal.node
+            );
+            let off = separation(&goal.position, &other.position);
+            if off > distance + other_distance {
+                return refuse(GoalPart::Position, off, why, Obstruction::Goal);
+            }
+            let off = turn(&goal.rotation, &other.rotation);
+            if off > angle + other_angle {
+                return refuse(GoalPart::Orientation, off, why, Obstruction::Goal);
+            }
+        }
+        if goal.node < rod.first_free_node() {
+            let (position, rotation) = match rod.driven_base(time) {
+                Some(base) => (base.position, base.rotation),
+                None => {
+                    let start = &problem.initial.configuration;
+                    (start.positions[goal.node], start.rotations[goal.node])
+                }
+            };
+            let why = format!("away from where node {} is held", goal.node);
+            let off = separation(&goal.position, &Some(position));
+            if off > distance {
+                return refuse(GoalPart::Position, off, why, Obstruction::Base);
+            }
+            let off = turn(&goal.rotation, &Some(rotation));
+            if off > angle {
+                return refuse(GoalPart::Orientation, off, why, Obstruction::Base);
+            }
+        }
+        let Some(position) = &goal.position else {
+            continue;
+        };
+        let radius = problem.radii.get(goal.node).copied().unwrap_or(0.0);
+        for constraint in &problem.path {
+            if let PathLimit::Clearance { shape, margin, .. } = &constraint.limit
+                && constraint.enforcement == PathEnforcement::Hard
+            {
+                let depth = radius + margin - shape.distance(position).value;
+                if depth > distance {
+                    let why = format!(
+                        "too near to \"{}\" for node {}, whose radius is {radius:.3e} m",
+                        constraint.name, goal.node
+                    );
+                    return refuse(GoalPart::Position, depth, why, Obstruction::Obstacle);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Distance between two places, m; 0 where one is not given.
+fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
+    a.zip(*b).map_or(0.0, |(a, b)| (a - b).norm())
+}
+
+/// Angle between two orientations, rad; 0 where one is not given.
+fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
+    a.zip(*b)
+        .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())
+}

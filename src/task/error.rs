@@ -1,0 +1,144 @@
+//! Why a continuous problem cannot be cut into the numbers that were asked for.
+
+use crate::control::{DurationConflict, GoalPart};
+use crate::mechanics::RodError;
+use crate::mechanics::equilibrium::EquilibriumError;
+
+/// Why there is no discrete problem.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DiscretizeError {
+    /// A number of the task or the discretization that is out of its range.
+    #[error("{what}: {value} is not {expected}")]
+    OutOfRange {
+        /// Which field.
+        what: &'static str,
+        /// The number.
+        value: f64,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The arm makes no rod.
+    #[error(transparent)]
+    Rod(#[from] RodError),
+    /// Stiffness and inertia are too far apart.
+    #[error("the stable time step of this rod is {0}")]
+    NoStableStep(f64),
+    /// A step that explicit steps cannot take.
+    #[error("{step} s is above the stable step of this rod, {limit:.4e} s")]
+    UnstableStep {
+        /// The step, s.
+        step: f64,
+        /// The stable one, s.
+        limit: f64,
+        /// What is taken where no step is given, s.
+        automatic: f64,
+    },
+    /// A free duration whose longest makes steps that cannot be taken.
+    #[error(
+        "{n_steps} steps of this duration, {longest:.4e} s each, are above the stable step of this rod, {limit:.4e} s"
+    )]
+    UnstableLongest {
+        /// Steps of the horizon.
+        n_steps: usize,
+        /// The step of the longest duration, s.
+        longest: f64,
+        /// The stable one, s.
+        limit: f64,
+        /// A step of the horizon at which the longest one is stable, s.
+        automatic: f64,
+    },
+    /// More steps than anybody counts.
+    #[error("{n_steps:.3e} steps of {step:.3e} s are more than {most:e}")]
+    TooManySteps {
+        /// How many.
+        n_steps: f64,
+        /// Each, s.
+        step: f64,
+        /// The most there may be.
+        most: f64,
+    },
+    /// A trajectory that does not fit in memory.
+    #[error("{n_steps:.3e} steps of {step:.3e} s with {n_nodes} nodes do not fit in memory")]
+    TooManyStates {
+        /// Steps of the horizon.
+        n_steps: f64,
+        /// Each, s.
+        step: f64,
+        /// Nodes of the rod.
+        n_nodes: usize,
+    },
+    /// The rod has no state to start from.
+    #[error(transparent)]
+    Start(#[from] EquilibriumError),
+    /// More blocks than steps.
+    #[error("{blocks} blocks do not fit into {n_steps} time steps")]
+    TooManyBlocks {
+        /// Blocks.
+        blocks: usize,
+        /// Steps.
+        n_steps: usize,
+    },
+    /// A dense subproblem beyond reason.
+    #[error("{blocks} blocks make {n_variables} variables, more than {most}")]
+    TooManyVariables {
+        /// Blocks.
+        blocks: usize,
+        /// Variables.
+        n_variables: usize,
+        /// The most there may be.
+        most: usize,
+    },
+    /// A hard limit that the arm violates where it starts, which nothing could mend.
+    #[error("at t = 0 the arm is {amount:.3e} {unit}{relation} \"{name}\" at {place} {node}")]
+    ViolatedAtStart {
+        /// Index among the task's limits.
+        limit: usize,
+        /// Its name.
+        name: String,
+        /// By how much.
+        amount: f64,
+        /// In what unit, with a space behind it where there is one.
+        unit: String,
+        /// Inside or beyond.
+        relation: &'static str,
+        /// A node, or the element from a node.
+        place: &'static str,
+        /// The node.
+        node: usize,
+    },
+    /// A hard goal that leaves no room for something else.
+    #[error("{amount:.3e} {} {why} (t = {time:.4e} s)", part.unit())]
+    GoalConflict {
+        /// Name of the goal.
+        goal: String,
+        /// Which part of it.
+        part: GoalPart,
+        /// By how much, in the part's unit.
+        amount: f64,
+        /// What is in its way, and where that is.
+        why: String,
+        /// When, s.
+        time: f64,
+        /// What is in its way.
+        with: Obstruction,
+    },
+    /// What does not go with a free duration.
+    #[error("a free duration does not go with {what}")]
+    Duration {
+        /// Which part of the problem.
+        conflict: DurationConflict,
+        /// In words.
+        what: String,
+    },
+}
+
+/// What is in the way of a hard goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Obstruction {
+    /// Another goal.
+    Goal,
+    /// What holds the base.
+    Base,
+    /// A hard obstacle.
+    Obstacle,
+}
