@@ -1,7 +1,7 @@
 //! The paper's experiments: its scenes, the quantities it prints, and what the three models keep.
 
 use nalgebra::Vector3;
-use softarm::mechanics::{Integrator, NodeWrenches, RodModel};
+use softarm::mechanics::{Integrator, NodeWrenches, RodModel, StrainRule};
 use softarm::paper::{
     Comparison, Experiment, LongRun, Study, convergence, order, section_area, tip_at,
 };
@@ -207,7 +207,12 @@ fn second_order_in_space() {
 #[test]
 fn coarse_trapezoidal_rods_lock() {
     let study = study(&["time.step_s=1e-3"]);
-    let tips = tip_at(&study, 5.0, &[("trapezoidal", 20), ("helical", 20)]).unwrap();
+    let tips = tip_at(
+        &study,
+        5.0,
+        &[(StrainRule::Trapezoidal, 20), (StrainRule::Helical, 20)],
+    )
+    .unwrap();
     assert!((tips[0].stiffening - 2.25).abs() < 1e-12);
     let exact = Vector3::new(-8.1727811, 0.0, 2.7430689);
     let off = |i: usize| (Vector3::from(tips[i].position) - exact).norm();

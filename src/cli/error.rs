@@ -59,7 +59,9 @@ impl CliError {
             | Self::Output(_)
             | Self::Directory(_)
             | Self::SecondOpinion(SecondOpinionError::Inequality { .. })
-            | Self::Paper(PaperError::Scene(_)) => exit::USAGE,
+            | Self::Paper(
+                PaperError::Scene(_) | PaperError::Discretize(_) | PaperError::Start(_),
+            ) => exit::USAGE,
             Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
             | Self::Guess(_)

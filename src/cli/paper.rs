@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::console::Console;
 use super::{Global, Outcome, exit};
-use crate::mechanics::RodModel;
+use crate::mechanics::{RodModel, StrainRule};
 use crate::output::summary::SCHEMA_VERSION;
 use crate::paper::convergence::{
     SPACE_STUDY_ELEMENTS, SPACE_STUDY_STEP, TIME_STUDY_ELEMENTS, TIME_STUDY_STEPS, in_space,
@@ -39,13 +39,13 @@ const MODELS: [RodModel; 3] = [
 /// End of the third experiment's bending phase, s.
 const BENT: f64 = 5.0;
 /// Grids on which the bent rod is looked at.
-const TIP_GRIDS: [(&str, usize); 6] = [
-    ("trapezoidal", 20),
-    ("trapezoidal", 50),
-    ("trapezoidal", 100),
-    ("helical", 10),
-    ("helical", 20),
-    ("helical", 40),
+const TIP_GRIDS: [(StrainRule, usize); 6] = [
+    (StrainRule::Trapezoidal, 20),
+    (StrainRule::Trapezoidal, 50),
+    (StrainRule::Trapezoidal, 100),
+    (StrainRule::Helical, 10),
+    (StrainRule::Helical, 20),
+    (StrainRule::Helical, 40),
 ];
 /// The third experiment on finer grids: model, elements, step in s.
 const FINE_GRIDS: [(RodModel, usize, f64); 6] = [

@@ -125,18 +125,14 @@ fn sample(
     parts: usize,
     end: f64,
 ) -> Result<Trajectory, PaperError> {
-    let simulation = study.simulation(
-        SCENE,
-        &[
-            format!("rod.model={}", model.name()),
-            format!("rod.elements={elements}"),
-            format!("time.step_s={step:e}"),
-            format!("time.end_s={end}"),
-        ],
-    )?;
-    let (rod, grid) = (&simulation.rod, simulation.grid);
+    let mut posed = study.posed(SCENE)?;
+    posed.arm.model = model;
+    posed.discretization.elements = elements;
+    posed.discretization.step = Some(step);
+    posed.end = end;
+    let (rod, grid, start) = posed.discretize()?;
     let every = ((SAMPLE_PERIOD / grid.step).round() as usize).max(1);
-    let mut integrator = Integrator::new(rod, grid.step, simulation.initial.clone());
+    let mut integrator = Integrator::new(&rod, grid.step, start);
     let mut samples = Trajectory::with_capacity(parts + 1, grid.n_steps / every + 1);
     for k in 0..=grid.n_steps {
         if k % every == 0 {

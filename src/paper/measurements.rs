@@ -1,7 +1,7 @@
 //! What the third experiment shows beside the printed numbers: locking, and the breakdown of the paper's model.
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, NodeWrenches, RodModel, StepError};
+use crate::mechanics::{Integrator, NodeWrenches, RodModel, StepError, StrainRule};
 
 const SCENE: &str = "paper-bending-stretching";
 
@@ -25,29 +25,24 @@ pub struct Tip {
 pub fn tip_at(
     study: &Study,
     time: f64,
-    grids: &[(&'static str, usize)],
+    grids: &[(StrainRule, usize)],
 ) -> Result<Vec<Tip>, PaperError> {
     study
         .map(grids, |&(strain, elements)| {
-            let simulation = study.simulation(
-                SCENE,
-                &[
-                    format!("rod.strain={strain}"),
-                    format!("rod.elements={elements}"),
-                    "rod.model=standard".into(),
-                    format!("time.end_s={time}"),
-                ],
-            )?;
-            let rod = &simulation.rod;
-            let mut integrator =
-                Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
-            for _ in 0..simulation.grid.n_steps {
+            let mut posed = study.posed(SCENE)?;
+            posed.arm.model = RodModel::Standard;
+            posed.discretization.strain_rule = strain;
+            posed.discretization.elements = elements;
+            posed.end = time;
+            let (rod, grid, start) = posed.discretize()?;
+            let mut integrator = Integrator::new(&rod, grid.step, start);
+            for _ in 0..grid.n_steps {
                 advance(&mut integrator)?;
             }
             Ok(Tip {
-                strain,
+                strain: strain.name(),
                 elements,
-                stiffening: if strain == "trapezoidal" {
+                stiffening: if strain == StrainRule::Trapezoidal {
                     1.0 + rod.locking_ratio()
                 } else {
                     1.0
@@ -100,16 +95,13 @@ const GLANCE: usize = 20;
 pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<BlowUp>, PaperError> {
     study
         .map(runs, |&(model, elements, step)| {
-            let simulation = study.simulation(
-                SCENE,
-                &[
-                    format!("rod.model={}", model.name()),
-                    format!("rod.elements={elements}"),
-                    format!("time.step_s={step:e}"),
-                ],
-            )?;
-            let (rod, grid) = (&simulation.rod, simulation.grid);
-            let mut integrator = Integrator::new(rod, grid.step, simulation.initial.clone());
+            let mut posed = study.posed(SCENE)?;
+            posed.arm.model = model;
+            posed.discretization.elements = elements;
+            posed.discretization.step = Some(step);
+            let (rod, grid, start) = posed.discretize()?;
+            let rod = &rod;
+            let mut integrator = Integrator::new(rod, grid.step, start);
             let unloaded = super::Experiment::BendingStretching.unloaded();
             let mut energies = Vec::new();
             let mut failure = None;

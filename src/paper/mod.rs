@@ -19,8 +19,11 @@ pub use measurements::{BlowUp, Tip, blow_up, tip_at};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::mechanics::StepError;
+use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::{Rod, State, StepError, TimeGrid};
 use crate::scene::{Scene, SceneError, Simulation};
+use crate::stop::StopSignal;
+use crate::task::{Arm, Discretization, DiscretizeError, Start};
 
 /// An experiment could not be run.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +31,12 @@ pub enum PaperError {
     /// Its scene does not hold together, as an override can bring about.
     #[error("{0}")]
     Scene(#[from] SceneError),
+    /// It cannot be discretized so.
+    #[error("error: {0}")]
+    Discretize(#[from] DiscretizeError),
+    /// Its initial equilibrium does not exist.
+    #[error("error: {0}")]
+    Start(#[from] EquilibriumError),
     /// Its simulation broke down.
     #[error("error: {scene}: {error}")]
     Step {
@@ -36,6 +45,31 @@ pub enum PaperError {
         /// Where and why.
         error: StepError,
     },
+}
+
+/// A motion of an arm that can be discretized in many ways.
+#[derive(Clone, Debug)]
+pub struct PosedMotion {
+    /// The arm.
+    pub arm: Arm,
+    /// The state in which it starts.
+    pub start: Start,
+    /// The discretization.
+    pub discretization: Discretization,
+    /// When the motion ends, s.
+    pub end: f64,
+}
+
+impl PosedMotion {
+    /// The rod, the time grid, and the state at its start.
+    ///
+    /// # Errors
+    /// [`PaperError::Discretize`] and [`PaperError::Start`]
+    pub fn discretize(&self) -> Result<(Rod, TimeGrid, State), PaperError> {
+        let motion = self.arm.discretize(self.end, &self.discretization)?;
+        let start = self.start.state(&motion.rod, &StopSignal::default())?;
+        Ok((motion.rod, motion.grid, start))
+    }
 }
 
 /// What all runs share.
@@ -60,6 +94,20 @@ impl Study {
         let all: Vec<String> = self.overrides.iter().chain(overrides).cloned().collect();
         let (scene, source) = Scene::load(scene, &all)?;
         Ok(scene.simulation(&source)?)
+    }
+
+    /// A built-in scene under the overrides of this study, before it is discretized.
+    ///
+    /// # Errors
+    /// [`PaperError::Scene`]
+    pub fn posed(&self, scene: &'static str) -> Result<PosedMotion, PaperError> {
+        let (scene, source) = Scene::load(scene, &self.overrides)?;
+        Ok(PosedMotion {
+            arm: scene.arm(&source)?,
+            start: scene.start(),
+            discretization: scene.discretization(),
+            end: scene.time.end_s,
+        })
     }
 
     /// `run` of every job, in the order of the jobs.
