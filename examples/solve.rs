@@ -13,14 +13,13 @@
 //! ```
 
 use std::error::Error;
-use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
-use softarm::control::{Guess, Hold, Transcription, first_point};
+use softarm::control::{Guess, Hold, Search};
 use softarm::mechanics::Material;
-use softarm::sqp::{self, SqpSettings, SqpStatus};
+use softarm::solve::{SolveOptions, solve_with};
 use softarm::task::{Arm, ChannelLimits, Discretization, Task, Tolerances};
-use softarm::verify::{CheckLimits, ForwardCheck, Solution, SolutionMultipliers};
+use softarm::verify::ForwardCheck;
 
 const TARGET: [f64; 3] = [0.5, 0.0, 0.8];
 const BLOCKS_PER_SECOND: usize = 10;
@@ -79,49 +78,42 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
         spin: Some(0.0),
         ..Tolerances::default()
     };
-    let posed = task.discretize(
-        &silicone_arm(),
-        &Discretization {
-            elements: 8,
-            blocks: BLOCKS_PER_SECOND * seconds,
-            hold: Hold::Constant,
-            ..Discretization::default()
+    let discretization = Discretization {
+        elements: 8,
+        blocks: BLOCKS_PER_SECOND * seconds,
+        hold: Hold::Constant,
+        ..Discretization::default()
+    };
+    let options = SolveOptions {
+        search: Search {
+            guess: Some(Guess::StaticPath),
+            n_threads: 2,
+            ..Search::default()
         },
-    )?;
-    let problem = &posed.discrete;
-
-    let program = Transcription::new(problem, 2);
-    let (start, _) = first_point(problem, Guess::StaticPath, None)?;
-    let outcome = sqp::solve(&program, start, &SqpSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    if outcome.status != SqpStatus::Converged {
-        return Err(format!("{seconds} s: {:?}", outcome.status).into());
+        ..SolveOptions::default()
+    };
+    let solution = solve_with(&silicone_arm(), &task, &discretization, &options)?;
+    if !solution.has_converged() {
+        return Err(format!("{seconds} s: {:?}", solution.status()).into());
     }
+    let check = solution.certify()?;
 
-    let wrenches = problem.wrenches(&outcome.point.variables);
-    let check = posed.certify(
-        &Solution {
-            trajectory: &outcome.point.trajectory,
-            coefficients: &wrenches,
-            multipliers: SolutionMultipliers::of_goals(&outcome.multipliers.constraints),
-        },
-        &CheckLimits::default(),
-    )?;
-
+    let problem = &solution.problem.discrete;
+    let trajectory = solution.trajectory();
+    let wrenches = &solution.coefficients;
     let tip = problem.rod.tip();
     let start = problem.initial.configuration.positions[tip];
     let ahead = (Vector3::from(TARGET) - start).normalize();
     let wind_up = (0..=problem.grid.n_steps)
-        .map(|k| -ahead.dot(&(outcome.point.trajectory.positions_at(k)[tip] - start)))
+        .map(|k| -ahead.dot(&(trajectory.positions_at(k)[tip] - start)))
         .fold(0.0, f64::max);
     let squares: f64 = wrenches.iter().map(|u| u.force.norm_squared()).sum();
     Ok(Reach {
-        effort: outcome.objective,
+        effort: solution.objective(),
         rms_force: (squares / wrenches.len() as f64).sqrt(),
         largest_force: wrenches.iter().map(|u| u.force.norm()).fold(0.0, f64::max),
         wind_up,
-        iterations: outcome.history.len() - 1,
+        iterations: solution.attempt.iterations(),
         check,
     })
 }

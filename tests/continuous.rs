@@ -336,3 +336,156 @@ fn defaults_are_those_of_scenes() {
         (StrainRule::Helical, Hold::Linear)
     );
 }
+
+/// The scene that describes a problem poses it again, for every built-in scene and the problem of this file: the rods, loads, goals, limits and
+/// prices are the same, orientations and what follows from them to rounding.
+#[test]
+fn problems_can_be_described_as_scenes() {
+    let near = |a: f64, b: f64| (a - b).abs() <= 1e-12 * (1.0 + a.abs());
+    let mut problems = Vec::new();
+    for name in softarm::scene::builtin::names() {
+        let (scene, source) = Scene::load(name, &[]).unwrap();
+        if scene.control.is_some() {
+            let setup = scene.optimal_control(&source).unwrap();
+            problems.push((name.to_string(), setup.posed(), setup.settings));
+        }
+    }
+    assert!(problems.len() >= 5);
+    let (arm, task, discretization) = posed();
+    let ours = task.discretize(&arm, &discretization).unwrap();
+    problems.push(("program".into(), ours, softarm::sqp::SqpSettings::default()));
+    for (name, problem, settings) in problems {
+        let described = Scene::describing(&problem, &settings).unwrap().to_toml();
+        let (scene, source) = Scene::from_toml(&name, &described, &[])
+            .unwrap_or_else(|error| panic!("{name}: {error}\n{described}"));
+        let again = scene
+            .optimal_control(&source)
+            .unwrap_or_else(|error| panic!("{name}: {error}\n{described}"));
+        let (one, other) = (&problem.discrete, &again.problem);
+        assert_eq!(one.grid, other.grid, "{name}");
+        assert_eq!(one.control, other.control, "{name}");
+        assert_eq!(one.duration, other.duration, "{name}");
+        assert_eq!(one.actuators, other.actuators, "{name}");
+        assert_eq!(one.objective, other.objective, "{name}");
+        assert_eq!(one.radii, other.radii, "{name}");
+        assert_eq!(one.rod.nodes, other.rod.nodes, "{name}");
+        assert_eq!(one.rod.loads, other.rod.loads, "{name}");
+        assert_eq!(one.rod.scheme, other.rod.scheme, "{name}");
+        assert_eq!(one.goals.len(), other.goals.len(), "{name}");
+        for (goal, again) in one.goals.iter().zip(&other.goals) {
+            assert_eq!(goal.name, again.name);
+            assert_eq!((goal.node, goal.time_node), (again.node, again.time_node));
+            assert_eq!(goal.position, again.position);
+            assert_eq!(goal.enforcement, again.enforcement);
+            assert_eq!(goal.at_rest, again.at_rest);
+            if let (Some(a), Some(b)) = (goal.rotation, again.rotation) {
+                assert!((a - b).norm() < 1e-14, "{name}");
+            }
+        }
+        assert_eq!(one.path.len(), other.path.len(), "{name}");
+        for (path, again) in one.path.iter().zip(&other.path) {
+            assert_eq!(path.name, again.name);
+            assert_eq!(path.time_nodes, again.time_nodes);
+            assert_eq!(path.enforcement, again.enforcement);
+        }
+        let tips =
+            [one, other].map(|problem| problem.initial.configuration.positions[one.rod.tip()]);
+        assert!(
+            (0..3).all(|i| near(tips[0][i], tips[1][i])),
+            "{name}: {tips:?}"
+        );
+    }
+}
+
+/// What no scene can say is refused, by what it is.
+#[test]
+fn what_no_scene_can_say_is_refused() {
+    let refusal = |change: &dyn Fn(&mut Task)| {
+        let (arm, mut task, discretization) = posed();
+        change(&mut task);
+        let problem = task.discretize(&arm, &discretization).unwrap();
+        let settings = softarm::sqp::SqpSettings::default();
+        Scene::describing(&problem, &settings)
+            .expect_err("refused")
+            .to_string()
+    };
+    assert!(refusal(&|task| task.limits.swap(0, 1)).contains("obstacles"));
+    assert!(refusal(&|task| task.actuators.swap(0, 1)).contains("first actuator"));
+    assert!(
+        refusal(&|task| task.actuators[1].moment.rate_bound = Some(Bound::Norm(1.0)))
+            .contains("rates")
+    );
+    assert!(refusal(&|task| task.targets[1].at = Place::Fraction(0.5)).contains("goal at the end"));
+}
+
+/// Ten lines of library: pose, solve, certify, regulate, save; what was saved is certified by the program, and is the same solve that the program
+/// makes of the scene.
+#[test]
+fn a_problem_is_solved_certified_and_saved() {
+    let arm = Arm {
+        viscous_damping: 1.0,
+        ..Arm::cylinder(&silicone(), 1.0, 0.05)
+    };
+    let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 20.0);
+    let discretization = Discretization {
+        elements: 6,
+        blocks: 6,
+        ..Discretization::default()
+    };
+    let solution = softarm::solve(&arm, &task, &discretization).unwrap();
+    assert!(solution.has_converged());
+    let certificate = solution.certify().unwrap();
+    assert!(certificate.is_certified(), "{:?}", certificate.items);
+    let weights = softarm::control::FeedbackWeights::default();
+    let regulator = solution.regulator(&weights, 1).unwrap();
+    let rates = [&regulator.closed_loop, &regulator.open_loop].map(|growth| growth[0]);
+    assert!(
+        rates.iter().all(|rate| rate.is_finite() && *rate > 0.0),
+        "{rates:?}"
+    );
+
+    let folder = tempfile::tempdir().unwrap();
+    let directory = solution.save(&folder.path().join("result")).unwrap();
+    for file in [
+        "summary.json",
+        "controls.csv",
+        "trajectory.npz",
+        "multipliers.json",
+        "iterations.csv",
+        "scene.toml",
+        "report.html",
+    ] {
+        assert!(directory.join(file).is_file(), "{file}");
+    }
+    let text = std::fs::read_to_string(directory.join("scene.toml")).unwrap();
+    let (scene, source) = Scene::from_toml("saved", &text, &[]).unwrap();
+    let setup = scene.optimal_control(&source).unwrap();
+    let again =
+        softarm::solve::solve_problem(&setup.posed(), &softarm::solve::SolveOptions::default())
+            .unwrap();
+    let difference = again.objective() / solution.objective() - 1.0;
+    assert!(difference.abs() < 1e-9, "{difference:e}");
+    // A second save replaces the first; a file that is not softarm's stays.
+    std::fs::write(directory.join("notes.txt"), "mine").unwrap();
+    solution.save(&directory).unwrap();
+    assert_eq!(std::fs::read(directory.join("notes.txt")).unwrap(), b"mine");
+}
+
+/// A directory that a program saved is one that `softarm verify` certifies.
+
+#[test]
+fn what_was_saved_is_verified() {
+    let arm = Arm::cone(&silicone(), 0.5, [0.03, 0.02]).pointing(Vector3::new(1.0, 0.0, 0.0));
+    let task = Task::reach(Vector3::new(0.4, 0.2, 0.1), 0.8, 5.0);
+    let solution = softarm::solve(&arm, &task, &Discretization::with_elements(8)).unwrap();
+    assert!(solution.has_converged());
+    let folder = tempfile::tempdir().unwrap();
+    let directory = solution.save(&folder.path().join("result")).unwrap();
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .arg("verify")
+        .arg(&directory)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+}

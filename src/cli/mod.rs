@@ -1,6 +1,5 @@
 //! The command line: one file a verb. Only here is anything printed.
 
-mod advice;
 mod check;
 mod console;
 mod derivatives;
@@ -9,12 +8,9 @@ mod example;
 mod memory;
 mod paper;
 mod quantity;
-mod report_pages;
 mod schema;
 mod simulate;
 mod solve;
-mod solve_diagnostics;
-mod step_kind;
 mod verify;
 
 use std::path::PathBuf;

@@ -5,11 +5,9 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::advice;
 use super::check::{output_size, size_warning, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::report_pages::simulation_page;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{
@@ -24,6 +22,7 @@ use crate::output::{
     ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
+use crate::solve::{causes, simulation_page};
 use crate::stop::StopSignal;
 
 /// At most this much work is lost when the process is killed.
@@ -142,7 +141,7 @@ pub(super) fn run(
         }
         End::Failed(error) => {
             console.error(&error.into());
-            for cause in advice::causes(&setup.rod, &setup.initial, setup.grid.end()) {
+            for cause in causes(&setup.rod, &setup.initial, setup.grid.end()) {
                 console.always(&cause);
             }
             exit::NUMERICAL
@@ -451,8 +450,7 @@ impl<'a> Run<'a> {
         let (rod, t) = (&self.setup.rod, self.integrator.time());
         let state = &self.integrator.state();
         let mut row = MotionRecord::empty(rod.n_nodes());
-        push_row(
-            &mut row,
+        row.push_state(
             t,
             state,
             &tip_load(rod, t, state),
@@ -579,7 +577,7 @@ impl<'a> Run<'a> {
             End::Failed(error) => {
                 let mut sentences = vec![error.to_string()];
                 let end = self.setup.grid.end();
-                sentences.extend(advice::causes(rod, &self.setup.initial, end));
+                sentences.extend(causes(rod, &self.setup.initial, end));
                 Some(sentences.join("; "))
             }
             End::Completed | End::Interrupted => None,
@@ -677,29 +675,4 @@ fn tip_load(rod: &Rod, t: f64, state: &State) -> Wrench {
         wrench.moment += acting.moment;
     }
     wrench
-}
-
-/// Appends one time to a record.
-pub(super) fn push_row(
-    record: &mut MotionRecord,
-    t: f64,
-    state: &State,
-    wrench: &Wrench,
-    energy: &Energy,
-    dilatation: &[f64],
-) {
-    record.t.push(t);
-    for x in &state.configuration.positions {
-        record.x.extend(x.iter());
-    }
-    for r in &state.configuration.rotations {
-        // nalgebra stores columns; the file holds rows.
-        record.rotation.extend(r.transpose().iter());
-    }
-    record.tip_force.extend(wrench.force.iter());
-    record.tip_moment.extend(wrench.moment.iter());
-    record
-        .energy
-        .extend([energy.kinetic, energy.elastic, energy.potential]);
-    record.dilatation.extend(dilatation);
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::solve::{check_outcome, show_check, show_tracking};
+use super::solve::{show_check, show_tracking};
 use super::{Global, Outcome, exit, memory};
 use crate::control::{Feedback, OptimalControlProblem, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
@@ -20,6 +20,7 @@ use crate::output::{
     read_text,
 };
 use crate::scene::{OptimalControl, Scene};
+use crate::solve::check_outcome;
 use crate::verify::files::{self, FileCheck, Mismatch};
 use crate::verify::{CheckError, ForwardCheck, Solution};
 

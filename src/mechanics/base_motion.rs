@@ -122,6 +122,11 @@ impl MotionCurve {
 }
 
 impl CubicSpline {
+    /// The points that it goes through, `(t, value)`.
+    pub fn points(&self) -> impl Iterator<Item = (f64, Vector3<f64>)> + '_ {
+        self.times.iter().copied().zip(self.values.iter().copied())
+    }
+
     /// The spline through `(t, value)`.
     ///
     /// # Errors

@@ -2,6 +2,7 @@ use std::path::Path;
 
 use super::npz::{self, read_array, write_array};
 use super::{ArrayView, OutputError};
+use crate::mechanics::{Energy, State, Wrench};
 
 /// A motion of the arm, sampled at `n` times: the content of `trajectory.npz`.
 ///
@@ -27,6 +28,30 @@ pub struct MotionRecord {
 }
 
 impl MotionRecord {
+    /// Appends one time: a state, the wrench on the tip, energies in J, and the length of every element over that at rest.
+    pub fn push_state(
+        &mut self,
+        t: f64,
+        state: &State,
+        wrench: &Wrench,
+        energy: &Energy,
+        dilatation: &[f64],
+    ) {
+        self.t.push(t);
+        for x in &state.configuration.positions {
+            self.x.extend(x.iter());
+        }
+        for r in &state.configuration.rotations {
+            // nalgebra stores columns; the file holds rows.
+            self.rotation.extend(r.transpose().iter());
+        }
+        self.tip_force.extend(wrench.force.iter());
+        self.tip_moment.extend(wrench.moment.iter());
+        self.energy
+            .extend([energy.kinetic, energy.elastic, energy.potential]);
+        self.dilatation.extend(dilatation);
+    }
+
     /// A record without rows.
     pub fn empty(n_nodes: usize) -> Self {
         Self {

@@ -10,6 +10,7 @@
 
 pub mod builtin;
 mod check;
+mod describe;
 mod error;
 mod file;
 mod materials;
@@ -19,6 +20,7 @@ mod reader;
 mod source;
 pub mod translate;
 
+pub use describe::DescribeError;
 pub use error::SceneError;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::{

@@ -10,7 +10,7 @@ use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use crate::control::{
     Bound, Continuation, DurationConflict, FeedbackWeights, FreeDuration, Guess, Hold,
-    OptimalControlProblem, PathEnforcement, PathLimit, Search, Shape,
+    OptimalControlProblem, PathEnforcement, Search, Shape,
 };
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::rotation::{from_quaternion, unit};
@@ -154,15 +154,7 @@ impl OptimalControl {
     /// The limits of the check: those of optimality go with the solver's tolerance, as far as a certificate may.
     #[must_use]
     pub fn check_limits(&self) -> CheckLimits {
-        let limits = CheckLimits::default();
-        CheckLimits {
-            kkt: self
-                .settings
-                .tolerance
-                .clamp(limits.kkt, CheckLimits::LOOSEST_KKT),
-            saddle_gain: self.settings.saddle_gain,
-            ..limits
-        }
+        CheckLimits::of(&self.settings)
     }
 }
 
@@ -537,7 +529,8 @@ impl Scene {
     }
 
     /// Obstacles, then limits.
-    fn limits(&self) -> Vec<Limit> {
+    #[must_use]
+    pub fn limits(&self) -> Vec<Limit> {
         let price = |soft: Option<model::Price>| {
             soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
                 linear: price.linear,
@@ -572,32 +565,6 @@ impl Scene {
             })
         });
         obstacles.chain(limits).collect()
-    }
-
-    /// The obstacles with their names in reports, each as a limit on the scene's own rod.
-    #[must_use]
-    pub fn clearances(&self, rod: &Rod) -> Vec<(&model::Obstacle, String, PathLimit)> {
-        let radii = self.display_radii();
-        (self.obstacle.iter().enumerate())
-            .filter_map(|(index, obstacle)| {
-                let limit = clearance(obstacle)?.on(rod, &radii);
-                Some((obstacle, obstacle.name(index), limit))
-            })
-            .collect()
-    }
-
-    /// Radius of every node for pictures, m; empty when the scene does not say.
-    #[must_use]
-    pub fn display_radii(&self) -> Vec<f64> {
-        let n = self.rod.elements;
-        if let Some([base, tip]) = self.rod.section.as_ref().and_then(model::Section::radii) {
-            return (0..=n)
-                .map(|q| base + (tip - base) * q as f64 / n as f64)
-                .collect();
-        }
-        self.rod
-            .display_radius_m
-            .map_or_else(Vec::new, |radius| vec![radius; n + 1])
     }
 
     /// This scene with the figures of its material in place of the name.

@@ -34,7 +34,7 @@ use crate::mechanics::{
     Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, State,
     StepError, Stepper, StrainRule, TimeGrid, TimeNode, Trajectory, Wrench,
 };
-use crate::sqp::{KktResidual, SADDLE_GAIN};
+use crate::sqp::{KktResidual, SADDLE_GAIN, SqpSettings};
 use crate::stop::{Stop, StopSignal};
 
 /// Part of the limit of the energy residual below which it need not fall with the step.
@@ -65,6 +65,17 @@ pub struct CheckLimits {
 }
 
 impl CheckLimits {
+    /// The limits for what was solved with these settings: those of optimality go with the solver's tolerance, as far as a certificate may.
+    #[must_use]
+    pub fn of(settings: &SqpSettings) -> Self {
+        let limits = Self::default();
+        Self {
+            kkt: settings.tolerance.clamp(limits.kkt, Self::LOOSEST_KKT),
+            saddle_gain: settings.saddle_gain,
+            ..limits
+        }
+    }
+
     /// Residuals of a stationary point, at most, whatever tolerance a scene asks for.
     pub const LOOSEST_KKT: f64 = 1e-3;
 }

@@ -2,11 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::solve::findings;
+use super::choice::Examined;
+use super::solution::Solution;
 use super::step_kind::{MEANINGS, step_kind};
-use crate::control::{
-    Bound, Feedback, Hold, OptimalControlProblem, PathLimit, Posture, Shape, SolveLog, Tracking,
-};
+use crate::control::{Bound, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking};
 use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
 use crate::output::summary::{SimulateSummary, SolveSummary};
 use crate::output::{
@@ -15,15 +14,18 @@ use crate::output::{
     ReportPath, ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
-use crate::scene::{OptimalControl, Scene, Simulation};
+use crate::scene::{Scene, Simulation};
 use crate::sqp::IterationRecord;
+use crate::task::{Arm, Limit, LimitKind, Problem};
+use crate::verify::growth::Growth;
+use crate::verify::second_order::Extremum;
 use crate::verify::{CheckItem, ForwardCheck};
 
 const FRAMES: usize = 240;
 const ENERGY_ROWS: usize = 600;
 const CLEARANCE_ROWS: usize = 600;
 
-pub(super) fn simulation_page(
+pub(crate) fn simulation_page(
     scene: &Scene,
     setup: &Simulation,
     record: &MotionRecord,
@@ -70,11 +72,16 @@ pub(super) fn simulation_page(
         .chain(error)
         .collect(),
         summary: serde_json::to_value(summary).unwrap_or_default(),
-        arm: arm(scene, &setup.rod),
+        arm: arm(&setup.arm, &setup.rod),
         motion: ReportMotion::thinned(record, FRAMES),
         target: None,
         paths: Vec::new(),
-        obstacles: obstacles(scene, &setup.rod, record),
+        obstacles: obstacles(
+            &scene.limits(),
+            &setup.rod,
+            &setup.arm.radii_at_nodes(setup.rod.n_elements()),
+            record,
+        ),
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
         sensitivity: None,
@@ -85,25 +92,30 @@ pub(super) fn simulation_page(
     }
 }
 
-/// What a solve's page needs besides its summary.
+/// What a solve's page shows.
 pub(super) struct SolvePage<'a> {
-    pub scene: &'a Scene,
-    pub setup: &'a OptimalControl,
+    pub solution: &'a Solution,
+    pub examined: &'a Examined,
     pub record: &'a MotionRecord,
-    pub coefficients: &'a [Wrench],
-    pub solves: &'a [SolveLog],
-    pub check: Option<&'a ForwardCheck>,
-    pub feedback: Option<&'a Feedback>,
     pub summary: &'a SolveSummary,
 }
 
 pub(super) fn solve_page(page: &SolvePage) -> ReportData {
-    let SolvePage { summary, setup, .. } = page;
-    let problem = &setup.problem;
+    let SolvePage {
+        solution, summary, ..
+    } = page;
+    let Problem {
+        arm: body,
+        task,
+        discrete: problem,
+        ..
+    } = &solution.problem;
+    let checked = page.examined.check.as_ref();
+    let solves = &solution.attempt.solves;
     let certified =
-        page.check.is_some_and(ForwardCheck::is_certified) && summary.status == "converged";
+        checked.is_some_and(ForwardCheck::is_certified) && summary.status == "converged";
     let text = if summary.status == "converged" {
-        page.check
+        checked
             .map_or("not checked", |check| check.verdict())
             .to_string()
     } else {
@@ -118,26 +130,30 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         },
         facts: (solve_facts(summary, problem.final_goals().next().is_some()).into_iter())
             .chain(
-                page.check
+                checked
                     .iter()
                     .flat_map(|check| findings(check))
                     .map(|text| fact("check", text)),
             )
             .collect(),
         summary: serde_json::to_value(summary).unwrap_or_default(),
-        arm: arm(page.scene, &problem.rod),
+        arm: arm(body, &problem.rod),
         motion: ReportMotion::thinned(page.record, FRAMES),
         target: target(problem),
         paths: paths(problem),
-        obstacles: obstacles(page.scene, &problem.rod, page.record),
-        controls: Some(controls(problem, page.coefficients)),
+        obstacles: obstacles(&task.limits, &problem.rod, &problem.radii, page.record),
+        controls: Some(controls(problem, &solution.coefficients)),
         energy: Some(ReportEnergy::thinned(page.record, ENERGY_ROWS)),
-        sensitivity: page.feedback.map(|feedback| ReportSensitivity {
-            t: problem.control.edge_times(),
-            open: feedback.open_loop.clone(),
-            closed: feedback.closed_loop.clone(),
-        }),
-        iterations: (page.solves.iter().enumerate())
+        sensitivity: page
+            .examined
+            .feedback
+            .as_ref()
+            .map(|feedback| ReportSensitivity {
+                t: problem.control.edge_times(),
+                open: feedback.open_loop.clone(),
+                closed: feedback.closed_loop.clone(),
+            }),
+        iterations: (solves.iter().enumerate())
             .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)))
             .collect(),
         attempts: (summary.attempts.iter())
@@ -151,8 +167,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
         kinds: (MEANINGS.iter())
             .map(|(sign, meaning)| ((*sign).into(), (*meaning).into()))
             .collect(),
-        checks: page
-            .check
+        checks: checked
             .iter()
             .flat_map(|check| check.items.iter().map(check_row))
             .collect(),
@@ -212,9 +227,9 @@ fn solve_facts(summary: &SolveSummary, has_target: bool) -> Vec<(String, String)
     facts
 }
 
-fn arm(scene: &Scene, rod: &Rod) -> ReportArm {
+fn arm(arm: &Arm, rod: &Rod) -> ReportArm {
     ReportArm {
-        radius: scene.display_radii(),
+        radius: arm.radii_at_nodes(rod.n_elements()),
         base: (rod.base == BaseCondition::Clamped).then(|| rod.rest.positions[0].into()),
         gravity: rod.gravity.into(),
     }
@@ -248,13 +263,20 @@ fn paths(problem: &OptimalControlProblem) -> Vec<ReportPath> {
 }
 
 /// The obstacles, and the arm's clearance of each; `None` where there are none.
-fn obstacles(scene: &Scene, rod: &Rod, record: &MotionRecord) -> Option<ReportObstacles> {
-    let limits = scene.clearances(rod);
+fn obstacles(
+    limits: &[Limit],
+    rod: &Rod,
+    radii: &[f64],
+    record: &MotionRecord,
+) -> Option<ReportObstacles> {
+    let limits: Vec<(&str, PathLimit)> = (limits.iter())
+        .filter(|limit| matches!(limit.kind, LimitKind::Clearance { .. }))
+        .map(|limit| (limit.name.as_str(), limit.kind.on(rod, radii)))
+        .collect();
     if limits.is_empty() {
         return None;
     }
     let rows = record.thinned_rows(CLEARANCE_ROWS);
-    let radii = scene.display_radii();
     let mut clearances = vec![Vec::with_capacity(rows.len()); limits.len()];
     for row in &rows {
         let coordinates = record.x.chunks_exact(3 * rod.n_nodes()).nth(*row)?;
@@ -266,23 +288,23 @@ fn obstacles(scene: &Scene, rod: &Rod, record: &MotionRecord) -> Option<ReportOb
         };
         let posture = Posture {
             rod,
-            radii: &radii,
+            radii,
             trajectory: &trajectory,
             step: 0.0,
         };
-        for ((_, _, limit), clearance) in limits.iter().zip(&mut clearances) {
+        for ((_, limit), clearance) in limits.iter().zip(&mut clearances) {
             let worst = (0..limit.n_items(rod))
                 .map(|item| limit.value(&posture, 0, item))
                 .fold(f64::NEG_INFINITY, f64::max);
             clearance.push(-worst * limit.scale(rod));
         }
     }
-    let bodies = (limits.into_iter().zip(clearances)).filter_map(|((_, name, limit), beyond)| {
+    let bodies = (limits.into_iter().zip(clearances)).filter_map(|((name, limit), beyond)| {
         let PathLimit::Clearance { shape, margin, .. } = limit else {
             return None;
         };
         Some(ReportObstacle {
-            name,
+            name: name.into(),
             shape: drawn(&shape),
             margin,
             clearance: beyond.iter().map(|c| (c + margin) as f32).collect(),
@@ -389,4 +411,38 @@ fn check_row(item: &CheckItem) -> ReportCheck {
         ok: item.holds(),
         meaning: item.meaning.into(),
     }
+}
+
+/// What the check found beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the
+/// growth of disturbances.
+pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
+    let rows = (check.kkt_parts.iter())
+        .filter_map(|part| Some((part.name, part.worst.as_ref()?)))
+        .map(|(part, row)| {
+            let name = [row.name.as_str(), row.component].join(" ");
+            let value = format!("{:.2e} {}", row.value, row.unit);
+            format!(
+                "worst of {part}: {} of node {} at t = {:.5} s, {} ({:.1e} scaled)",
+                name.trim_end(),
+                row.node,
+                row.time_s,
+                value.trim_end(),
+                row.scaled
+            )
+        });
+    let second = check.second_order.as_ref().map(|found| {
+        let to_gain = match found.extremum() {
+            Extremum::NotAMinimum => format!(
+                "stationary, not a minimum: at most {:.2} % to gain; ",
+                100.0 * check.gain_over_objective(found)
+            ),
+            kind => format!("{}: ", kind.name()),
+        };
+        format!(
+            "{to_gain}smallest curvature {:.3e} +- {:.1e} in {} directions, {} held",
+            found.eigenvalue, found.error, found.dimension, found.held
+        )
+    });
+    let growth = check.growth.as_ref().map(Growth::sentence);
+    rows.chain(second).chain(growth).collect()
 }

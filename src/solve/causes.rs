@@ -9,7 +9,7 @@ const UNSTABLE_GROWTH: f64 = 10.0;
 
 /// What may be behind a motion that could not be computed, or a problem that could not be solved, over `duration` seconds from `initial` on:
 /// an arm that topples, a model that breaks down. Sentences that can follow a message after a semicolon.
-pub(super) fn causes(rod: &Rod, initial: &State, duration: f64) -> Vec<String> {
+pub(crate) fn causes(rod: &Rod, initial: &State, duration: f64) -> Vec<String> {
     [toppling(rod, initial, duration), breakdown(rod)]
         .into_iter()
         .flatten()

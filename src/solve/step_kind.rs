@@ -3,7 +3,7 @@
 use crate::sqp::{HessianKind, IterationRecord, Leave};
 
 /// Every letter and word of the column with its meaning, in the order in which they are explained.
-pub(super) const MEANINGS: [(&str, &str); 15] = [
+pub(crate) const MEANINGS: [(&str, &str); 15] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
     ("e", "exact Hessian of the point before"),
@@ -23,7 +23,7 @@ pub(super) const MEANINGS: [(&str, &str); 15] = [
 
 /// Kind of the step that left a point: a letter for the Hessian, one for the states, and a `+` for every correction; or a word where it
 /// was left otherwise.
-pub(super) fn step_kind(row: &IterationRecord) -> String {
+pub(crate) fn step_kind(row: &IterationRecord) -> String {
     let word = match row.left {
         Leave::Step => None,
         Leave::Saddle => Some("saddle"),
@@ -49,7 +49,7 @@ pub(super) fn step_kind(row: &IterationRecord) -> String {
 }
 
 /// All of it, for the help of `solve`.
-pub(super) fn help() -> String {
+pub(crate) fn help() -> String {
     let entry = |(sign, meaning): &(&str, &str)| format!("  {sign:8} {meaning}");
     let lines: Vec<String> = MEANINGS.iter().map(entry).collect();
     format!(
@@ -59,7 +59,7 @@ pub(super) fn help() -> String {
 }
 
 /// The signs that some rows have, with their meanings, in one line.
-pub(super) fn legend(rows: &[IterationRecord]) -> String {
+pub(crate) fn legend(rows: &[IterationRecord]) -> String {
     let kinds: Vec<String> = rows.iter().map(step_kind).collect();
     let occurs = |sign: &str| {
         let is_letter = sign.len() == 1 && sign != "-";

@@ -12,7 +12,7 @@ use crate::output::DiagnosticsRecord;
 ///
 /// # Errors
 /// [`StepError`] of the integrator.
-pub(super) fn diagnostics(
+pub(crate) fn diagnostics(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
 ) -> Result<DiagnosticsRecord, StepError> {

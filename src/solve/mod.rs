@@ -1,0 +1,95 @@
+//! From a problem to a certified solution and its files: [`solve`], [`Solution::certify`], [`Solution::regulator`], [`Solution::save`].
+
+mod causes;
+mod choice;
+mod constraints;
+mod diagnostics;
+mod files;
+mod report;
+mod solution;
+mod step_kind;
+mod summary;
+
+pub(crate) use causes::causes;
+pub(crate) use choice::{Chosen, Examination, Examined, choose};
+pub(crate) use diagnostics::diagnostics;
+pub(crate) use files::write;
+pub(crate) use report::{findings, simulation_page};
+pub(crate) use step_kind::{help, legend, step_kind};
+pub(crate) use summary::{check_outcome, status_words, summarize};
+
+pub use files::SaveError;
+pub use solution::Solution;
+
+use std::ops::ControlFlow;
+
+use crate::control::{GuessError, Search, search};
+use crate::sqp::SqpSettings;
+use crate::stop::StopSignal;
+use crate::task::{Arm, Discretization, DiscretizeError, Problem, Task};
+
+/// Why there is no solution to look at.
+#[derive(Debug, thiserror::Error)]
+pub enum SolveError {
+    /// The problem cannot be discretized so.
+    #[error(transparent)]
+    Discretize(#[from] DiscretizeError),
+    /// The solver has no point to start from.
+    #[error("no start for the solver: {0}")]
+    Start(#[from] GuessError),
+}
+
+/// How a problem is solved: the defaults are those of a scene.
+#[derive(Clone, Debug, Default)]
+pub struct SolveOptions {
+    /// Settings of the solver.
+    pub settings: SqpSettings,
+    /// Where it starts, how often, and on how many threads.
+    pub search: Search,
+    /// What ends the work before it is done.
+    pub stop: StopSignal,
+}
+
+/// Discretizes a task for an arm and solves it from one start on one thread.
+///
+/// A solve that does not converge is a [`Solution`] too, which says how far it came.
+///
+/// # Errors
+/// [`SolveError`] where the problem cannot be discretized, or there is no point to start from.
+pub fn solve(
+    arm: &Arm,
+    task: &Task,
+    discretization: &Discretization,
+) -> Result<Solution, SolveError> {
+    solve_with(arm, task, discretization, &SolveOptions::default())
+}
+
+/// [`solve`] with other settings, starts or threads.
+///
+/// # Errors
+/// As [`solve`].
+pub fn solve_with(
+    arm: &Arm,
+    task: &Task,
+    discretization: &Discretization,
+    options: &SolveOptions,
+) -> Result<Solution, SolveError> {
+    let problem = task.discretize_until(arm, discretization, &options.stop)?;
+    solve_problem(&problem, options)
+}
+
+/// Solves a problem that is discretized already.
+///
+/// # Errors
+/// [`SolveError::Start`]
+pub fn solve_problem(problem: &Problem, options: &SolveOptions) -> Result<Solution, SolveError> {
+    let settings = SqpSettings {
+        stop: options.stop.clone(),
+        ..options.settings.clone()
+    };
+    let mut attempts = search(&problem.discrete, &settings, &options.search, &|_, _| {
+        ControlFlow::Continue(())
+    })?;
+    // They come in their order, the best one first.
+    Ok(Solution::of(problem, &settings, attempts.swap_remove(0)))
+}
