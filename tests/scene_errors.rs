@@ -606,6 +606,16 @@ error: rod.strain: \"helicla\" is not one of the choices
    = expected one of \"helical\", \"trapezoidal\"
 help: did you mean \"helical\"?";
     assert_eq!(error.to_string(), expected);
+    for other in ["bfgs", "sr1"] {
+        let error = error_of_overrides("reach", &[&format!("solver.hessian={other}")]);
+        let expected = format!(
+            "\
+error: solver.hessian: \"{other}\" is not one of the choices
+  --> --set solver.hessian={other}
+   = expected one of \"auto\", \"gauss-newton\", \"exact\""
+        );
+        assert_eq!(error.to_string(), expected);
+    }
     for setting in [
         "base.kind=held",
         "control.hold=quintic",

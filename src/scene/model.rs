@@ -977,10 +977,6 @@ pub enum Hessian {
     GaussNewton,
     /// Of the Lagrangian.
     Exact,
-    /// Of the Lagrangian, gathered from its gradients, kept positive definite.
-    Bfgs,
-    /// Of the Lagrangian, gathered from its gradients by symmetric rank one.
-    Sr1,
 }
 
 /// How the quadratic subproblems are solved; the step is the same.

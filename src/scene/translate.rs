@@ -294,8 +294,6 @@ impl Scene {
                     model::Hessian::Auto => HessianChoice::Auto,
                     model::Hessian::GaussNewton => HessianChoice::GaussNewton,
                     model::Hessian::Exact => HessianChoice::Exact,
-                    model::Hessian::Bfgs => HessianChoice::Bfgs,
-                    model::Hessian::Sr1 => HessianChoice::Sr1,
                 },
                 qp: match solver.qp {
                     model::Qp::Auto => QpRoute::Auto,

@@ -3,13 +3,11 @@
 use crate::sqp::{HessianKind, IterationRecord, Leave};
 
 /// Every letter and word of the column with its meaning, in the order in which they are explained.
-pub(crate) const MEANINGS: [(&str, &str); 15] = [
+pub(crate) const MEANINGS: [(&str, &str); 13] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
     ("e", "exact Hessian of the point before"),
     ("c", "exact Hessian, its negative curvature turned round"),
-    ("b", "BFGS"),
-    ("s", "symmetric rank one"),
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),
@@ -40,8 +38,6 @@ pub(crate) fn step_kind(row: &IterationRecord) -> String {
         HessianKind::Exact => 'x',
         HessianKind::Earlier => 'e',
         HessianKind::Convexified => 'c',
-        HessianKind::Bfgs => 'b',
-        HessianKind::Sr1 => 's',
         HessianKind::Proximal => 'p',
     };
     let states = if row.restored { 'r' } else { 'l' };
@@ -115,8 +111,6 @@ mod tests {
             HessianKind::Exact,
             HessianKind::Earlier,
             HessianKind::Convexified,
-            HessianKind::Bfgs,
-            HessianKind::Sr1,
             HessianKind::Proximal,
         ] {
             for restored in [false, true] {

@@ -1,5 +1,4 @@
-//! The Hessian of the quadratic subproblem: Gauss-Newton, the exact one made convex where it must be, or a quasi-Newton
-//! matrix.
+//! The Hessian of the quadratic subproblem: Gauss-Newton, or the exact one made convex where it must be.
 
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
@@ -16,10 +15,6 @@ pub enum HessianChoice {
     GaussNewton,
     /// Exact throughout.
     Exact,
-    /// Damped BFGS from Gauss-Newton (Powell 1978): positive definite throughout.
-    Bfgs,
-    /// Symmetric rank one from Gauss-Newton, made convex like the exact one.
-    Sr1,
 }
 
 impl HessianChoice {
@@ -30,8 +25,6 @@ impl HessianChoice {
             Self::Auto => "auto",
             Self::GaussNewton => "gauss-newton",
             Self::Exact => "exact",
-            Self::Bfgs => "bfgs",
-            Self::Sr1 => "sr1",
         }
     }
 }
@@ -48,10 +41,6 @@ pub enum HessianKind {
     Earlier,
     /// Exact, with its negative curvature there turned round.
     Convexified,
-    /// Damped BFGS.
-    Bfgs,
-    /// Symmetric rank one.
-    Sr1,
     /// None: restoration of feasibility, with a proximal term.
     Proximal,
 }
@@ -143,20 +132,9 @@ impl ModelHessian {
     /// A Hessian that is positive definite is left alone; without curvature it is Gauss-Newton.
     #[must_use]
     pub fn exact(linearization: &Linearization, sets: &[ConvexSet], active: &ActiveSet) -> Self {
-        match &linearization.curvature {
-            Some(curvature) => Self::of_curvature(curvature, linearization, sets, active),
-            None => Self::gauss_newton(linearization),
-        }
-    }
-
-    /// [`Self::exact`] with any symmetric matrix in the place of the curvature.
-    #[must_use]
-    pub fn of_curvature(
-        curvature: &Mat<f64>,
-        linearization: &Linearization,
-        sets: &[ConvexSet],
-        active: &ActiveSet,
-    ) -> Self {
+        let Some(curvature) = &linearization.curvature else {
+            return Self::gauss_newton(linearization);
+        };
         let full = &linearization.gauss_newton + curvature;
         if is_positive(&full, CURVATURE_FLOOR * linearization.least_curvature()) {
             return Self {

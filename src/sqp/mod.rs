@@ -8,7 +8,6 @@ mod polish;
 pub mod program;
 pub mod progress;
 pub mod quadratic_program;
-pub mod quasi_newton;
 mod refit;
 pub mod residual;
 pub mod route;

@@ -247,20 +247,6 @@ impl Linearization {
     pub(crate) fn inequalities_along(&self, change: &[f64]) -> Vec<f64> {
         affine(&self.inequality_offset, &self.inequality_jacobian, change)
     }
-
-    /// `∇J + Jᵀy + Dᵀz`, without the sets.
-    pub(crate) fn lagrangian_gradient(&self, multipliers: &Multipliers) -> Vec<f64> {
-        let mut sum = self.gradient.clone();
-        for (j, s) in sum.iter_mut().enumerate() {
-            for (i, y) in multipliers.constraints.iter().enumerate() {
-                *s += y * self.jacobian[(i, j)];
-            }
-            for (at, &row) in self.rows.iter().enumerate() {
-                *s += multipliers.inequalities[row] * self.inequality_jacobian[(at, j)];
-            }
-        }
-        sum
-    }
 }
 
 /// `offset + matrix change`

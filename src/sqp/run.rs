@@ -23,7 +23,6 @@ use super::program::{
 use super::quadratic_program::{
     LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
 };
-use super::quasi_newton::{Formula, QuasiNewton};
 use super::residual::{KktResidual, Multipliers, norm};
 use super::route::QpRoute;
 use super::solver::{
@@ -52,8 +51,6 @@ const CRAWL_INFEASIBILITY: f64 = 1e-4;
 const CRAWL_GAIN: f64 = 0.98;
 /// First trust radius, relative to the first variables (at least to one).
 const FIRST_TRUST_RADIUS: f64 = 2.0;
-/// Step, over the variables (at least one), from which a quasi-Newton matrix learns.
-const LEAST_LESSON: f64 = 1e-10;
 /// A set may be violated by this much before the trust region makes room for the way back.
 const SET_TOLERANCE: f64 = 1e-9;
 const SHRINK: f64 = 0.3;
@@ -147,11 +144,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     restoration: Option<Restoration>,
     restorations: usize,
     returns: usize,
-    quasi_newton: Option<QuasiNewton>,
     /// The last one that was computed, until it is used again.
     curvature: Option<Mat<f64>>,
-    /// Variables and linearization that the last step left.
-    departed: Option<(Vec<f64>, Linearization)>,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
     /// Negative curvature of the last exact Hessian.
@@ -255,9 +249,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             restoration: None,
             restorations: 0,
             returns: 0,
-            quasi_newton: None,
             curvature: None,
-            departed: None,
             rounding: 0.0,
             descent: None,
             escapes: 0,
@@ -284,7 +276,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return false;
         }
         match self.settings.hessian {
-            HessianChoice::GaussNewton | HessianChoice::Bfgs | HessianChoice::Sr1 => false,
+            HessianChoice::GaussNewton => false,
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => !self.history.is_empty(),
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
@@ -490,7 +482,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             match found {
                 Ok(accepted) => {
                     self.note_refusals(refusals);
-                    self.take(accepted, linearization, &model, &solution);
+                    self.take(accepted, &linearization, &model, &solution);
                     return Ok(Step::Taken);
                 }
                 // A trial that fails by what was screened out says nothing about the trust region, unless that goes on and on.
@@ -553,41 +545,15 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     /// Hessian of this iteration's subproblems.
     fn model_hessian(&mut self, linearization: &Linearization) -> ModelHessian {
         self.exact_pause = self.exact_pause.saturating_sub(1);
-        let formula = match self.settings.hessian {
-            HessianChoice::Bfgs => Formula::Bfgs,
-            HessianChoice::Sr1 => Formula::Sr1,
-            _ if linearization.curvature.is_none() => {
-                return ModelHessian::gauss_newton(linearization);
-            }
-            _ => {
-                let active = self.active_set(linearization);
-                let mut model = self.exact_hessian(linearization, active);
-                if self.has_earlier_curvature && model.kind == HessianKind::Exact {
-                    model.kind = HessianKind::Earlier;
-                }
-                return model;
-            }
-        };
-        self.learn(linearization, formula);
-        let Some(learned) = &self.quasi_newton else {
+        if linearization.curvature.is_none() {
             return ModelHessian::gauss_newton(linearization);
-        };
-        match formula {
-            Formula::Bfgs => ModelHessian {
-                matrix: learned.matrix.clone(),
-                kind: HessianKind::Bfgs,
-                ..ModelHessian::gauss_newton(linearization)
-            },
-            Formula::Sr1 => ModelHessian {
-                kind: HessianKind::Sr1,
-                ..ModelHessian::of_curvature(
-                    &(&learned.matrix - &linearization.gauss_newton),
-                    linearization,
-                    self.program.sets(),
-                    &self.active_set(linearization),
-                )
-            },
         }
+        let active = self.active_set(linearization);
+        let mut model = self.exact_hessian(linearization, active);
+        if self.has_earlier_curvature && model.kind == HessianKind::Exact {
+            model.kind = HessianKind::Earlier;
+        }
+        model
     }
 
     /// The exact Hessian; where its factorizations take long and the solve is stopped meanwhile, that of Gauss-Newton, which nobody uses.
@@ -635,31 +601,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         any
     }
 
-    /// Shows the quasi-Newton matrix the last step: how the gradient of the Lagrangian, with the present multipliers,
-    /// changed over it.
-    fn learn(&mut self, linearization: &Linearization, formula: Formula) {
-        let learned = self
-            .quasi_newton
-            .get_or_insert_with(|| QuasiNewton::new(linearization, formula));
-        if let Some((variables, departed)) = self.departed.take() {
-            let difference = |to: &[f64], from: &[f64]| -> Vec<f64> {
-                to.iter().zip(from).map(|(a, b)| a - b).collect()
-            };
-            let step = difference(self.program.variables(&self.point), &variables);
-            // Over a step of rounding, gradients differ by theirs.
-            if !(norm(&step) > LEAST_LESSON * norm(&variables).max(1.0)) {
-                return;
-            }
-            learned.update(
-                &step,
-                &difference(
-                    &linearization.lagrangian_gradient(&self.multipliers),
-                    &departed.lagrangian_gradient(&self.multipliers),
-                ),
-            );
-        }
-    }
-
     /// A filter that refuses the first trial again and again remembers a place that the iteration cannot get back to:
     /// it is emptied (Wächter and Biegler 2006, section 3.4), at most a few times.
     fn note_refusals(&mut self, refusals: usize) {
@@ -702,7 +643,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     fn take(
         &mut self,
         accepted: Accepted<P>,
-        linearization: Linearization,
+        linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
     ) {
@@ -720,7 +661,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             self.exact_pause = EXACT_PAUSE;
         }
         let weight = self.merit_weight(solution);
-        let promise = self.promise(&linearization, model, solution, weight);
+        let promise = self.promise(linearization, model, solution, weight);
         let before = self.merit(&self.evaluation, weight);
         let delivered = before - self.merit(&accepted.evaluation, weight);
         let noise = MERIT_ROUNDING * before.abs() + solution.multipliers.row_noise();
@@ -750,11 +691,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         } else if is_poor && length > self.negligible() {
             let least = LEAST_TRUST_RADIUS * norm(self.variables()).max(1.0);
             self.trust_radius = self.trust_radius.min((length * POOR_SHRINK).max(least));
-        }
-        if self.settings.hessian == HessianChoice::Bfgs
-            || self.settings.hessian == HessianChoice::Sr1
-        {
-            self.departed = Some((self.variables().to_vec(), linearization));
         }
         self.multipliers = solution.multipliers.clone();
         self.arrive(accepted);

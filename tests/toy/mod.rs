@@ -491,12 +491,10 @@ pub fn near(found: &[f64], expected: &[f64], tolerance: f64) {
     }
 }
 
-pub const CHOICES: [HessianChoice; 5] = [
+pub const CHOICES: [HessianChoice; 3] = [
     HessianChoice::Auto,
     HessianChoice::GaussNewton,
     HessianChoice::Exact,
-    HessianChoice::Bfgs,
-    HessianChoice::Sr1,
 ];
 
 pub fn root(x: u32) -> f64 {

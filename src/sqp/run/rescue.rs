@@ -219,7 +219,6 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.evaluation = evaluation;
         self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
         self.multipliers = self.best.multipliers.clone();
-        self.quasi_newton = None;
         self.trust_radius = self.best.trust_radius;
         let largest = RETURN_INFEASIBILITY.max(ASTRAY * self.best.infeasibility);
         if self.may_take_care() {
@@ -235,7 +234,6 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.restored_at = self.history.len();
         self.stuck = 0;
         self.curvature = None;
-        self.departed = None;
         true
     }
 
@@ -330,6 +328,5 @@ impl<P: LiftedProgram> Run<'_, P> {
     pub(super) fn forget(&mut self) {
         self.filter = self.fresh_filter(self.infeasibility());
         self.trust_radius = first_trust_radius(self.variables());
-        self.quasi_newton = None;
     }
 }

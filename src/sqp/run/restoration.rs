@@ -65,7 +65,6 @@ impl<P: LiftedProgram> Run<'_, P> {
             phase.began_with = self.program.infeasibility(&settled.evaluation);
             self.note_step(&settled, 0.0);
             self.arrive(settled);
-            self.departed = None;
             self.restoration = Some(phase);
             return Ok(Step::Taken);
         }
@@ -126,7 +125,6 @@ impl<P: LiftedProgram> Run<'_, P> {
                     ));
             self.note_step(&trial, length);
             self.arrive(trial);
-            self.departed = None;
             self.restoration = Some(phase);
             if done {
                 self.restoration = None;
