@@ -1,5 +1,4 @@
-//! What a quadratic subproblem costs by either route, over the numbers of elements, steps and controls, and what
-//! `softarm::sqp::route::predict` says of it.
+//! What a quadratic subproblem costs by either route, over the numbers of elements, steps and controls.
 //!
 //! ```text
 //! cargo bench --bench qp_routes
@@ -12,21 +11,10 @@ use softarm::control::{
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile, State, TimeGrid};
 use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
-use softarm::sqp::route::predict;
 use softarm::sqp::{LiftedProgram as _, LinearizationRequest};
 
 fn main() {
     divan::main();
-    println!("predicted:");
-    for size in SIZES {
-        let problem = size.problem();
-        let times = predict(problem.n_variables(), problem.state_size());
-        println!(
-            "{size}: condensed {:.1e} s, sparse {:.1e} s",
-            times.condensed,
-            times.sparse.unwrap_or(f64::NAN)
-        );
-    }
 }
 
 /// Elements, steps, blocks.

@@ -236,11 +236,9 @@ fn iterations_are_the_same() {
             max_iterations: 3,
             ..SqpSettings::default()
         };
-        let outcome = solve(&program, start, &settings, &mut |_| {
+        solve(&program, start, &settings, &mut |_| {
             ControlFlow::Continue(())
-        });
-        assert_ne!(outcome.route, QpRoute::Auto);
-        outcome
+        })
     };
     let (parameters, problem) = reach(Hold::Constant);
     for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {

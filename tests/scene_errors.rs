@@ -617,6 +617,7 @@ error: solver.hessian: \"{other}\" is not one of the choices
         assert_eq!(error.to_string(), expected);
     }
     for setting in [
+        "solver.qp=auto",
         "base.kind=held",
         "control.hold=quintic",
         "solver.hessian=newton",

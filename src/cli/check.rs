@@ -17,15 +17,13 @@ use crate::mechanics::{
 use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
     ActuatorSummary, CheckSummary, CostEstimate, MaterialSummary, OutputSize, ProblemSize,
-    QpPrediction, RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
+    RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
 use crate::scene::{
     OptimalControl, RotaryInertia as RotaryInertiaKey, Scene, Simulation,
     TimeScheme as TimeSchemeKey,
 };
-use crate::sqp::QpRoute;
-use crate::sqp::route::predict;
 use crate::task::Discretization;
 use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
 
@@ -49,7 +47,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     let mut plan = None;
     let (rod, grid, size, output, memory) = if scene.task.is_some() || scene.control.is_some() {
         let setup = scene.optimal_control(&source)?;
-        let size = problem_size(&setup.problem, setup.settings.qp);
+        let size = problem_size(&setup.problem);
         let time = solve_time(&setup.problem);
         concerns.extend(shorter(&setup, &time));
         plan = Some(Plan {
@@ -207,12 +205,7 @@ fn topples(rest: &RestSummary) -> Option<String> {
 
 fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
     let steps = problem.grid.n_steps as f64;
-    SolveTime::of(
-        &problem.rod,
-        steps,
-        problem.n_variables(),
-        problem.state_size(),
-    )
+    SolveTime::of(&problem.rod, steps, problem.n_variables())
 }
 
 /// What a solve takes, for one that is about to begin: nothing where it takes no time to speak of.
@@ -255,7 +248,7 @@ fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
     // As far below its automatic step as the scene's own.
     let ratio = setup.problem.grid.step / automatic_step(rod);
     let steps = setup.problem.grid.end() / (ratio * automatic_step(&coarse));
-    let fewer = SolveTime::of(&coarse, steps, setup.problem.n_variables(), None).total();
+    let fewer = SolveTime::of(&coarse, steps, setup.problem.n_variables()).total();
     (fewer < 0.7 * time.total()).then(|| {
         format!(
             "rod.elements = {elements} would take about {} (helical elements may be long: the check says how far off the motion is)",
@@ -448,9 +441,7 @@ pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     out
 }
 
-fn problem_size(problem: &OptimalControlProblem, qp: QpRoute) -> ProblemSize {
-    let states = problem.state_size();
-    let times = predict(problem.n_variables(), states);
+fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
     let free = problem.rod.n_nodes() - problem.rod.first_free_node();
     ProblemSize {
         control_blocks: problem.control.n_blocks(),
@@ -462,11 +453,6 @@ fn problem_size(problem: &OptimalControlProblem, qp: QpRoute) -> ProblemSize {
             .map(|path| path.time_nodes.len() * path.limit.n_items(&problem.rod))
             .sum(),
         eliminated: 6 * free * problem.grid.n_steps,
-        qp: QpPrediction {
-            condensed_s: times.condensed,
-            sparse_s: times.sparse,
-            route: qp.resolve(problem.n_variables(), states).name(),
-        },
     }
 }
 
@@ -663,11 +649,6 @@ fn detail(summary: &CheckSummary, console: &Console) {
             size.target_equations,
             size.path_rows,
             size.eliminated
-        ));
-        let sparse = (size.qp.sparse_s).map_or("not offered here".into(), |s| format!("{s:.1e} s"));
-        console.say(&format!(
-            "  qp     condensed {:.1e} s, sparse {sparse}: {}",
-            size.qp.condensed_s, size.qp.route
         ));
     }
     if let Some(output) = &summary.output {

@@ -7,7 +7,6 @@ use super::path::{PathConstraint, PathEnforcement, PathLimit};
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
-use crate::sqp::StateSize;
 use crate::stop::StopSignal;
 
 /// Limit on one of the two vectors of a wrench.
@@ -337,17 +336,15 @@ impl OptimalControlProblem {
         }
     }
 
-    /// The configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where the
-    /// duration is free.
+    /// Unknowns of the configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where
+    /// the duration is free.
     #[must_use]
-    pub fn state_size(&self) -> Option<StateSize> {
+    pub fn n_states(&self) -> Option<usize> {
         if self.duration.is_some() {
             return None;
         }
-        SparseMotion::unknowns_per_time_node(&self.motion()).map(|at_once| StateSize {
-            at_once,
-            instants: self.grid.n_steps,
-        })
+        SparseMotion::unknowns_per_time_node(&self.motion())
+            .map(|at_once| at_once * self.grid.n_steps)
     }
 
     /// The least effort of a tip wrench that brings the tip to a goal.

@@ -27,7 +27,7 @@ use crate::mechanics::{
 };
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
-    Multipliers, Softness, StateLinearization, StateRow, StateSize,
+    Multipliers, Softness, StateLinearization, StateRow,
 };
 use crate::stop::{LARGE, StopSignal};
 
@@ -727,8 +727,8 @@ impl LiftedProgram for Transcription<'_> {
         Ok(linearization)
     }
 
-    fn state_size(&self) -> Option<StateSize> {
-        self.problem.state_size()
+    fn n_states(&self) -> Option<usize> {
+        self.problem.n_states()
     }
 
     fn keep_states(
@@ -763,7 +763,7 @@ impl LiftedProgram for Transcription<'_> {
         };
         let posture = self.posture(point);
         Ok(Some(StateLinearization {
-            n_states: self.state_size().map_or(0, StateSize::total),
+            n_states: self.n_states().unwrap_or(0),
             equations: (motion.equations().into_iter())
                 .map(|equation| {
                     let mut row = StateRow::default();

@@ -176,19 +176,6 @@ pub struct ProblemSize {
     pub path_rows: usize,
     /// Configuration unknowns that condensing eliminates.
     pub eliminated: usize,
-    /// Predicted time of a quadratic subproblem, and the way that `solver.qp` leads to.
-    pub qp: QpPrediction,
-}
-
-/// Predicted time of a quadratic subproblem by either route.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct QpPrediction {
-    /// Over the controls alone, s.
-    pub condensed_s: f64,
-    /// With the configurations, s; absent where that is not offered.
-    pub sparse_s: Option<f64>,
-    /// `condensed` or `sparse`.
-    pub route: &'static str,
 }
 
 /// Size of what a simulation writes.

@@ -983,10 +983,8 @@ pub enum Hessian {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Qp {
-    /// The way that is predicted to be faster; `softarm check` shows both predictions.
-    #[default]
-    Auto,
     /// Over the controls alone: small and dense.
+    #[default]
     Condensed,
     /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
     Sparse,

@@ -245,11 +245,11 @@ impl Scene {
         } = task
             .discretize_until(&self.arm(source)?, &self.discretization(), stop)
             .map_err(|error| self.discretize_error(source, error))?;
-        if solver.qp == model::Qp::Sparse && problem.state_size().is_none() {
+        if solver.qp == model::Qp::Sparse && problem.n_states().is_none() {
             return Err(source.error_at(
                 "solver.qp",
                 "\"sparse\" is for explicit steps of the standard model without internal damping",
-                Some("give \"auto\" or \"condensed\"".into()),
+                Some("give \"condensed\"".into()),
             ));
         }
         let resolved = {
@@ -296,7 +296,6 @@ impl Scene {
                     model::Hessian::Exact => HessianChoice::Exact,
                 },
                 qp: match solver.qp {
-                    model::Qp::Auto => QpRoute::Auto,
                     model::Qp::Condensed => QpRoute::Condensed,
                     model::Qp::Sparse => QpRoute::Sparse,
                 },

@@ -1,6 +1,27 @@
-//! A linearization that keeps the states: what the [sparse](super::QpRoute::Sparse) quadratic subproblem is made of.
+//! The two ways to put a quadratic subproblem, and the linearization that keeps the states, of which the sparse one is made.
 
 use faer::Mat;
+
+/// How the quadratic subproblem is put to Clarabel. Both ways lead to the same step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum QpRoute {
+    /// Over the variables alone: small and dense.
+    #[default]
+    Condensed,
+    /// With the states and their equations: large and sparse. Programs that do not keep their states are solved condensed.
+    Sparse,
+}
+
+impl QpRoute {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Condensed => "condensed",
+            Self::Sparse => "sparse",
+        }
+    }
+}
 
 /// `states·ξ + variables·δ`, linear in what a step of the variables does to the states, and in that step.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -9,23 +30,6 @@ pub struct StateRow {
     pub states: Vec<(usize, f64)>,
     /// The same of the variables.
     pub variables: Vec<(usize, f64)>,
-}
-
-/// How many states a program has, for the [prediction](super::route::predict) of what keeping them costs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StateSize {
-    /// States of one instant.
-    pub at_once: usize,
-    /// Instants.
-    pub instants: usize,
-}
-
-impl StateSize {
-    /// All states.
-    #[must_use]
-    pub fn total(self) -> usize {
-        self.at_once * self.instants
-    }
 }
 
 /// The linearization of [`Linearization`](super::Linearization) at a point, with the states in it.

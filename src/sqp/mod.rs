@@ -10,18 +10,16 @@ pub mod progress;
 pub mod quadratic_program;
 mod refit;
 pub mod residual;
-pub mod route;
 mod run;
 pub mod solver;
 
 pub use hessian::{HessianChoice, HessianKind};
-pub use kept_states::{StateLinearization, StateRow, StateSize};
+pub use kept_states::{QpRoute, StateLinearization, StateRow};
 pub use program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };
 pub use progress::{Progress, Trend};
 pub use residual::{KktResidual, Multipliers};
-pub use route::QpRoute;
 pub use solver::{
     Convergence, IterationRecord, Leave, PhaseTimes, SADDLE_GAIN, SqpOutcome, SqpSettings,
     SqpStatus, solve,

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 use faer::Mat;
 
-use super::kept_states::{StateLinearization, StateSize};
+use super::kept_states::StateLinearization;
 use super::residual::{Multipliers, infinity_norm, norm};
 
 /// A convex set on some of the variables.
@@ -322,7 +322,7 @@ pub trait LiftedProgram {
     ) -> Result<Linearization, Failure>;
 
     /// How many states there are, if [`Self::keep_states`] can keep them.
-    fn state_size(&self) -> Option<StateSize> {
+    fn n_states(&self) -> Option<usize> {
         None
     }
 

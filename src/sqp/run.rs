@@ -15,7 +15,7 @@ use self::restoration::Restoration;
 use self::subproblem::NO_SLACK;
 use super::globalization::{Accepted, CAREFUL_MISS, Departure, FEASIBLE, Filter, Measure, Refused};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
-use super::kept_states::StateLinearization;
+use super::kept_states::{QpRoute, StateLinearization};
 use super::program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
     sum_of_largest,
@@ -24,7 +24,6 @@ use super::quadratic_program::{
     LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
 };
 use super::residual::{KktResidual, Multipliers, norm};
-use super::route::QpRoute;
 use super::solver::{
     Convergence, IterationRecord, Leave, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus,
 };
@@ -227,7 +226,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             screening_margin: program.screening_margin(),
             softness: Vec::new(),
             groups: Vec::new(),
-            route: (settings.qp).resolve(program.variables(&point).len(), program.state_size()),
+            route: match program.n_states() {
+                Some(_) => settings.qp,
+                None => QpRoute::Condensed,
+            },
             kept: None,
             working: Vec::new(),
             point,

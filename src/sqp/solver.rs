@@ -3,9 +3,9 @@
 use std::ops::ControlFlow;
 
 use super::hessian::{HessianChoice, HessianKind};
+use super::kept_states::QpRoute;
 use super::program::LiftedProgram;
 use super::residual::{KktResidual, Multipliers};
-use super::route::QpRoute;
 use super::run::{Run, Step};
 use crate::stop::{Stop, StopSignal};
 
@@ -42,7 +42,7 @@ impl Default for SqpSettings {
             saddle_escapes: 3,
             saddle_gain: SADDLE_GAIN,
             hessian: HessianChoice::Auto,
-            qp: QpRoute::Auto,
+            qp: QpRoute::Condensed,
             row_accuracy: 1e-2,
             stop: StopSignal::default(),
         }

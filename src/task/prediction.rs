@@ -2,14 +2,12 @@
 //!
 //! Time goes with the node-steps `(K + 1) N`. A simulation takes one step of every node each. An iteration of a solve linearizes every
 //! step, differentiates it with respect to every variable, and rolls out about one trial point; the check replays on finer grids. The
-//! constants are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
+//! constants per node-step are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
 //! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
 //! steel wire (iterations and checks); a prediction is good to a factor of two or three: it ranks, it does not time.
 
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};
-use crate::sqp::StateSize;
-use crate::sqp::route::predict;
 
 /// Seconds per node-step of one kind of step.
 struct StepCosts {
@@ -37,6 +35,12 @@ const SOLVED: StepCosts = StepCosts {
     variable: 2e-8,
     check: 1e-4,
 };
+
+/// Seconds of a quadratic subproblem over 120 controls, and the power of their number with which they grow: Clarabel, fitted to 60 to 600
+/// controls (`cargo bench --bench qp_routes`), within a factor of 2.
+const SUBPROBLEM_S: f64 = 8.5e-4;
+const SUBPROBLEM_CONTROLS: f64 = 120.0;
+const SUBPROBLEM_POWER: f64 = 1.95;
 
 /// Iterations of a solve that is neither lucky nor hard: between the quartiles of `benches/reach_suite.md`.
 pub const TYPICAL_ITERATIONS: usize = 15;
@@ -76,15 +80,15 @@ pub struct SolveTime {
 }
 
 impl SolveTime {
-    /// Of a solve with `n_variables` over `n_steps`.
+    /// Of a solve with `n_variables` over `n_steps`, its subproblems condensed.
     #[must_use]
-    pub fn of(rod: &Rod, n_steps: f64, n_variables: usize, states: Option<StateSize>) -> Self {
+    pub fn of(rod: &Rod, n_steps: f64, n_variables: usize) -> Self {
         let costs = costs(rod);
-        let qp = predict(n_variables, states);
+        let subproblem =
+            SUBPROBLEM_S * (n_variables as f64 / SUBPROBLEM_CONTROLS).powf(SUBPROBLEM_POWER);
         let per_node_step = costs.iteration + costs.variable * n_variables as f64;
         Self {
-            iteration: node_steps(rod, n_steps) * per_node_step
-                + (qp.sparse).map_or(qp.condensed, |sparse| sparse.min(qp.condensed)),
+            iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
             check: node_steps(rod, n_steps) * costs.check,
         }
     }
@@ -130,9 +134,7 @@ impl Candidate {
             step,
             seconds: match work {
                 Work::Simulation => simulation_seconds(rod, n_steps),
-                Work::Solve { n_variables } => {
-                    SolveTime::of(rod, n_steps, n_variables, None).total()
-                }
+                Work::Solve { n_variables } => SolveTime::of(rod, n_steps, n_variables).total(),
             },
         }
     }
