@@ -659,47 +659,6 @@ fn convergence_is_quadratic() {
     }
 }
 
-/// The last steps take the curvature of the point before only where that ends the solve: the residual after such a step is what the two
-/// before it promise, within the tolerance that was asked for, whatever that is.
-#[test]
-fn last_steps_with_an_earlier_curvature_end_the_solve() {
-    let mut n_earlier = 0;
-    for tolerance in [1e-3, 1e-5, 1e-7, 1e-9] {
-        let mut programs: Vec<(String, Program, Vec<f64>)> = (known().into_iter())
-            .map(|p| (p.name.to_string(), p.program, p.start))
-            .collect();
-        programs.push(("recursion".into(), recursion(true), vec![0.0; 8]));
-        for (name, program, start) in programs {
-            let outcome = go(
-                &program,
-                &start,
-                &SqpSettings {
-                    tolerance,
-                    ..settings(HessianChoice::Auto)
-                },
-            );
-            assert_eq!(outcome.status, SqpStatus::Converged, "{name} {tolerance:e}");
-            assert!(outcome.residual.max() <= tolerance, "{name} {tolerance:e}");
-            for rows in outcome.history.windows(3) {
-                let [before, here, after] = [0, 1, 2].map(|at| rows[at].residual.optimality());
-                println!(
-                    "{name} {tolerance:e} {:?} {before:e} {here:e} {after:e}",
-                    rows[1].hessian
-                );
-                if rows[1].hessian != HessianKind::Earlier || here <= tolerance {
-                    continue;
-                }
-                n_earlier += 1;
-                assert!(
-                    after <= tolerance,
-                    "{name} {tolerance:e}: {before:e} {here:e} {after:e}"
-                );
-            }
-        }
-    }
-    assert!(n_earlier > 3, "{n_earlier}");
-}
-
 /// A kick sets off a wave whose phase at the end turns by 150 rad on the way to the best shape; a second, strong kick, whose phase turns
 /// twice as fast, must cancel it. The linearization that a step leaves holds for a radian; that of its end shows how to cancel the wave
 /// there, however far away that is.

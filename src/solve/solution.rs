@@ -9,7 +9,7 @@ use crate::control::{Attempt, Feedback, FeedbackError, FeedbackWeights, Transcri
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::NamedConstraint;
 use crate::output::{MotionRecord, MultiplierRecord, row_bytes};
-use crate::sqp::{LiftedProgram as _, Multipliers, SqpSettings, SqpStatus};
+use crate::sqp::{HessianKind, LiftedProgram as _, Multipliers, SqpSettings, SqpStatus};
 use crate::task::Problem;
 use crate::verify::{self, CheckError, CheckLimits, ForwardCheck};
 
@@ -142,7 +142,7 @@ impl Solution {
         let outcome = &self.attempt.outcome;
         let mut check = (self.problem).certify(&self.claim(), &self.check_limits())?;
         let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
-        let doubtful = last.is_some_and(|row| !row.hessian.is_positive());
+        let doubtful = last.is_some_and(|row| row.hessian != HessianKind::Exact);
         if deep || (self.has_converged() && check.is_certified() && doubtful) {
             check.deepen(&self.problem.discrete, &self.claim())?;
         }

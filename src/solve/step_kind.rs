@@ -3,10 +3,9 @@
 use crate::sqp::{HessianKind, IterationRecord, Leave};
 
 /// Every letter and word of the column with its meaning, in the order in which they are explained.
-pub(crate) const MEANINGS: [(&str, &str); 13] = [
+pub(crate) const MEANINGS: [(&str, &str); 12] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
-    ("e", "exact Hessian of the point before"),
     ("c", "exact Hessian, its negative curvature turned round"),
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
@@ -36,7 +35,6 @@ pub(crate) fn step_kind(row: &IterationRecord) -> String {
     let hessian = match row.hessian {
         HessianKind::GaussNewton => 'g',
         HessianKind::Exact => 'x',
-        HessianKind::Earlier => 'e',
         HessianKind::Convexified => 'c',
         HessianKind::Proximal => 'p',
     };
@@ -109,7 +107,6 @@ mod tests {
         for hessian in [
             HessianKind::GaussNewton,
             HessianKind::Exact,
-            HessianKind::Earlier,
             HessianKind::Convexified,
             HessianKind::Proximal,
         ] {

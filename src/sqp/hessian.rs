@@ -37,8 +37,6 @@ pub enum HessianKind {
     GaussNewton,
     /// Exact; positive definite as it is where constraints and active sets leave the variables free.
     Exact,
-    /// The same, of the point before: for a last step, so short that it ends the solve as well.
-    Earlier,
     /// Exact, with its negative curvature there turned round.
     Convexified,
     /// None: restoration of feasibility, with a proximal term.
@@ -49,13 +47,7 @@ impl HessianKind {
     /// Whether it holds the second derivative of the Lagrangian, so that steps near a solution contract by themselves.
     #[must_use]
     pub fn is_second_order(self) -> bool {
-        self.is_positive() || self == Self::Convexified
-    }
-
-    /// Whether that second derivative is positive by itself where variables are free.
-    #[must_use]
-    pub fn is_positive(self) -> bool {
-        matches!(self, Self::Exact | Self::Earlier)
+        matches!(self, Self::Exact | Self::Convexified)
     }
 }
 

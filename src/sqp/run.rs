@@ -25,7 +25,7 @@ use super::quadratic_program::{
 };
 use super::residual::{KktResidual, Multipliers, norm};
 use super::solver::{
-    Convergence, IterationRecord, Leave, PhaseTimes, STOP_PART, SqpOutcome, SqpSettings, SqpStatus,
+    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus,
 };
 use crate::stop::{LARGE, Stop};
 
@@ -34,10 +34,6 @@ const EXACT_BELOW: f64 = 0.3;
 /// It uses it below this infeasibility already where the last subproblem met its constraints, whose multipliers then are no mere
 /// limits: where constraints bend more than the objective, Gauss-Newton's steps do not contract.
 const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
-/// After an exact step from here the next point is expected to pass; its curvature would be computed for nothing.
-const NEARLY_DONE: f64 = 1e-4;
-/// Part of what quadratic convergence leaves that is counted on: a lost bet costs a tenth of the iteration that a won one saves.
-const LIKELY: f64 = 0.3;
 /// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
 const EXACT_REFUSALS: usize = 3;
 const EXACT_PAUSE: usize = 3;
@@ -136,15 +132,9 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// Inequalities and sets that the steps of this iteration left behind.
     rows_let_go: Vec<usize>,
     sets_let_go: Vec<usize>,
-    /// Whether the present point's curvature was left out because it was expected to be the last.
-    bets_on_end: bool,
-    /// Whether the curvature of this iteration's model is that of the point before.
-    has_earlier_curvature: bool,
     restoration: Option<Restoration>,
     restorations: usize,
     returns: usize,
-    /// The last one that was computed, until it is used again.
-    curvature: Option<Mat<f64>>,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
     /// Negative curvature of the last exact Hessian.
@@ -246,12 +236,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             exact_pause: 0,
             rows_let_go: Vec::new(),
             sets_let_go: Vec::new(),
-            bets_on_end: false,
-            has_earlier_curvature: false,
             restoration: None,
             restorations: 0,
             returns: 0,
-            curvature: None,
             rounding: 0.0,
             descent: None,
             escapes: 0,
@@ -293,53 +280,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Whether the present point is expected to be the last, or the last but one whichever curvature its step has; its own would be computed
-    /// for nothing.
-    fn expects_to_converge(&self) -> bool {
-        let mut before = self.history.iter().rev();
-        let (Some(last), HessianChoice::Auto) = (before.next(), self.settings.hessian) else {
-            return false;
-        };
-        if last.residual.stationarity <= self.settings.tolerance {
-            return true;
-        }
-        let ends_soon = before.next().is_some_and(|before| {
-            // As quadratic convergence has it.
-            let last = last.residual.optimality();
-            let ratio = last / before.residual.optimality();
-            ratio < 1.0 && self.earlier_curvature_will_do(LIKELY * last * ratio * ratio, last)
-        });
-        last.hessian.is_positive() && (last.residual.stationarity < NEARLY_DONE || ends_soon)
-    }
-
-    /// Whether one step with the curvature of the point before ends the solve at a point of the residual `here`. With its own curvature a
-    /// step contracts by half of what that of the point before, `there`, is off by.
-    fn earlier_curvature_will_do(&self, here: f64, there: f64) -> bool {
-        2.0 * here * here <= STOP_PART * self.settings.tolerance * there
-    }
-
     pub(super) fn linearize(&mut self) -> Result<Linearization, Failure> {
-        let wanted = self.wants_curvature();
-        let saved = wanted && self.expects_to_converge();
-        self.bets_on_end = saved;
-        self.has_earlier_curvature = false;
-        self.linearize_with(wanted && !saved)
-    }
-
-    fn linearize_with(&mut self, curvature: bool) -> Result<Linearization, Failure> {
         let clock = Instant::now();
         let rows = self.candidates();
         let linearization = self.program.linearize(
             &self.point,
             &self.evaluation,
             &LinearizationRequest {
-                multipliers: curvature.then_some(&self.multipliers),
+                multipliers: self.wants_curvature().then_some(&self.multipliers),
                 rows: &rows,
             },
         )?;
-        if linearization.curvature.is_some() {
-            self.curvature.clone_from(&linearization.curvature);
-        }
         self.note_rows(&linearization);
         self.keep_states(&linearization)?;
         self.phases.linearize += clock.elapsed().as_secs_f64();
@@ -437,16 +388,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if self.restoration.is_some() {
             return self.restoration_step(linearization);
         }
-        if self.bets_on_end {
-            linearization = self.with_curvature(linearization)?;
-        }
         let clock = Instant::now();
         self.rows_let_go.clear();
         self.sets_let_go.clear();
         self.take_care();
         let mut model = self.model_hessian(&linearization);
         match model.kind {
-            HessianKind::Exact | HessianKind::Earlier => self.descent = None,
+            HessianKind::Exact => self.descent = None,
             HessianKind::Convexified => self.descent = model.descent.clone(),
             _ => {}
         }
@@ -519,31 +467,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(Step::Refused)
     }
 
-    /// After a lost bet, where a Gauss-Newton step would lose more than a linearization. The curvature of the point before does for the last
-    /// steps, which are short. A point that is optimal already is only to be made feasible: that it does once.
-    fn with_curvature(
-        &mut self,
-        mut linearization: Linearization,
-    ) -> Result<Linearization, Failure> {
-        let mut rows = self.history.iter().rev().map(|row| row.residual);
-        let (here, before) = (rows.next(), rows.next());
-        let is_optimal = here.is_some_and(|here| here.stationarity <= self.settings.tolerance);
-        let does = (here.zip(before)).is_some_and(|(here, before)| {
-            self.earlier_curvature_will_do(here.optimality(), before.optimality())
-        });
-        let earlier = match (is_optimal, does) {
-            (true, _) => self.curvature.take(),
-            (false, true) => self.curvature.clone(),
-            (false, false) => None,
-        };
-        if earlier.is_some() {
-            linearization.curvature = earlier;
-            self.has_earlier_curvature = true;
-            return Ok(linearization);
-        }
-        self.linearize_with(true)
-    }
-
     /// Hessian of this iteration's subproblems.
     fn model_hessian(&mut self, linearization: &Linearization) -> ModelHessian {
         self.exact_pause = self.exact_pause.saturating_sub(1);
@@ -551,11 +474,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return ModelHessian::gauss_newton(linearization);
         }
         let active = self.active_set(linearization);
-        let mut model = self.exact_hessian(linearization, active);
-        if self.has_earlier_curvature && model.kind == HessianKind::Exact {
-            model.kind = HessianKind::Earlier;
-        }
-        model
+        self.exact_hessian(linearization, active)
     }
 
     /// The exact Hessian; where its factorizations take long and the solve is stopped meanwhile, that of Gauss-Newton, which nobody uses.

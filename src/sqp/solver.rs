@@ -209,12 +209,10 @@ pub struct Convergence {
 }
 
 impl Convergence {
-    /// Of the steps of a history; those after a step with an earlier Hessian say nothing about the solver's own.
+    /// Of the steps of a history.
     #[must_use]
     pub fn of(history: &[IterationRecord]) -> Self {
-        let own = |rows: &&[IterationRecord]| rows[0].hessian != HessianKind::Earlier;
-        let steps = history.windows(2).rev().filter(own);
-        let mut ratios = steps.filter_map(|rows| rows[1].contraction);
+        let mut ratios = history.iter().rev().filter_map(|row| row.contraction);
         let (last, before) = (ratios.next(), ratios.next());
         let order = (last.zip(before))
             .filter(|&(last, before)| 0.0 < last && last < 1.0 && before < 1.0)
@@ -227,7 +225,7 @@ impl Convergence {
 }
 
 /// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
-pub(super) const STOP_PART: f64 = 0.5;
+const STOP_PART: f64 = 0.5;
 /// Defects of the states must be this much better than the tolerance: that costs one more iteration at most, and the replay of the
 /// controls shows every digit of them.
 const DEFECT_PART: f64 = 1e-3;

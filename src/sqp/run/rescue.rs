@@ -233,7 +233,6 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.restoration = None;
         self.restored_at = self.history.len();
         self.stuck = 0;
-        self.curvature = None;
         true
     }
 
