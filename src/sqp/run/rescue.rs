@@ -89,7 +89,8 @@ impl<P: LiftedProgram> Run<'_, P> {
             .is_some()
     }
 
-    /// Leaves a saddle along its most negative curvature, where that gains more than the part of the objective that
+    /// Leaves a point that meets the conditions of first order along the most negative curvature of the Lagrangian on what constraints
+    /// leave free (Moré & Sorensen 1979; Goldfarb 1980), where that gains more than the part of the objective that
     /// [`saddle_gain`](super::super::SqpSettings::saddle_gain) asks for; whether it did. What is left to gain at a saddle that is not
     /// worth leaving is remembered.
     pub(in crate::sqp) fn escape(&mut self) -> bool {
