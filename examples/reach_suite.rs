@@ -353,7 +353,9 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
     let mut toml = format!("{}[time]\nend_s = {horizon}\n", arm.toml);
 
     let (scene, source) = Scene::from_toml("arm", &toml, &[])?;
-    let start = scene.simulation(&source)?.initial.configuration;
+    let bare = scene.simulation(&source)?;
+    let radii = bare.arm.radii_at_nodes(bare.rod.n_elements());
+    let start = bare.initial.configuration;
     // Under the wrench, and at rest.
     let initial = if toml.contains("[initial]") {
         ""
@@ -398,7 +400,7 @@ fn thrown(kind: Kind, dice: &mut Dice) -> Result<Option<(&'static str, String)>,
     };
     match kind {
         Kind::Free => toml.push_str(unbounded),
-        Kind::Obstacle => match obstacle(&scene, &arm, &start, &shape, dice) {
+        Kind::Obstacle => match obstacle(&radii, &arm, &start, &shape, dice) {
             Some(obstacle) => {
                 toml.push_str(unbounded);
                 toml.push_str(&obstacle);
@@ -440,13 +442,12 @@ fn quaternion(r: &Matrix3<f64>) -> UnitQuaternion<f64> {
 
 /// A body near the way of the tip that clears the arm's first and last shapes.
 fn obstacle(
-    scene: &Scene,
+    radii: &[f64],
     arm: &Arm,
     start: &Configuration,
     end: &Configuration,
     dice: &mut Dice,
 ) -> Option<String> {
-    let radii = scene.display_radii();
     let tip = start.positions.len() - 1;
     for _ in 0..50 {
         let along = dice.between(0.3, 0.7);
@@ -508,7 +509,7 @@ fn obstacle(
             arm_shape
                 .positions
                 .iter()
-                .zip(&radii)
+                .zip(radii)
                 .all(|(x, radius)| shape.distance(x).value > radius + 0.03 * arm.length)
         };
         if clear(start) && clear(end) {
