@@ -2,7 +2,9 @@
 
 use nalgebra::{SVector, Vector3};
 
-use super::path::{Posture, RowCurvature, RowGradient, along, at, element_curvature, element_form};
+use super::path::{
+    Posture, RowCurvature, RowGradient, along, at, element_curvature, element_form, term_curvature,
+};
 use super::problem::OptimalControlProblem;
 use crate::mechanics::strain::IntervalStress;
 use crate::mechanics::{Rod, StrainRule};
@@ -23,7 +25,7 @@ pub struct CostRow {
 #[must_use]
 pub fn sample_times(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let objective = &problem.objective;
-    if objective.energy == 0.0 && objective.tracking.is_empty() {
+    if !objective.sees_states() {
         return Vec::new();
     }
     let n = problem.grid.n_steps;
@@ -69,6 +71,21 @@ pub fn cost_rows(
                 k,
                 along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
             ),
+        }));
+    }
+    for cost in &problem.objective.terms {
+        let factor = (cost.weight * duration).sqrt();
+        let view = posture.view(k);
+        rows.extend((0..cost.term.n_values(&problem.rod)).map(|item| {
+            let mut form = cost.term.gradient(&view, item).terms;
+            for part in &mut form {
+                part.coefficient *= factor;
+            }
+            CostRow {
+                residual: factor * cost.term.value(&view, item),
+                lag: 0.0,
+                gradient: at(k, form),
+            }
         }));
     }
     if problem.objective.energy > 0.0 {
@@ -131,7 +148,7 @@ fn energy_rows(
     add(6, &element.angular_stiffness, &angular, weight);
 }
 
-/// `Σ r ∇²r` at one sample: only the energy's residuals are bent.
+/// `Σ r ∇²r` at one sample: of the energy, and of terms of one's own.
 #[must_use]
 pub fn cost_curvature(
     problem: &OptimalControlProblem,
@@ -139,23 +156,30 @@ pub fn cost_curvature(
     k: usize,
     duration: f64,
 ) -> Vec<RowCurvature> {
-    if !(problem.objective.energy > 0.0) {
-        return Vec::new();
-    }
     let rod = &problem.rod;
+    let mut bent = Vec::new();
+    for cost in &problem.objective.terms {
+        for item in 0..cost.term.n_values(rod) {
+            let value = cost.term.value(&posture.view(k), item);
+            let factor = cost.weight * duration * value;
+            bent.push(term_curvature(&cost.term, posture, k, item, factor));
+        }
+    }
+    if !(problem.objective.energy > 0.0) {
+        return bent;
+    }
     let weight = energy_weight(problem, duration);
     let (x, r) = (
         posture.trajectory.positions_at(k),
         posture.trajectory.rotations_at(k),
     );
-    (0..rod.n_elements())
-        .map(|q| {
-            let element = &rod.elements[q];
-            let pose = Rod::element_pose(q, x, r);
-            let strain = rod.strain_rule.strain(element.length, &pose);
-            let stress: IntervalStress = element.interval_stress([&strain, &strain], [weight, 0.0]);
-            let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
-            element_curvature(k, q, &own)
-        })
-        .collect()
+    bent.extend((0..rod.n_elements()).map(|q| {
+        let element = &rod.elements[q];
+        let pose = Rod::element_pose(q, x, r);
+        let strain = rod.strain_rule.strain(element.length, &pose);
+        let stress: IntervalStress = element.interval_stress([&strain, &strain], [weight, 0.0]);
+        let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
+        element_curvature(k, q, &own)
+    }));
+    bent
 }

@@ -15,6 +15,7 @@ mod release;
 pub mod search;
 pub mod second_opinion;
 mod static_need;
+mod term;
 mod tracking_error;
 pub mod transcription;
 
@@ -31,5 +32,6 @@ pub use problem::{
 };
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use static_need::{StaticNeed, StaticNeedError, static_need};
+pub use term::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
 pub use tracking_error::{TrackingError, tracking_errors};
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

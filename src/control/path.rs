@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
 use super::cost::durations;
 use super::obstacle::Shape;
+use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::strain::{IntervalStress, log_second_derivative};
@@ -69,6 +70,8 @@ pub enum PathLimit {
         /// Largest.
         largest: f64,
     },
+    /// Values of a term of one's own, at most zero.
+    Term(SharedTerm),
 }
 
 /// A limit, where and how strictly it holds.
@@ -153,6 +156,18 @@ pub struct Posture<'a> {
     pub trajectory: &'a Trajectory,
     /// The time step, s.
     pub step: f64,
+}
+
+impl Posture<'_> {
+    /// The arm at time node `k`.
+    pub(super) fn view(&self, k: usize) -> StateView<'_> {
+        StateView {
+            rod: self.rod,
+            time: k as f64 * self.step,
+            positions: self.trajectory.positions_at(k),
+            rotations: self.trajectory.rotations_at(k),
+        }
+    }
 }
 
 /// First derivative of a row: a sum of forms at one or two time nodes.
@@ -300,12 +315,13 @@ impl PathLimit {
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
             Self::Speed { .. } | Self::Distance { .. } | Self::Angle { .. } => 1,
+            Self::Term(term) => term.n_values(rod),
         }
     }
 
     /// The node, or first node of the element, that an item is about.
     #[must_use]
-    pub fn node(&self, item: usize) -> usize {
+    pub fn node(&self, rod: &Rod, item: usize) -> usize {
         match self {
             Self::Clearance { points, .. } => item / points,
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
@@ -313,6 +329,7 @@ impl PathLimit {
             Self::Speed { node, .. } | Self::Distance { node, .. } | Self::Angle { node, .. } => {
                 *node
             }
+            Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
 
@@ -325,6 +342,7 @@ impl PathLimit {
             Self::Curvature { .. } | Self::Twist { .. } => "1/m",
             Self::Speed { .. } => "m/s",
             Self::Angle { .. } => "rad",
+            Self::Term(term) => term.unit(),
         }
     }
 
@@ -334,7 +352,7 @@ impl PathLimit {
         let scales = &rod.scales;
         match self {
             Self::Clearance { .. } | Self::Distance { .. } => scales.length,
-            Self::Stretch { .. } | Self::Angle { .. } => 1.0,
+            Self::Stretch { .. } | Self::Angle { .. } | Self::Term(_) => 1.0,
             Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
             Self::Speed { .. } => scales.length / scales.time,
         }
@@ -396,7 +414,8 @@ impl PathLimit {
             | Self::Curvature { .. }
             | Self::Twist { .. }
             | Self::Distance { .. }
-            | Self::Angle { .. } => 0.0,
+            | Self::Angle { .. }
+            | Self::Term(_) => 0.0,
         }
     }
 
@@ -445,6 +464,7 @@ impl PathLimit {
                 let r = posture.trajectory.rotations_at(k)[*node];
                 log(&from.tr_mul(&r)).norm() - largest
             }
+            Self::Term(term) => term.value(&posture.view(k), item),
         };
         excess / self.scale(posture.rod)
     }
@@ -498,6 +518,7 @@ impl PathLimit {
                 let direction = log_tangent(&psi, &c) * (unit(&psi) * inverse);
                 at(k, along(*node, 3, &direction).collect())
             }
+            Self::Term(term) => at(k, term.gradient(&posture.view(k), item).terms),
         }
     }
 
@@ -577,7 +598,27 @@ impl PathLimit {
                     matrix: dynamic(&(0.5 * (bent + bent.transpose()) * inverse)),
                 }
             }
+            Self::Term(term) => term_curvature(term, posture, k, item, 1.0),
         }
+    }
+}
+
+/// `factor` times the second derivative of a value of a term.
+pub(super) fn term_curvature(
+    term: &SharedTerm,
+    posture: &Posture,
+    k: usize,
+    item: usize,
+    factor: f64,
+) -> RowCurvature {
+    let matrix = term.curvature(&posture.view(k), item);
+    RowCurvature {
+        forms: (term.nodes(posture.rod, item).into_iter())
+            .flat_map(|node| [vector_forms(k, node, 0), vector_forms(k, node, 3)].concat())
+            .collect(),
+        matrix: DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+            factor * matrix[(i, j)]
+        }),
     }
 }
 

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::hold::ControlGrid;
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
+use super::term::StateCost;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
@@ -206,7 +207,7 @@ impl Tracking {
 
 /// What is made small.
 ///
-/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking`. Time integrals carry
+/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals carry
 /// the step: refining the grid does not change what weights mean. Those over states are sums by the trapezoidal rule over
 /// [`samples`](Self::samples) of the time nodes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -219,6 +220,8 @@ pub struct Objective {
     pub energy: f64,
     /// Nodes that should follow a path.
     pub tracking: Vec<Tracking>,
+    /// Terms of one's own.
+    pub terms: Vec<StateCost>,
     /// Intervals between the samples of what is integrated over states; all time nodes where it exceeds their number. Not
     /// 0 where there is anything to integrate.
     pub samples: usize,
@@ -276,6 +279,8 @@ pub enum DurationConflict {
     Path(usize),
     /// A base that moves by the clock.
     Base,
+    /// A term of one's own, which may depend on time.
+    Term,
 }
 
 /// One scalar residual of a goal.
@@ -323,6 +328,14 @@ impl GoalPart {
             Self::Velocity => "m/s",
             Self::AngularVelocity => "rad/s",
         }
+    }
+}
+
+impl Objective {
+    /// Whether anything of it depends on the states.
+    #[must_use]
+    pub fn sees_states(&self) -> bool {
+        self.energy > 0.0 || !self.tracking.is_empty() || !self.terms.is_empty()
     }
 }
 
@@ -557,6 +570,11 @@ impl OptimalControlProblem {
         if self.rod.driven_base(0.0).is_some() {
             let what = "a driven base; hold it or free it".into();
             return Some((DurationConflict::Base, what));
+        }
+        let is_term = |constraint: &PathConstraint| matches!(constraint.limit, PathLimit::Term(_));
+        if !self.objective.terms.is_empty() || self.path.iter().any(is_term) {
+            let what = "a term of one's own, which may depend on time".into();
+            return Some((DurationConflict::Term, what));
         }
         None
     }

@@ -620,7 +620,7 @@ impl LiftedProgram for Transcription<'_> {
             return Err(Failure(format!(
                 "{} is not finite at node {}, time node {k}",
                 constraint.name,
-                constraint.limit.node(item)
+                constraint.limit.node(&self.problem.rod, item)
             )));
         }
         // Impulses, relative to what the rod's own force scale delivers in its own time.

@@ -71,6 +71,10 @@ impl Scene {
         if task.limits[obstacles..].iter().any(is_obstacle) {
             return Err(DescribeError("its obstacles come behind other limits"));
         }
+        let is_own = |limit: &task::Limit| matches!(limit.kind, LimitKind::Term(_));
+        if !task.cost.terms.is_empty() || task.limits.iter().any(is_own) {
+            return Err(DescribeError("it has terms of its own"));
+        }
         let (via, goal) = targets(task, &at)?;
         Ok(Scene {
             rod,
@@ -469,7 +473,7 @@ fn described_limit(limit: &task::Limit, at: &impl Fn(Place) -> LoadNode) -> Limi
         rate_hz: limit.rate,
     };
     match limit.kind {
-        LimitKind::Clearance { .. } => {}
+        LimitKind::Clearance { .. } | LimitKind::Term(_) => {}
         LimitKind::Stretch { least, largest } => out.stretch = Some([least, largest]),
         LimitKind::Curvature { largest } => out.curvature_max_1_m = Some(largest),
         LimitKind::Twist { largest } => out.twist_max_1_m = Some(largest),

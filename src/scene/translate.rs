@@ -519,6 +519,7 @@ impl Scene {
                         weight: track.weight,
                     })
                     .collect(),
+                terms: Vec::new(),
                 force_scale: objective.force_scale_n,
                 moment_scale: objective.moment_scale_n_m,
             },
@@ -676,6 +677,8 @@ impl Scene {
                         Some(at) => format!("limit.{at}.soft"),
                     },
                     DurationConflict::Base => "base.motion".into(),
+                    // No scene has one.
+                    DurationConflict::Term => "task.free_duration".into(),
                 };
                 let message = format!("task.free_duration does not go with {what}");
                 source.error_at(&key, message, None)

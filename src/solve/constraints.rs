@@ -61,7 +61,7 @@ pub(super) fn worst_constraints<D>(
             h,
             NamedConstraint {
                 name: constraint.name.clone(),
-                node: constraint.limit.node(item),
+                node: constraint.limit.node(&problem.rod, item),
                 time_s: problem.grid.time(constraint.time_nodes[time]),
                 amount: h * constraint.limit.scale(&problem.rod),
                 unit: constraint.limit.unit(),

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::{Place, Start};
-use crate::control::{Bound, FreeDuration, PathEnforcement, Shape};
+use crate::control::{Bound, FreeDuration, PathEnforcement, Shape, SharedTerm, StateCost};
 
 /// Whether a goal must be met, or is paid for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -91,6 +91,8 @@ pub struct Cost {
     pub energy: f64,
     /// Places that should follow a path.
     pub tracks: Vec<Track>,
+    /// Terms of one's own.
+    pub terms: Vec<StateCost>,
     /// Force that counts as 1, N. `None`: `EI/L²`.
     pub force_scale: Option<f64>,
     /// Moment that counts as 1, N m. `None`: `EI/L` with the `EI` of the weakest section that a moment acts on.
@@ -105,6 +107,7 @@ impl Default for Cost {
             rate: 0.0,
             energy: 0.0,
             tracks: Vec::new(),
+            terms: Vec::new(),
             force_scale: None,
             moment_scale: None,
         }
@@ -112,7 +115,7 @@ impl Default for Cost {
 }
 
 /// What is limited at all times.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum LimitKind {
     /// The arm, with its radius, stays `margin` in m clear of an obstacle.
     Clearance {
@@ -145,6 +148,8 @@ pub enum LimitKind {
         /// Largest.
         largest: f64,
     },
+    /// Every value of a term of one's own is at most zero.
+    Term(SharedTerm),
 }
 
 /// A limit, how often it is looked at, and how strictly it holds.

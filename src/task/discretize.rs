@@ -195,6 +195,7 @@ impl Task {
                         weight: track.weight.unwrap_or(default_weight),
                     })
                     .collect(),
+                terms: self.cost.terms.clone(),
                 samples: chosen.samples,
             },
             grid,
@@ -416,7 +417,7 @@ impl LimitKind {
     /// The limit on a rod whose nodes have these radii in m.
     #[must_use]
     pub fn on(&self, rod: &Rod, radii: &[f64]) -> PathLimit {
-        match *self {
+        match self.clone() {
             Self::Clearance { shape, margin } => {
                 let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
                 let radius = shape.least_radius() + thinnest(radii) + margin;
@@ -433,6 +434,7 @@ impl LimitKind {
                 node: at.node(rod.n_elements()),
                 largest,
             },
+            Self::Term(term) => PathLimit::Term(term),
         }
     }
 }
@@ -599,7 +601,7 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
             },
             relation,
             place,
-            node: limit.node(worst.1),
+            node: limit.node(&problem.rod, worst.1),
         });
     }
     Ok(())

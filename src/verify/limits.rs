@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::dual;
-use crate::control::{OptimalControlProblem, PathLimit, Shape};
+use crate::control::{OptimalControlProblem, PathLimit, Shape, StateTerm, StateView};
 use crate::mechanics::differences;
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Rod, StrainRule, Trajectory};
@@ -14,11 +14,14 @@ use crate::mechanics::{Rod, StrainRule, Trajectory};
 pub(super) struct Pose {
     pub(super) x: Vec<Vector3<f64>>,
     pub(super) r: Vec<Matrix3<f64>>,
+    /// s
+    pub(super) t: f64,
 }
 
 impl Pose {
-    pub(super) fn at(trajectory: &Trajectory, k: usize) -> Self {
+    pub(super) fn at(trajectory: &Trajectory, k: usize, step: f64) -> Self {
         Self {
+            t: k as f64 * step,
             x: trajectory.positions_at(k).to_vec(),
             r: trajectory.rotations_at(k).to_vec(),
         }
@@ -49,6 +52,49 @@ fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
             -to_faces.fold(f64::INFINITY, f64::min)
         }
     }
+}
+
+/// What a term of one's own is at a pose.
+fn term_value(term: &dyn StateTerm, rod: &Rod, pose: &Pose, item: usize) -> f64 {
+    let view = StateView {
+        rod,
+        time: pose.t,
+        positions: &pose.x,
+        rotations: &pose.r,
+    };
+    term.value(&view, item)
+}
+
+/// Slopes of a value of a term along a node's position, per m, and along its rotation, per rad: by central differences, not by what the
+/// term says.
+fn term_slopes(
+    term: &dyn StateTerm,
+    rod: &Rod,
+    pose: &Pose,
+    item: usize,
+    node: usize,
+) -> [Vector3<f64>; 2] {
+    let along = |axis: usize| {
+        let length = rod.scales.length;
+        let moved = |s: f64| {
+            let mut moved = pose.clone();
+            moved.x[node][axis] += s * length;
+            term_value(term, rod, &moved, item)
+        };
+        slope_at_zero(moved, SHIFT) / length
+    };
+    let about = |axis: usize| {
+        let turned = |angle: f64| {
+            let mut turned = pose.clone();
+            turned.r[node] *= exp(&Vector3::ith(axis, angle));
+            term_value(term, rod, &turned, item)
+        };
+        slope_at_zero(turned, TURN)
+    };
+    [
+        Vector3::new(along(0), along(1), along(2)),
+        Vector3::new(about(0), about(1), about(2)),
+    ]
 }
 
 /// A limit with what its rows are measured on.
@@ -112,6 +158,7 @@ impl Measure<'_> {
                 from,
                 largest,
             } => log(&(from.transpose() * here.r[*node])).norm() - largest,
+            PathLimit::Term(term) => term_value(&**term, self.rod, here, item),
         }
     }
 
@@ -132,11 +179,12 @@ impl Measure<'_> {
 
     /// The nodes that a row depends on.
     fn support(&self, limit: &PathLimit, item: usize) -> Vec<usize> {
-        let first = limit.node(item);
+        let first = limit.node(self.rod, item);
         match limit {
             PathLimit::Speed { .. } | PathLimit::Distance { .. } | PathLimit::Angle { .. } => {
                 vec![first]
             }
+            PathLimit::Term(term) => term.nodes(self.rod, item),
             _ => vec![first, (first + 1).min(self.rod.tip())],
         }
     }
@@ -152,7 +200,19 @@ impl Measure<'_> {
         [cx, ceta]: [&mut [Vector3<f64>]; 2],
     ) {
         let mut nodes = self.support(limit, item);
+        nodes.sort_unstable();
         nodes.dedup();
+        if let PathLimit::Term(term) = limit {
+            if along_before {
+                return;
+            }
+            for node in nodes {
+                let [x, r] = term_slopes(&**term, self.rod, poses[1], item, node);
+                cx[node] += x * weight;
+                ceta[node] += r * weight;
+            }
+            return;
+        }
         for node in nodes {
             let slope = self.position_slope(limit, item, node, poses, along_before);
             cx[node] += slope * weight;
@@ -219,9 +279,10 @@ impl Measure<'_> {
                 if along_before { -along } else { along }
             }
             PathLimit::Distance { from, .. } => unit(&(here.x[node] - from)),
-            PathLimit::Curvature { .. } | PathLimit::Twist { .. } | PathLimit::Angle { .. } => {
-                Vector3::zeros()
-            }
+            PathLimit::Curvature { .. }
+            | PathLimit::Twist { .. }
+            | PathLimit::Angle { .. }
+            | PathLimit::Term(_) => Vector3::zeros(),
         }
     }
 }
@@ -238,6 +299,8 @@ fn outward(limit: &PathLimit, item: usize, vector: &Vector3<f64>) -> Vector3<f64
 
 /// Turn of the differences along rotations, rad.
 const TURN: f64 = 1e-3;
+/// Shift of the differences along positions, in rod lengths.
+const SHIFT: f64 = 1e-3;
 
 /// `f'(0)` by central differences of fourth order.
 pub(super) fn slope_at_zero(f: impl Fn(f64) -> f64, step: f64) -> f64 {
@@ -300,6 +363,22 @@ pub(super) fn add_state_cost(
         let off = (pose.x[tracking.node] - tracking.position(t)) / rod.scales.length;
         cost += 0.5 * tracking.weight * duration * off.norm_squared();
         cx[tracking.node] += off * (tracking.weight * duration / rod.scales.length);
+    }
+    for state_cost in &objective.terms {
+        let term = &*state_cost.term;
+        let weight = state_cost.weight * duration;
+        for item in 0..term.n_values(rod) {
+            let value = term_value(term, rod, pose, item);
+            cost += 0.5 * weight * value * value;
+            let mut nodes = term.nodes(rod, item);
+            nodes.sort_unstable();
+            nodes.dedup();
+            for node in nodes {
+                let [x, r] = term_slopes(term, rod, pose, item, node);
+                cx[node] += x * (weight * value);
+                ceta[node] += r * (weight * value);
+            }
+        }
     }
     if objective.energy > 0.0 {
         let weight = objective.energy * duration / rod.scales.moment;

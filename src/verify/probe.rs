@@ -261,8 +261,9 @@ impl Conditions<'_> {
     /// Scaled value of a row of a path constraint.
     pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
         let limit = &self.path[row.constraint].limit;
-        let here = Pose::at(self.trajectory, row.time_node);
-        let before = (row.time_node > 0).then(|| Pose::at(self.trajectory, row.time_node - 1));
+        let here = Pose::at(self.trajectory, row.time_node, self.problem.grid.step);
+        let before = (row.time_node > 0)
+            .then(|| Pose::at(self.trajectory, row.time_node - 1, self.problem.grid.step));
         let measure = self.measure();
         measure.excess(limit, row.item, &here, before.as_ref()) / limit.scale(self.rod())
     }

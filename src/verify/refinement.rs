@@ -266,7 +266,7 @@ impl<'a> Watch<'a> {
                         thickness.max(FLAT_REFERENCE * rod.scales.length)
                     }
                 }
-                PathLimit::Stretch { .. } => 1.0,
+                PathLimit::Stretch { .. } | PathLimit::Term(_) => 1.0,
                 PathLimit::Curvature { largest }
                 | PathLimit::Twist { largest }
                 | PathLimit::Speed { largest, .. } => *largest,
@@ -299,6 +299,7 @@ impl<'a> Watch<'a> {
             limits,
             worst,
             before: Pose {
+                t: 0.0,
                 x: Vec::new(),
                 r: Vec::new(),
             },
@@ -313,6 +314,7 @@ impl<'a> Watch<'a> {
         let here = Pose {
             x: state.configuration.positions,
             r: state.configuration.rotations,
+            t: stepper.time(),
         };
         let measure = Measure {
             rod: self.rod,
@@ -332,7 +334,7 @@ impl<'a> Watch<'a> {
                 if !(excess <= worst.excess) {
                     worst.excess = excess;
                     worst.time = t;
-                    worst.along = limit.node(item) as f64 / self.rod.n_elements() as f64;
+                    worst.along = limit.node(self.rod, item) as f64 / self.rod.n_elements() as f64;
                 }
             }
         }

@@ -16,7 +16,7 @@ fn trapezoidal(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
 /// Time nodes at which costs over states are sampled, as even as whole steps allow, with the time that each stands for, s.
 pub(super) fn of_costs(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let objective = &problem.objective;
-    if objective.energy == 0.0 && objective.tracking.is_empty() {
+    if !objective.sees_states() {
         return Vec::new();
     }
     let n = problem.grid.n_steps;

@@ -148,6 +148,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         goals: vec![via, near],
         path: limits(&rod),
         objective: Objective {
+            terms: Vec::new(),
             effort: 1.0,
             rate: 1e-3,
             energy: 0.7,

@@ -60,8 +60,8 @@ impl Conditions<'_> {
                 continue;
             }
             let weight = multiplier / limit.scale(self.rod());
-            let here = Pose::at(self.trajectory, *k);
-            let before = Pose::at(self.trajectory, k.saturating_sub(1));
+            let here = Pose::at(self.trajectory, *k, self.problem.grid.step);
+            let before = Pose::at(self.trajectory, k.saturating_sub(1), self.problem.grid.step);
             let mut add = |k: usize, along_before: bool| {
                 let range = k * n..(k + 1) * n;
                 measure.add_slope(
@@ -86,7 +86,7 @@ impl Conditions<'_> {
             let range = k * n..(k + 1) * n;
             cost += add_state_cost(
                 self.problem,
-                &Pose::at(self.trajectory, k),
+                &Pose::at(self.trajectory, k, self.problem.grid.step),
                 self.problem.grid.time(k),
                 duration,
                 [&mut out.x[range.clone()], &mut out.eta[range]],
@@ -111,15 +111,16 @@ impl Conditions<'_> {
                 if self.problem.stop.is_raised() {
                     break;
                 }
-                let here = Pose::at(self.trajectory, k);
-                let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1));
+                let here = Pose::at(self.trajectory, k, self.problem.grid.step);
+                let before =
+                    (k > 0).then(|| Pose::at(self.trajectory, k - 1, self.problem.grid.step));
                 for item in 0..constraint.limit.n_items(self.rod()) {
                     let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
                     let h = excess / scale;
                     let z = given.remove(&(index, k, item)).unwrap_or(0.0);
                     let place = |value: f64, unit: String| Place {
                         name: constraint.name.clone(),
-                        node: constraint.limit.node(item),
+                        node: constraint.limit.node(&self.problem.rod, item),
                         time: self.problem.grid.time(k),
                         component: "",
                         value,
