@@ -13,7 +13,7 @@
 use std::error::Error;
 
 use nalgebra::Vector3;
-use softarm::control::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
+use softarm::control::{NodeForm, SharedTerm, StateCost, StateTerm, StateView, sample_times};
 use softarm::mechanics::{Material, Rod};
 use softarm::solve::Solution;
 use softarm::task::{Arm, ChannelLimits, Discretization, Task};
@@ -65,7 +65,7 @@ fn reach(weight: f64) -> Result<Solution, Box<dyn Error>> {
 /// `½ ∫ |R e₃ - e₃|² dt` of a solution: the part of its objective that the weight multiplies.
 fn tilt(solution: &Solution) -> f64 {
     let problem = &solution.problem.discrete;
-    softarm::control::cost::sample_times(problem)
+    sample_times(problem)
         .into_iter()
         .map(|(k, duration)| {
             let rotation = solution.trajectory().rotations_at(k)[problem.rod.tip()];

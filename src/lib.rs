@@ -49,12 +49,16 @@
 
 #![forbid(unsafe_code)]
 
+#[doc(hidden)]
 pub mod cli;
 pub mod control;
+#[doc(hidden)]
 pub mod derivatives;
 pub mod mechanics;
+#[doc(hidden)]
 pub mod memory;
 pub mod output;
+#[doc(hidden)]
 pub mod paper;
 pub mod scene;
 pub mod solve;

@@ -5,8 +5,10 @@
 //! ([`compare()`]); where an identity exists (the symplectic form, tangent against adjoint) it needs no step size, and sees a wrong
 //! entry far below what differences see. The point is random, bent, moving and admissible, because at rest many derivatives vanish.
 
+#[doc(hidden)]
 pub mod compare;
 mod control;
+#[doc(hidden)]
 pub mod mechanics;
 mod point;
 

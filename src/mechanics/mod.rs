@@ -1,35 +1,61 @@
 //! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
 
+#[doc(hidden)]
 pub mod base_motion;
 mod block_tridiagonal;
 mod buffer;
+#[doc(hidden)]
 pub mod configuration;
+#[doc(hidden)]
 pub mod constitutive;
+#[doc(hidden)]
 pub mod curvature;
+#[doc(hidden)]
 pub mod diagnostics;
+#[doc(hidden)]
 pub mod differences;
+#[doc(hidden)]
 pub mod energy;
 mod energy_norm;
+#[doc(hidden)]
 pub mod equilibrium;
+#[doc(hidden)]
 pub mod forces;
+#[doc(hidden)]
 pub mod forms;
+#[doc(hidden)]
 pub mod implicit;
+#[doc(hidden)]
 pub mod inertia;
+#[doc(hidden)]
 pub mod integrator;
+#[doc(hidden)]
 pub mod lanes;
+#[doc(hidden)]
 pub mod linearization;
+#[doc(hidden)]
 pub mod load;
+#[doc(hidden)]
 pub mod rod;
 pub mod rotation;
+#[doc(hidden)]
 pub mod sensitivity;
+#[doc(hidden)]
 pub mod signal;
+#[doc(hidden)]
 pub mod sparse_motion;
+#[doc(hidden)]
 pub mod stability;
+#[doc(hidden)]
 pub mod step_derivative;
+#[doc(hidden)]
 pub mod stepper;
 mod stiffness;
+#[doc(hidden)]
 pub mod strain;
+#[doc(hidden)]
 pub mod strain_coordinates;
+#[doc(hidden)]
 pub mod vibration;
 
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
@@ -37,10 +63,13 @@ pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use constitutive::RodModel;
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use energy::Energy;
+#[doc(hidden)]
 pub use energy_norm::EnergyNorm;
-pub use equilibrium::{TipSpring, static_equilibrium, static_equilibrium_until};
+pub use equilibrium::{EquilibriumError, TipSpring, static_equilibrium, static_equilibrium_until};
+#[doc(hidden)]
 pub use forms::{FormTerm, StateForm};
 pub use integrator::{Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
+#[doc(hidden)]
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{

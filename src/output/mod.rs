@@ -14,22 +14,29 @@ mod reading;
 mod report;
 mod rows;
 mod running;
+#[doc(hidden)]
 pub mod summary;
 
+#[doc(hidden)]
 pub use checkpoint::Checkpoint;
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::DiagnosticsRecord;
 pub use directory::{ResultDirectory, ResultKind};
 pub use error::OutputError;
+#[doc(hidden)]
 pub use extremes::Extremes;
 pub use feedback::{NamedArray, feedback_arrays, read_feedback, write_feedback};
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
+#[doc(hidden)]
 pub use reading::read_text;
+#[doc(hidden)]
 pub use report::{
     Bound, Hold, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls, ReportData,
     ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
     ReportSensitivity, ReportShape, ReportTarget, ReportVerdict, render_report,
 };
+#[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
+#[doc(hidden)]
 pub use running::RunDirectory;

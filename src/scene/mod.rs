@@ -18,6 +18,7 @@ mod model;
 mod overrides;
 mod reader;
 mod source;
+#[doc(hidden)]
 pub mod translate;
 
 pub use describe::DescribeError;

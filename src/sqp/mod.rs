@@ -1,20 +1,30 @@
 //! Sequential quadratic programming for lifted programs. Knows no rod.
 
 mod balls;
+#[doc(hidden)]
 pub mod globalization;
+#[doc(hidden)]
 pub mod hessian;
+#[doc(hidden)]
 pub mod kept_states;
 mod polish;
+#[doc(hidden)]
 pub mod program;
+#[doc(hidden)]
 pub mod progress;
+#[doc(hidden)]
 pub mod quadratic_program;
 mod refit;
+#[doc(hidden)]
 pub mod residual;
 mod run;
+#[doc(hidden)]
 pub mod solver;
 
 pub use hessian::{HessianChoice, HessianKind};
-pub use kept_states::{QpRoute, StateLinearization, StateRow};
+pub use kept_states::QpRoute;
+#[doc(hidden)]
+pub use kept_states::{StateLinearization, StateRow};
 pub use program::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };

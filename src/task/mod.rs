@@ -23,6 +23,7 @@ mod definition;
 mod discretization;
 mod discretize;
 mod error;
+#[doc(hidden)]
 pub mod prediction;
 mod tracking;
 

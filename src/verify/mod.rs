@@ -5,16 +5,22 @@
 
 mod dual;
 mod duration;
+#[doc(hidden)]
 pub mod files;
+#[doc(hidden)]
 pub mod growth;
 mod hold;
 mod interval;
+#[doc(hidden)]
 pub mod kkt;
 mod limits;
+#[doc(hidden)]
 pub mod momentum;
 mod probe;
+#[doc(hidden)]
 pub mod refinement;
 mod samples;
+#[doc(hidden)]
 pub mod second_order;
 mod solution;
 
