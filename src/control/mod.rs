@@ -1,4 +1,22 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
+//!
+//! An [`OptimalControlProblem`] comes from [`Task::discretize`](crate::task::Task::discretize); [`search`](fn@search) solves it,
+//! [`static_need`] says what statics alone asks of the actuators, and a [`StateTerm`] is a cost or a limit of one's own.
+//!
+//! ```
+//! use nalgebra::Vector3;
+//! use softarm::control::static_need;
+//! use softarm::mechanics::Material;
+//! use softarm::task::{Arm, Discretization, Task};
+//!
+//! let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05);
+//! let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 1.0);
+//! let problem = task.discretize(&arm, &Discretization::with_elements(8))?.discrete;
+//! let need = static_need(&problem)?;
+//! assert!(!need.is_within_bounds()); // the tip cannot be held there with 1 N
+//! println!("{:.2} N", need.wrenches[0].force.norm());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #[doc(hidden)]
 pub mod advice;

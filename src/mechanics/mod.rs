@@ -1,4 +1,31 @@
 //! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
+//!
+//! A [`Rod`] is built from [`RodParameters`] (or by [`Arm::rod`](crate::task::Arm::rod)); a [`Stepper`] moves its [`State`];
+//! [`static_equilibrium`] finds where it rests, [`SmallMotions`] how it sways about that.
+//!
+//! ```
+//! use nalgebra::Vector3;
+//! use softarm::mechanics::{
+//!     Energy, Material, NodeWrenches, Rod, RodParameters, Section, SectionProfile, State, Stepper, stable_step,
+//! };
+//!
+//! let silicone = Material::isotropic(1e6, 0.5, 1000.0);
+//! let section = SectionProfile::Uniform(Section::circle(&silicone, 0.05));
+//! let rod = Rod::new(&RodParameters {
+//!     gravity: Vector3::new(-9.81, 0.0, 0.0), // sideways
+//!     ..RodParameters::straight(1.0, 10, section)
+//! })?;
+//! let start = State::at_rest(rod.rest.clone());
+//! let before = Energy::of(&rod, &start).total();
+//! let mut stepper = Stepper::new(&rod, 0.5 * stable_step(&rod), start);
+//! for _ in 0..200 {
+//!     stepper.advance([NodeWrenches::NONE; 2])?;
+//! }
+//! let state = stepper.state();
+//! assert!(state.configuration.positions[rod.tip()].x < -0.01); // it falls
+//! assert!((Energy::of(&rod, &state).total() - before).abs() < 1e-2); // and keeps its energy, J
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #[doc(hidden)]
 pub mod base_motion;

@@ -6,6 +6,18 @@
 //! its numbers are finite and within range. The source stays beside the scene for as long as something may still
 //! be found wrong with it: [`SceneSource::error_at`] names the line, or the override, that a value came from.
 //!
+//! ```
+//! use softarm::scene::Scene;
+//! use softarm::solve::{SolveOptions, solve_problem};
+//!
+//! let overrides = ["rod.elements=6".into(), "control.blocks=6".into()];
+//! let (scene, source) = Scene::load("reach", &overrides)?; // a built-in name, or a path
+//! let setup = scene.optimal_control(&source)?;
+//! let solution = solve_problem(&setup.posed(), &SolveOptions::default())?;
+//! assert!(solution.has_converged());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! A section that is absent is a feature that the scene does not need; it is `None` here, and nothing is paid for it.
 
 pub mod builtin;
