@@ -49,6 +49,7 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
 pub mod control;
@@ -58,6 +59,7 @@ pub mod mechanics;
 #[doc(hidden)]
 pub mod memory;
 pub mod output;
+#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod paper;
 pub mod scene;

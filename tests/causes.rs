@@ -1,5 +1,7 @@
 //! What a run that broke down says of its cause: an arm that topples, a model that is no variation of an action.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::process::Command;

@@ -1,5 +1,7 @@
 //! The command line as a script sees it: exit codes, what stands on stdout and stderr, and the files.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::path::{Path, PathBuf};

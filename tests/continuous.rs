@@ -472,7 +472,7 @@ fn a_problem_is_solved_certified_and_saved() {
 }
 
 /// A directory that a program saved is one that `softarm verify` certifies.
-
+#[cfg(feature = "cli")]
 #[test]
 fn what_was_saved_is_verified() {
     let arm = Arm::cone(&silicone(), 0.5, [0.03, 0.02]).pointing(Vector3::new(1.0, 0.0, 0.0));

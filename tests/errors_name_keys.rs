@@ -1,5 +1,7 @@
 //! What the library refuses is said in the words of the scene: the key, the item by name, and a remedy that a scene can follow.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::collections::BTreeSet;

@@ -506,6 +506,7 @@ proptest! {
 
 /// Runs the tool in a folder of its own on a scene with overrides: exit code and stderr. Whatever happens, no panic and no
 /// folder of a run is left behind, and a result is whole.
+#[cfg(feature = "cli")]
 fn tool(verb: &str, settings: &[&str]) -> (i32, String) {
     const SCENE: &str = "[rod]\nlength_m = 1.0\nelements = 4\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\n\
                          density_kg_m3 = 1000.0\n[rod.section]\nradius_m = 0.05\n[[load]]\nnode = \"tip\"\nforce_n = [0.1, 0.0, 0.0]\n\
@@ -546,6 +547,7 @@ fn tool(verb: &str, settings: &[&str]) -> (i32, String) {
 }
 
 /// Through scenes: an answer (0), a refusal of the scene (2), or a run that ends where a step cannot be taken (5).
+#[cfg(feature = "cli")]
 #[test]
 fn scenes_at_the_ends() {
     for (settings, code, words) in [

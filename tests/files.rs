@@ -1,5 +1,7 @@
 //! What the tool writes, what it leaves alone, and what is left after it was stopped, killed, or out of room.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::fs;

@@ -84,6 +84,7 @@ fn names_stand_for_figures() {
 }
 
 /// Every name is a scene that can be simulated, and the schema lists every name with its figures.
+#[cfg(feature = "schema")]
 #[test]
 fn every_name_is_known_to_reader_and_schema() {
     let schema = Scene::schema();
@@ -339,6 +340,7 @@ fn thin_wires_get_the_inertia_of_segments() {
     assert_eq!(error.key(), Some("rod.rotary_inertia"));
 }
 
+#[cfg(feature = "cli")]
 fn softarm(arguments: &[&str], folder: &std::path::Path) -> std::process::Output {
     std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
         .args(arguments)
@@ -348,6 +350,7 @@ fn softarm(arguments: &[&str], folder: &std::path::Path) -> std::process::Output
 }
 
 /// `check --json` of a scene, and what it says.
+#[cfg(feature = "cli")]
 fn checked(text: &str) -> (serde_json::Value, String) {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("arm.toml"), text).expect("a scene");
@@ -360,6 +363,7 @@ fn checked(text: &str) -> (serde_json::Value, String) {
 
 /// A slender horizontal cantilever: the sag is ρAgL⁴/(8EI) and the first frequency 3.516/(2π) sqrt(EI/(ρAL⁴)), to the second order of the
 /// deflection and of the elements' length.
+#[cfg(feature = "cli")]
 #[test]
 fn check_knows_sag_and_frequency() {
     let text = "[rod]\nlength_m = 0.5\nelements = 20\n[rod.material]\nyoungs_modulus_pa = 1e8\npoisson_ratio = 0.3\ndensity_kg_m3 = 1000\n\
@@ -384,6 +388,7 @@ fn check_knows_sag_and_frequency() {
 }
 
 /// An arm that stands on its base falls over above a weight number of 7.84, and says so; hanging it does not.
+#[cfg(feature = "cli")]
 #[test]
 fn check_says_what_topples() {
     let arm = |direction: &str, length: f64| {
@@ -409,6 +414,7 @@ fn check_says_what_topples() {
 
 /// The first ten lines answer, in at most 80 columns: grams, where it sways, bounds and what has none, what holds the target, and
 /// what a solve takes.
+#[cfg(feature = "cli")]
 #[test]
 fn check_answers_in_ten_lines() {
     let (summary, said) = checked(STEEL_WIRE);

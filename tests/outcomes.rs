@@ -1,6 +1,8 @@
 //! Every extreme ends in a typed outcome: an exit code of the contract, a status, and names. What is certified holds when it is
 //! simulated again, and the same run gives the same bytes.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::fs::File;

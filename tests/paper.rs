@@ -1,5 +1,7 @@
 //! The paper's experiments: its scenes, the quantities it prints, and what the three models keep.
 
+#![cfg(feature = "cli")]
+
 use nalgebra::Vector3;
 use softarm::mechanics::{Integrator, NodeWrenches, RodModel, StrainRule};
 use softarm::paper::{

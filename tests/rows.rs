@@ -93,6 +93,7 @@ fn endless_rows_are_refused() {
 }
 
 /// A stiff arm that is pulled along its axis and let go: its element's waves pass in far less time than between two rows.
+#[cfg(feature = "cli")]
 const TWANG: &str = "\
 [rod]
 length_m = 1.0
@@ -113,6 +114,7 @@ step_s = 1e-3
 ";
 
 /// Exit code, summary and terminal of a simulation in `folder`.
+#[cfg(feature = "cli")]
 fn simulate(folder: &std::path::Path, arguments: &[&str]) -> (serde_json::Value, String) {
     std::fs::write(folder.join("scene.toml"), TWANG).unwrap();
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_softarm"))
@@ -129,6 +131,7 @@ fn simulate(folder: &std::path::Path, arguments: &[&str]) -> (serde_json::Value,
 
 /// Smallest and largest energy, dilatation and length count every step: with five rows in a thousand steps they are those of a run that
 /// writes every step, to the bit, and a run that is continued has them from before it was interrupted.
+#[cfg(feature = "cli")]
 #[test]
 fn extremes_are_over_every_step() {
     let folder = tempfile::tempdir().unwrap();

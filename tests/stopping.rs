@@ -3,7 +3,7 @@
 //! How soon is measured in forward simulations of the same scene on the same machine, with room for a busy one: uninterrupted, every phase
 //! that is stopped here takes many times as long.
 
-#![cfg(unix)]
+#![cfg(all(unix, feature = "cli"))]
 
 mod tool;
 

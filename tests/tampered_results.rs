@@ -1,16 +1,17 @@
 //! Results that were changed after the solve, or made by others: `verify` says what is wrong with them, or that it cannot read them; it does not
 //! panic, hang, or certify what differs.
 
+#![cfg(feature = "cli")]
+
 mod tool;
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-use npyz::WriterBuilder as _;
-use npyz::npz::{NpzArchive, NpzWriter};
+use npyz::{NpyFile, WriteOptions, WriterBuilder as _};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use softarm::control::{PathMultiplier, simulated};
@@ -20,6 +21,8 @@ use softarm::scene::Scene;
 use softarm::verify::{SolutionMultipliers, kkt};
 use tempfile::TempDir;
 use tool::{DONE, NUMERICAL, REJECTED, SCENE, USAGE};
+use zip::write::SimpleFileOptions;
+use zip::{ZipArchive, ZipWriter};
 
 /// A reach past a ball with a soft limit of speed and a rate at its bound: every kind of multiplier is there.
 fn scene() -> String {
@@ -131,28 +134,33 @@ impl Verified {
 type Arrays = BTreeMap<String, (Vec<u64>, Vec<f64>)>;
 
 fn read_arrays(path: &Path) -> Arrays {
-    let mut archive = NpzArchive::open(path).unwrap();
-    let names: Vec<String> = archive.array_names().map(String::from).collect();
-    (names.into_iter())
-        .map(|name| {
-            let array = archive.by_name(&name).unwrap().unwrap();
+    let mut archive = ZipArchive::new(File::open(path).unwrap()).unwrap();
+    let files: Vec<String> = archive.file_names().map(String::from).collect();
+    (files.into_iter())
+        .map(|file| {
+            let array = NpyFile::new(archive.by_name(&file).unwrap()).unwrap();
             let shape = array.shape().to_vec();
+            let name = file.strip_suffix(".npy").unwrap().to_string();
             (name, (shape, array.into_vec().unwrap()))
         })
         .collect()
 }
 
 fn write_arrays(path: &Path, arrays: &Arrays) {
-    let mut archive = NpzWriter::create(path).unwrap();
+    let mut archive = ZipWriter::new(File::create(path).unwrap());
     for (name, (shape, values)) in arrays {
-        let mut writer = (archive.array(name, Default::default()).unwrap())
+        let options = SimpleFileOptions::default();
+        (archive.start_file(format!("{name}.npy"), options)).unwrap();
+        let mut writer = WriteOptions::new()
             .default_dtype()
             .shape(shape)
+            .writer(&mut archive)
             .begin_nd()
             .unwrap();
         writer.extend(values).unwrap();
         writer.finish().unwrap();
     }
+    archive.finish().unwrap();
 }
 
 /// The untouched result is certified, and the certificate lists every file that it is about, and no other.

@@ -4,15 +4,18 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use npyz::npz::{NpzArchive, NpzWriter, NpzWriterBuilder, file_name_from_array_name};
+use npyz::npz::file_name_from_array_name;
 use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
+use zip::result::ZipError;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 
 use super::{OutputError, reading};
 
 /// An archive that is being read.
-pub(super) type Archive = NpzArchive<BufReader<File>>;
+pub(super) type Archive = ZipArchive<BufReader<File>>;
 /// An archive that is being written.
-pub(super) type ArchiveWriter = NpzWriter<BufWriter<File>>;
+pub(super) type ArchiveWriter = ZipWriter<BufWriter<File>>;
 
 /// Opens an archive of any size.
 pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
@@ -22,9 +25,9 @@ pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
 /// Opens an archive of at most `largest` bytes.
 pub(super) fn open_within(path: &Path, largest: u64) -> Result<Archive, OutputError> {
     let file = reading::open(path, largest)?;
-    let mut archive = NpzArchive::new(BufReader::new(file))
+    let archive = ZipArchive::new(BufReader::new(file))
         .map_err(|error| OutputError::malformed(path, format!("not a numpy archive: {error}")))?;
-    let entries = archive.zip_archive().len();
+    let entries = archive.len();
     if entries > MOST_ENTRIES {
         return Err(OutputError::malformed(
             path,
@@ -54,15 +57,15 @@ pub(super) fn write(
     fill: impl FnOnce(&mut ArchiveWriter) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     let attempt = || {
-        let mut archive = NpzWriter::new(BufWriter::new(File::create(path)?));
+        let mut archive = ZipWriter::new(BufWriter::new(File::create(path)?));
         fill(&mut archive)?;
-        archive.zip_writer().finish()?.flush()
+        archive.finish()?.flush()
     };
     attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }
 
 /// Fastest deflate: mantissas do not compress, but zeros of planar motions and held controls do.
-const DEFLATE_LEVEL: i32 = 1;
+const DEFLATE_LEVEL: i64 = 1;
 /// Bytes that the compressor gets at once. It is slow with eight, and what it makes of an array depends on how the array
 /// is cut; here is the only place that cuts, so the same numbers give the same bytes.
 const CHUNK: usize = 1 << 16;
@@ -78,33 +81,21 @@ pub(super) fn write_array(
 ) -> io::Result<()> {
     let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
     let size = 8 * shape.iter().product::<u64>() + HEADER_ALLOWANCE;
-    let options = default_options(ArchiveWriter::array::<f64>)
-        .last_modified_time(Default::default()) // 1980, instead of the clock
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Deflated)
         .compression_level(Some(DEFLATE_LEVEL))
+        .last_modified_time(DateTime::default()) // 1980, instead of the clock
         .large_file(size > u64::from(u32::MAX) / 2);
-    let zip = archive.zip_writer();
-    zip.start_file(file_name_from_array_name(name), options)?;
+    archive.start_file(file_name_from_array_name(name), options)?;
     let mut array = WriteOptions::<f64>::new()
         .default_dtype()
         .shape(&shape)
-        .writer(BufWriter::with_capacity(CHUNK, zip))
+        .writer(BufWriter::with_capacity(CHUNK, archive))
         .begin_nd()?;
     for value in values {
         array.push(&value?)?;
     }
     array.finish()
-}
-
-/// The default of the zip options that [`NpzWriter::array`] takes: npyz does not re-export their type,
-/// so it is inferred from the signature.
-fn default_options<O: Default>(
-    _: impl for<'a> Fn(
-        &'a mut ArchiveWriter,
-        &str,
-        O,
-    ) -> io::Result<NpzWriterBuilder<'a, f64, BufWriter<File>>>,
-) -> O {
-    O::default()
 }
 
 /// Shape and values of an array; `None` in `expected` admits any size in that dimension.
@@ -129,11 +120,11 @@ pub(super) fn visit_array(
     expected: &[Option<usize>],
     mut visit: impl FnMut(f64) -> io::Result<()>,
 ) -> Result<Vec<usize>, String> {
-    if !archive.array_names().any(|found| found == name) {
-        return Err("missing".into());
-    }
-    let file = file_name_from_array_name(name);
-    let mut entry = (archive.zip_archive().by_name(&file)).map_err(|error| error.to_string())?;
+    let mut entry =
+        (archive.by_name(&file_name_from_array_name(name))).map_err(|error| match error {
+            ZipError::FileNotFound => "missing".into(),
+            other => other.to_string(),
+        })?;
     let header = header_of(&mut entry)?;
     let mut bytes = header.as_slice().chain(entry);
     let array = NpyFile::new(&mut bytes).map_err(|error| error.to_string())?;
@@ -202,14 +193,4 @@ fn header_of(entry: &mut impl Read) -> Result<Vec<u8>, String> {
         return Err("not an array of plain numbers".into());
     }
     Ok(header)
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-
-    /// Options of a deflated entry.
-    pub(in crate::output) fn plain<O: Default>(_: &mut ArchiveWriter) -> O {
-        O::default()
-    }
 }

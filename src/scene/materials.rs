@@ -3,9 +3,7 @@
 //! One number cannot describe a rubber: moduli differ by batch, cure, temperature, rate and stretch, and by a factor of two
 //! between one laboratory and the next. A preset is where a first arm begins; a measured modulus beside it takes its place.
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 
 /// A material by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -240,12 +238,13 @@ impl MaterialFigures {
     }
 }
 
-impl JsonSchema for MaterialPreset {
-    fn schema_name() -> Cow<'static, str> {
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for MaterialPreset {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
         "MaterialPreset".into()
     }
 
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         let choices: Vec<serde_json::Value> = (TABLE.iter())
             .map(|figures| {
                 serde_json::json!({
@@ -255,7 +254,7 @@ impl JsonSchema for MaterialPreset {
                 })
             })
             .collect();
-        json_schema!({
+        schemars::json_schema!({
             "description": "A material by its name: typical figures, their source, and the range of Young's modulus.",
             "oneOf": choices,
         })

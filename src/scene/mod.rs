@@ -106,7 +106,8 @@ impl Scene {
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
     }
 
-    /// JSON Schema of the scene file, for editors and other programs.
+    /// JSON Schema of the scene file, for editors and other programs; needs the feature `schema`.
+    #[cfg(feature = "schema")]
     pub fn schema() -> serde_json::Value {
         schemars::schema_for!(Scene).to_value()
     }

@@ -1,5 +1,6 @@
 //! The sections and keys of a scene. The doc comments of this file are the descriptions in the JSON Schema.
 
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +9,8 @@ use crate::mechanics::rotation::unit;
 use crate::sqp::SqpSettings;
 
 /// A soft arm, what acts on it, and what it should do. SI units throughout.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
     /// The arm.
@@ -62,14 +64,15 @@ pub struct Scene {
 /// A straight or curved rod with a circular section, or with stiffness and inertia given directly.
 ///
 /// Either `material` and `section`, or `stiffness` and `inertia`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Rod {
     /// Rest length in m, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub length_m: f64,
     /// Number of elements, 1 to 5000; there is one node more than elements.
-    #[schemars(range(min = 1, max = 5000))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     pub elements: usize,
     /// How strains follow from the nodes.
     #[serde(default)]
@@ -82,7 +85,7 @@ pub struct Rod {
     pub rotary_inertia: RotaryInertia,
     /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub display_radius_m: Option<f64>,
     /// What the rod is made of; goes with `section`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -102,7 +105,8 @@ pub struct Rod {
 }
 
 /// How the strains of an element follow from its two nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum StrainRule {
     /// One constant strain per element; arcs and helices are exact, and elements may be long.
@@ -113,7 +117,8 @@ pub enum StrainRule {
 }
 
 /// How axial stretch enters stiffness and inertia.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RodModel {
     /// The section keeps its size as the rod stretches.
@@ -126,7 +131,8 @@ pub enum RodModel {
 }
 
 /// The rotary inertia of the nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RotaryInertia {
     /// That of segments for a slender arm of a material that would take more than a second with that of sections, and five times as
@@ -141,7 +147,8 @@ pub enum RotaryInertia {
 }
 
 /// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which then count.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// A material by name: the figures below that are not given are its own.
@@ -149,80 +156,83 @@ pub struct Material {
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub youngs_modulus_pa: Option<f64>,
     /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent, both: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = -1, "maximum" = 0.5))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = -1, "maximum" = 0.5)))]
     pub poisson_ratio: Option<f64>,
     /// Shear modulus in Pa, positive; either this or `poisson_ratio`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub shear_modulus_pa: Option<f64>,
     /// Density in kg/m³, positive. Absent: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub density_kg_m3: Option<f64>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
     #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub shear_factor: f64,
 }
 
 /// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`; or their diameters.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Section {
     /// Radius in m all along the rod, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub radius_m: Option<f64>,
     /// Radius in m at the base, positive; goes with `radius_tip_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub radius_base_m: Option<f64>,
     /// Radius in m at the tip, positive; goes with `radius_base_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub radius_tip_m: Option<f64>,
     /// Diameter in m all along the rod, positive; instead of `radius_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub diameter_m: Option<f64>,
     /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub diameter_base_m: Option<f64>,
     /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub diameter_tip_m: Option<f64>,
 }
 
 /// Stiffness of a section that is the same in both transverse directions.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
     /// Axial stiffness E A in N, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub ea_n: f64,
     /// Shear stiffness G A in N, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub ga_n: f64,
     /// Bending stiffness E I in N m², positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub ei_n_m2: f64,
     /// Torsional stiffness G J in N m², positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub gj_n_m2: f64,
 }
 
 /// Inertia of a section, per length of the rod.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Inertia {
     /// Mass per length in kg/m, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub mass_kg_m: f64,
     /// Principal rotary inertias per length in kg m (kg m² per m): about the two transverse axes, then about the
     /// rod's own axis; all positive.
@@ -230,7 +240,8 @@ pub struct Inertia {
 }
 
 /// The shape in which the rod carries no stress, the same all along.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
     /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.
@@ -238,14 +249,15 @@ pub struct Reference {
     pub curvature_1_m: [f64; 3],
     /// Stress-free length over `length_m`, positive, default 1.
     #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub stretch: f64,
 }
 
 /// The first node: where it is, how it is turned, and whether it is held or moved.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
     /// Whether the base is held in place, moved, or free.
@@ -272,7 +284,8 @@ pub struct Base {
 /// Translations are displacements from `base.position_m`, in space. Rotations are rotation vectors r in the base's own
 /// frame, whose orientation at time t is its given one times exp(r(t)); parts about different axes add up as vectors.
 /// At t = 0 the arm has its shape where the base is then, and moves with it as a rigid body.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct BaseMotion {
     /// Constant velocity in m/s. Default: none.
@@ -292,7 +305,8 @@ pub struct BaseMotion {
 }
 
 /// A harmonic motion, amplitude times sin(2π f t + phase) - sin(phase): zero at t = 0.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Oscillation {
     /// Amplitude of the displacement in m. Default: none.
@@ -302,7 +316,7 @@ pub struct Oscillation {
     #[serde(default)]
     pub rotation_rad: [f64; 3],
     /// Frequency f in Hz, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub frequency_hz: f64,
     /// Phase in rad, default 0; π/2 starts without velocity.
     #[serde(default)]
@@ -310,7 +324,8 @@ pub struct Oscillation {
 }
 
 /// Whether the base is held or moved.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum BaseKind {
     /// Position and orientation are held.
@@ -323,7 +338,8 @@ pub enum BaseKind {
 }
 
 /// Uniform gravity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Gravity {
     /// Acceleration in m/s², spatial frame.
@@ -331,26 +347,28 @@ pub struct Gravity {
 }
 
 /// Damping of the motion.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
     /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
     /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
     /// only half of the time, as exp(-c t/2).
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub viscous_1_s: f64,
     /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
     /// It damps a mode of angular frequency ω with the ratio τω/2.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub internal_s: f64,
 }
 
 /// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Payload {
     /// Mass in kg, not negative.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub mass_kg: f64,
     /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
     /// axis. Default: none.
@@ -359,16 +377,17 @@ pub struct Payload {
 }
 
 /// A prescribed force and moment per rest length on a part of the arm.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
     /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
     #[serde(default)]
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub from: f64,
     /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
     #[serde(default = "one")]
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub to: f64,
     /// Force in N per m of the arm's rest length. Default: none.
     #[serde(default)]
@@ -385,7 +404,8 @@ pub struct DistributedLoad {
 }
 
 /// A prescribed force and moment on one node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Load {
     /// The node that is loaded: "tip", "base", or an index that counts from 0 at the base.
@@ -406,7 +426,8 @@ pub struct Load {
 }
 
 /// A node of the rod.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
 pub enum LoadNode {
     /// The last node.
@@ -419,20 +440,22 @@ pub enum LoadNode {
 }
 
 /// "tip", "base", or the index of a node, from 0 at the base.
-#[derive(Serialize, Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(
     untagged,
     expecting = "expected \"tip\", \"base\", or the index of a node"
 )]
-#[schemars(rename = "LoadNode")]
+#[cfg_attr(feature = "schema", schemars(rename = "LoadNode"))]
 enum LoadNodeKey {
     End(RodEnd),
     Index(usize),
 }
 
-#[derive(Serialize, Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-#[schemars(inline)]
+#[cfg_attr(feature = "schema", schemars(inline))]
 enum RodEnd {
     Tip,
     Base,
@@ -470,7 +493,8 @@ impl From<LoadNode> for LoadNodeKey {
 }
 
 /// The frame that a load is given in.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LoadFrame {
     /// The load keeps its direction in space.
@@ -481,11 +505,12 @@ pub enum LoadFrame {
 }
 
 /// Duration and time step.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Time {
     /// Duration in s, from t = 0; not negative.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub end_s: f64,
     /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
     /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
@@ -497,7 +522,8 @@ pub struct Time {
 }
 
 /// How a time step is taken.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
     /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and twice as long; explicit with a
@@ -511,7 +537,8 @@ pub enum TimeScheme {
 }
 
 /// The time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(from = "TimeStepKey", into = "TimeStepKey")]
 pub enum TimeStep {
     /// A step that suits this rod and the integrator.
@@ -522,17 +549,19 @@ pub enum TimeStep {
 }
 
 /// A positive number of seconds, or "auto".
-#[derive(Serialize, Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(untagged, expecting = "expected a number of seconds or \"auto\"")]
-#[schemars(rename = "TimeStep")]
+#[cfg_attr(feature = "schema", schemars(rename = "TimeStep"))]
 enum TimeStepKey {
     Word(AutoWord),
-    Seconds(#[schemars(extend("exclusiveMinimum" = 0))] f64),
+    Seconds(#[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))] f64),
 }
 
-#[derive(Serialize, Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-#[schemars(inline)]
+#[cfg_attr(feature = "schema", schemars(inline))]
 enum AutoWord {
     Auto,
 }
@@ -556,7 +585,8 @@ impl From<TimeStep> for TimeStepKey {
 }
 
 /// Where the tip should be: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Task {
     /// Position of the tip in m.
@@ -567,7 +597,7 @@ pub struct Task {
     pub orientation_wxyz: Option<[f64; 4]>,
     /// When, in s; above 0 and up to `time.end_s`, which is the default.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub at_s: Option<f64>,
     /// Choose the duration of the task as well; `at_s` is where the search begins. Absent: the task is due at `at_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -580,25 +610,25 @@ pub struct Task {
     pub hard: bool,
     /// Weight of that term, positive, default 1; only with `hard = false`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub weight: Option<f64>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub tolerance_m: Option<f64>,
     /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub tolerance_rad: Option<f64>,
     /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`. Absent:
     /// a hundredth of `rod.length_m` per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub tolerance_m_s: Option<f64>,
     /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`.
     /// Absent: a tenth of a radian per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub tolerance_rad_s: Option<f64>,
     /// Points to pass through on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -607,29 +637,31 @@ pub struct Task {
 
 /// A duration that the optimizer chooses. Blocks of the control, points on the way and samples stretch with it; loads and paths to
 /// follow keep to the clock.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FreeDuration {
     /// Shortest, s; positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub shortest_s: f64,
     /// Longest, s; not below `shortest_s`. The time step is chosen for this one.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub longest_s: f64,
     /// What a second costs, a pure number like the effort's: as much as a control of the size sqrt(2 price/effort) costs that is held for a
     /// second, in units of `objective.force_scale_n` or `moment_scale_n_m`. Not negative, default 1. With `objective.effort = 0` (and
     /// `rate = 0`) only time counts, whatever its price: minimum time, for which the controls need bounds.
     #[serde(default = "one")]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub price: f64,
 }
 
 /// A point to pass through: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Via {
     /// When, in s; above 0 and before the task's own time. The nearest time node counts.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub at_s: f64,
     /// Which node passes. Default: "tip".
     #[serde(default)]
@@ -645,20 +677,21 @@ pub struct Via {
     pub hard: bool,
     /// Weight of that term, positive, default 1; only with `hard = false`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub weight: Option<f64>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub tolerance_m: Option<f64>,
     /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub tolerance_rad: Option<f64>,
 }
 
 /// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
     /// Name in reports. Default: "obstacle" and its number, from 0.
@@ -678,7 +711,7 @@ pub struct Obstacle {
     pub cuboid: Option<Cuboid>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub margin_m: f64,
     /// The price of coming closer. Absent: never.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -686,23 +719,25 @@ pub struct Obstacle {
     /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
     /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub rate_hz: Option<f64>,
 }
 
 /// A sphere.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Sphere {
     /// Center in m.
     pub center_m: [f64; 3],
     /// Radius in m, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub radius_m: f64,
 }
 
 /// A cylinder with round ends.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Capsule {
     /// One end of the axis in m.
@@ -710,12 +745,13 @@ pub struct Capsule {
     /// The other end of the axis in m.
     pub to_m: [f64; 3],
     /// Radius in m, positive.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub radius_m: f64,
 }
 
 /// All points behind a plane.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct HalfSpace {
     /// A point of the plane in m.
@@ -725,7 +761,8 @@ pub struct HalfSpace {
 }
 
 /// A box.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Cuboid {
     /// Center in m.
@@ -740,21 +777,23 @@ pub struct Cuboid {
 /// The price of a violation, in the units of the objective: per second and per violation over the rod's length (strains and
 /// angles as they are, speeds over the rod's length per its time scale), `linear` times it and half of `quadratic` times its square. A linear price above
 /// the constraint's multiplier keeps it exactly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Price {
     /// Not negative, default 0.
     #[serde(default)]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub linear: f64,
     /// Not negative, default 0; one of the two is positive.
     #[serde(default)]
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub quadratic: f64,
 }
 
 /// A limit on the strain of every element, or on the speed of a node: exactly one of the four.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
@@ -765,15 +804,15 @@ pub struct Limit {
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub curvature_max_1_m: Option<f64>,
     /// Largest twist in 1/m, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub twist_max_1_m: Option<f64>,
     /// Largest speed of a node in m/s, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub speed_max_m_s: Option<f64>,
     /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -784,18 +823,19 @@ pub struct Limit {
     /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
     /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub rate_hz: Option<f64>,
 }
 
 /// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
 /// is not named does not act.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Control {
     /// Number of blocks, at least 1, default 20.
     #[serde(default = "twenty")]
-    #[schemars(range(min = 1))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub blocks: usize,
     /// The course of the controls within a block.
     #[serde(default)]
@@ -821,11 +861,12 @@ pub struct Control {
 }
 
 /// What the regulator around the solution weighs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {
     /// Weight of the energy of a deviation, twice over EI/L, on the way and at the end; not negative, default 1.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub state: f64,
     /// Weight of the square of a correction over its scale; positive, default 1.
     pub input: f64,
@@ -845,7 +886,8 @@ impl Default for Feedback {
 }
 
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
@@ -859,7 +901,8 @@ pub struct Actuator {
 }
 
 /// The course of the controls within a block.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Hold {
     /// Constant in each block; its jumps set off elastic waves.
@@ -872,7 +915,8 @@ pub enum Hold {
 }
 
 /// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(
     untagged,
     expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
@@ -885,40 +929,42 @@ pub enum Bound {
 }
 
 /// What the optimizer makes small.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub effort: f64,
     /// Weight of the squared changes of the controls from block to block; not negative, default 0.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub rate: f64,
     /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub energy: f64,
     /// Nodes that should follow a path.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub track: Vec<Track>,
     /// Samples of energy and paths over the horizon, at least 1, default 100.
-    #[schemars(range(min = 1))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
     /// by an angle of about 1.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub force_scale_n: Option<f64>,
     /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
     /// section by an angle of 1.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub moment_scale_n_m: Option<f64>,
 }
 
 /// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time.
 ///
 /// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Track {
     /// Which node. Default: "tip".
@@ -930,25 +976,26 @@ pub struct Track {
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
     /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub weight: Option<f64>,
 }
 
 /// How the optimizer works.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
     /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub tolerance: f64,
     /// Iterations after which to give up, at least 1, default 600.
-    #[schemars(range(min = 1))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
     /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
     pub saddle_escapes: usize,
     /// Part of the objective that leaving a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
     /// how much is left.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub saddle_gain: f64,
     /// The second derivatives that the quadratic model uses.
     pub hessian: Hessian,
@@ -962,12 +1009,13 @@ pub struct Solver {
     /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
     /// is written, positive. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deadline_s: Option<f64>,
 }
 
 /// The second derivatives that the quadratic model uses.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Hessian {
     /// Gauss-Newton far from the solution, exact near it.
@@ -980,7 +1028,8 @@ pub enum Hessian {
 }
 
 /// How the quadratic subproblems are solved; the step is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Qp {
     /// Over the controls alone: small and dense.
@@ -991,7 +1040,8 @@ pub enum Qp {
 }
 
 /// Where the iteration starts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
     /// From rest, then, until a solve converges, from static shapes by detours (with obstacles), from those on the way to the task, by a
@@ -1007,19 +1057,21 @@ pub enum Guess {
 }
 
 /// What is made easier at first, and the number of problems, the last one included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Continuation {
     /// The task moves from where the arm starts to where it is.
-    Target(#[schemars(range(min = 1))] usize),
+    Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
     /// Gravity and loads grow from nothing.
-    Load(#[schemars(range(min = 1))] usize),
+    Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
 }
 
 /// State at t = 0: a shape, and a velocity as of a rigid body.
 ///
 /// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with its base's.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Shape that the motion starts from.
@@ -1031,7 +1083,8 @@ pub struct Initial {
 }
 
 /// Shape that a motion starts from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum InitialShape {
     /// The stress-free shape: gravity and loads act suddenly.
@@ -1042,13 +1095,14 @@ pub enum InitialShape {
 }
 
 /// What is written.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
     /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
     /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub rate_hz: Option<f64>,
     /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
     /// of momentum and power, of a solve with its controls among the loads. Default: false.

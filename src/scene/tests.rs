@@ -268,6 +268,7 @@ fn shear_modulus_follows_from_poisson_ratio() {
 }
 
 /// Every section of the schema refuses unknown keys, and every key has a description.
+#[cfg(feature = "schema")]
 #[test]
 fn schema_is_strict_and_described() {
     fn visit(schema: &serde_json::Value, path: &str, sections: &mut usize) {
@@ -328,6 +329,7 @@ fn error_at_finds_nested_keys() {
 }
 
 /// Where a description in the schema names a default and the schema has one, they are the same: those of the code.
+#[cfg(feature = "schema")]
 #[test]
 fn described_defaults_are_true() {
     fn visit(value: &serde_json::Value, path: &str, seen: &mut Vec<String>) {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::choice::{Examined, Spent, beside};
+use super::examined::{Examined, Spent, beside};
 use super::report::{SolvePage, solve_page};
 use super::solution::Solution;
 use super::step_kind::step_kind;

@@ -1,22 +1,32 @@
 //! From a problem to a certified solution and its files: [`solve`], [`Solution::certify`], [`Solution::regulator`], [`Solution::save`].
 
 mod causes;
+#[cfg(feature = "cli")]
 mod choice;
 mod constraints;
+#[cfg(feature = "cli")]
 mod diagnostics;
+mod examined;
 mod files;
 mod report;
+#[cfg(feature = "cli")]
+mod simulation_page;
 mod solution;
 mod step_kind;
 mod summary;
 
-pub(crate) use causes::causes;
-pub(crate) use choice::{Chosen, Examination, Examined, choose};
-pub(crate) use diagnostics::diagnostics;
-pub(crate) use files::write;
-pub(crate) use report::{findings, simulation_page};
-pub(crate) use step_kind::{help, legend, step_kind};
-pub(crate) use summary::{check_outcome, status_words, summarize};
+#[cfg(feature = "cli")]
+pub(crate) use self::{
+    causes::causes,
+    choice::{Chosen, Examination, choose},
+    diagnostics::diagnostics,
+    examined::Examined,
+    files::write,
+    report::findings,
+    simulation_page::simulation_page,
+    step_kind::{help, legend, step_kind},
+    summary::{check_outcome, status_words, summarize},
+};
 
 pub use files::SaveError;
 pub use solution::Solution;

@@ -1,96 +1,28 @@
-//! What the report page of a simulation and of a solve shows.
+//! What the report page of a solve shows.
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::choice::Examined;
+use super::examined::Examined;
 use super::solution::Solution;
 use super::step_kind::{MEANINGS, step_kind};
 use crate::control::{Bound, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking};
 use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
-use crate::output::summary::{SimulateSummary, SolveSummary};
+use crate::output::summary::SolveSummary;
 use crate::output::{
     self, MotionRecord, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls,
     ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
     ReportPath, ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
 };
 use crate::scene::translate::directors;
-use crate::scene::{Scene, Simulation};
 use crate::sqp::IterationRecord;
 use crate::task::{Arm, Limit, LimitKind, Problem};
 use crate::verify::growth::Growth;
 use crate::verify::second_order::Extremum;
 use crate::verify::{CheckItem, ForwardCheck};
 
-const FRAMES: usize = 240;
-const ENERGY_ROWS: usize = 600;
+pub(super) const FRAMES: usize = 240;
+pub(super) const ENERGY_ROWS: usize = 600;
 const CLEARANCE_ROWS: usize = 600;
-
-pub(crate) fn simulation_page(
-    scene: &Scene,
-    setup: &Simulation,
-    record: &MotionRecord,
-    summary: &SimulateSummary,
-) -> ReportData {
-    let tip = summary.tip.position_m;
-    let error = summary.error.iter().map(|error| fact("error", error));
-    ReportData {
-        title: summary.scene.clone(),
-        command: ReportCommand::Simulate,
-        verdict: ReportVerdict {
-            text: summary.status.into(),
-            ok: summary.status == "completed",
-        },
-        facts: vec![
-            fact("model", summary.model),
-            fact("strain rule", summary.strain),
-            fact("elements", summary.elements),
-            fact(
-                "steps",
-                format!("{} of {:.4e} s", summary.steps, summary.step_s),
-            ),
-            fact("wall time", format!("{:.3} s", summary.wall_s)),
-            fact(
-                "tip at the end",
-                format!("({:.5}, {:.5}, {:.5}) m", tip[0], tip[1], tip[2]),
-            ),
-            fact(
-                "energy",
-                format!(
-                    "{:.5e} J at the start, {:.5e} J at the end",
-                    summary.energy.initial, summary.energy.r#final
-                ),
-            ),
-            fact(
-                "dilatation",
-                format!(
-                    "{:.5} to {:.5}",
-                    summary.dilatation.min, summary.dilatation.max
-                ),
-            ),
-        ]
-        .into_iter()
-        .chain(error)
-        .collect(),
-        summary: serde_json::to_value(summary).unwrap_or_default(),
-        arm: arm(&setup.arm, &setup.rod),
-        motion: ReportMotion::thinned(record, FRAMES),
-        target: None,
-        paths: Vec::new(),
-        obstacles: obstacles(
-            &scene.limits(),
-            &setup.rod,
-            &setup.arm.radii_at_nodes(setup.rod.n_elements()),
-            record,
-        ),
-        controls: None,
-        energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
-        sensitivity: None,
-        iterations: Vec::new(),
-        attempts: Vec::new(),
-        kinds: Vec::new(),
-        checks: Vec::new(),
-    }
-}
 
 /// What a solve's page shows.
 pub(super) struct SolvePage<'a> {
@@ -174,7 +106,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
     }
 }
 
-fn fact(label: &str, value: impl ToString) -> (String, String) {
+pub(super) fn fact(label: &str, value: impl ToString) -> (String, String) {
     (label.to_string(), value.to_string())
 }
 
@@ -227,7 +159,7 @@ fn solve_facts(summary: &SolveSummary, has_target: bool) -> Vec<(String, String)
     facts
 }
 
-fn arm(arm: &Arm, rod: &Rod) -> ReportArm {
+pub(super) fn arm(arm: &Arm, rod: &Rod) -> ReportArm {
     ReportArm {
         radius: arm.radii_at_nodes(rod.n_elements()),
         base: (rod.base == BaseCondition::Clamped).then(|| rod.rest.positions[0].into()),
@@ -263,7 +195,7 @@ fn paths(problem: &OptimalControlProblem) -> Vec<ReportPath> {
 }
 
 /// The obstacles, and the arm's clearance of each; `None` where there are none.
-fn obstacles(
+pub(super) fn obstacles(
     limits: &[Limit],
     rod: &Rod,
     radii: &[f64],

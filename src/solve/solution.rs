@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::choice::{Examined, examine};
 use super::constraints::worst_constraints;
+use super::examined::{Examined, examine};
 use super::files::{SaveError, save};
 use crate::control::{Attempt, Feedback, FeedbackError, FeedbackWeights, Transcription};
 use crate::mechanics::{Trajectory, Wrench};

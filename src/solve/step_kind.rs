@@ -43,6 +43,7 @@ pub(crate) fn step_kind(row: &IterationRecord) -> String {
 }
 
 /// All of it, for the help of `solve`.
+#[cfg(feature = "cli")]
 pub(crate) fn help() -> String {
     let entry = |(sign, meaning): &(&str, &str)| format!("  {sign:8} {meaning}");
     let lines: Vec<String> = MEANINGS.iter().map(entry).collect();
@@ -53,6 +54,7 @@ pub(crate) fn help() -> String {
 }
 
 /// The signs that some rows have, with their meanings, in one line.
+#[cfg(feature = "cli")]
 pub(crate) fn legend(rows: &[IterationRecord]) -> String {
     let kinds: Vec<String> = rows.iter().map(step_kind).collect();
     let occurs = |sign: &str| {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::causes::causes;
-use super::choice::{Examined, Spent};
+use super::examined::{Examined, Spent};
 use super::solution::Solution;
 use crate::control::{Attempt, SolveLog, observe, tracking_errors};
 use crate::output::summary::{

@@ -1,0 +1,102 @@
+//! What is found out about a solution: the check, and the regulator around it.
+
+use std::panic::resume_unwind;
+use std::time::Instant;
+
+use super::solution::Solution;
+use crate::control::{Feedback, FeedbackError, FeedbackWeights};
+use crate::mechanics::StepError;
+use crate::stop::Stop;
+use crate::verify::{CheckError, ForwardCheck};
+
+/// What was found out about a solution.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Examined {
+    /// The check, if it could be made.
+    pub check: Option<ForwardCheck>,
+    /// Why the check was not made to its end.
+    pub unchecked: Option<Stop>,
+    /// The regulator, if it was asked for and found.
+    pub feedback: Option<Feedback>,
+    /// Why a regulator that was asked for was not found any more.
+    pub without_gains: Option<Stop>,
+    /// What else went wrong, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// Seconds that were spent on examining.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Spent {
+    /// On checks.
+    pub certify: f64,
+    /// On gains.
+    pub feedback: f64,
+}
+
+/// The check and the regulator of a solution, beside each other if there is more than one thread.
+pub(crate) fn examine(
+    solution: &Solution,
+    feedback: Option<&FeedbackWeights>,
+    deep: bool,
+    n_threads: usize,
+) -> (Examined, Spent) {
+    let others = n_threads.saturating_sub(1).max(1);
+    let weights = feedback.filter(|_| solution.has_converged());
+    let (check, gains) = beside(
+        n_threads,
+        || Timed::of(|| solution.certify_deeply(deep)),
+        || Timed::of(|| weights.map(|weights| solution.regulator(weights, others))),
+    );
+    let spent = Spent {
+        certify: check.seconds,
+        feedback: gains.seconds,
+    };
+    let mut examined = Examined::default();
+    match check.found {
+        Ok(check) => examined.check = Some(check),
+        Err(error) => match CheckError::stopped(&error) {
+            Some(stop) => examined.unchecked = Some(stop),
+            None => (examined.warnings).push(format!("the check could not be made: {error}")),
+        },
+    }
+    match gains.found.transpose() {
+        Ok(found) => examined.feedback = found,
+        Err(FeedbackError::Step(StepError::Stopped(stop))) => examined.without_gains = Some(stop),
+        Err(error) => (examined.warnings).push(format!("no feedback gains: {error}")),
+    }
+    (examined, spent)
+}
+
+/// What was found, and the time that it took.
+struct Timed<T> {
+    found: T,
+    seconds: f64,
+}
+
+impl<T> Timed<T> {
+    fn of(find: impl FnOnce() -> T) -> Self {
+        let clock = Instant::now();
+        let found = find();
+        Self {
+            found,
+            seconds: clock.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+/// Both results, the second from a thread of its own if there may be more than one.
+pub(super) fn beside<A, B: Send>(
+    n_threads: usize,
+    first: impl FnOnce() -> A,
+    second: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if n_threads == 1 {
+        return (first(), second());
+    }
+    std::thread::scope(|scope| {
+        let second = scope.spawn(second);
+        let first = first();
+        let second = second.join();
+        (first, second.unwrap_or_else(|panic| resume_unwind(panic)))
+    })
+}
