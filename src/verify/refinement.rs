@@ -6,7 +6,7 @@ use super::limits::{Measure, Pose};
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
-use crate::mechanics::stability::stable_step;
+use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::{ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory};
 use crate::stop::StopSignal;
 
@@ -62,19 +62,21 @@ pub struct Refinement {
 
 /// Node-steps of implicit replays (some microseconds each) up to which the second refinement in space is made.
 const MOST_IMPLICIT_NODE_STEPS: usize = 4_000_000;
+/// Rounding of a number of parts.
+const WHOLE: f64 = 1e-9;
 /// Part of the stable step that a refined rod may use.
 const STEP_FRACTION: f64 = 0.9;
 
-/// How many times the step must be divided for `rod` to be stable with it, at least `least`. Implicit steps have no linear limit, and
-/// the one under bending goes with the square root of an element's length: two halves of an element need no more than half the
-/// step.
-fn stable_factor(step: f64, rod: &Rod, least: usize) -> usize {
-    match rod.scheme {
-        TimeScheme::Explicit => {
-            ((step / (STEP_FRACTION * stable_step(rod))).ceil() as usize).max(least)
-        }
-        TimeScheme::Implicit => least,
-    }
+/// How many times the step must be divided for the `finer` rod to be stable with it, at least `least`. Implicit steps have no linear limit,
+/// but one under bending, `2 sqrt(J/m)`: a step within that of the solution's own rod stays within that of the finer one, whose nodes have
+/// less rotary inertia (in proportion to the length of its elements, or to the cube of it where that is the inertia of segments).
+fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
+    let needed = match finer.scheme {
+        TimeScheme::Explicit => step / (STEP_FRACTION * stable_step(finer)),
+        TimeScheme::Implicit => step.min(bent_step(own)) / bent_step(finer),
+    };
+    // What is whole but for rounding stays what it is.
+    ((needed - WHOLE).ceil() as usize).max(least)
 }
 
 /// One replay, in lockstep with others.
@@ -173,7 +175,7 @@ pub fn refine(
     let doubled = finer(2)?;
     let quadrupled = twice.then(|| finer(4)).transpose()?;
     let finest = &quadrupled.as_ref().unwrap_or(&doubled).0;
-    let factor = stable_factor(step, finest, finest_factor);
+    let factor = stable_factor(step, coarse, finest, finest_factor);
     let mut levels: Vec<Level> = (IN_TIME.iter())
         .map(|&factor| level(coarse, start(), factor, ReplayKind::ShorterSteps))
         .collect();
