@@ -139,6 +139,13 @@ impl CheckItem {
                 let step = problem.grid.step / self.refinement();
                 return format!("set time.step_s = {step:.2e}");
             }
+            name if name.starts_with("kkt.") => {
+                return format!(
+                    "solve again, with a smaller solver.tolerance; where that changes nothing it is rounding, of a stiff arm: solver.tolerance = \
+                     {:.0e} asks for what numbers of 16 digits can tell",
+                    2.0 * self.value
+                );
+            }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" | "same_grid_rad" => {
