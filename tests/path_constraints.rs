@@ -79,6 +79,51 @@ fn lagrangian(
     (gradient, found.gauss_newton + found.curvature.unwrap())
 }
 
+/// States that do not obey their equations, every kind of constraint and cost: the gradient of the Lagrangian by costates is that of the
+/// linearization, to the rounding of two orders of summation; the costates give the curvature that the linearization finds by itself.
+#[test]
+fn costates_give_gradient_and_curvature() {
+    for rule in RULES {
+        let problem = busy_problem(rule);
+        let program = Transcription::new(&problem, 1);
+        let mut dice = Dice(11);
+        let simulated = rolled_out(&program, &mut dice);
+        let multipliers = random_multipliers(&program, &mut dice);
+        let evaluation = program.evaluate(&simulated).unwrap();
+        let change: Vec<f64> = (simulated.variables.iter())
+            .map(|_| 0.1 * dice.roll())
+            .collect();
+        let direction = program
+            .expand(&simulated, &evaluation.defects, &change)
+            .unwrap();
+        let point = program.retract(&simulated, &direction, 1.0);
+        let evaluation = program.evaluate(&point).unwrap();
+        assert!(evaluation.defect > 1e-6, "{}", evaluation.defect);
+
+        let (gradient, hessian) = lagrangian(&program, &point, &multipliers);
+        let terms = program
+            .lagrangian_terms(&point, &evaluation, &multipliers)
+            .unwrap();
+        let largest = (terms.own.iter().chain(&terms.through_states))
+            .fold(0.0f64, |largest, term| largest.max(term.abs()));
+        for ((own, rest), expected) in terms.own.iter().zip(&terms.through_states).zip(&gradient) {
+            let error = (own + rest - expected).abs();
+            assert!(error < 1e-10 * largest, "{rule:?}: {error:e} of {largest}");
+        }
+        let request = LinearizationRequest {
+            multipliers: Some(&multipliers),
+            rows: &[],
+        };
+        let found = (program)
+            .linearize_with(&point, &evaluation, &request, terms.costates.unwrap())
+            .unwrap();
+        let found = found.gauss_newton + found.curvature.unwrap();
+        let error = (&found - &hessian).norm_max();
+        let size = hessian.norm_max();
+        assert!(error < 1e-10 * size, "{rule:?}: {error:e} of {size}");
+    }
+}
+
 /// Gradient of the Lagrangian with every kind of constraint and cost: differences of roll-outs (fourth order, good to 1e-9), the
 /// solver, and the check (its norm); Hessian against differences of the gradient.
 #[test]

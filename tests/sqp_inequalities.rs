@@ -1270,6 +1270,7 @@ impl LiftedProgram for Curve {
     type Point = Vec<f64>;
     type Direction = Vec<f64>;
     type Defects = ();
+    type Costates = ();
 
     fn sets(&self) -> &[ConvexSet] {
         &[]

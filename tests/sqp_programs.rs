@@ -659,6 +659,20 @@ fn convergence_is_quadratic() {
     }
 }
 
+/// Exact Hessian: the curvature of every point is computed once but for the first, which has no multipliers yet, and the last, which passes
+/// the stopping test without it.
+#[test]
+fn converged_point_needs_no_curvature() {
+    for lifted in [false, true] {
+        let program = recursion(lifted);
+        let outcome = go(&program, &[0.0; 8], &settings(HessianChoice::Exact));
+        assert_eq!(outcome.status, SqpStatus::Converged);
+        let n_points = outcome.history.len();
+        assert!(n_points > 3, "{n_points} points are too few to tell");
+        assert_eq!(program.curvatures.get(), n_points - 2, "lifted: {lifted}");
+    }
+}
+
 /// A kick sets off a wave whose phase at the end turns by 150 rad on the way to the best shape; a second, strong kick, whose phase turns
 /// twice as fast, must cancel it. The linearization that a step leaves holds for a radian; that of its end shows how to cancel the wave
 /// there, however far away that is.

@@ -15,7 +15,7 @@ use super::path::{
 };
 use super::problem::{Bound, Channel, Component, GoalPart, GoalRow, OptimalControlProblem};
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
-use crate::mechanics::linearization::{Defects, Motion, Sources};
+use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, Sources};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::sensitivity::{
     ControlColumns, Sensitivities, adjoint, defects, direction, sensitivities,
@@ -26,8 +26,8 @@ use crate::mechanics::{
     ControlSignal, FormTerm, StateForm, StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent,
 };
 use crate::sqp::{
-    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
-    Multipliers, Softness, StateLinearization, StateRow,
+    ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
+    LinearizationRequest, Multipliers, Softness, StateLinearization, StateRow,
 };
 use crate::stop::{LARGE, StopSignal};
 
@@ -538,6 +538,7 @@ impl LiftedProgram for Transcription<'_> {
     type Point = LiftedPoint;
     type Direction = LiftedDirection;
     type Defects = Defects;
+    type Costates = AdjointSweep;
 
     fn sets(&self) -> &[ConvexSet] {
         &self.sets
@@ -643,88 +644,37 @@ impl LiftedProgram for Transcription<'_> {
         evaluation: &Evaluation<Defects>,
         request: &LinearizationRequest,
     ) -> Result<Linearization, Failure> {
-        let motion = self.motion(&point.variables);
-        let posture = self.posture(point);
-        let n_goals = self.goal_rows.len();
-        let mut gathered = Gathered::default();
-        for row in &self.goal_rows {
-            gathered.push(self.goal_gradient(&point.trajectory, row));
-        }
-        for &row in request.rows {
-            gathered.push(self.path_gradient(&posture, row));
-        }
+        let costates = (request.multipliers)
+            .map(|multipliers| self.costates(point, &self.state_costs(point), multipliers))
+            .transpose()?;
+        self.linearize_by(point, evaluation, request, costates.as_ref())
+    }
+
+    /// By one adjoint sweep.
+    fn lagrangian_terms(
+        &self,
+        point: &LiftedPoint,
+        _: &Evaluation<Defects>,
+        multipliers: &Multipliers,
+    ) -> Result<LagrangianTerms<AdjointSweep>, Failure> {
         let costs = self.state_costs(point);
-        for row in &costs {
-            gathered.push(row.gradient.clone());
-        }
-        let n_rows = gathered.rows.len();
-        // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
-        let (mut own, mut across) = (Vec::new(), Vec::new());
-        if let Some(multipliers) = request.multipliers {
-            for curvature in self.own_curvature(point, multipliers) {
-                match curvature.at_one_time() {
-                    Some(curvature) => own.push(curvature),
-                    None => across.push(curvature),
-                }
-            }
-        }
-        own.sort_by_key(|curvature| curvature.time_node);
-        for form in across.iter().flat_map(|curvature| &curvature.forms) {
-            gathered.push(form.clone());
-        }
-        let (forms, place) = gathered.sorted();
-        let adjoint = request
-            .multipliers
-            .map(|multipliers| {
-                let outcome = self.outcome(point, &costs, multipliers);
-                adjoint(&motion, &point.trajectory, &outcome, self.n_threads)
-            })
-            .transpose()
-            .map_err(describe)?;
-        let second_order = adjoint
-            .as_ref()
-            .map(|adjoint| StateMultipliers { adjoint, own: &own });
-        let mut sources = vec![Sources::against(&evaluation.defects)];
-        sources.extend(self.stretching(point)?);
-        let mut found = sensitivities(
-            &motion,
-            &point.trajectory,
-            &sources.iter().collect::<Vec<_>>(),
-            &Columns {
-                problem: self.problem,
-                components: &self.components,
-            },
-            &forms,
-            second_order.as_ref(),
-            self.n_threads,
-        )
-        .map_err(describe)?;
-        let values = gathered.rows_of(&found.forms, &place);
-        let answers = gathered.rows_of(&found.form_sources, &place);
-        add_curvature_across(
-            &across,
-            n_rows,
-            &values,
-            &answers,
-            &mut found,
-            &self.problem.stop,
-        );
-        self.problem
-            .stop
-            .check()
-            .map_err(|stop| describe(stop.into()))?;
-        let rows = self.along_driven(point, request.rows, &costs, values, &answers);
-        let mut linearization = self.assemble(
-            point, evaluation, request, &costs, n_goals, &rows, &answers, found,
-        );
-        self.problem
-            .stop
-            .check()
-            .map_err(|stop| describe(stop.into()))?;
-        if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
-            self.bend_duration(point, multipliers, stretching, &mut linearization)?;
-        }
-        Ok(linearization)
+        let costates = self.costates(point, &costs, multipliers)?;
+        Ok(LagrangianTerms {
+            own: self.control_cost.value(&point.variables).1,
+            through_states: self.through_states(point, &costs, &costates, multipliers)?,
+            least_curvature: None,
+            costates: Some(costates),
+        })
+    }
+
+    fn linearize_with(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        request: &LinearizationRequest,
+        costates: AdjointSweep,
+    ) -> Result<Linearization, Failure> {
+        self.linearize_by(point, evaluation, request, Some(&costates))
     }
 
     fn n_states(&self) -> Option<usize> {
@@ -917,19 +867,51 @@ impl Transcription<'_> {
         point: &LiftedPoint,
         multipliers: &Multipliers,
     ) -> Result<Vec<f64>, Failure> {
-        let (_, mut gradient) = self.control_cost.value(&point.variables);
+        let (_, own) = self.control_cost.value(&point.variables);
         let costs = self.state_costs(point);
-        let outcome = self.outcome(point, &costs, multipliers);
+        let costates = self.costates(point, &costs, multipliers)?;
+        let through_states = self.through_states(point, &costs, &costates, multipliers)?;
+        Ok((own.iter().zip(through_states))
+            .map(|(own, rest)| own + rest)
+            .collect())
+    }
+
+    /// Multipliers of the equations of motion that belong to those of goals and path constraints: the derivatives of
+    /// `J + yᵀ c + zᵀ h` along the states, swept backward.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    fn costates(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        multipliers: &Multipliers,
+    ) -> Result<AdjointSweep, Failure> {
+        let outcome = self.outcome(point, costs, multipliers);
         let motion = self.motion(&point.variables);
-        let sweep =
-            adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)?;
+        adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)
+    }
+
+    /// The derivative of `J + yᵀ c + zᵀ h` along the variables, without what they cost by themselves.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    fn through_states(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        costates: &AdjointSweep,
+        multipliers: &Multipliers,
+    ) -> Result<Vec<f64>, Failure> {
+        let mut gradient = vec![0.0; point.variables.len()];
+        let motion = self.motion(&point.variables);
         let columns = Columns {
             problem: self.problem,
             components: &self.components,
         };
         for k in 0..=motion.grid.n_steps {
             columns.visit(k, &mut |column, node, component, weight| {
-                let wrench = sweep.wrench(&motion, k, node);
+                let wrench = costates.wrench(&motion, k, node);
                 let slope = if component < 3 {
                     wrench.force[component]
                 } else {
@@ -944,18 +926,103 @@ impl Transcription<'_> {
             }
         }
         if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
-            gradient[at] += stretching.paired(&sweep);
+            gradient[at] += stretching.paired(costates);
             let posture = self.posture(point);
             for (row, z) in multipliers.inequalities.iter().enumerate() {
                 if *z != 0.0 {
                     gradient[at] += z * self.path_slope(point, &posture, row);
                 }
             }
-            for row in &costs {
+            for row in costs {
                 gradient[at] += row.residual * self.cost_slope(point, row);
             }
         }
         Ok(gradient)
+    }
+
+    /// The linearization; `costates` belong to the multipliers of the request, if it has any.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    fn linearize_by(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        request: &LinearizationRequest,
+        costates: Option<&AdjointSweep>,
+    ) -> Result<Linearization, Failure> {
+        let motion = self.motion(&point.variables);
+        let posture = self.posture(point);
+        let n_goals = self.goal_rows.len();
+        let mut gathered = Gathered::default();
+        for row in &self.goal_rows {
+            gathered.push(self.goal_gradient(&point.trajectory, row));
+        }
+        for &row in request.rows {
+            gathered.push(self.path_gradient(&posture, row));
+        }
+        let costs = self.state_costs(point);
+        for row in &costs {
+            gathered.push(row.gradient.clone());
+        }
+        let n_rows = gathered.rows.len();
+        // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
+        let (mut own, mut across) = (Vec::new(), Vec::new());
+        if let Some(multipliers) = request.multipliers {
+            for curvature in self.own_curvature(point, multipliers) {
+                match curvature.at_one_time() {
+                    Some(curvature) => own.push(curvature),
+                    None => across.push(curvature),
+                }
+            }
+        }
+        own.sort_by_key(|curvature| curvature.time_node);
+        for form in across.iter().flat_map(|curvature| &curvature.forms) {
+            gathered.push(form.clone());
+        }
+        let (forms, place) = gathered.sorted();
+        let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
+        let mut sources = vec![Sources::against(&evaluation.defects)];
+        sources.extend(self.stretching(point)?);
+        let mut found = sensitivities(
+            &motion,
+            &point.trajectory,
+            &sources.iter().collect::<Vec<_>>(),
+            &Columns {
+                problem: self.problem,
+                components: &self.components,
+            },
+            &forms,
+            second_order.as_ref(),
+            self.n_threads,
+        )
+        .map_err(describe)?;
+        let values = gathered.rows_of(&found.forms, &place);
+        let answers = gathered.rows_of(&found.form_sources, &place);
+        add_curvature_across(
+            &across,
+            n_rows,
+            &values,
+            &answers,
+            &mut found,
+            &self.problem.stop,
+        );
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
+        let rows = self.along_driven(point, request.rows, &costs, values, &answers);
+        let mut linearization = self.assemble(
+            point, evaluation, request, &costs, n_goals, &rows, &answers, found,
+        );
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
+        if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
+            self.bend_duration(point, multipliers, stretching, &mut linearization)?;
+        }
+        Ok(linearization)
     }
 
     /// The derivative of `J + yᵀ c + zᵀ h` over the states alone.

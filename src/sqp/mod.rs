@@ -26,7 +26,8 @@ pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
 pub use program::{
-    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
+    ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
+    LinearizationRequest, Softness,
 };
 pub use progress::{Progress, Trend};
 pub use residual::{KktResidual, Multipliers};

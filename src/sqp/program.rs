@@ -167,6 +167,19 @@ pub struct LinearizationRequest<'a> {
     pub rows: &'a [usize],
 }
 
+/// The gradient along the variables of the Lagrangian `J + yᵀ c + zᵀ h`, without the sets, in the two terms whose size it is measured by.
+#[derive(Clone, Debug)]
+pub struct LagrangianTerms<C> {
+    /// What the variables cost by themselves: [`LiftedProgram::own_gradient`], or all of `∇J` from a program that does not tell.
+    pub own: Vec<f64>,
+    /// The rest: what comes through the states and from the constraints.
+    pub through_states: Vec<f64>,
+    /// [`Linearization::least_curvature`] at the point, if the gradient was found by a linearization; else that of the last one is used.
+    pub least_curvature: Option<f64>,
+    /// The multipliers of the state equations, if the gradient was found by them.
+    pub costates: Option<C>,
+}
+
 /// The condensed linearization at a point: everything over the variables alone.
 #[derive(Clone, Debug)]
 pub struct Linearization {
@@ -206,6 +219,32 @@ impl Linearization {
             (true, _) => least,
             (false, true) => slope,
             (false, false) => 1.0,
+        }
+    }
+
+    /// The gradient of the Lagrangian; `own` is what the variables cost by themselves, where the program tells. Inequalities with a
+    /// multiplier must be among the linearized rows.
+    pub(crate) fn lagrangian_terms<C>(
+        &self,
+        own: Option<Vec<f64>>,
+        multipliers: &Multipliers,
+    ) -> LagrangianTerms<C> {
+        let own = own.unwrap_or_else(|| self.gradient.clone());
+        let through_states = |j: usize| {
+            let by_constraints = (multipliers.constraints.iter().enumerate())
+                .map(|(row, y)| self.jacobian[(row, j)] * y);
+            let by_inequalities = (self.rows.iter().enumerate())
+                .map(|(at, &row)| (at, multipliers.inequalities[row]))
+                .filter(|(_, z)| *z != 0.0)
+                .map(|(at, z)| self.inequality_jacobian[(at, j)] * z);
+            let by_rows: f64 = by_constraints.chain(by_inequalities).sum();
+            self.gradient[j] - own[j] + by_rows
+        };
+        LagrangianTerms {
+            through_states: (0..own.len()).map(through_states).collect(),
+            own,
+            least_curvature: Some(self.least_curvature()),
+            costates: None,
         }
     }
 
@@ -268,6 +307,8 @@ pub trait LiftedProgram {
     type Direction;
     /// Residual of the state equations.
     type Defects: Clone;
+    /// Multipliers of the state equations, where the program finds the gradient of the Lagrangian by them; else `()`.
+    type Costates;
 
     /// The convex sets on the variables.
     fn sets(&self) -> &[ConvexSet];
@@ -320,6 +361,43 @@ pub trait LiftedProgram {
         evaluation: &Evaluation<Self::Defects>,
         request: &LinearizationRequest,
     ) -> Result<Linearization, Failure>;
+
+    /// The gradient of the Lagrangian at a point. The solver tests the point with it before it asks for the curvature, which a point that
+    /// passes does not need. It is that of [`Self::linearize`] unless the program has a cheaper way, such as an adjoint sweep.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`].
+    fn lagrangian_terms(
+        &self,
+        point: &Self::Point,
+        evaluation: &Evaluation<Self::Defects>,
+        multipliers: &Multipliers,
+    ) -> Result<LagrangianTerms<Self::Costates>, Failure> {
+        let pulling = multipliers.inequalities.iter().enumerate();
+        let request = LinearizationRequest {
+            multipliers: None,
+            rows: &(pulling.filter(|(_, z)| **z != 0.0))
+                .map(|(row, _)| row)
+                .collect::<Vec<_>>(),
+        };
+        let linearization = self.linearize(point, evaluation, &request)?;
+        Ok(linearization.lagrangian_terms(self.own_gradient(point), multipliers))
+    }
+
+    /// [`Self::linearize`] with the costates that [`Self::lagrangian_terms`] found for the same point and the multipliers of the request, so
+    /// that the program need not compute them again.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`].
+    fn linearize_with(
+        &self,
+        point: &Self::Point,
+        evaluation: &Evaluation<Self::Defects>,
+        request: &LinearizationRequest,
+        _costates: Self::Costates,
+    ) -> Result<Linearization, Failure> {
+        self.linearize(point, evaluation, request)
+    }
 
     /// How many states there are, if [`Self::keep_states`] can keep them.
     fn n_states(&self) -> Option<usize> {

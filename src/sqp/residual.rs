@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::program::{ConvexSet, Evaluation, LiftedProgram, Linearization, Softness, along};
+use super::program::{
+    ConvexSet, Evaluation, LagrangianTerms, LiftedProgram, Linearization, Softness, along,
+};
 
 /// Multipliers of the constraints, the inequalities and the convex sets.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -154,27 +156,31 @@ impl KktResidual {
         linearization: &Linearization,
         multipliers: &Multipliers,
     ) -> Self {
+        let terms = linearization.lagrangian_terms(program.own_gradient(point), multipliers);
+        let unit = linearization.least_curvature();
+        Self::of_terms(program, point, evaluation, &terms, unit, multipliers)
+    }
+
+    /// Residuals at a point from the gradient of its Lagrangian; `least_curvature` is used where the terms have none.
+    pub(super) fn of_terms<P: LiftedProgram>(
+        program: &P,
+        point: &P::Point,
+        evaluation: &Evaluation<P::Defects>,
+        terms: &LagrangianTerms<P::Costates>,
+        least_curvature: f64,
+        multipliers: &Multipliers,
+    ) -> Self {
         let variables = program.variables(point);
         let n_measured = program.n_measured().min(variables.len());
-        let own = program.own_gradient(point);
-        let own = own.as_ref().unwrap_or(&linearization.gradient);
         let mut sum = Sum {
-            gradient: own.clone(),
-            largest: infinity_norm(&own[..n_measured]),
+            gradient: terms.own.clone(),
+            largest: infinity_norm(&terms.own[..n_measured]),
             n_measured,
         };
         // Rows that nearly say the same may pull against each other, or against costs of the states, as hard as they like: together they
         // are one term.
-        for j in 0..variables.len() {
-            let by_states = linearization.gradient[j] - own[j];
-            let by_constraints = (multipliers.constraints.iter().enumerate())
-                .map(|(row, y)| linearization.jacobian[(row, j)] * y);
-            let by_inequalities = (linearization.rows.iter().enumerate())
-                .map(|(at, &row)| (at, multipliers.inequalities[row]))
-                .filter(|(_, z)| *z != 0.0)
-                .map(|(at, z)| linearization.inequality_jacobian[(at, j)] * z);
-            let by_rows: f64 = by_constraints.chain(by_inequalities).sum();
-            sum.add(j, by_states + by_rows);
+        for (j, term) in terms.through_states.iter().enumerate() {
+            sum.add(j, *term);
         }
         let mut feasibility = infinity_norm(&evaluation.constraints).max(evaluation.defect);
         let mut complementarity: f64 = 0.0;
@@ -194,7 +200,7 @@ impl KktResidual {
                 complementarity.max(set_complementarity(set, normal, variables, &mut sum));
         }
         // A problem whose terms all vanish (already at its optimum) is judged against one unit of effort instead.
-        let unit = 1e-6 * linearization.least_curvature();
+        let unit = 1e-6 * terms.least_curvature.unwrap_or(least_curvature);
         let scale = sum.largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
             stationarity: infinity_norm(&sum.gradient) / scale,

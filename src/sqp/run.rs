@@ -17,8 +17,8 @@ use super::globalization::{Accepted, CAREFUL_MISS, Departure, FEASIBLE, Filter, 
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::{QpRoute, StateLinearization};
 use super::program::{
-    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness,
-    sum_of_largest,
+    ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
+    LinearizationRequest, Softness, sum_of_largest,
 };
 use super::quadratic_program::{
     LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
@@ -77,6 +77,15 @@ const NO_STEP: f64 = 1e-9;
 /// So many of them in a row, and what they lead to is where the solve is. States that still come nearer to their equations have done so by
 /// then: their defects fall with the square.
 const NULL_STEPS: usize = 8;
+
+/// What the stopping test reads at a point.
+pub(super) enum Derivatives<P: LiftedProgram> {
+    /// The linearization for a step of Gauss-Newton or of the restoration.
+    Linearized(Box<Linearization>),
+    /// The gradient of the Lagrangian; the linearization with curvature is computed only if the point does not pass.
+    Gradient(LagrangianTerms<P::Costates>),
+}
+
 /// What an iteration did.
 pub(super) enum Step {
     Taken,
@@ -117,6 +126,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// How subproblems are solved, and the linearization with its states where that needs it.
     route: QpRoute,
     kept: Option<StateLinearization>,
+    /// [Least curvature](Linearization::least_curvature) of the last linearization.
+    least_curvature: f64,
     /// Inequalities of the last working set that mattered.
     working: Vec<usize>,
     stuck: usize,
@@ -221,6 +232,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 None => QpRoute::Condensed,
             },
             kept: None,
+            least_curvature: 1.0,
             working: Vec::new(),
             point,
             evaluation,
@@ -280,17 +292,35 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    pub(super) fn linearize(&mut self) -> Result<Linearization, Failure> {
+    /// What the stopping test reads at the present point. A curvature that is wanted for the step from there waits for the test.
+    pub(super) fn derivatives(&mut self) -> Result<Derivatives<P>, Failure> {
+        if !self.wants_curvature() {
+            let linearization = self.linearize(None)?;
+            return Ok(Derivatives::Linearized(Box::new(linearization)));
+        }
         let clock = Instant::now();
-        let rows = self.candidates();
-        let linearization = self.program.linearize(
-            &self.point,
-            &self.evaluation,
-            &LinearizationRequest {
-                multipliers: self.wants_curvature().then_some(&self.multipliers),
-                rows: &rows,
-            },
-        )?;
+        let terms =
+            (self.program).lagrangian_terms(&self.point, &self.evaluation, &self.multipliers)?;
+        self.phases.linearize += clock.elapsed().as_secs_f64();
+        Ok(Derivatives::Gradient(terms))
+    }
+
+    /// The linearization at the present point; with the curvature of the Lagrangian if the terms of its gradient are given.
+    fn linearize(
+        &mut self,
+        terms: Option<LagrangianTerms<P::Costates>>,
+    ) -> Result<Linearization, Failure> {
+        let clock = Instant::now();
+        let request = LinearizationRequest {
+            multipliers: terms.is_some().then_some(&self.multipliers),
+            rows: &self.candidates(),
+        };
+        let (point, evaluation) = (&self.point, &self.evaluation);
+        let linearization = match terms.and_then(|terms| terms.costates) {
+            Some(costates) => (self.program).linearize_with(point, evaluation, &request, costates),
+            None => self.program.linearize(point, evaluation, &request),
+        }?;
+        self.least_curvature = linearization.least_curvature();
         self.note_rows(&linearization);
         self.keep_states(&linearization)?;
         self.phases.linearize += clock.elapsed().as_secs_f64();
@@ -306,7 +336,21 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(())
     }
 
-    pub(super) fn residual(&self, linearization: &Linearization) -> KktResidual {
+    pub(super) fn residual(&self, derivatives: &Derivatives<P>) -> KktResidual {
+        match derivatives {
+            Derivatives::Linearized(linearization) => self.linearized_residual(linearization),
+            Derivatives::Gradient(terms) => KktResidual::of_terms(
+                self.program,
+                &self.point,
+                &self.evaluation,
+                terms,
+                self.least_curvature,
+                &self.multipliers,
+            ),
+        }
+    }
+
+    fn linearized_residual(&self, linearization: &Linearization) -> KktResidual {
         KktResidual::of(
             self.program,
             &self.point,
@@ -384,7 +428,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// One iteration: subproblems of shrinking trust radius, until one's step is accepted, or a step of the restoration.
-    pub(super) fn step(&mut self, mut linearization: Linearization) -> Result<Step, Breakdown> {
+    pub(super) fn step(&mut self, derivatives: Derivatives<P>) -> Result<Step, Breakdown> {
+        let mut linearization = match derivatives {
+            Derivatives::Linearized(linearization) => *linearization,
+            Derivatives::Gradient(terms) => self.linearize(Some(terms))?,
+        };
         if self.restoration.is_some() {
             return self.restoration_step(linearization);
         }

@@ -251,15 +251,15 @@ pub fn solve<P: LiftedProgram>(
         Err(outcome) => return *outcome,
     };
     for iteration in 0..=settings.max_iterations {
-        let linearization = match run.linearize() {
-            Ok(linearization) => linearization,
+        let derivatives = match run.derivatives() {
+            Ok(derivatives) => derivatives,
             Err(failure) => {
                 let failed = SqpStatus::Failed(failure.0);
                 let status = run.stopped().map_or(failed, SqpStatus::Stopped);
                 return run.end(status);
             }
         };
-        let residual = run.residual(&linearization);
+        let residual = run.residual(&derivatives);
         let before = run.last_residual();
         run.record(iteration, residual);
         let stop = STOP_PART * settings.tolerance;
@@ -302,7 +302,7 @@ pub fn solve<P: LiftedProgram>(
         if let Some(stop) = run.stopped() {
             return run.finish(SqpStatus::Stopped(stop), observer);
         }
-        let step = run.step(linearization);
+        let step = run.step(derivatives);
         // What was left half done says nothing about the problem.
         if !matches!(step, Ok(Step::Taken))
             && let Some(stop) = run.stopped()

@@ -1,6 +1,7 @@
 //! A small nonlinear program whose functions are closures over second-order numbers, and helpers of the solver's tests.
 #![allow(dead_code)]
 
+use std::cell::Cell;
 use std::ops::ControlFlow;
 
 use faer::Mat;
@@ -155,6 +156,8 @@ pub struct Program {
     pub sets: Vec<ConvexSet>,
     /// Outside this radius of the variables evaluation fails.
     pub radius: f64,
+    /// How often the curvature of the Lagrangian was computed.
+    pub curvatures: Cell<usize>,
 }
 
 pub fn nothing() -> Box<Values> {
@@ -176,6 +179,7 @@ impl Default for Program {
             dynamics: nothing(),
             sets: Vec::new(),
             radius: f64::INFINITY,
+            curvatures: Cell::new(0),
         }
     }
 }
@@ -270,6 +274,7 @@ impl LiftedProgram for Program {
     type Point = Point;
     type Direction = Point;
     type Defects = Vec<f64>;
+    type Costates = ();
 
     fn sets(&self) -> &[ConvexSet] {
         &self.sets
@@ -343,6 +348,7 @@ impl LiftedProgram for Program {
         }
         let mut curvature = None;
         if let Some(y) = request.multipliers {
+            self.curvatures.set(self.curvatures.get() + 1);
             let outcome = (all.constraints.iter().zip(&y.constraints))
                 .chain(all.inequalities.iter().zip(&y.inequalities))
                 .fold(all.objective.clone(), |sum, (c, y)| sum.plus(c, *y));

@@ -149,7 +149,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             self.best = Best {
                 point: Rc::clone(&self.point),
                 multipliers: self.multipliers.clone(),
-                residual: self.residual(linearization),
+                residual: self.linearized_residual(linearization),
                 objective: self.program.total_objective(&self.evaluation),
                 infeasibility,
                 trust_radius: self.trust_radius,
