@@ -388,3 +388,34 @@ impl PeakStrains {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::{Material, RotaryInertia};
+    use crate::task::{Arm, Discretization};
+
+    /// A wire that is bent as far as its step bears: the finer rod's step bears it as well. With the inertia of sections a quarter of the step
+    /// does for a quarter of the length, with that of segments it takes an eighth.
+    #[test]
+    fn finer_rods_are_replayed_with_steps_that_they_bear() {
+        let steel = Material::isotropic(200e9, 0.3, 7850.0);
+        let wire = Arm::cylinder(&steel, 0.3, 0.5e-3);
+        for (inertia, expected) in [(RotaryInertia::Section, 4), (RotaryInertia::Segment, 8)] {
+            let rod = |elements: usize| {
+                wire.rod(&Discretization {
+                    elements,
+                    scheme: Some(TimeScheme::Implicit),
+                    rotary_inertia: Some(inertia),
+                    ..Discretization::default()
+                })
+                .expect("a rod")
+            };
+            let (own, finer) = (rod(10), rod(40));
+            let step = bent_step(&own);
+            let factor = stable_factor(step, &own, &finer, 4);
+            assert_eq!(factor, expected, "{inertia:?}");
+            assert!(step / factor as f64 <= bent_step(&finer) * (1.0 + 1e-3));
+        }
+    }
+}
