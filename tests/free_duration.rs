@@ -96,15 +96,15 @@ fn assert_certified(check: &ForwardCheck) {
 fn solved(setup: &OptimalControl) -> Found {
     let on = |_: usize, _: &IterationRecord| ControlFlow::Continue(());
     let mut attempts = search(&setup.problem, &setup.settings, &setup.search, &on).unwrap();
-    let mut outcome = attempts.swap_remove(0).outcome;
-    let residual = outcome.residual;
-    assert_eq!(outcome.status, SqpStatus::Converged, "{residual:?}");
-    let setup = setup.on_own_grid(&mut outcome.point.variables);
+    let attempt = attempts.swap_remove(0);
+    let residual = attempt.outcome.residual;
+    assert_eq!(attempt.outcome.status, SqpStatus::Converged, "{residual:?}");
+    let solution = softarm::solve::Solution::of(&setup.posed(), &setup.settings, attempt);
     Found {
-        coefficients: setup.problem.wrenches(&outcome.point.variables),
-        multipliers: MultiplierRecord::of(&Transcription::new(&setup.problem, 1), &outcome),
-        setup,
-        outcome,
+        setup: setup.around(&solution.problem),
+        coefficients: solution.coefficients,
+        multipliers: solution.multipliers,
+        outcome: solution.attempt.outcome,
     }
 }
 

@@ -122,7 +122,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     for warning in &examined.warnings {
         console.warn(warning);
     }
-    let setup = described.stretched(solution.problem.task.horizon / posed.task.horizon);
+    let setup = described.around(&solution.problem);
     let problem = &solution.problem.discrete;
     let other = (arguments.second_opinion && !stop.is_raised())
         .then(|| other_opinion(&solution, console))

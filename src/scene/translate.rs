@@ -100,32 +100,28 @@ pub struct OptimalControl {
 }
 
 impl OptimalControl {
-    /// The same problem on the grid of a solution, whose free duration then is that of the grid.
+    /// The same with a duration that is `factor` times that of the grid: its scene, read again, describes that grid.
     #[must_use]
-    pub fn on_own_grid(&self, variables: &mut [f64]) -> Self {
-        let out = self.stretched(self.problem.stretch(variables));
-        if let Some(duration) = self.problem.duration_variable() {
-            variables[duration] = 1.0;
-        }
-        out
+    pub fn stretched(&self, factor: f64) -> Self {
+        self.around(&self.posed().stretched(factor))
     }
 
-    /// The same problem around a solution whose duration is `stretch` times that of the grid: its scene, read again, describes that grid.
+    /// The same around the problem of a solution, which may last longer or shorter: its scene, read again, describes that problem's grid.
     #[must_use]
-    pub fn stretched(&self, stretch: f64) -> Self {
+    pub fn around(&self, problem: &Problem) -> Self {
         let mut out = self.clone();
-        if stretch == 1.0 {
+        if problem.discrete.grid == self.problem.grid {
             return out;
         }
-        let problem = self.posed().stretched(stretch);
-        (out.task, out.discretization, out.problem) =
-            (problem.task, problem.discretization, problem.discrete);
+        out.task = problem.task.clone();
+        out.discretization = problem.discretization;
+        out.problem = problem.discrete.clone();
         resolve_time(&mut out.resolved, &out.problem.grid);
         if let Some(task) = &mut out.resolved.task {
             let end = out.problem.grid.end();
             task.at_s = Some(end);
-            for via in &mut task.via {
-                via.at_s *= stretch;
+            for (via, target) in task.via.iter_mut().zip(&problem.task.targets) {
+                via.at_s = target.time.unwrap_or(end);
             }
             out.resolved.time.end_s = out.resolved.time.end_s.max(end);
         }

@@ -168,11 +168,11 @@ impl Solution {
         )
     }
 
-    /// Checks the solution and writes it as a result directory, which `softarm verify` reads: `summary.json`, `controls.csv`, `trajectory.npz`,
+    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`, `controls.csv`, `trajectory.npz`,
     /// `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
     ///
     /// # Errors
-    /// [`SaveError`] where the check cannot be made, the problem cannot be written as a scene, or the files cannot be written.
+    /// [`SaveError`] where the problem cannot be written as a scene, or the files cannot be written.
     pub fn save(&self, directory: &Path) -> Result<PathBuf, SaveError> {
         let (examined, _) = examine(self, None, false, 1);
         save(self, &examined, directory)

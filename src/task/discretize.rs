@@ -16,7 +16,7 @@ use crate::control::{
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
-    Rod, RodError, RodModel, RodParameters, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
+    Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
 };
 use crate::stop::StopSignal;
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
@@ -67,8 +67,7 @@ impl Arm {
         duration: f64,
         discretization: &Discretization,
     ) -> Result<DiscreteMotion, DiscretizeError> {
-        let chosen = self.choose(discretization, duration, Work::Simulation)?;
-        let rod = self.rod(&chosen)?;
+        let (chosen, rod) = self.choose(discretization, duration, Work::Simulation)?;
         let grid = grid(&rod, chosen.step, duration, 1)?;
         Ok(DiscreteMotion {
             discretization: Discretization {
@@ -80,13 +79,13 @@ impl Arm {
         })
     }
 
-    /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open.
+    /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open, and its rod.
     fn choose(
         &self,
         discretization: &Discretization,
         duration: f64,
         work: Work,
-    ) -> Result<Discretization, DiscretizeError> {
+    ) -> Result<(Discretization, Rod), DiscretizeError> {
         let given = discretization.step;
         let with = |rotary_inertia: RotaryInertia| -> Result<_, RodError> {
             let mut chosen = Discretization {
@@ -101,18 +100,20 @@ impl Arm {
             Ok((chosen, rod))
         };
         if let Some(rotary_inertia) = discretization.rotary_inertia {
-            return Ok(with(rotary_inertia)?.0);
+            return Ok(with(rotary_inertia)?);
         }
-        let (sections, rod) = with(RotaryInertia::Section)?;
+        let sections = with(RotaryInertia::Section)?;
         if self.model != RodModel::Standard || given.is_some() {
             return Ok(sections);
         }
-        let (segments, other) = with(RotaryInertia::Segment)?;
-        Ok(if prefers_segments(&rod, &other, duration, work) {
-            segments
-        } else {
-            sections
-        })
+        let segments = with(RotaryInertia::Segment)?;
+        Ok(
+            if prefers_segments(&sections.1, &segments.1, duration, work) {
+                segments
+            } else {
+                sections
+            },
+        )
     }
 }
 
@@ -146,8 +147,7 @@ impl Task {
             n_variables: blocks.saturating_mul(6 * self.actuators.len()),
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
-        let chosen = arm.choose(discretization, longest, work)?;
-        let rod = arm.rod(&chosen)?;
+        let (chosen, rod) = arm.choose(discretization, longest, work)?;
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
         if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
@@ -453,12 +453,6 @@ impl Problem {
         let start = (self.task.start.state(&rod, &self.discrete.stop))
             .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
         Ok((rod, start))
-    }
-
-    /// What the rod of the problem is built from.
-    #[must_use]
-    pub fn rod_parameters(&self) -> RodParameters {
-        self.arm.rod_parameters(&self.discretization)
     }
 
     /// Checks a solution: see [`forward_check`].
