@@ -269,6 +269,7 @@ impl<'a> SensitivityCase<'a> {
             trajectory.push(&initial.configuration);
         }
         let grid = TimeGrid {
+            start: 0.0,
             step: 0.7 * stable_step(rod),
             n_steps,
         };

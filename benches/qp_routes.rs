@@ -56,6 +56,7 @@ impl Size {
         };
         let rod = Rod::new(&parameters).expect("a rod");
         let grid = TimeGrid {
+            start: 0.0,
             step: automatic_step(&rod),
             n_steps,
         };

@@ -628,7 +628,8 @@ fn finer(
     if samples {
         let lines = toml.lines().filter(|line| !line.starts_with("rate_hz"));
         toml = lines.map(|line| format!("{line}\n")).collect();
-        let rate = 2.0 * setup.problem.path[0].time_nodes.len() as f64 / setup.problem.grid.end();
+        let rate =
+            2.0 * setup.problem.path[0].time_nodes.len() as f64 / setup.problem.grid.duration();
         toml = toml.replace("margin_m", &format!("rate_hz = {rate}\nmargin_m"));
     }
     let mut overrides = overrides.to_vec();

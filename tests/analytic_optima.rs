@@ -45,6 +45,7 @@ fn free_rod(
     OptimalControlProblem {
         stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
+            start: 0.0,
             step,
             n_steps: STEPS,
         },
@@ -178,6 +179,7 @@ fn free_rod_is_carried_by_a_double_integrator() {
             ..Goal::reach(
                 rod,
                 TimeGrid {
+                    start: 0.0,
                     step: DURATION / STEPS as f64,
                     n_steps: STEPS,
                 },
@@ -226,6 +228,7 @@ fn free_rod_is_turned_by_a_double_integrator() {
         ..Goal::reach(
             rod,
             TimeGrid {
+                start: 0.0,
                 step: DURATION / STEPS as f64,
                 n_steps: STEPS,
             },
@@ -371,6 +374,7 @@ fn small_deflections_are_linear_quadratic() {
         let rod = Rod::new(&soft_arm(StrainRule::Helical, 4)).unwrap();
         let n_steps = 250;
         let grid = TimeGrid {
+            start: 0.0,
             step: 0.5 / n_steps as f64,
             n_steps,
         };
@@ -472,7 +476,7 @@ fn priced_time_is_weighed_against_effort() {
         let price = 9.0 * (MASS * DISTANCE).powi(2) / best.powi(4);
         let problem = timed_push(Hold::Linear, 6, DISTANCE, price);
         let outcome = solved(&problem);
-        let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+        let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
         let least = 3.0 * (MASS * DISTANCE).powi(2) / best.powi(3) + price * best;
         assert!(
             (duration / best - 1.0).abs() < 1e-4,
@@ -499,7 +503,7 @@ fn minimum_time_is_bang_bang() {
         actuator.force.bound = Some(Bound::PerAxis(limits));
     }
     let outcome = solved(&problem);
-    let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+    let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
     let best = 2.0 * (MASS * DISTANCE / FORCE).sqrt();
     assert!(
         (duration / best - 1.0).abs() < 1e-4,
@@ -521,7 +525,7 @@ fn durations_end_at_their_limits() {
     for (price, at_longest) in [(0.0, true), (20.0, false)] {
         let problem = timed_push(Hold::Linear, 6, 0.3, price);
         let outcome = solved(&problem);
-        let duration = problem.grid.end() * problem.stretch(&outcome.point.variables);
+        let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
         let free = problem.duration.unwrap();
         let limit = if at_longest {
             free.longest

@@ -189,6 +189,7 @@ fn energy_is_accounted_for() {
             let start = rod.at_rest_on_base(rod.rest.clone());
             let residual = |refinement: usize| {
                 let grid = TimeGrid {
+                    start: 0.0,
                     step: 0.2 * stable_step(&rod) / refinement as f64,
                     n_steps: 200 * refinement,
                 };

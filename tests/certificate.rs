@@ -500,7 +500,11 @@ fn momentum_balances_to_rounding() {
             } else {
                 1e-3
             };
-            let grid = TimeGrid { step, n_steps: 60 };
+            let grid = TimeGrid {
+                start: 0.0,
+                step,
+                n_steps: 60,
+            };
             let initial = random_state(&rod, 0.02, 0.1, &mut dice);
             let control = ControlGrid::new(Hold::Linear, 4, 60, step).unwrap();
             let channels = [1.0, 0.1].map(|scale| Channel::new(scale, None));
@@ -545,7 +549,11 @@ fn disturbances_of_a_resting_arm_do_not_grow() {
         let step = problem.grid.step / factor as f64;
         let resolved = step / stable_step(&rod);
         let n_steps = problem.grid.n_steps * factor;
-        problem.grid = TimeGrid { step, n_steps };
+        problem.grid = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps,
+        };
         problem.control = ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap();
         problem.goals[0].position = Some(rod.rest.positions[rod.tip()]);
         problem.goals[0].time_node = n_steps;
@@ -560,7 +568,7 @@ fn disturbances_of_a_resting_arm_do_not_grow() {
             assert!((growth.amplification - 1.0).abs() < error);
         } else {
             // What is not moving yet loses nothing, what always moves c per second.
-            let least = (-damping * solved.problem.grid.end()).exp();
+            let least = (-damping * solved.problem.grid.duration()).exp();
             assert!(growth.amplification > least && growth.amplification < 1.0);
         }
     }

@@ -361,6 +361,7 @@ impl Case {
             .collect();
         Self {
             grid: TimeGrid {
+                start: 0.0,
                 step: 0.5 * stable_step(&rod),
                 n_steps,
             },

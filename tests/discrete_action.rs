@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Configuration, Integrator, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
-    StrainRule, TimeNode, stable_step,
+    BaseCondition, Clock, Configuration, Integrator, Load, LoadFrame, NodeWrenches, Rod,
+    RodParameters, StrainRule, TimeNode, stable_step,
 };
 
 fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
@@ -192,7 +192,7 @@ fn impulses_balance() {
         let mut integrator = Integrator::new(&rod, h, initial);
         let mut size: f64 = 0.0;
         for k in 0..2000 {
-            let [start, end] = TimeNode::ends_of_step(k, h);
+            let [start, end] = Clock::from(h).ends_of_step(k);
             let (f, m) = impulse(&integrator.state().configuration, &start);
             let decay = (1.0 - a) / (1.0 + a);
             linear = (linear + f) * decay;

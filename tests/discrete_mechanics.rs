@@ -130,7 +130,11 @@ fn integrated_trajectory_has_no_defects() {
         let (rod, step) = damped_rod(&method, busy_arm(method.rule, 5), 0.5, damping);
         let mut dice = Dice(3);
         let initial = random_state(&rod, 0.05, 0.5, &mut dice);
-        let grid = TimeGrid { step, n_steps: 40 };
+        let grid = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps: 40,
+        };
         let control = random_signal(&rod, grid.n_steps, [1.0, 0.1], &mut dice);
         let trajectory = integrate(&rod, &initial, grid, &control);
         let motion = Motion {
@@ -182,6 +186,7 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
     let first = rod.first_free_node();
     let size = 12 * (n - first);
     let grid = TimeGrid {
+        start: 0.0,
         step: h,
         n_steps: 2,
     };
@@ -363,7 +368,11 @@ fn linearization_passes_the_taylor_test() {
     for (method, damping) in methods().flat_map(|method| DAMPING.map(|damping| (method, damping))) {
         let (rod, step) = damped_rod(&method, busy_arm(method.rule, 5), 0.4, damping);
         let mut dice = Dice(7);
-        let grid = TimeGrid { step, n_steps: 12 };
+        let grid = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps: 12,
+        };
         let initial = State::at_rest(rod.rest.clone());
         let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
         let motion = Motion {
@@ -450,7 +459,11 @@ fn adjoint_is_the_transpose() {
             };
             let (rod, step) = damped_rod(&method, parameters, 0.5, damping);
             let mut dice = Dice(9);
-            let grid = TimeGrid { step, n_steps: 30 };
+            let grid = TimeGrid {
+                start: 0.0,
+                step,
+                n_steps: 30,
+            };
             let initial = State::at_rest(rod.rest.clone());
             let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
             let motion = Motion {
@@ -505,6 +518,7 @@ fn adjoint_is_the_transpose() {
 fn forward_sweep_is_linear() {
     let rod = Rod::new(&busy_arm(StrainRule::Helical, 4)).unwrap();
     let grid = TimeGrid {
+        start: 0.0,
         step: 1e-4,
         n_steps: 10,
     };
@@ -544,6 +558,7 @@ fn integrator_is_second_order() {
         let run = |refinement: usize| {
             let n = coarsest * refinement;
             let grid = TimeGrid {
+                start: 0.0,
                 step: end / n as f64,
                 n_steps: n,
             };

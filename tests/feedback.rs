@@ -107,7 +107,11 @@ impl Case {
         let control = random_signal(&rod, n_steps, [0.5, moment], &mut dice);
         let (trajectory, states) = states(&rod, h, (&initial, 0), &control, None, n_steps);
         Self {
-            grid: TimeGrid { step: h, n_steps },
+            grid: TimeGrid {
+                start: 0.0,
+                step: h,
+                n_steps,
+            },
             rod,
             states,
             trajectory,

@@ -65,7 +65,7 @@ struct Found {
 
 impl Found {
     fn duration(&self) -> f64 {
-        self.setup.problem.grid.end()
+        self.setup.problem.grid.duration()
     }
 
     /// The check of these controls and multipliers over `stretch` times the duration.
@@ -297,7 +297,7 @@ fn minimum_time_needs_no_effort() {
     let largest = (found.coefficients.iter()).fold(0.0, |m: f64, u| m.max(u.force.norm()));
     assert!((largest / 20.0 - 1.0).abs() < 1e-6, "{largest}");
     let faster = setup(&[&arm[..], &["objective.effort=1.0"]].concat());
-    let mut faster = faster.stretched(0.999 * duration / faster.problem.grid.end());
+    let mut faster = faster.stretched(0.999 * duration / faster.problem.grid.duration());
     faster.problem = faster.problem.held();
     let on = |_: &IterationRecord| ControlFlow::Continue(());
     let start = simulated(&faster.problem, &found.coefficients).unwrap();

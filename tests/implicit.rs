@@ -109,6 +109,7 @@ fn at_rest(rod: &Rod, h: f64) -> StepLinearization {
         stop: None,
         rod,
         grid: TimeGrid {
+            start: 0.0,
             step: h,
             n_steps: 2,
         },

@@ -8,9 +8,9 @@ use nalgebra::Vector3;
 use softarm::mechanics::energy::linear_momentum;
 use softarm::mechanics::linearization::{Motion, defects};
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, Integrator, LaneIntegrator, Load, LoadFrame, MomentumBalance,
-    NodeWrenches, Rod, RodParameters, State, StrainRule, TimeGrid, TimeScheme, Trajectory,
-    stable_step,
+    BaseCondition, BaseMotion, ControlSignal, Oscillation, Integrator, LaneIntegrator, Load,
+    LoadFrame, MomentumBalance, MotionCurve, NodeWrenches, Rod, RodParameters, State, Stepper,
+    StrainRule, TimeGrid, TimeScheme, Trajectory, stable_step,
 };
 
 /// A force on the tip along e1, switched on and off.
@@ -44,8 +44,12 @@ fn impulses_are_exact() {
             ..soft_arm(method.rule, n)
         };
         let step = 0.25 * stable_step(&method.rod(free.clone()));
-        let grid = TimeGrid { step, n_steps: 64 };
-        let end = grid.end();
+        let grid = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps: 64,
+        };
+        let end = grid.duration();
         for (from, to) in [
             (16.0, 48.0),
             (0.0, 32.0),
@@ -106,6 +110,7 @@ fn switching_off_is_of_second_order() {
         for after in [0.0, 1.0 / 3.0] {
             let tip = |n_steps: u32| {
                 let grid = TimeGrid {
+                    start: 0.0,
                     step: END / f64::from(n_steps),
                     n_steps: n_steps as usize,
                 };
@@ -165,7 +170,11 @@ fn all_agree_at_jumps() {
             parameters.distributed_loads[0].profile = vec![(at(1.0), 1.0), (at(1.5), 4.0)];
             let rod = Rod::new(&parameters).unwrap();
             let initial = random_state(&rod, 0.1, 0.3, &mut Dice(77));
-            let grid = TimeGrid { step, n_steps: 20 };
+            let grid = TimeGrid {
+                start: 0.0,
+                step,
+                n_steps: 20,
+            };
             let mut integrator = Integrator::new(&rod, step, initial.clone());
             let mut lanes = LaneIntegrator::new(&rod, step, &initial);
             assert_eq!(lanes.is_some(), scheme == TimeScheme::Explicit);
@@ -176,7 +185,7 @@ fn all_agree_at_jumps() {
                 .iter()
                 .map(Vector3::norm)
                 .sum::<f64>()
-                + rod.mass() * rod.gravity.norm() * grid.end();
+                + rod.mass() * rod.gravity.norm() * grid.duration();
             for k in 0..grid.n_steps {
                 let before = integrator.state().clone();
                 integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -208,5 +217,63 @@ fn all_agree_at_jumps() {
                 assert!(row.norm() < 1e-11 * size, "{rule:?} {scheme:?}: {row}");
             }
         }
+    }
+}
+
+/// A grid that starts later reads loads and driven bases at its own times: the second part of a motion, begun anew from the state in
+/// its middle, ends where the whole one does, to what the sums of times round; with the start left at 0 it does not.
+#[test]
+fn grids_may_start_later() {
+    let turn = Oscillation {
+        amplitude: Vector3::new(0.1, 0.2, 0.0),
+        frequency: 2.0,
+        phase: 0.4,
+    };
+    for method in methods() {
+        let mut parameters = RodParameters {
+            base: BaseCondition::driven(BaseMotion {
+                translation: MotionCurve {
+                    rate: Vector3::new(0.1, 0.0, 0.2),
+                    ..MotionCurve::default()
+                },
+                rotation: MotionCurve {
+                    oscillations: vec![turn],
+                    ..MotionCurve::default()
+                },
+            }),
+            ..busy_arm(method.rule, 3)
+        };
+        let step = 0.3 * stable_step(&method.rod(parameters.clone()));
+        for load in &mut parameters.loads {
+            load.profile = vec![(2.0 * step, 0.0), (14.0 * step, 1.5), (14.0 * step, -1.0)];
+        }
+        let rod = method.rod(parameters);
+        let whole = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps: 20,
+        };
+        let initial = random_state(&rod, 0.1, 0.3, &mut Dice(5));
+        let run = |mut stepper: Stepper, n_steps: usize| {
+            for _ in 0..n_steps {
+                stepper.advance([NodeWrenches::NONE; 2]).unwrap();
+            }
+            stepper.state()
+        };
+        let middle = run(Stepper::new(&rod, whole, initial.clone()), 8);
+        let end = run(Stepper::new(&rod, whole, initial), 20);
+        let distance = |from: f64| {
+            let grid = TimeGrid {
+                n_steps: 12,
+                ..whole.starting_at(from)
+            };
+            let found = run(Stepper::new(&rod, grid, middle.clone()), 12);
+            let difference = found.difference(&end);
+            let size = |v: &[Vector3<f64>]| v.iter().fold(0.0f64, |m, v| m.max(v.norm()));
+            size(&difference.positions) + size(&difference.rotations)
+        };
+        let (later, at_zero) = (distance(8.0 * step), distance(0.0));
+        assert!(later < 1e-11, "{method:?}: {later:e}");
+        assert!(at_zero > 1e-6, "{method:?}: {at_zero:e}");
     }
 }

@@ -51,7 +51,11 @@ impl Case {
         let scales = rod.scales;
         let problem = OptimalControlProblem {
             stop: softarm::stop::StopSignal::default(),
-            grid: TimeGrid { step, n_steps },
+            grid: TimeGrid {
+                start: 0.0,
+                step,
+                n_steps,
+            },
             duration: None,
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
@@ -62,7 +66,11 @@ impl Case {
             }],
             goals: vec![Goal::reach(
                 &rod,
-                TimeGrid { step, n_steps },
+                TimeGrid {
+                    start: 0.0,
+                    step,
+                    n_steps,
+                },
                 Vector3::new(0.1, 0.03, 0.985),
             )],
             path: Vec::new(),
@@ -91,6 +99,7 @@ impl Case {
             ..RodParameters::straight(0.5, 4, section)
         };
         case.problem.grid = TimeGrid {
+            start: 0.0,
             step: 5e-4,
             n_steps: 40,
         };
@@ -196,7 +205,11 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
     assert!(step < 0.9 * stable_step(&rod));
     let problem = OptimalControlProblem {
         stop: softarm::stop::StopSignal::default(),
-        grid: TimeGrid { step, n_steps },
+        grid: TimeGrid {
+            start: 0.0,
+            step,
+            n_steps,
+        },
         duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
@@ -209,7 +222,11 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
             enforcement: Enforcement::Soft { weight: 1e6 },
             ..Goal::reach(
                 &rod,
-                TimeGrid { step, n_steps },
+                TimeGrid {
+                    start: 0.0,
+                    step,
+                    n_steps,
+                },
                 Vector3::new(0.0, 0.0, 1.0 + distance),
             )
         }],
@@ -285,7 +302,7 @@ fn pushed_rod_is_a_double_integrator() {
     }
 
     // Normal equations of ½ δ Σ (u/f)² + ½ w Σ (residual/scale)².
-    let duration = problem.grid.end() / n_blocks as f64;
+    let duration = problem.grid.duration() / n_blocks as f64;
     let weight = 1e6;
     let scales = problem.rod.scales;
     let rows: Vec<[f64; 2]> = two_masses(&case)
@@ -306,7 +323,7 @@ fn pushed_rod_is_a_double_integrator() {
     println!("controls differ by {worst:e}");
     assert!(worst < 1e-5);
 
-    let rigid = 0.5 * 12.0 * d * d / problem.grid.end().powi(3) / 4.0;
+    let rigid = 0.5 * 12.0 * d * d / problem.grid.duration().powi(3) / 4.0;
     let ratio = outcome.objective / rigid;
     println!("over the rigid double integrator: {ratio}");
     assert!((ratio - 1.0).abs() < 0.05);
@@ -778,7 +795,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     let base = case
         .problem
         .rod
-        .driven_base(case.problem.grid.end())
+        .driven_base(case.problem.grid.duration())
         .unwrap();
     case.problem.goals[0].position =
         Some(base.position + base.rotation * Vector3::new(0.1, 0.03, 0.985));
@@ -855,7 +872,11 @@ fn energy_account_closes() {
                 assert!(step < 0.3 * stable_step(&rod));
                 let initial = rod.at_rest_on_base(rod.rest.clone());
                 let none = ControlSignal::default();
-                let grid = TimeGrid { step, n_steps };
+                let grid = TimeGrid {
+                    start: 0.0,
+                    step,
+                    n_steps,
+                };
                 replay(&rod, grid, &initial, &none).unwrap().balance
             };
             let (coarse, fine) = (residual(1000), residual(2000));

@@ -205,7 +205,7 @@ impl Run {
                     "{self:?}"
                 );
                 assert!(of("node") <= problem.rod.tip() as f64);
-                assert!((0.0..=problem.grid.end() * (1.0 + 1e-12)).contains(&of("time_s")));
+                assert!((0.0..=problem.grid.duration() * (1.0 + 1e-12)).contains(&of("time_s")));
                 assert!(
                     of("amount").is_finite() && of("multiplier").is_finite(),
                     "{row}"

@@ -58,6 +58,7 @@ fn problem(look: Look) -> OptimalControlProblem {
     OptimalControlProblem {
         stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
+            start: 0.0,
             step,
             n_steps: look.steps,
         },

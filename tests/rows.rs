@@ -35,7 +35,7 @@ fn automatic_steps_divide_the_interval_between_rows() {
             (interval * rate - 1.0).abs() < 1e-9,
             "{rate} Hz: {interval}"
         );
-        assert!((found.grid.end() / end - 1.0).abs() < 1e-12);
+        assert!((found.grid.duration() / end - 1.0).abs() < 1e-12);
         assert!(found.grid.step <= automatic * (1.0 + 1e-9));
         // No shorter than one step more per row, or than the first number of them that ends in time.
         let least = (1.0 / (rate * automatic)).ceil() + 3.0;

@@ -9,7 +9,7 @@ use common::{
 use faer::Mat;
 use nalgebra::Vector3;
 use softarm::mechanics::linearization::{
-    Motion, Sources, adjoint_sweep, defects, form_values, forward_sweep,
+    Motion, Sources, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
 };
 use softarm::mechanics::rotation::{cay_inverse, log};
 use softarm::mechanics::sensitivity::{
@@ -103,6 +103,7 @@ fn both_routes_equal_the_clear_sweep() {
                 ..busy_arm(method.rule, 5)
             });
             let grid = TimeGrid {
+                start: 0.0,
                 step: 0.5 * stable_step(&rod),
                 n_steps: 70,
             };
@@ -220,6 +221,7 @@ fn single_sweeps_equal_the_clear_ones() {
                 ..busy_arm(method.rule, 5)
             });
             let grid = TimeGrid {
+                start: 0.0,
                 step: 0.5 * stable_step(&rod),
                 n_steps: 70,
             };
@@ -283,6 +285,175 @@ fn single_sweeps_equal_the_clear_ones() {
     }
 }
 
+/// The covectors with which the reverse route ends are the clear sweep's answers to a unit deviation of every component of the
+/// state at the start, to 1e-11 of the form's largest in that unit; and so are those of the sum of all forms.
+#[test]
+fn covectors_of_the_start_equal_the_clear_sweep() {
+    for method in methods() {
+        for base in bases() {
+            let rod = method.rod(RodParameters {
+                base: base.clone(),
+                ..busy_arm(method.rule, 4)
+            });
+            let grid = TimeGrid {
+                start: 0.0,
+                step: 0.5 * stable_step(&rod),
+                n_steps: 40,
+            };
+            let initial = State::at_rest(rod.rest.clone());
+            let mut dice = Dice(12);
+            let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
+            let motion = Motion {
+                stop: None,
+                rod: &rod,
+                grid,
+                initial: &initial,
+            };
+            let forms: Vec<StateForm> = ([0, 1, 17, 39, 40].iter())
+                .map(|k| StateForm::of_covector(*k, &random_tangent(&rod, &mut dice)))
+                .collect();
+            let blocks = Blocks {
+                n_blocks: 5,
+                n_steps: grid.n_steps,
+                nodes: vec![rod.tip()],
+            };
+            let found = sensitivities(&motion, &trajectory, &[], &blocks, &forms, None, 1).unwrap();
+            assert_eq!(found.route, Route::Reverse);
+            let start = found.start.expect("the reverse route ends with them");
+            let sum = adjoint(&motion, &trajectory, &forms, 1).unwrap().start;
+            let clear_sum = adjoint_sweep(&motion, &trajectory, &forms).unwrap().start;
+
+            let first = rod.first_free_node();
+            let sum: Vec<f64> = sum.components_from(first).collect();
+            let clear_sum: Vec<f64> = clear_sum.components_from(first).collect();
+            assert_eq!((start.nrows(), start.ncols()), (forms.len(), sum.len()));
+            let mut expected = Mat::zeros(forms.len(), sum.len());
+            for column in 0..sum.len() {
+                let (node, component) = (first + column / 12, column % 12);
+                let mut unit = StateTangent::zeros(rod.n_nodes());
+                let part = [
+                    &mut unit.positions,
+                    &mut unit.rotations,
+                    &mut unit.linear,
+                    &mut unit.angular,
+                ];
+                part[component / 3][node][component % 3] = 1.0;
+                let unit = Sources::at_start(unit, grid.n_steps);
+                let still = ControlSignal::default();
+                let values =
+                    form_values(&motion, &trajectory, Some(&unit), &still, &forms).unwrap();
+                for (i, value) in values.into_iter().enumerate() {
+                    expected[(i, column)] = value;
+                }
+            }
+            let parts = |column: usize| column % 12 / 3;
+            for i in 0..forms.len() {
+                for column in 0..sum.len() {
+                    let same_unit = (0..sum.len()).filter(|c| parts(*c) == parts(column));
+                    let largest = same_unit.fold(0.0f64, |m, c| m.max(expected[(i, c)].abs()));
+                    let error = (start[(i, column)] - expected[(i, column)]).abs();
+                    assert!(error <= 1e-11 * largest, "{method:?} {base:?} {i} {column}");
+                }
+            }
+            for column in 0..sum.len() {
+                let total: f64 = (0..forms.len()).map(|i| expected[(i, column)]).sum();
+                let size: f64 = (0..forms.len()).map(|i| expected[(i, column)].abs()).sum();
+                assert!((sum[column] - total).abs() <= 1e-10 * size.max(1e-3));
+                assert!((clear_sum[column] - total).abs() <= 1e-10 * size.max(1e-3));
+            }
+        }
+    }
+}
+
+/// The start of a simulation that deviates by a tangent deviates along it: [`State::difference`] undoes [`State::retract`], and
+/// the tip's position at the end answers to the deviation by the covector of the start. Taylor: halving it divides the
+/// remainder by four.
+#[test]
+fn covectors_of_the_start_are_derivatives_of_the_simulation() {
+    for method in methods() {
+        let rod = method.rod(busy_arm(method.rule, 4));
+        let grid = TimeGrid {
+            start: 0.0,
+            step: 0.5 * stable_step(&rod),
+            n_steps: 40,
+        };
+        let mut dice = Dice(14);
+        let initial = random_state(&rod, 0.05, 0.5, &mut dice);
+        let mut deviation = random_tangent(&rod, &mut dice);
+        let first = rod.first_free_node();
+        for node in 0..rod.n_nodes() {
+            let moves = if node < first { 0.0 } else { 1.0 };
+            deviation.positions[node] *= 0.02 * moves;
+            deviation.rotations[node] *= 0.1 * moves;
+            deviation.linear[node] *= moves * rod.nodes[node].mass * 0.5;
+            let rotary = rod.nodes[node].rotary;
+            deviation.angular[node].component_mul_assign(&(rotary * (2.0 * moves)));
+        }
+        let scaled = |s: f64| {
+            let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
+            StateTangent {
+                positions: times(&deviation.positions),
+                rotations: times(&deviation.rotations),
+                linear: times(&deviation.linear),
+                angular: times(&deviation.angular),
+            }
+        };
+        let moved = initial.retract(&scaled(1.0));
+        let back = moved.difference(&initial);
+        let gap = (back.components_from(0).zip(deviation.components_from(0)))
+            .fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+        assert!(gap < 1e-14, "{gap:e}");
+
+        let simulate = |start: &State| {
+            let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
+            let mut integrator = Integrator::new(&rod, grid, start.clone());
+            trajectory.push(&integrator.state().configuration);
+            for _ in 0..grid.n_steps {
+                let still = ControlSignal::default();
+                integrator.advance([still.at(0), still.at(0)]).unwrap();
+                trajectory.push(&integrator.state().configuration);
+            }
+            trajectory
+        };
+        let reference = simulate(&initial);
+        let motion = Motion {
+            stop: None,
+            rod: &rod,
+            grid,
+            initial: &initial,
+        };
+        let forms: Vec<StateForm> = (0..3)
+            .map(|component| StateForm {
+                time_node: grid.n_steps,
+                terms: vec![FormTerm {
+                    node: rod.tip(),
+                    component,
+                    coefficient: 1.0,
+                }],
+            })
+            .collect();
+        let blocks = Blocks {
+            n_blocks: 4,
+            n_steps: grid.n_steps,
+            nodes: vec![rod.tip()],
+        };
+        let found = sensitivities(&motion, &reference, &[], &blocks, &forms, None, 1).unwrap();
+        let start = found.start.expect("the reverse route ends with them");
+        let slope = Vector3::from_fn(|i, _| {
+            (deviation.components_from(first).enumerate())
+                .map(|(j, d)| start[(i, j)] * d)
+                .sum()
+        });
+        let tip = |t: &Trajectory| t.positions_at(grid.n_steps)[rod.tip()];
+        let remainder = |s: f64| {
+            let moved = simulate(&initial.retract(&scaled(s)));
+            (tip(&moved) - tip(&reference) - slope * s).norm()
+        };
+        let ratio = remainder(1e-2) / remainder(5e-3);
+        assert!((3.8..4.2).contains(&ratio), "{method:?}: {ratio}");
+    }
+}
+
 fn assert_same(a: &Sensitivities, b: &Sensitivities) {
     let bits = |m: &Mat<f64>| -> Vec<u64> {
         (0..m.ncols())
@@ -300,6 +471,7 @@ fn nothing_to_ask_is_no_error() {
     let method = methods().next().unwrap();
     let rod = method.rod(busy_arm(method.rule, 2));
     let grid = TimeGrid {
+        start: 0.0,
         step: 0.5 * stable_step(&rod),
         n_steps: 3,
     };
@@ -371,6 +543,7 @@ fn forms_are_derivatives_of_the_simulation() {
                 ..busy_arm(method.rule, 4)
             });
             let grid = TimeGrid {
+                start: 0.0,
                 step: 0.5 * stable_step(&rod),
                 n_steps: 40,
             };

@@ -129,7 +129,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
         warnings: concerns,
     };
-    answer(&summary, &scene, &rod, grid.end(), distance, console);
+    answer(&summary, &scene, &rod, grid.duration(), distance, console);
     detail(&summary, console);
     for warning in &summary.warnings {
         console.warn(warning);
@@ -247,7 +247,7 @@ fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
         .ok()?;
     // As far below its automatic step as the scene's own.
     let ratio = setup.problem.grid.step / automatic_step(rod);
-    let steps = setup.problem.grid.end() / (ratio * automatic_step(&coarse));
+    let steps = setup.problem.grid.duration() / (ratio * automatic_step(&coarse));
     let fewer = SolveTime::of(&coarse, steps, setup.problem.n_variables()).total();
     (fewer < 0.7 * time.total()).then(|| {
         format!(
@@ -329,7 +329,7 @@ fn cost(rod: &Rod, grid: &TimeGrid) -> CostEstimate {
             scheme,
             ..rod.clone()
         };
-        simulation_seconds(&rod, (grid.end() / step).ceil())
+        simulation_seconds(&rod, (grid.duration() / step).ceil())
     };
     let explicit_step_s = step(TimeScheme::Explicit);
     let implicit_step_s = step(TimeScheme::Implicit);

@@ -141,7 +141,7 @@ pub(super) fn run(
         }
         End::Failed(error) => {
             console.error(&error.into());
-            for cause in causes(&setup.rod, &setup.initial, setup.grid.end()) {
+            for cause in causes(&setup.rod, &setup.initial, setup.grid.duration()) {
                 console.always(&cause);
             }
             exit::NUMERICAL
@@ -576,7 +576,7 @@ impl<'a> Run<'a> {
         let error = match end {
             End::Failed(error) => {
                 let mut sentences = vec![error.to_string()];
-                let end = self.setup.grid.end();
+                let end = self.setup.grid.duration();
                 sentences.extend(causes(rod, &self.setup.initial, end));
                 Some(sentences.join("; "))
             }

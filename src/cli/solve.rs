@@ -260,8 +260,12 @@ impl Earlier {
         let Some(free) = setup.problem.duration else {
             return setup;
         };
-        let duration = self.problem.grid.end().clamp(free.shortest, free.longest);
-        setup.stretched(duration / setup.problem.grid.end())
+        let duration = self
+            .problem
+            .grid
+            .duration()
+            .clamp(free.shortest, free.longest);
+        setup.stretched(duration / setup.problem.grid.duration())
     }
 
     /// The coefficients at the times of a problem's.

@@ -266,7 +266,7 @@ fn ringing(problem: &OptimalControlProblem) -> Option<Observation> {
     let fastest = 2.0 / stable_step(rod);
     let damping = 0.5 * (rod.internal_damping * fastest + rod.viscous_damping / fastest);
     (damping < CALM).then(|| Observation::RingingWaves {
-        block: problem.grid.end() / problem.control.n_blocks() as f64,
+        block: problem.grid.duration() / problem.control.n_blocks() as f64,
         period: std::f64::consts::TAU / fastest,
     })
 }

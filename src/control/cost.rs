@@ -59,14 +59,14 @@ pub fn cost_rows(
     duration: f64,
 ) -> Vec<CostRow> {
     let mut rows = Vec::new();
-    let t = k as f64 * posture.step;
+    let t = posture.grid.time(k);
     for tracking in &problem.objective.tracking {
         let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
         let distance = posture.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
         let velocity = tracking.velocity(t);
         rows.extend((0..3).map(|axis| CostRow {
             residual: factor * distance[axis],
-            lag: factor * velocity[axis] * t,
+            lag: factor * velocity[axis] * (t - posture.grid.start),
             gradient: at(
                 k,
                 along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),

@@ -28,7 +28,6 @@ use nalgebra::{DMatrix, DVector};
 use super::problem::{Enforcement, OptimalControlProblem};
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::rotation::log;
 use crate::mechanics::sensitivity::{Transition, transition};
 use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use crate::stop::StopSignal;
@@ -134,7 +133,7 @@ impl Feedback {
             .collect();
         let rod = &problem.rod;
         let edges = problem.control.edges();
-        let horizon = problem.grid.end();
+        let horizon = problem.grid.duration();
         let reference = states_at_edges(problem, coefficients)?;
         let mut norms = Vec::with_capacity(reference.len());
         for (block, state) in reference.iter().enumerate() {
@@ -195,20 +194,8 @@ impl Feedback {
     /// Deviation of a state at the start of block `j`.
     #[must_use]
     pub fn deviation(&self, j: usize, state: &State) -> Vec<f64> {
-        let reference = &self.reference[j];
-        let (there, here) = (&state.configuration, &reference.configuration);
-        (self.first_node..there.positions.len())
-            .flat_map(|q| {
-                let turn = log(&here.rotations[q].tr_mul(&there.rotations[q]));
-                let parts = [
-                    there.positions[q] - here.positions[q],
-                    turn,
-                    state.linear_momentum[q] - reference.linear_momentum[q],
-                    state.angular_momentum[q] - reference.angular_momentum[q],
-                ];
-                parts.into_iter().flat_map(|v| [v.x, v.y, v.z])
-            })
-            .collect()
+        let difference = state.difference(&self.reference[j]);
+        difference.components_from(self.first_node).collect()
     }
 
     /// What to add to the optimal control over block `j`: node and wrench, one for every input.
@@ -266,7 +253,7 @@ fn states_at_edges(
 ) -> Result<Vec<State>, StepError> {
     let control = problem.signal(&problem.control, coefficients);
     let edges = problem.control.edges();
-    let mut stepper = Stepper::new(&problem.rod, problem.grid.step, problem.initial.clone());
+    let mut stepper = Stepper::new(&problem.rod, problem.grid, problem.initial.clone());
     let mut states = Vec::with_capacity(edges.len());
     for &edge in edges {
         while stepper.step() < edge {

@@ -160,7 +160,7 @@ impl StaticPath {
     ) -> Result<Self, GuessError> {
         let rod = &problem.rod;
         let tip = rod.tip();
-        let horizon = problem.grid.end();
+        let horizon = problem.grid.duration();
         let last = problem.grid.n_steps as f64;
         let mut legs: Vec<Leg> = Vec::new();
         let mut goals: Vec<&Goal> = (problem.goals.iter())
@@ -239,7 +239,7 @@ impl StaticPath {
 
     /// Coefficients of the wrenches that hold the shapes, within their bounds; only the tip's are used.
     fn holds(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
-        let horizon = problem.grid.end();
+        let horizon = problem.grid.duration();
         (problem.control.coefficient_times().into_iter())
             .flat_map(|t| {
                 let hold = self.hold(t / horizon);

@@ -13,7 +13,7 @@ use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::strain::{IntervalStress, log_second_derivative};
-use crate::mechanics::{FormTerm, Rod, StateForm, Trajectory};
+use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 
 /// What is limited.
@@ -154,8 +154,8 @@ pub struct Posture<'a> {
     pub radii: &'a [f64],
     /// Configurations at every time node.
     pub trajectory: &'a Trajectory,
-    /// The time step, s.
-    pub step: f64,
+    /// The time grid.
+    pub grid: TimeGrid,
 }
 
 impl Posture<'_> {
@@ -163,7 +163,7 @@ impl Posture<'_> {
     pub(super) fn view(&self, k: usize) -> StateView<'_> {
         StateView {
             rod: self.rod,
-            time: k as f64 * self.step,
+            time: self.grid.time(k),
             positions: self.trajectory.positions_at(k),
             rotations: self.trajectory.rotations_at(k),
         }
@@ -387,7 +387,7 @@ impl PathLimit {
             return Vector3::zeros();
         }
         let x = |k: usize| posture.trajectory.positions_at(k)[node];
-        (x(k) - x(k - 1)) / posture.step
+        (x(k) - x(k - 1)) / posture.grid.step
     }
 
     fn curvature_vector(posture: &Posture, k: usize, q: usize) -> Vector3<f64> {
@@ -503,7 +503,7 @@ impl PathLimit {
                 ),
             ),
             Self::Speed { node, .. } => {
-                let n = unit(&Self::velocity(posture, k, *node)) * (inverse / posture.step);
+                let n = unit(&Self::velocity(posture, k, *node)) * (inverse / posture.grid.step);
                 velocity_form(k, *node, &n)
             }
             Self::Distance { node, from, .. } => {
@@ -573,7 +573,7 @@ impl PathLimit {
             ),
             Self::Speed { node, .. } => {
                 let v = Self::velocity(posture, k, *node);
-                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / posture.step)));
+                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / posture.grid.step)));
                 RowCurvature {
                     forms: forms.to_vec(),
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),
@@ -826,7 +826,11 @@ mod tests {
                     rod,
                     radii,
                     trajectory,
-                    step: 0.1,
+                    grid: TimeGrid {
+                        start: 0.0,
+                        step: 0.1,
+                        n_steps: 1,
+                    },
                 }
             }
             let still = posture(&rod, &radii, &here);

@@ -551,7 +551,7 @@ impl OptimalControlProblem {
     /// What a free duration adds to the objective where it is that of the grid; 0 where it is fixed.
     #[must_use]
     pub fn duration_price(&self) -> f64 {
-        (self.duration).map_or(0.0, |free| free.price * self.grid.end())
+        (self.duration).map_or(0.0, |free| free.price * self.grid.duration())
     }
 
     /// What stands in the way of a free duration, and which of its parts it is; `None` where nothing does, or the duration is fixed.

@@ -232,7 +232,7 @@ impl Releasing<'_> {
             &held_program,
             start,
             &settings,
-            format!("duration held at {:.4} s", problem.grid.end()),
+            format!("duration held at {:.4} s", problem.grid.duration()),
         );
         before.push(counted("held duration", &outcome));
         (outcome.status == SqpStatus::Converged)
@@ -325,7 +325,7 @@ impl Releasing<'_> {
     /// Shortest and longest duration over that of the grid.
     fn limits(&self) -> Option<[f64; 2]> {
         let free = self.problem.duration?;
-        Some([free.shortest, free.longest].map(|limit| limit / self.problem.grid.end()))
+        Some([free.shortest, free.longest].map(|limit| limit / self.problem.grid.duration()))
     }
 
     /// Controls and duration together, from a solution or an attempt with a fixed one.
@@ -411,7 +411,7 @@ impl Releasing<'_> {
                     max_iterations: self.settings.max_iterations.min(PATIENCE),
                     ..self.settings.clone()
                 };
-                let name = format!("duration held at {:.4} s", problem.grid.end());
+                let name = format!("duration held at {:.4} s", problem.grid.duration());
                 let outcome = self.told(&held_program, start, &settings, name);
                 before.push(counted("held duration", &outcome));
                 if matches!(outcome.status, SqpStatus::Stopped(_)) {

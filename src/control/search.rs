@@ -580,7 +580,7 @@ fn staged(
             name += &format!(", stage {stage} of {stages}");
         }
         if is_held {
-            name += &format!(", duration held at {:.4} s", here.grid.end());
+            name += &format!(", duration held at {:.4} s", here.grid.duration());
         }
         journal.begin(name);
         let outcome = solve(&program, point, settings, &mut |row| observer(row));
@@ -621,7 +621,7 @@ fn released(
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
             let duration = free.shortest + part * (free.longest - free.shortest);
-            duration / problem.grid.end()
+            duration / problem.grid.duration()
         }
         _ => 1.0,
     };

@@ -95,7 +95,7 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
         let statics = Statics {
             problem,
             components,
-            end: problem.grid.end(),
+            end: problem.grid.duration(),
         };
         (statics.held(goal)).map(|held| statics.need(&held.u))
     };

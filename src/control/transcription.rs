@@ -257,7 +257,7 @@ impl<'a> Transcription<'a> {
             rod: &self.problem.rod,
             radii: &self.problem.radii,
             trajectory: &point.trajectory,
-            step: self.grid(&point.variables).step,
+            grid: self.grid(&point.variables),
         }
     }
 
@@ -1195,7 +1195,7 @@ pub fn simulate(
 ) -> Result<Trajectory, StepError> {
     let rod = &problem.rod;
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let mut stepper = Stepper::new(rod, grid.step, problem.initial.clone());
+    let mut stepper = Stepper::new(rod, grid, problem.initial.clone());
     stepper.record(&mut trajectory);
     for k in 0..grid.n_steps {
         problem.stop.check_at(k)?;
@@ -1294,8 +1294,8 @@ fn convex_sets(
     if let (Some(free), Some(index)) = (problem.duration, duration) {
         sets.push(ConvexSet::Interval {
             index,
-            lower: free.shortest / problem.grid.end(),
-            upper: free.longest / problem.grid.end(),
+            lower: free.shortest / problem.grid.duration(),
+            upper: free.longest / problem.grid.duration(),
         });
     }
     let gaps = problem.control.rate_gaps();

@@ -147,6 +147,7 @@ fn two_steps(
 
 fn two_step_grid(time_step: f64) -> TimeGrid {
     TimeGrid {
+        start: 0.0,
         step: time_step,
         n_steps: STEPS,
     }
@@ -383,7 +384,7 @@ fn random_control(rod: &Rod, n_steps: usize, size: f64, rng: &mut Rng) -> Contro
 }
 
 fn roll_out(motion: &Motion, control: &ControlSignal) -> Result<(Trajectory, State), StepError> {
-    let mut stepper = Stepper::new(motion.rod, motion.grid.step, motion.initial.clone());
+    let mut stepper = Stepper::new(motion.rod, motion.grid, motion.initial.clone());
     let mut trajectory = Trajectory::with_capacity(motion.rod.n_nodes(), motion.grid.n_steps + 1);
     stepper.record(&mut trajectory);
     for k in 0..motion.grid.n_steps {
@@ -437,11 +438,18 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
     let impulse = |rod: &Rod, _| rod.scales.force * rod.scales.time * 1e-2;
     let twist = |rod: &Rod, _| rod.scales.moment * rod.scales.time * 1e-2;
     let n = rod.n_nodes();
+    let deviation = StateTangent {
+        positions: rows(|rod, _| rod.scales.length * 1e-2, n),
+        rotations: rows(|_, _| 1e-2, n),
+        linear: rows(impulse, n),
+        angular: rows(twist, n),
+    };
     let sources = Sources {
         linear: rows(impulse, n * n_steps),
         angular: rows(twist, n * n_steps),
         terminal_linear: rows(impulse, n),
         terminal_angular: rows(twist, n),
+        start: Some(deviation),
     };
     let mut covector = |momenta: bool| {
         let mut out = StateTangent::zeros(n);

@@ -148,7 +148,7 @@ fn simulable_state(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<State, Deriva
     for draw in 0..DRAWS {
         let rng = &mut Rng::with_seed(seed);
         let state = random_state(rod, f64::powi(0.5, draw), rng);
-        let mut stepper = Stepper::new(rod, grid.step, state.clone());
+        let mut stepper = Stepper::new(rod, grid, state.clone());
         outcome = (0..grid.n_steps)
             .try_for_each(|_| stepper.advance([crate::mechanics::NodeWrenches::NONE; 2]));
         if outcome.is_ok() {

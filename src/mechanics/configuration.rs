@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::rotation::exp;
+use super::linearization::StateTangent;
+use super::rotation::{exp, log};
 
 /// Position and rotation of every node.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +34,41 @@ impl State {
             configuration,
             linear_momentum: vec![Vector3::zeros(); n],
             angular_momentum: vec![Vector3::zeros(); n],
+        }
+    }
+
+    /// The tangent at `reference` that leads here: `x - x̄`, `log(R̄ᵀ R)`, `p - p̄`, `π - π̄`; the momenta of a turned node are
+    /// compared in their own body frames, as the linearized motion does.
+    #[must_use]
+    pub fn difference(&self, reference: &Self) -> StateTangent {
+        let minus =
+            |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a - b).collect();
+        let (here, there) = (&self.configuration, &reference.configuration);
+        StateTangent {
+            positions: minus(&here.positions, &there.positions),
+            rotations: (here.rotations.iter().zip(&there.rotations))
+                .map(|(here, there)| log(&there.tr_mul(here)))
+                .collect(),
+            linear: minus(&self.linear_momentum, &reference.linear_momentum),
+            angular: minus(&self.angular_momentum, &reference.angular_momentum),
+        }
+    }
+
+    /// The state that a tangent leads to: `x + δx`, `R exp(ζ)`, `p + δp`, `π + δπ`; the inverse of [`difference`](Self::difference).
+    #[must_use]
+    pub fn retract(&self, tangent: &StateTangent) -> Self {
+        let plus =
+            |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a + b).collect();
+        let here = &self.configuration;
+        Self {
+            configuration: Configuration {
+                positions: plus(&here.positions, &tangent.positions),
+                rotations: (here.rotations.iter().zip(&tangent.rotations))
+                    .map(|(rotation, turn)| rotation * exp(turn))
+                    .collect(),
+            },
+            linear_momentum: plus(&self.linear_momentum, &tangent.linear),
+            angular_momentum: plus(&self.angular_momentum, &tangent.angular),
         }
     }
 }

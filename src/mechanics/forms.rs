@@ -19,7 +19,7 @@ pub struct FormTerm {
 /// A linear form `Σ coefficient · component` of the tangent at one time node.
 ///
 /// At `k < N` the momenta are those that arrive at `k`, before its kick: `m (x^k - x^{k-1})/h` for a standard rod with
-/// explicit steps, the initial ones at 0, which do not vary. At `N` they are those after the last kick, the terminal Legendre
+/// explicit steps, the initial ones at 0. At `N` they are those after the last kick, the terminal Legendre
 /// transform. Nodes that are held or driven have no tangent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateForm {

@@ -53,6 +53,8 @@ impl TimeScheme {
 /// A uniform time grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeGrid {
+    /// Time of node 0, s: what signals, base motions and references are read from. [Time nodes](Self::time) count from it.
+    pub start: f64,
     /// `h`, s.
     pub step: f64,
     /// `N`.
@@ -60,7 +62,7 @@ pub struct TimeGrid {
 }
 
 impl TimeGrid {
-    /// Equal steps from 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least
+    /// Equal steps from time 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least
     /// 1; the blocks of a control are then equal). A step read back from such a grid gives the same grid again.
     #[must_use]
     pub fn covering(end: f64, longest_step: f64, multiple: usize) -> Self {
@@ -74,6 +76,7 @@ impl TimeGrid {
             } else {
                 end / n_steps as f64
             },
+            start: 0.0,
             n_steps,
         }
     }
@@ -82,7 +85,17 @@ impl TimeGrid {
     #[inline]
     #[must_use]
     pub fn time(&self, k: usize) -> f64 {
-        k as f64 * self.step
+        self.clock().time(k)
+    }
+
+    /// Its time nodes, without an end.
+    #[inline]
+    #[must_use]
+    pub fn clock(&self) -> Clock {
+        Clock {
+            start: self.start,
+            step: self.step,
+        }
     }
 
     /// Node `k` with the intervals beside it, one at either end.
@@ -99,8 +112,62 @@ impl TimeGrid {
 
     /// `N h`, s.
     #[must_use]
-    pub fn end(&self) -> f64 {
-        self.time(self.n_steps)
+    pub fn duration(&self) -> f64 {
+        self.n_steps as f64 * self.step
+    }
+
+    /// The same grid from another time on.
+    #[must_use]
+    pub fn starting_at(self, start: f64) -> Self {
+        Self { start, ..self }
+    }
+}
+
+/// Equal steps from a time on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clock {
+    /// Time at which step 0 begins, s.
+    pub start: f64,
+    /// Length of a step, s.
+    pub step: f64,
+}
+
+impl Clock {
+    /// Time at which step `k` begins, s.
+    #[inline]
+    #[must_use]
+    pub fn time(&self, k: usize) -> f64 {
+        self.start + k as f64 * self.step
+    }
+
+    /// The two sides of step `k`: its start with what comes after it, its end with what came before.
+    #[must_use]
+    pub fn ends_of_step(&self, k: usize) -> [TimeNode; 2] {
+        [
+            TimeNode {
+                time: self.time(k),
+                before: 0.0,
+                after: self.step,
+            },
+            TimeNode {
+                time: self.time(k + 1),
+                before: self.step,
+                after: 0.0,
+            },
+        ]
+    }
+}
+
+impl From<f64> for Clock {
+    /// Steps of this length from time 0 on.
+    fn from(step: f64) -> Self {
+        Self { start: 0.0, step }
+    }
+}
+
+impl From<TimeGrid> for Clock {
+    fn from(grid: TimeGrid) -> Self {
+        grid.clock()
     }
 }
 
@@ -113,25 +180,6 @@ pub struct TimeNode {
     pub before: f64,
     /// Length of the interval after it, s; 0 likewise.
     pub after: f64,
-}
-
-impl TimeNode {
-    /// The two sides of step `k` of length `h`: its start with what comes after it, its end with what came before.
-    #[must_use]
-    pub fn ends_of_step(k: usize, h: f64) -> [Self; 2] {
-        [
-            Self {
-                time: k as f64 * h,
-                before: 0.0,
-                after: h,
-            },
-            Self {
-                time: (k + 1) as f64 * h,
-                before: h,
-                after: 0.0,
-            },
-        ]
-    }
 }
 
 /// Where and why a step could not be taken.
@@ -318,7 +366,7 @@ const ORTHONORMALIZE_EVERY: usize = 64;
 #[derive(Clone, Debug)]
 pub struct Integrator<'a> {
     rod: &'a Rod,
-    time_step: f64,
+    clock: Clock,
     step: usize,
     state: State,
     forces: NodalForces,
@@ -331,28 +379,31 @@ pub struct Integrator<'a> {
 }
 
 impl<'a> Integrator<'a> {
-    /// Starts from a state at time 0; a driven base is put where its motion starts.
+    /// Starts from a state: at time 0 where `clock` is a step length, at the start of a [`TimeGrid`] otherwise. A driven base
+    /// is put where its motion is then.
     #[must_use]
-    pub fn new(rod: &'a Rod, time_step: f64, mut initial: State) -> Self {
-        rod.start_base(&mut initial);
-        Self::resume(rod, time_step, initial, 0)
+    pub fn new(rod: &'a Rod, clock: impl Into<Clock>, mut initial: State) -> Self {
+        let clock = clock.into();
+        rod.start_base(clock.start, &mut initial);
+        Self::resume(rod, clock, initial, 0)
     }
 
-    /// Goes on from the state after `step` steps of the same length; what follows is the same to the bit.
+    /// Goes on from the state after `step` steps of the same clock; what follows is the same to the bit.
     #[must_use]
-    pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
+    pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: State, step: usize) -> Self {
+        let clock = clock.into();
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate_without_loads(
             rod,
             &state.configuration.positions,
             &state.configuration.rotations,
         );
-        let implicit = IntervalWeights::of(rod, time_step)
+        let implicit = IntervalWeights::of(rod, clock.step)
             .map(|weights| ImplicitStep::new(rod, weights, &state.configuration));
         Self {
             implicit,
             rod,
-            time_step,
+            clock,
             step,
             rotary: rod.rotary_at(&state.configuration.positions),
             turns: vec![Vector3::zeros(); rod.n_nodes()],
@@ -376,7 +427,7 @@ impl<'a> Integrator<'a> {
     /// Current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.step as f64 * self.time_step
+        self.clock.time(self.step)
     }
 
     /// Newton iterations of all implicit steps so far.
@@ -403,7 +454,7 @@ impl<'a> Integrator<'a> {
             self.implicit = Some(implicit);
             return outcome;
         }
-        let h = self.time_step;
+        let h = self.clock.step;
         let a = 0.5 * self.rod.viscous_damping * h;
         let undamp = 1.0 / (1.0 + a);
         let tip = self.rod.tip();
@@ -460,7 +511,7 @@ impl<'a> Integrator<'a> {
         implicit: &mut ImplicitStep,
         control: [NodeWrenches; 2],
     ) -> Result<(), StepError> {
-        let h = self.time_step;
+        let h = self.clock.step;
         let a = 0.5 * self.rod.viscous_damping * h;
         let undamp = 1.0 / (1.0 + a);
         let base = self.approach_base()?;
@@ -483,9 +534,9 @@ impl<'a> Integrator<'a> {
 
     /// The first half of the kicks, with the forces at hand, and the loads and the control just after the time node.
     fn leave(&mut self, control: NodeWrenches, undamp: f64) {
-        let half_step = 0.5 * self.time_step;
+        let half_step = 0.5 * self.clock.step;
         let tip = self.rod.tip();
-        let [start, _] = TimeNode::ends_of_step(self.step, self.time_step);
+        let [start, _] = self.clock.ends_of_step(self.step);
         let rotations = &self.state.configuration.rotations;
         self.forces.add_loads(self.rod, rotations, &start);
         for (node, wrench) in control.iter() {
@@ -505,10 +556,10 @@ impl<'a> Integrator<'a> {
 
     /// The second half, with the forces at the next time node, and the loads and the control just before it.
     fn arrive(&mut self, control: NodeWrenches) -> Result<(), StepError> {
-        let half_step = 0.5 * self.time_step;
+        let half_step = 0.5 * self.clock.step;
         let tip = self.rod.tip();
         self.check_folds()?;
-        let [_, end] = TimeNode::ends_of_step(self.step, self.time_step);
+        let [_, end] = self.clock.ends_of_step(self.step);
         self.step += 1;
         let State {
             configuration,
@@ -558,7 +609,7 @@ impl<'a> Integrator<'a> {
             return Err(StepError::NotFinite {
                 node,
                 step: self.step - 1,
-                time: (self.step - 1) as f64 * self.time_step,
+                time: self.clock.time(self.step - 1),
                 quantity: "the momentum after the step",
             });
         }
@@ -591,8 +642,8 @@ impl<'a> Integrator<'a> {
         for node in self.rod.first_free_node()..self.rod.n_nodes() {
             let g = &self.state.angular_momentum[node];
             let rotary = &self.rotary[node];
-            self.turns[node] = solve_rotation(rotary, &(g * self.time_step)).ok_or_else(|| {
-                rotation_error(node, self.step, self.time(), g, self.time_step, rotary)
+            self.turns[node] = solve_rotation(rotary, &(g * self.clock.step)).ok_or_else(|| {
+                rotation_error(node, self.step, self.time(), g, self.clock.step, rotary)
             })?;
         }
         Ok(())
@@ -601,7 +652,7 @@ impl<'a> Integrator<'a> {
     /// `x ← x + h p/m`
     fn translate(&mut self) -> Result<(), StepError> {
         for node in self.rod.first_free_node()..self.rod.n_nodes() {
-            let mobility = self.time_step / self.rod.nodes[node].mass;
+            let mobility = self.clock.step / self.rod.nodes[node].mass;
             let x = &mut self.state.configuration.positions[node];
             *x += self.state.linear_momentum[node] * mobility;
             if !x.iter().all(|c| c.is_finite()) {
@@ -619,7 +670,7 @@ impl<'a> Integrator<'a> {
     /// Where a driven base will be at the end of the step; its turn until then is kept.
     fn approach_base(&mut self) -> Result<Option<BaseState>, StepError> {
         let rotation = &self.state.configuration.rotations[0];
-        let base = approach_base(self.rod, rotation, self.step, self.time_step)?;
+        let base = approach_base(self.rod, rotation, self.step, self.clock)?;
         Ok(base.map(|(base, turn)| {
             self.turns[0] = turn;
             base
@@ -631,7 +682,7 @@ impl<'a> Integrator<'a> {
         let positions = &self.state.configuration.positions;
         for q in 0..self.rod.n_elements() {
             let ends = [positions[q], positions[q + 1]];
-            check_dilatation(self.rod, q, &ends, self.step, self.time_step)?;
+            check_dilatation(self.rod, q, &ends, self.step, self.clock)?;
         }
         self.rod.write_rotary(positions, &mut self.rotary);
         Ok(())
@@ -648,7 +699,7 @@ impl<'a> Integrator<'a> {
             &configuration.positions,
             |node| &self.turns[node],
             factor,
-            self.time_step,
+            self.clock.step,
             linear_momentum,
         );
     }
@@ -659,17 +710,17 @@ pub(super) fn approach_base(
     rod: &Rod,
     rotation: &Matrix3<f64>,
     step: usize,
-    time_step: f64,
+    clock: Clock,
 ) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
-    let time = step as f64 * time_step;
-    let Some(base) = rod.driven_base((step + 1) as f64 * time_step) else {
+    let time = clock.time(step);
+    let Some(base) = rod.driven_base(clock.time(step + 1)) else {
         return Ok(None);
     };
     let turn = rotation.tr_mul(&base.rotation);
     // The speed as well, lest whole turns between two time nodes go unseen.
     let angle = log(&turn)
         .norm()
-        .max(base.angular_velocity.norm() * time_step);
+        .max(base.angular_velocity.norm() * clock.step);
     if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
         return Err(StepError::NotFinite {
             node: 0,
@@ -691,17 +742,17 @@ pub(super) fn check_dilatation(
     q: usize,
     ends: &[Vector3<f64>; 2],
     step: usize,
-    time_step: f64,
+    clock: Clock,
 ) -> Result<(), StepError> {
     let dilatation = (ends[1] - ends[0]).norm() / rod.rest_chords[q];
-    let least = rod.least_dilatation(q, time_step);
+    let least = rod.least_dilatation(q, clock.step);
     if dilatation > least {
         return Ok(());
     }
     Err(StepError::ElementCollapsed {
         element: q,
         step,
-        time: step as f64 * time_step,
+        time: clock.time(step),
         dilatation,
         least,
     })

@@ -21,7 +21,7 @@ use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 use super::block_tridiagonal::BlockLu;
 use super::configuration::{State, Trajectory, TrajectoryTangent};
 use super::forces::NodalForces;
-use super::forms::{StateForm, forms_at};
+use super::forms::{NODE_COMPONENTS, StateForm, forms_at};
 use super::implicit::{IntervalWeights, join, scatter, spin_inertia, step_matrix};
 use super::inertia::{
     InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
@@ -212,7 +212,8 @@ pub struct Defects {
     pub terminal_angular: Vec<Vector3<f64>>,
 }
 
-/// A right-hand side of the linearized equations of motion: a change of every row `r_k`, and of the momenta at the end.
+/// A right-hand side of the linearized equations of motion: a change of every row `r_k`, of the momenta at the end, and of the
+/// state at the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sources {
     /// Linear rows, spatial, in the order of [`Defects::linear`]; without effect on fixed nodes.
@@ -223,9 +224,27 @@ pub struct Sources {
     pub terminal_linear: Vec<Vector3<f64>>,
     /// Direct change of the angular momenta, body frame.
     pub terminal_angular: Vec<Vector3<f64>>,
+    /// Deviation of the state at time node 0, momenta before the first kick; `None` where it is as given. Without effect on
+    /// fixed nodes.
+    pub start: Option<StateTangent>,
 }
 
 impl Sources {
+    /// Nothing but a deviation of the state at the start, over `n_steps` steps.
+    #[must_use]
+    pub fn at_start(deviation: StateTangent, n_steps: usize) -> Self {
+        let n_nodes = deviation.positions.len();
+        let rows = vec![Vector3::zeros(); n_nodes * n_steps];
+        let end = vec![Vector3::zeros(); n_nodes];
+        Self {
+            linear: rows.clone(),
+            angular: rows,
+            terminal_linear: end.clone(),
+            terminal_angular: end,
+            start: Some(deviation),
+        }
+    }
+
     /// Minus the defects: what makes them vanish to first order. The terminal momenta have none.
     #[must_use]
     pub fn against(defects: &Defects) -> Self {
@@ -236,6 +255,7 @@ impl Sources {
             angular: minus(&defects.angular),
             terminal_linear: zeros.clone(),
             terminal_angular: zeros,
+            start: None,
         }
     }
 
@@ -261,6 +281,10 @@ impl Sources {
                 *own += factor * other;
             }
         }
+        if let Some(start) = &other.start {
+            let zeros = || StateTangent::zeros(start.positions.len());
+            (self.start.get_or_insert_with(zeros)).add(factor, start);
+        }
     }
 
     /// What an [outcome's adjoint](adjoint_sweep) says of these: the outcome's change.
@@ -274,6 +298,7 @@ impl Sources {
             + dot(&self.angular, &sweep.angular)
             + dot(&self.terminal_linear, &sweep.linear[rows..])
             + dot(&self.terminal_angular, &sweep.angular[rows..])
+            + (self.start.as_ref()).map_or(0.0, |start| start.dot(&sweep.start))
     }
 
     /// Change of the momenta of all `n` nodes after the kick at time node `k`.
@@ -1065,6 +1090,17 @@ impl StateTangent {
         ][part]
     }
 
+    /// `(δx, ζ, δp, δπ)` of the nodes from `first` on, node by node.
+    pub fn components_from(&self, first: usize) -> impl Iterator<Item = f64> {
+        (first..self.positions.len())
+            .flat_map(move |node| (0..NODE_COMPONENTS).map(move |i| self.component(node, i)))
+    }
+
+    /// One of the [`NODE_COMPONENTS`] of a node.
+    pub(super) fn component(&self, node: usize, component: usize) -> f64 {
+        self.part(component / 3)[node][component % 3]
+    }
+
     pub(super) fn part_mut(&mut self, part: usize) -> &mut [Vector3<f64>] {
         [
             &mut self.positions,
@@ -1072,6 +1108,15 @@ impl StateTangent {
             &mut self.linear,
             &mut self.angular,
         ][part]
+    }
+
+    /// Adds `factor` times another.
+    fn add(&mut self, factor: f64, other: &Self) {
+        for part in 0..4 {
+            for (own, other) in self.part_mut(part).iter_mut().zip(other.part(part)) {
+                *own += factor * other;
+            }
+        }
     }
 
     /// Nodes before `first` do not move.
@@ -1091,8 +1136,8 @@ impl StateTangent {
     }
 }
 
-/// Solves the linearized equations of motion forward for one change of the control and of their right-hand side (zero change
-/// of the initial state). Returns the direction at every time node and `(δp, δπ)` at the end.
+/// Solves the linearized equations of motion forward for one change of the control and of their right-hand side, the state at
+/// the start included. Returns the direction at every time node and `(δp, δπ)` at the end.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -1144,7 +1189,9 @@ fn sweep_tangents(
     let n = motion.rod.n_nodes();
     let n_steps = motion.grid.n_steps;
     let first = motion.rod.first_free_node();
-    let mut column = StateTangent::zeros(n);
+    let start = sources.and_then(|sources| sources.start.clone());
+    let mut column = start.unwrap_or_else(|| StateTangent::zeros(n));
+    column.hold(first);
     for k in 0..=n_steps {
         if k < n_steps {
             visit(k, &column);
@@ -1182,16 +1229,21 @@ pub struct AdjointSweep {
     pub arriving_linear: Vec<Vector3<f64>>,
     /// Of the angular ones.
     pub arriving_angular: Vec<Vector3<f64>>,
+    /// Covector of the state at the start, momenta before the first kick: the derivative along the initial state; zero on fixed
+    /// nodes.
+    pub start: StateTangent,
 }
 
 impl AdjointSweep {
-    pub(super) fn zeros(len: usize) -> Self {
-        let zeros = vec![Vector3::zeros(); len];
+    /// For so many nodes and time nodes.
+    pub(super) fn zeros(n_nodes: usize, n_times: usize) -> Self {
+        let zeros = vec![Vector3::zeros(); n_nodes * n_times];
         Self {
             linear: zeros.clone(),
             angular: zeros.clone(),
             arriving_linear: zeros.clone(),
             arriving_angular: zeros,
+            start: StateTangent::zeros(n_nodes),
         }
     }
 
@@ -1208,8 +1260,8 @@ impl AdjointSweep {
 }
 
 /// Pulls the sum of `forms` (in ascending order of time, weights multiplied in) back through the linearized equations of motion:
-/// their value on the answer to a control and [`Sources`] is the sum of [wrenches](AdjointSweep::wrench) times control, and of
-/// the rows times sources.
+/// their value on the answer to a control and [`Sources`] is the sum of [wrenches](AdjointSweep::wrench) times control, of
+/// the rows times sources, and of the covector of the start times the deviation there.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -1228,7 +1280,7 @@ pub fn adjoint_sweep(
         }
         covector.hold(first);
     };
-    let mut sweep = AdjointSweep::zeros(n * (n_steps + 1));
+    let mut sweep = AdjointSweep::zeros(n, n_steps + 1);
     let mut force = vec![Vector3::zeros(); n];
     let mut moment = force.clone();
     for k in (0..=n_steps).rev() {
@@ -1259,5 +1311,6 @@ pub fn adjoint_sweep(
         sweep.arriving_linear[k * n..][..n].copy_from_slice(&covector.linear);
         sweep.arriving_angular[k * n..][..n].copy_from_slice(&covector.angular);
     }
+    sweep.start = covector;
     Ok(sweep)
 }

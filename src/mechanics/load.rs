@@ -237,6 +237,7 @@ impl Load {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mechanics::Clock;
     use crate::mechanics::TimeGrid;
     use crate::mechanics::rotation::exp;
 
@@ -274,6 +275,7 @@ mod tests {
     #[test]
     fn jumps_keep_impulse_and_moment() {
         let grid = TimeGrid {
+            start: 0.0,
             step: 0.125,
             n_steps: 8,
         };
@@ -318,6 +320,7 @@ mod tests {
     fn a_jump_on_a_node_is_halved() {
         let h = 0.1;
         let grid = TimeGrid {
+            start: 0.0,
             step: h,
             n_steps: 5,
         };
@@ -329,11 +332,16 @@ mod tests {
         assert_eq!([at(0), at(1), at(2), at(5)], [1.0, 1.0, 1.0, 3.0]);
         // The node's time, 3 h, is a rounding off the jump's, which is magnified by the jump over the step.
         assert!((at(3) - 3.0).abs() < 1e-14 && (at(4) - 4.0).abs() < 1e-14);
-        let [after, _] = TimeNode::ends_of_step(3, h).map(|node| l.factor_at_node(&node));
-        let [_, before] = TimeNode::ends_of_step(2, h).map(|node| l.factor_at_node(&node));
+        let [after, _] = Clock::from(h)
+            .ends_of_step(3)
+            .map(|node| l.factor_at_node(&node));
+        let [_, before] = Clock::from(h)
+            .ends_of_step(2)
+            .map(|node| l.factor_at_node(&node));
         assert!((before - 1.0).abs() < 1e-14 && (after - 5.0).abs() < 1e-14);
         // A longer grid: half of what ends at its node 5, nothing after.
         let longer = TimeGrid {
+            start: 0.0,
             step: h,
             n_steps: 9,
         };

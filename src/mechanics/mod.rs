@@ -95,7 +95,7 @@ pub use energy_norm::EnergyNorm;
 pub use equilibrium::{EquilibriumError, TipSpring, static_equilibrium, static_equilibrium_until};
 #[doc(hidden)]
 pub use forms::{FormTerm, StateForm};
-pub use integrator::{Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
+pub use integrator::{Clock, Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
 #[doc(hidden)]
 pub use lanes::LaneIntegrator;
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};

@@ -638,9 +638,9 @@ impl Rod {
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
     }
 
-    /// Puts a driven base where its motion starts, and leaves any other.
-    pub fn start_base(&self, state: &mut State) {
-        if let Some(base) = self.driven_base(0.0) {
+    /// Puts a driven base where its motion is at time `t` (s), and leaves any other.
+    pub fn start_base(&self, t: f64, state: &mut State) {
+        if let Some(base) = self.driven_base(t) {
             self.set_base(&base, state);
         }
     }

@@ -45,5 +45,6 @@ pub fn step_sources(
         angular: slope(|defects| &defects.angular, -1.0),
         terminal_linear: slope(|defects| &defects.terminal_linear, 1.0),
         terminal_angular: slope(|defects| &defects.terminal_angular, 1.0),
+        start: None,
     })
 }

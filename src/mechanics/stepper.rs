@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::configuration::{State, Trajectory};
-use super::integrator::{Integrator, StepError};
+use super::integrator::{Clock, Integrator, StepError};
 use super::lanes::LaneIntegrator;
 use super::rod::Rod;
 use super::signal::NodeWrenches;
@@ -28,20 +28,23 @@ impl<'a> Stepper<'a> {
     /// [resumes](Self::resume) at such a step is the same to the bit.
     pub const SEAT: usize = 256;
 
-    /// Starts from a state at time 0; a driven base is put where its motion starts.
+    /// Starts from a state: at time 0 where `clock` is a step length, at the start of a [`TimeGrid`](super::TimeGrid)
+    /// otherwise. A driven base is put where its motion is then.
     #[must_use]
-    pub fn new(rod: &'a Rod, time_step: f64, mut initial: State) -> Self {
-        rod.start_base(&mut initial);
-        Self::resume(rod, time_step, initial, 0)
+    pub fn new(rod: &'a Rod, clock: impl Into<Clock>, mut initial: State) -> Self {
+        let clock = clock.into();
+        rod.start_base(clock.start, &mut initial);
+        Self::resume(rod, clock, initial, 0)
     }
 
-    /// Goes on from the state after `step` steps of the same length; to the bit, if `step` is a multiple of [`Self::SEAT`].
+    /// Goes on from the state after `step` steps of the same clock; to the bit, if `step` is a multiple of [`Self::SEAT`].
     #[must_use]
-    pub fn resume(rod: &'a Rod, time_step: f64, state: State, step: usize) -> Self {
+    pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: State, step: usize) -> Self {
+        let clock = clock.into();
         let seat = (step, state.clone());
-        let engine = match LaneIntegrator::resume(rod, time_step, &state, step) {
+        let engine = match LaneIntegrator::resume(rod, clock, &state, step) {
             Some(lanes) => Engine::Lanes(Box::new(lanes)),
-            None => Engine::Plain(Box::new(Integrator::resume(rod, time_step, state, step))),
+            None => Engine::Plain(Box::new(Integrator::resume(rod, clock, state, step))),
         };
         Self { engine, seat }
     }

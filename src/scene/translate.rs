@@ -118,7 +118,7 @@ impl OptimalControl {
         out.problem = problem.discrete.clone();
         resolve_time(&mut out.resolved, &out.problem.grid);
         if let Some(task) = &mut out.resolved.task {
-            let end = out.problem.grid.end();
+            let end = out.problem.grid.duration();
             task.at_s = Some(end);
             for (via, target) in task.via.iter_mut().zip(&problem.task.targets) {
                 via.at_s = target.time.unwrap_or(end);
@@ -977,7 +977,7 @@ const MORE_STEPS_PER_ROW: usize = 100;
 /// A grid with steps no longer than those of `grid` that divide the interval between rows, where there is one that ends at the same time:
 /// rows then fall where they were asked for.
 fn row_grid(source: &SceneSource, grid: TimeGrid, rate: f64) -> Result<TimeGrid, SceneError> {
-    let intervals = grid.end() * rate;
+    let intervals = grid.duration() * rate;
     let least = (1.0 / (rate * grid.step) * (1.0 - SAME_INTERVAL))
         .ceil()
         .max(1.0);
@@ -988,7 +988,7 @@ fn row_grid(source: &SceneSource, grid: TimeGrid, rate: f64) -> Result<TimeGrid,
         let message = format!(
             "a row every {:.3e} s up to time.end_s, {} s, takes {:.3e} steps, more than {MOST_STEPS:e}",
             1.0 / rate,
-            grid.end(),
+            grid.duration(),
             intervals * least
         );
         let help = "give a lower rate".to_string();
@@ -998,8 +998,9 @@ fn row_grid(source: &SceneSource, grid: TimeGrid, rate: f64) -> Result<TimeGrid,
         .map(|more| intervals * (least + more as f64))
         .find(|steps| (steps - steps.round()).abs() <= SAME_INTERVAL * steps);
     Ok(whole.map_or(grid, |steps| TimeGrid {
-        step: grid.end() / steps.round(),
+        step: grid.duration() / steps.round(),
         n_steps: steps.round() as usize,
+        ..grid
     }))
 }
 

@@ -20,7 +20,7 @@ pub(crate) fn diagnostics(
     let control = problem.signal(&problem.control, coefficients);
     let mut loaded = problem.rod.clone();
     let n_own = loaded.loads.len();
-    let mut stepper = Stepper::new(&problem.rod, h, problem.initial.clone());
+    let mut stepper = Stepper::new(&problem.rod, grid, problem.initial.clone());
     let mut record = DiagnosticsRecord::empty(problem.rod.n_elements());
     let mut before = None;
     for k in 0..=grid.n_steps {

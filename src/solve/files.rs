@@ -79,7 +79,7 @@ pub(crate) fn write(
         directory.write_json("multipliers.json", &solution.multipliers)?;
         if let Some(feedback) = &examined.feedback {
             let path = directory.path().join("feedback.npz");
-            write_feedback(&path, feedback, problem.grid.end())?;
+            write_feedback(&path, feedback, problem.grid.duration())?;
         }
         directory.write_json("summary.json", summary)?;
         if let Some(problem) = &outcome.failed_subproblem {

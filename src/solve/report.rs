@@ -6,7 +6,7 @@ use super::examined::Examined;
 use super::solution::Solution;
 use super::step_kind::{MEANINGS, step_kind};
 use crate::control::{Bound, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking};
-use crate::mechanics::{BaseCondition, Rod, Trajectory, Wrench};
+use crate::mechanics::{BaseCondition, Rod, TimeGrid, Trajectory, Wrench};
 use crate::output::summary::SolveSummary;
 use crate::output::{
     self, MotionRecord, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls,
@@ -180,7 +180,7 @@ fn target(problem: &OptimalControlProblem) -> Option<ReportTarget> {
 
 /// The paths that nodes should follow, over the horizon.
 fn paths(problem: &OptimalControlProblem) -> Vec<ReportPath> {
-    let end = problem.grid.end();
+    let end = problem.grid.duration();
     let of = |tracking: &Tracking| {
         let corners = tracking.path.iter().map(|&(t, _)| t);
         let within = corners.filter(|t| (0.0..end).contains(t) && *t > 0.0);
@@ -222,7 +222,11 @@ pub(super) fn obstacles(
             rod,
             radii,
             trajectory: &trajectory,
-            step: 0.0,
+            grid: TimeGrid {
+                start: record.t[*row],
+                step: 0.0,
+                n_steps: 0,
+            },
         };
         for ((_, limit), clearance) in limits.iter().zip(&mut clearances) {
             let worst = (0..limit.n_items(rod))

@@ -41,7 +41,7 @@ pub(crate) fn summarize(
     let check = examined.check.as_ref();
     let (status, mut message) = status_words(&outcome.status, &solution.worst);
     if !solution.has_converged() {
-        let mut causes = causes(&problem.rod, &problem.initial, problem.grid.end());
+        let mut causes = causes(&problem.rod, &problem.initial, problem.grid.duration());
         if !causes.is_empty() {
             causes.extend(message.take());
             message = Some(causes.join("; "));
@@ -97,7 +97,7 @@ pub(crate) fn summarize(
         elements: problem.rod.n_elements(),
         step_s: problem.grid.step,
         steps: problem.grid.n_steps,
-        duration_s: problem.grid.end(),
+        duration_s: problem.grid.duration(),
         control_blocks: problem.control.n_blocks(),
         variables: outcome.point.variables.len(),
         multipliers: outcome.multipliers.constraints.clone(),

@@ -564,7 +564,7 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         rod: &problem.rod,
         radii: &problem.radii,
         trajectory: &start,
-        step: problem.grid.step,
+        grid: problem.grid,
     };
     for (index, constraint) in problem.path.iter().enumerate() {
         if constraint.enforcement != PathEnforcement::Hard {

@@ -26,7 +26,7 @@ pub(super) fn examine(
     let Some(free) = problem.duration else {
         return Ok(None);
     };
-    let duration = problem.grid.end();
+    let duration = problem.grid.duration();
     let (short, long) = (
         free.shortest / duration - 1.0,
         free.longest / duration - 1.0,

@@ -61,7 +61,7 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
     let problem = probe.problem;
     let rod = &problem.rod;
     let mut start = problem.initial.clone();
-    rod.start_base(&mut start);
+    rod.start_base(problem.grid.start, &mut start);
     let columns = directions(rod);
     let unit = Size::at(rod, &start);
     let sizes: Vec<DVector<f64>> = (columns.iter())

@@ -7,7 +7,7 @@ use super::dual;
 use crate::control::{OptimalControlProblem, PathLimit, Shape, StateTerm, StateView};
 use crate::mechanics::differences;
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Rod, StrainRule, Trajectory};
+use crate::mechanics::{Rod, StrainRule, TimeGrid, Trajectory};
 
 /// Positions and rotations at one time node.
 #[derive(Clone)]
@@ -19,9 +19,9 @@ pub(super) struct Pose {
 }
 
 impl Pose {
-    pub(super) fn at(trajectory: &Trajectory, k: usize, step: f64) -> Self {
+    pub(super) fn at(trajectory: &Trajectory, k: usize, grid: TimeGrid) -> Self {
         Self {
-            t: k as f64 * step,
+            t: grid.time(k),
             x: trajectory.positions_at(k).to_vec(),
             r: trajectory.rotations_at(k).to_vec(),
         }

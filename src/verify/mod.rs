@@ -414,7 +414,7 @@ pub fn replay(
     control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let simulation = Simulation::plain(rod, grid.step, initial.clone());
+    let simulation = Simulation::plain(rod, grid, initial.clone());
     let never = StopSignal::default();
     let accounts = account(rod, grid, simulation, control, 1, &never, &mut |state| {
         trajectory.push(&state.configuration);
@@ -434,16 +434,16 @@ enum Simulation<'a> {
 }
 
 impl<'a> Simulation<'a> {
-    fn plain(rod: &'a Rod, time_step: f64, initial: State) -> Self {
-        Self::Plain(Box::new(Integrator::new(rod, time_step, initial)))
+    fn plain(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
+        Self::Plain(Box::new(Integrator::new(rod, grid, initial)))
     }
 
     /// For what only has to be as good as the plain integrator to rounding: that one where the work of what drives the base is counted.
-    fn fast(rod: &'a Rod, time_step: f64, initial: State) -> Self {
+    fn fast(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
         if rod.driven_base(0.0).is_some() {
-            Self::plain(rod, time_step, initial)
+            Self::plain(rod, grid, initial)
         } else {
-            Self::Fast(Stepper::new(rod, time_step, initial))
+            Self::Fast(Stepper::new(rod, grid, initial))
         }
     }
 
@@ -504,7 +504,7 @@ fn account(
     for k in 0..grid.n_steps {
         stop.check_at(k)?;
         let pair = [control.at(k), control.at(k + 1)];
-        let ends = TimeNode::ends_of_step(k, grid.step);
+        let ends = grid.clock().ends_of_step(k);
         let base_before = simulation.base_wrench(rod, &ends[0]);
         simulation.advance(pair)?;
         let before = std::mem::replace(&mut after, simulation.state());
@@ -635,7 +635,7 @@ fn step_work(
     }
     for load in &rod.loads {
         let (dx, turn) = displacement(before, after, load.node);
-        let ends = TimeNode::ends_of_step(k, grid.step);
+        let ends = grid.clock().ends_of_step(k);
         for (state, node) in [before, after].into_iter().zip(&ends) {
             let rotation = &state.configuration.rotations[load.node];
             let wrench = load.wrench_at_node(node, rotation);
@@ -690,8 +690,8 @@ pub fn forward_check(
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
         let (rod, initial) = (&problem.rod, problem.initial.clone());
         let simulation = match which {
-            ReplayKind::SameGrid => Simulation::plain(rod, grid.step, initial),
-            _ => Simulation::fast(rod, grid.step, initial),
+            ReplayKind::SameGrid => Simulation::plain(rod, grid, initial),
+            _ => Simulation::fast(rod, grid, initial),
         };
         account(
             rod,
@@ -806,6 +806,7 @@ fn refined_signal(
 
 fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
     TimeGrid {
+        start: grid.start,
         step: grid.step / factor as f64,
         n_steps: grid.n_steps * factor,
     }

@@ -51,7 +51,7 @@ pub(super) fn roll_out(
 ) -> Result<Motion, CheckError> {
     let control = hold::signal(problem, 1, coefficients);
     let n = problem.grid.n_steps;
-    let mut stepper = Stepper::new(&problem.rod, problem.grid.step, initial.clone());
+    let mut stepper = Stepper::new(&problem.rod, problem.grid, initial.clone());
     let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), n + 1);
     stepper.record(&mut trajectory);
     for k in 0..n {
@@ -261,9 +261,9 @@ impl Conditions<'_> {
     /// Scaled value of a row of a path constraint.
     pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
         let limit = &self.path[row.constraint].limit;
-        let here = Pose::at(self.trajectory, row.time_node, self.problem.grid.step);
+        let here = Pose::at(self.trajectory, row.time_node, self.problem.grid);
         let before = (row.time_node > 0)
-            .then(|| Pose::at(self.trajectory, row.time_node - 1, self.problem.grid.step));
+            .then(|| Pose::at(self.trajectory, row.time_node - 1, self.problem.grid));
         let measure = self.measure();
         measure.excess(limit, row.item, &here, before.as_ref()) / limit.scale(self.rod())
     }

@@ -102,7 +102,7 @@ impl<'a> Level<'a> {
     ) -> Self {
         let grid = refined_grid(problem.grid, factor);
         Self {
-            stepper: Stepper::new(rod, grid.step, start),
+            stepper: Stepper::new(rod, grid, start),
             signal: refined_signal(problem, factor, rod, solution),
             factor,
             n_nodes: rod.n_nodes(),

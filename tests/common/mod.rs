@@ -373,6 +373,12 @@ pub fn random_sources(rod: &Rod, n_steps: usize, size: f64, dice: &mut Dice) -> 
         angular: vectors(n * n_steps),
         terminal_linear: vectors(n),
         terminal_angular: vectors(n),
+        start: Some(StateTangent {
+            positions: vectors(n),
+            rotations: vectors(n),
+            linear: vectors(n),
+            angular: vectors(n),
+        }),
     }
 }
 

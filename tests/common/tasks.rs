@@ -34,6 +34,7 @@ fn least_effort(
 /// Four elements, 0.3 s, five blocks: the tip stops at a point to its side.
 pub fn reach(hold: Hold) -> (RodParameters, OptimalControlProblem) {
     let grid = TimeGrid {
+        start: 0.0,
         step: 0.3 / 150.0,
         n_steps: 150,
     };
@@ -43,6 +44,7 @@ pub fn reach(hold: Hold) -> (RodParameters, OptimalControlProblem) {
 /// Eight elements, 0.8 s, ten linear blocks: the tip stops half a length to its side.
 pub fn long_reach() -> (RodParameters, OptimalControlProblem) {
     let grid = TimeGrid {
+        start: 0.0,
         step: 0.8 / 400.0,
         n_steps: 400,
     };
@@ -106,6 +108,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
     })
     .unwrap();
     let grid = TimeGrid {
+        start: 0.0,
         step: 0.24 / BUSY_STEPS as f64,
         n_steps: BUSY_STEPS,
     };

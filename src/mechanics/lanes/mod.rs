@@ -28,7 +28,7 @@ use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::InertiaRule;
 use super::integrator::{
-    StepError, TimeNode, approach_base, check_dilatation, check_fold, rotation_error,
+    Clock, StepError, TimeNode, approach_base, check_dilatation, check_fold, rotation_error,
     solve_rotation,
 };
 use super::load::Wrench;
@@ -48,7 +48,7 @@ const HELD_INERTIA: f64 = 1e50;
 #[derive(Clone, Debug)]
 pub struct LaneIntegrator<'a> {
     rod: &'a Rod,
-    time_step: f64,
+    clock: Clock,
     step: usize,
     arch: Arch,
     slots: Slots,
@@ -144,27 +144,34 @@ impl<'a> LaneIntegrator<'a> {
     /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
     /// integrator can do: implicit steps, internal damping, or steps near the smallest numbers there are.
     #[must_use]
-    pub fn new(rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
-        Self::on(Arch::new(), rod, time_step, initial)
+    pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
+        Self::on(Arch::new(), rod, clock, initial)
     }
 
     /// The same on a given instruction set; the result does not depend on it.
     #[must_use]
-    pub fn on(arch: Arch, rod: &'a Rod, time_step: f64, initial: &State) -> Option<Self> {
+    pub fn on(arch: Arch, rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
+        let clock = clock.into();
         let mut initial = initial.clone();
-        rod.start_base(&mut initial);
-        is_possible(rod, time_step).then(|| Self::empty(arch, rod, time_step).seated(&initial, 0))
+        rod.start_base(clock.start, &mut initial);
+        is_possible(rod, clock.step).then(|| Self::empty(arch, rod, clock).seated(&initial, 0))
     }
 
     /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
     /// there, to the bit. `None` as for [`Self::new`].
     #[must_use]
-    pub fn resume(rod: &'a Rod, time_step: f64, state: &State, step: usize) -> Option<Self> {
-        is_possible(rod, time_step)
-            .then(|| Self::empty(Arch::new(), rod, time_step).seated(state, step))
+    pub fn resume(
+        rod: &'a Rod,
+        clock: impl Into<Clock>,
+        state: &State,
+        step: usize,
+    ) -> Option<Self> {
+        let clock = clock.into();
+        is_possible(rod, clock.step)
+            .then(|| Self::empty(Arch::new(), rod, clock).seated(state, step))
     }
 
-    fn empty(arch: Arch, rod: &'a Rod, time_step: f64) -> Self {
+    fn empty(arch: Arch, rod: &'a Rod, clock: Clock) -> Self {
         let n_lanes = dispatch(arch, CountLanes);
         let slots = Slots {
             n_blocks: rod.n_nodes().div_ceil(n_lanes),
@@ -177,12 +184,12 @@ impl<'a> LaneIntegrator<'a> {
         };
         Self {
             rod,
-            time_step,
+            clock,
             step: 0,
             arch,
             slots,
             state: Buffer::zeros(slots.len() * STATE_ROWS),
-            constants: Constants::new(rod, slots, time_step),
+            constants: Constants::new(rod, slots, clock.step),
             spin: Buffer::zeros(slots.len() * spin_rows),
             exchange: Buffer::zeros(n_lanes * EXCHANGE_ROWS),
             base: None,
@@ -240,7 +247,7 @@ impl<'a> LaneIntegrator<'a> {
             }
         }
         let damping = 1.0 + self.half_damping();
-        let before = 0.5 * self.time_step;
+        let before = 0.5 * self.clock.step;
         let mut last = quaternion(&configuration.rotations[0]);
         for node in 0..rod.n_nodes() {
             let place = slots.place(node);
@@ -272,7 +279,7 @@ impl<'a> LaneIntegrator<'a> {
 
     /// `a = c h/2`
     fn half_damping(&self) -> f64 {
-        0.5 * self.rod.viscous_damping * self.time_step
+        0.5 * self.rod.viscous_damping * self.clock.step
     }
 
     #[inline]
@@ -305,7 +312,7 @@ impl<'a> LaneIntegrator<'a> {
     /// Current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.step as f64 * self.time_step
+        self.clock.time(self.step)
     }
 
     /// Position of a node, spatial, m.
@@ -344,7 +351,7 @@ impl<'a> LaneIntegrator<'a> {
     pub fn state(&self) -> State {
         let nodes = 0..self.rod.n_nodes();
         let damping = 1.0 + self.half_damping();
-        let before = 0.5 * self.time_step;
+        let before = 0.5 * self.clock.step;
         let momentum = |row: usize, force_row: usize, part: fn(&Wrench) -> Vector3<f64>| {
             let mut momentum: Vec<_> = nodes
                 .clone()
@@ -391,7 +398,7 @@ impl<'a> LaneIntegrator<'a> {
     ) -> Result<(), StepError> {
         let base = match &self.rod.base {
             BaseCondition::Driven(_) => {
-                approach_base(self.rod, &self.rotation(0), self.step, self.time_step)?
+                approach_base(self.rod, &self.rotation(0), self.step, self.clock)?
             }
             BaseCondition::Clamped | BaseCondition::Free => None,
         };
@@ -421,7 +428,7 @@ impl<'a> LaneIntegrator<'a> {
             let mut singly = SingleTurns {
                 rod: self.rod,
                 slots: self.slots,
-                time_step: self.time_step,
+                time_step: self.clock.step,
                 failure,
             };
             let sweep: Sweep<R, L, _> = Sweep {
@@ -433,8 +440,8 @@ impl<'a> LaneIntegrator<'a> {
                 spin: &mut self.spin,
                 exchange: &mut self.exchange,
                 singly: &mut singly,
-                time_step: self.time_step,
-                half_damping: 0.5 * self.rod.viscous_damping * self.time_step,
+                time_step: self.clock.step,
+                half_damping: 0.5 * self.rod.viscous_damping * self.clock.step,
                 normalize: self.step.is_multiple_of(NORMALIZE_EVERY),
                 kind: PhantomData,
             };
@@ -542,7 +549,7 @@ impl<'a> LaneIntegrator<'a> {
     fn end_of_step(&self) -> TimeNode {
         TimeNode {
             time: self.time(),
-            before: self.time_step,
+            before: self.clock.step,
             after: 0.0,
         }
     }
@@ -550,10 +557,7 @@ impl<'a> LaneIntegrator<'a> {
     /// Half of what loads that jump near this time node apply after it more than before it.
     fn share_jumps(&mut self) {
         let rod = self.rod;
-        let [start, end] = [
-            TimeNode::ends_of_step(self.step, self.time_step)[0],
-            self.end_of_step(),
-        ];
+        let [start, end] = [self.clock.ends_of_step(self.step)[0], self.end_of_step()];
         let free = rod.first_free_node();
         for load in rod.loads.iter().filter(|load| load.node >= free) {
             if load.factor_at_node(&start) == load.factor_at_node(&end) {
@@ -594,7 +598,7 @@ impl<'a> LaneIntegrator<'a> {
                 step,
                 time,
                 &g,
-                self.time_step,
+                self.clock.step,
                 &inertia,
             ))
         });
@@ -619,7 +623,7 @@ impl<'a> LaneIntegrator<'a> {
         if inertia_rule != InertiaRule::Constant {
             for q in 0..self.rod.n_elements() {
                 let ends = [self.position(q), self.position(q + 1)];
-                check_dilatation(self.rod, q, &ends, step, self.time_step)?;
+                check_dilatation(self.rod, q, &ends, step, self.clock)?;
             }
         }
         turned?;

@@ -510,6 +510,7 @@ mod tests {
             })
             .unwrap();
             let grid = TimeGrid {
+                start: 0.0,
                 step: 0.5 * stable_step(&rod),
                 n_steps: 20,
             };

@@ -90,6 +90,10 @@ pub struct Sensitivities {
     pub curvature_sources: Option<Mat<f64>>,
     /// The same form between the answers to the sources, `n_sources × n_sources`.
     pub source_curvature: Option<Mat<f64>>,
+    /// Derivatives of the forms along the state at the start, `n_forms × 12 n_free`: `(δx, ζ, δp, δπ)` of every free node, node
+    /// by node, momenta before the first kick. Given by the reverse route, which ends with them; the forward route answers to
+    /// [sources](Sources::start).
+    pub start: Option<Mat<f64>>,
     /// The way that was taken.
     pub route: Route,
     /// Floating-point operations spent on the columns, or on the forms.
@@ -156,7 +160,7 @@ pub fn adjoint(
         n_threads,
     };
     if forms.is_empty() {
-        return Ok(AdjointSweep::zeros(motion.rod.n_nodes() * n_times));
+        return Ok(AdjointSweep::zeros(motion.rod.n_nodes(), n_times));
     }
     let tile = Mutex::new(ReverseTile::of_sum(&task));
     let arch = Arch::new();
@@ -171,8 +175,10 @@ pub fn adjoint(
             }
         },
     )?;
-    let sum = lock(&tile).sum.take();
-    Ok(sum.unwrap_or_else(|| AdjointSweep::zeros(0)))
+    let mut tile = tile.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let start = tile.start_of(0);
+    let sum = tile.sum.take().map(|sum| AdjointSweep { start, ..sum });
+    Ok(sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0)))
 }
 
 /// [`forward_sweep`](super::linearization::forward_sweep) by the kernels: the same to rounding.
@@ -494,6 +500,7 @@ impl Task<'_> {
             curvature: part(from_columns.clone(), from_columns.clone()),
             curvature_sources: part(from_columns, from_sources.clone()),
             source_curvature: part(from_sources.clone(), from_sources),
+            start: None,
             route: Route::Forward,
             flops: tiles.iter().map(|tile| tile.flops).sum::<u64>()
                 + blocks.iter().map(Block::flops).sum::<u64>(),
@@ -519,6 +526,8 @@ impl Task<'_> {
         )?;
         let tiles: Vec<_> = tiles.iter().map(lock).collect();
         let n_sources = self.sources.len();
+        let first = self.motion.rod.first_free_node();
+        let n_free = self.motion.rod.n_nodes() - first;
         let of =
             |form: usize, column: usize| tiles[form / TILE].values[column * TILE + form % TILE];
         let (n_forms, n_columns) = (self.forms.len(), self.columns.n_columns());
@@ -528,6 +537,9 @@ impl Task<'_> {
             curvature: None,
             curvature_sources: None,
             source_curvature: None,
+            start: Some(Mat::from_fn(n_forms, NODE_COMPONENTS * n_free, |i, j| {
+                tiles[i / TILE].component(first * NODE_COMPONENTS + j, i % TILE)
+            })),
             route: Route::Reverse,
             flops: tiles.iter().map(|tile| tile.flops).sum(),
         })

@@ -8,7 +8,7 @@ use super::tile::Columns;
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
-use crate::mechanics::linearization::AdjointSweep;
+use crate::mechanics::linearization::{AdjointSweep, StateTangent};
 
 /// Covectors of [`TILE`] forms: row `node * 12 + component`, form fastest.
 pub(super) struct ReverseTile {
@@ -43,7 +43,7 @@ impl ReverseTile {
     pub fn of_sum(task: &Task) -> Self {
         let n_times = task.motion.grid.n_steps + 1;
         Self {
-            sum: Some(AdjointSweep::zeros(task.motion.rod.n_nodes() * n_times)),
+            sum: Some(AdjointSweep::zeros(task.motion.rod.n_nodes(), n_times)),
             last: task.forms[task.forms.len() - 1].time_node,
             ..Self::new(task, 0)
         }
@@ -91,6 +91,9 @@ impl ReverseTile {
             first_places(&self.data, 6, &mut sum.arriving_linear[first_row..]);
             first_places(&self.data, 9, &mut sum.arriving_angular[first_row..]);
         }
+        if k == 0 {
+            self.read_start(task);
+        }
     }
 
     /// The forms of this time node; held nodes have no tangent.
@@ -109,6 +112,47 @@ impl ReverseTile {
             }
         }
         self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
+    }
+
+    /// Component `row` of one covector: [`NODE_COMPONENTS`] for every node.
+    pub fn component(&self, row: usize, place: usize) -> f64 {
+        self.data[row * TILE + place]
+    }
+
+    /// The covector in one place, of the state before the last kick that was passed.
+    pub fn start_of(&self, place: usize) -> StateTangent {
+        let n_nodes = self.data.len() / (NODE_COMPONENTS * TILE);
+        let part = |part: usize| {
+            let row = |node: usize, axis: usize| node * NODE_COMPONENTS + part + axis;
+            let vector = |node| Vector3::from_fn(|axis, _| self.component(row(node, axis), place));
+            (0..n_nodes).map(vector).collect()
+        };
+        StateTangent {
+            positions: part(0),
+            rotations: part(3),
+            linear: part(6),
+            angular: part(9),
+        }
+    }
+
+    /// What the forms say about a deviation of the state at the start, once they are there.
+    fn read_start(&mut self, task: &Task) {
+        for (column, sources) in task.sources.iter().enumerate() {
+            let Some(start) = &sources.start else {
+                continue;
+            };
+            let values = &mut self.values[column * TILE..][..TILE];
+            let nodes = (self.data.chunks_exact(NODE_COMPONENTS * TILE).enumerate())
+                .skip(task.motion.rod.first_free_node());
+            for (node, rows) in nodes {
+                for (component, covectors) in rows.chunks_exact(TILE).enumerate() {
+                    let deviation = start.component(node, component);
+                    for (value, covector) in values.iter_mut().zip(covectors) {
+                        *value += deviation * covector;
+                    }
+                }
+            }
+        }
     }
 
     /// What the forms say about sources and control.

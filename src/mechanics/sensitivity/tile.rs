@@ -10,6 +10,7 @@ use super::reduction::Record;
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
+use crate::mechanics::linearization::StateTangent;
 
 /// [`TILE`] columns: row `node * 12 + component`, column fastest.
 pub(super) struct Tile<'a> {
@@ -27,7 +28,7 @@ pub(super) struct Tile<'a> {
 
 impl<'a> Tile<'a> {
     pub fn new(task: &Task, first_column: usize, record: Option<Record<'a>>) -> Self {
-        Self {
+        let mut tile = Self {
             first_column,
             data: Buffer::zeros(task.node_size()),
             reach: 0..0,
@@ -35,7 +36,26 @@ impl<'a> Tile<'a> {
             values: vec![0.0; task.forms.len() * TILE],
             record,
             flops: 0,
+        };
+        let own = task.sources.iter().skip(first_column).take(TILE);
+        for (column, sources) in own.enumerate() {
+            if let Some(start) = &sources.start {
+                tile.set_start(start, task.motion.rod.first_free_node(), column);
+            }
         }
+        tile
+    }
+
+    /// Lets one column begin as a deviation of the nodes from `first` on.
+    fn set_start(&mut self, start: &StateTangent, first: usize, column: usize) {
+        let n_nodes = start.positions.len();
+        for node in first..n_nodes {
+            for component in 0..NODE_COMPONENTS {
+                let row = node * NODE_COMPONENTS + component;
+                self.data[row * TILE + column] = start.component(node, component);
+            }
+        }
+        self.reach = 0..n_nodes;
     }
 
     /// A run of time nodes from `first` on, with the record of its rows.

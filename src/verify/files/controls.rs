@@ -10,7 +10,7 @@ use crate::verify::hold::Spline;
 #[must_use]
 pub fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck {
     let mut out = FileCheck::of("controls.csv");
-    let allowed = ROUNDINGS * problem.grid.end();
+    let allowed = ROUNDINGS * problem.grid.duration();
     let intervals = Spline::of(problem).intervals();
     let n = problem.actuators.len().max(1);
     for (i, row) in rows.iter().enumerate() {

@@ -17,7 +17,7 @@ const COMPONENTS: usize = 12;
 /// What the file must hold.
 #[must_use]
 pub fn expected(problem: &OptimalControlProblem, feedback: &Feedback) -> [NamedArray; 12] {
-    feedback_arrays(feedback, problem.grid.end())
+    feedback_arrays(feedback, problem.grid.duration())
 }
 
 /// Every array against the recomputed one; gains and costs within a part of the largest that acts between the same input and the same kind of
@@ -48,7 +48,7 @@ pub fn check(
         for (at, (found, expected)) in found.iter().zip(expected).enumerate() {
             let size = largest[group(at)];
             let allowed = match *name {
-                "t" | "t_edge" => ROUNDINGS * problem.grid.end(),
+                "t" | "t_edge" => ROUNDINGS * problem.grid.duration(),
                 "input" | "node" => 0.0,
                 "x" => DERIVED * scales.length,
                 "R" => DERIVED,

@@ -38,9 +38,12 @@ pub fn check(
     let elements = rod.n_elements();
     for k in 0..record.n_rows() {
         let time = problem.grid.time(k);
-        out.number(record.t[k], time, ROUNDINGS * problem.grid.end(), || {
-            format!("t, row {k}")
-        });
+        out.number(
+            record.t[k],
+            time,
+            ROUNDINGS * problem.grid.duration(),
+            || format!("t, row {k}"),
+        );
         // The first actuator is the tip's.
         let tip = signal.at(k).wrenches.first().copied().unwrap_or_default();
         for axis in 0..3 {

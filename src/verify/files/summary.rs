@@ -85,7 +85,7 @@ impl Expected<'_> {
         }
         for (field, time) in [
             ("step_s", problem.grid.step),
-            ("duration_s", problem.grid.end()),
+            ("duration_s", problem.grid.duration()),
         ] {
             walk.number(summary, field, time, ROUNDINGS * time);
         }

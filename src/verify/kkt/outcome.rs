@@ -60,8 +60,8 @@ impl Conditions<'_> {
                 continue;
             }
             let weight = multiplier / limit.scale(self.rod());
-            let here = Pose::at(self.trajectory, *k, self.problem.grid.step);
-            let before = Pose::at(self.trajectory, k.saturating_sub(1), self.problem.grid.step);
+            let here = Pose::at(self.trajectory, *k, self.problem.grid);
+            let before = Pose::at(self.trajectory, k.saturating_sub(1), self.problem.grid);
             let mut add = |k: usize, along_before: bool| {
                 let range = k * n..(k + 1) * n;
                 measure.add_slope(
@@ -86,7 +86,7 @@ impl Conditions<'_> {
             let range = k * n..(k + 1) * n;
             cost += add_state_cost(
                 self.problem,
-                &Pose::at(self.trajectory, k, self.problem.grid.step),
+                &Pose::at(self.trajectory, k, self.problem.grid),
                 self.problem.grid.time(k),
                 duration,
                 [&mut out.x[range.clone()], &mut out.eta[range]],
@@ -111,9 +111,8 @@ impl Conditions<'_> {
                 if self.problem.stop.is_raised() {
                     break;
                 }
-                let here = Pose::at(self.trajectory, k, self.problem.grid.step);
-                let before =
-                    (k > 0).then(|| Pose::at(self.trajectory, k - 1, self.problem.grid.step));
+                let here = Pose::at(self.trajectory, k, self.problem.grid);
+                let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1, self.problem.grid));
                 for item in 0..constraint.limit.n_items(self.rod()) {
                     let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
                     let h = excess / scale;
