@@ -532,6 +532,11 @@ fn pairing(
             terms.push(sweep.linear[row].dot(linear) + sweep.angular[row].dot(angular));
         }
     }
+    if let Some(start) = &sources.start {
+        let first = motion.rod.first_free_node();
+        let covector = sweep.start.components_from(first);
+        terms.extend((covector.zip(start.components_from(first))).map(|(c, d)| c * d));
+    }
     (
         terms.iter().sum(),
         terms.iter().map(|t: &f64| t.abs()).sum(),
