@@ -1,0 +1,224 @@
+//! What the documents name exists, and what they show is read: paths, keys of a scene, worked scenes, criteria of the certificate.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Vector3;
+use softarm::mechanics::Material;
+use softarm::scene::Scene;
+use softarm::task::{Arm, Discretization, Task};
+
+/// Most lines of the two documents that a newcomer reads first.
+const LONGEST: [(&str, usize); 3] = [
+    ("README.md", 200),
+    ("ARCHITECTURE.md", 250),
+    ("CHANGELOG.md", 40),
+];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(name: &str) -> String {
+    fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// The documents of the top level and of `docs`, relative to the root.
+fn documents() -> Vec<String> {
+    let mut names: Vec<String> = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"]
+        .map(String::from)
+        .into();
+    for entry in fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") {
+            names.push(format!("docs/{name}"));
+        }
+    }
+    names.sort();
+    names
+}
+
+/// Text without its fenced blocks, and these blocks with their language.
+fn split(text: &str) -> (String, Vec<(String, String)>) {
+    let (mut prose, mut blocks) = (String::new(), Vec::new());
+    let mut open: Option<(String, String)> = None;
+    for line in text.lines() {
+        match (&mut open, line.strip_prefix("```")) {
+            (None, Some(language)) => open = Some((language.to_string(), String::new())),
+            (Some(_), Some(_)) => blocks.extend(open.take()),
+            (Some((_, block)), None) => *block += &format!("{line}\n"),
+            (None, None) => prose += &format!("{line}\n"),
+        }
+    }
+    assert!(open.is_none(), "a fenced block is not closed");
+    (prose, blocks)
+}
+
+/// Targets of links, `[text](target)`.
+fn links(prose: &str) -> Vec<&str> {
+    prose
+        .split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split_once(')'))
+        .map(|(target, _)| target)
+        .collect()
+}
+
+/// Words between backticks.
+fn code(prose: &str) -> Vec<&str> {
+    prose.split('`').skip(1).step_by(2).collect()
+}
+
+/// The identifier of a heading in a link: lower case, words joined by hyphens, no punctuation.
+fn anchor(heading: &str) -> String {
+    let kept = heading
+        .trim_start_matches('#')
+        .trim()
+        .chars()
+        .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+    kept.collect::<String>().to_lowercase().replace(' ', "-")
+}
+
+/// Every link that is not to another site leads to a file, and to a heading in it where it names one.
+#[test]
+fn links_lead_somewhere() {
+    for document in documents() {
+        let folder = root().join(&document).parent().unwrap().to_path_buf();
+        let (prose, _) = split(&read(&document));
+        for link in links(&prose) {
+            if link.contains("://") {
+                continue;
+            }
+            let (file, heading) = link.split_once('#').unwrap_or((link, ""));
+            let path = if file.is_empty() {
+                root().join(&document)
+            } else {
+                folder.join(file)
+            };
+            assert!(path.exists(), "{document}: {link} leads nowhere");
+            if !heading.is_empty() {
+                let text = fs::read_to_string(&path).unwrap();
+                let found = text
+                    .lines()
+                    .filter(|line| line.starts_with('#'))
+                    .any(|line| anchor(line) == heading);
+                assert!(found, "{document}: {link} has no such heading");
+            }
+        }
+    }
+}
+
+/// Where a path in a document may begin: at the root, in `src`, or in the folder that a document speaks of.
+fn places(word: &str) -> [PathBuf; 2] {
+    [root().join(word), root().join("src").join(word)]
+}
+
+/// Every path to a source file, and every folder of the repository, that a document names between backticks exists.
+/// A bare file name without a folder is looked for everywhere under `src`.
+#[test]
+fn paths_exist() {
+    let mut names = BTreeSet::new();
+    collect(&root().join("src"), &mut names);
+    let folders = ["src/", "tests/", "examples/", "benches/", "docs/"];
+    for document in documents() {
+        let (prose, _) = split(&read(&document));
+        for word in code(&prose) {
+            let is_plain = word
+                .chars()
+                .all(|c| c.is_ascii_alphanumeric() || "._-/".contains(c));
+            let is_source = word.ends_with(".rs");
+            let is_folder = word.ends_with('/') && word.len() > 1;
+            let is_inside = folders.iter().any(|folder| word.starts_with(folder));
+            if !is_plain || !(is_source || is_folder || is_inside) {
+                continue;
+            }
+            let is_bare = word.trim_end_matches('/').split('/').count() == 1;
+            let exists = places(word).iter().any(|path| path.exists())
+                || is_bare && names.contains(word.trim_end_matches('/'));
+            assert!(exists, "{document}: `{word}` does not exist");
+        }
+    }
+}
+
+/// Names of all files and folders under `folder`.
+fn collect(folder: &Path, names: &mut BTreeSet<String>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let entry = entry.unwrap();
+        names.insert(entry.file_name().into_string().unwrap());
+        if entry.path().is_dir() {
+            collect(&entry.path(), names);
+        }
+    }
+}
+
+/// What is read first stays short.
+#[test]
+fn documents_are_short() {
+    for (name, most) in LONGEST {
+        let lines = read(name).lines().count();
+        assert!(lines <= most, "{name}: {lines} lines, at most {most}");
+    }
+}
+
+/// Every scene of the README and of the page on scenes is valid.
+#[test]
+fn worked_scenes_are_valid() {
+    let mut number = 0;
+    for document in ["README.md", "docs/scenes.md"] {
+        let (_, blocks) = split(&read(document));
+        for (_, scene) in blocks.iter().filter(|(language, _)| language == "toml") {
+            number += 1;
+            if let Err(error) = Scene::from_toml("scene", scene, &[]) {
+                panic!("{document}, scene {number}: {error}");
+            }
+        }
+    }
+    assert!(number >= 4, "only {number} scenes were found");
+}
+
+/// Every key of the schema stands on the page on scenes.
+#[cfg(feature = "schema")]
+#[test]
+fn every_key_is_explained() {
+    fn keys(value: &serde_json::Value, found: &mut BTreeSet<String>) {
+        match value {
+            serde_json::Value::Object(object) => {
+                if let Some(serde_json::Value::Object(properties)) = object.get("properties") {
+                    found.extend(properties.keys().cloned());
+                }
+                object.values().for_each(|value| keys(value, found));
+            }
+            serde_json::Value::Array(values) => values.iter().for_each(|value| keys(value, found)),
+            _ => (),
+        }
+    }
+    let schema = serde_json::to_value(Scene::schema()).unwrap();
+    let mut found = BTreeSet::new();
+    keys(&schema, &mut found);
+    assert!(found.len() > 100, "the schema has {} keys", found.len());
+    let page = read("docs/scenes.md");
+    let words: BTreeSet<&str> = page
+        .split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'))
+        .collect();
+    for key in found {
+        assert!(words.contains(key.as_str()), "docs/scenes.md: no {key}");
+    }
+}
+
+/// Every criterion of the certificate of a reach has its row on the page on accuracy.
+#[test]
+fn every_criterion_is_explained() -> Result<(), Box<dyn std::error::Error>> {
+    let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05);
+    let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 20.0);
+    let solution = softarm::solve(&arm, &task, &Discretization::with_elements(4))?;
+    let page = read("docs/accuracy.md");
+    for item in solution.certify()?.items {
+        let name = item.name;
+        assert!(
+            page.contains(&format!("`{name}`")),
+            "docs/accuracy.md: no {name}"
+        );
+    }
+    Ok(())
+}
