@@ -1,8 +1,8 @@
-//! What ends work before it is done: a time that is over, or somebody who asks.
+//! Deadlines and requests to stop.
 //!
 //! Whoever starts long work makes a [`StopSignal`] and passes it in; loops look at it every few milliseconds at most. A signal that
-//! is raised stays raised. Work may therefore be left half done where a loop finds it raised, without a result worth the name: whoever
-//! asked for that work looks at the signal as well, and finds it raised too.
+//! is raised stays raised. A loop that finds it raised may therefore return an incomplete result: its caller looks at the signal as well
+//! and drops that result.
 
 use std::panic::resume_unwind;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! `softarm check SCENE`
+//! `softarm check SCENE`: validates a scene and prints what follows from it: mass, sag, frequency, bounds, time step, predicted times and
+//! memory.
 
 use std::f64::consts::TAU;
 

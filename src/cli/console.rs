@@ -1,4 +1,4 @@
-//! Talk on stderr, data on stdout, and the two ways to interrupt.
+//! The console: messages on stderr, data on stdout, and the signals that interrupt a command.
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::path::Path;

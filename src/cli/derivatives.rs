@@ -1,4 +1,4 @@
-//! `softarm derivatives SCENE`
+//! `softarm derivatives SCENE`: compares every analytic derivative of a scene with differences.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! What can go wrong at the command line, and the exit code it has.
+//! The errors of the command line, each with its exit code.
 
 use super::exit;
 use crate::control::GuessError;

@@ -1,4 +1,4 @@
-//! `softarm example [NAME]`
+//! `softarm example [NAME]`: lists the built-in scenes, or prints one.
 
 use super::console::Console;
 use super::{Global, Outcome, exit};

@@ -1,4 +1,4 @@
-//! Whether there is enough memory for what a verb is about to do.
+//! Refuses a verb that needs more memory than the system can give.
 
 use super::error::CliError;
 use crate::memory::{Estimate, available};

@@ -1,4 +1,4 @@
-//! `softarm paper [--convergence] [--long] [--markdown]`
+//! `softarm paper [--convergence] [--long] [--markdown]`: recomputes the experiments of the paper's section 5.
 
 use std::time::Instant;
 

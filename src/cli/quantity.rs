@@ -1,4 +1,4 @@
-//! Numbers as people read them: four digits and a prefix of the unit, lines of at most 80 columns.
+//! Numbers for readers: four digits with a prefix of the unit, in lines of at most 80 columns.
 
 /// Columns of a line.
 const WIDTH: usize = 80;

@@ -1,4 +1,4 @@
-//! `softarm schema`
+//! `softarm schema`: prints the JSON Schema of the scene file.
 
 use super::console::Console;
 use super::{Outcome, exit};

@@ -1,4 +1,4 @@
-//! `softarm simulate SCENE [--out DIR] [--resume]`
+//! `softarm simulate SCENE [--out DIR] [--resume]`: forward simulation with rows on disk and checkpoints.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

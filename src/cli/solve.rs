@@ -1,4 +1,4 @@
-//! `softarm solve SCENE [--out DIR]`
+//! `softarm solve SCENE [--out DIR]`: solves, certifies, writes the result and prints progress and verdict.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};

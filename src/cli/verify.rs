@@ -1,4 +1,4 @@
-//! `softarm verify DIR`
+//! `softarm verify DIR`: checks a saved solution and its files again.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

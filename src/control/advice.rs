@@ -1,5 +1,5 @@
-//! What a mechanician says about a motion that did not come out: where it bends too tightly for its section or its elements, what its
-//! waves do within a block, whether the bounds can hold the target at all, and which part of the wrench was cheap.
+//! Advice for a motion that did not converge or is not resolved: elements that bend more than they resolve, strains beyond the elastic law,
+//! waves within a block of the controls, targets that the bounds cannot hold, and parts of a wrench that are cheap.
 
 use nalgebra::Vector3;
 

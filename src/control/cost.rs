@@ -1,4 +1,4 @@
-//! The part of the objective that depends on the states: least squares, sampled over the horizon.
+//! The part of the objective that depends on the states: least squares of rows, sampled over the horizon.
 
 use nalgebra::{SVector, Vector3};
 

@@ -1,4 +1,4 @@
-//! A free duration: what a longer step does to rows, costs and the Lagrangian.
+//! The derivative along a free duration: how rows, costs and the Lagrangian change when the time step becomes longer.
 
 use faer::Mat;
 

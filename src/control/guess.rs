@@ -1,4 +1,5 @@
-//! Where the solver starts: always a motion that the rod could make, never zeros.
+//! First points of a solve. Each is a motion of the rod under some controls: rest, static shapes toward the goals, a detour, or a simulated
+//! slow motion.
 
 use nalgebra::{Matrix3, Vector3};
 

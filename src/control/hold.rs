@@ -1,4 +1,4 @@
-//! Control signals: coefficients times basis functions of time, one linear map for every kind of hold.
+//! Controls as functions of time: coefficients times basis functions, one linear map for every kind of hold.
 
 use faer::Mat;
 

@@ -1,4 +1,4 @@
-//! What a search tells on its way, and the solves of one start by name.
+//! What a search reports while it runs: events, and the solves of one start by name.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;

@@ -1,4 +1,4 @@
-//! Obstacles: convex bodies, their signed distance and its derivatives.
+//! Obstacles: convex bodies, their signed distance and its first and second derivative.
 
 use nalgebra::{Matrix3, Vector3};
 

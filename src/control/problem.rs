@@ -1,4 +1,4 @@
-//! The optimal-control problem: a rod, a horizon, the wrenches that may be chosen, and what they must achieve.
+//! The discrete optimal-control problem: a rod, a time grid, actuators with bounds, goals, limits and an objective.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,8 +1,9 @@
-//! Solves with a free duration: first with a fixed one, then with both; and where that fails, down along the duration.
+//! Solves with a free duration: first with a fixed duration, then with the duration as a variable. If that fails, solves with fixed durations
+//! descend along the duration.
 //!
 //! The optimum over the controls changes with the duration as fast as the arm's elastic waves swing, so that linearized constraints say
-//! little about a duration that is a few steps longer. Between the two, the envelope theorem leads down safely: the derivative of the optimal
-//! value along the duration is that of the Lagrangian.
+//! little about a duration that is a few steps longer. The descent uses the envelope theorem: the derivative of the optimal value along the
+//! duration is that of the Lagrangian.
 
 use std::ops::ControlFlow;
 

@@ -1,4 +1,4 @@
-//! From a problem to solutions: guesses, continuation, and several starts.
+//! From a problem to a solution: several first points, continuation from easier problems, and several starts.
 
 use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;

@@ -4,8 +4,8 @@
 //! The states are eliminated by simulation and gradients come from one adjoint sweep; neither the lifted iterates, nor the sensitivities
 //! of many columns, Hessians, Clarabel or the filter are involved. With the constraints `c(v) = 0` every stage minimizes
 //! `J + yᵀc + ½ μ cᵀWc`, and `y ← y + μ W c` (Nocedal & Wright 2006, algorithm 17.4). `W = (AAᵀ)⁻¹` of the Jacobian `A` at the start: all
-//! constraints are then equally steep, whatever their units. Inequalities are not known here: problems with path constraints are refused, and
-//! bounds on controls are looked at afterwards.
+//! constraints are then equally steep, whatever their units. Inequalities are not treated: problems with path constraints are refused, and
+//! bounds on controls are examined afterwards.
 
 use std::cell::RefCell;
 

@@ -1,4 +1,4 @@
-//! Terms of one's own: functions of the arm's configuration that cost something, or that stay below zero.
+//! Terms of the user: functions of the arm's configuration that are costs, or that stay below zero.
 //!
 //! A [`StateTerm`] is a list of values `f_i(x, R)` at one instant, each with its first derivative as a linear form of `(δx, ζ)` of a few nodes,
 //! `δR = R ζ̂`. As a cost it adds `weight/2 ∫ Σ f_i² dt` to the objective ([`StateCost`]), as a limit it asks for `f_i ≤ 0` at all times, hard

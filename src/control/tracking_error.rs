@@ -1,4 +1,4 @@
-//! How well a motion follows the paths it should follow.
+//! The distance of a motion from the paths that it should follow.
 
 use super::problem::OptimalControlProblem;
 use crate::mechanics::Trajectory;

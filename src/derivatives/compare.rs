@@ -1,4 +1,4 @@
-//! An analytic derivative against central differences over a sweep of step sizes.
+//! Compares an analytic derivative with central differences over a sweep of step sizes; the bound follows from the sweep.
 
 use serde::{Serialize, Serializer};
 

@@ -1,4 +1,4 @@
-//! The derivatives of an optimal-control problem: objective, goals, path constraints, obstacles, reduced Hessian.
+//! Derivatives of an optimal-control problem: objective, goals, path constraints, obstacles, reduced Hessian.
 
 use std::collections::BTreeSet;
 

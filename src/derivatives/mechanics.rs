@@ -1,4 +1,4 @@
-//! The derivatives of the rod itself: element law, step, sweeps.
+//! Derivatives of the rod: energy of an element, linearized step, sweeps, symplectic identity.
 
 use fastrand::Rng;
 use nalgebra::{SVector, Vector3};

@@ -1,4 +1,4 @@
-//! Where derivatives are checked: a bent, twisted and moving arm, and controls within their bounds.
+//! The point at which derivatives are compared: a bent, twisted and moving arm, and controls within their bounds.
 
 use fastrand::Rng;
 use nalgebra::Vector3;

@@ -1,4 +1,4 @@
-//! Aligned storage for kernels.
+//! Aligned memory for the vectorized kernels.
 
 use std::ops::{Deref, DerefMut};
 

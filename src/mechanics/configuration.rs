@@ -1,4 +1,4 @@
-//! Configurations, states, and trajectories of configurations.
+//! Configurations (positions and rotations of all nodes), states (with momenta), and trajectories of configurations.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! Differences, for what has no derivative of its own.
+//! Central differences, for functions without an analytic derivative.
 
 use std::ops::{Mul, Sub};
 

@@ -1,4 +1,4 @@
-//! Energies and momenta of a state.
+//! Kinetic, elastic and gravitational energy and the momenta of a state.
 
 use nalgebra::Vector3;
 

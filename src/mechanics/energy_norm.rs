@@ -1,4 +1,4 @@
-//! The energy of small deviations from a motion, as a norm.
+//! The energy of a small deviation from a motion, as a quadratic form and a norm.
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;

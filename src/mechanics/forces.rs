@@ -1,4 +1,4 @@
-//! Nodal forces: elastic, gravity, and the rod's own loads.
+//! Forces and moments on the nodes: elastic, gravity, and the rod's own loads.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! Linear forms of the motion's tangent at single time nodes: what constraints and costs see of it.
+//! Linear forms of the variation of a motion at single time nodes: all that constraints and costs ask of a linearized motion.
 
 use super::linearization::StateTangent;
 

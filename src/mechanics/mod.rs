@@ -1,7 +1,7 @@
 //! The rod: rotations, strain rules, energy, loads, integrator, and its linearization. No costs.
 //!
 //! A [`Rod`] is built from [`RodParameters`] (or by [`Arm::rod`](crate::task::Arm::rod)); a [`Stepper`] moves its [`State`];
-//! [`static_equilibrium`] finds where it rests, [`SmallMotions`] how it sways about that.
+//! [`static_equilibrium`] finds its equilibrium, [`SmallMotions`] the natural frequencies about it.
 //!
 //! ```
 //! use nalgebra::Vector3;

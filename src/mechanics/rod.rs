@@ -1,4 +1,4 @@
-//! The discrete rod: what it is made of, where it is held, what acts on it.
+//! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! The stable time step.
+//! Time steps: the stable step of the explicit integrator, the limit of the implicit one under bending, and the step that is chosen.
 
 use nalgebra::SMatrix;
 

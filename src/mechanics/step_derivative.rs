@@ -1,4 +1,4 @@
-//! How the discrete equations of motion change with the time step while the configurations stay.
+//! The derivative of the discrete equations of motion along the time step, at fixed configurations.
 
 use nalgebra::Vector3;
 

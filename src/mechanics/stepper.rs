@@ -1,4 +1,4 @@
-//! The integrator that simulations use: in lanes where it can be, and the plain one for the rest.
+//! The integrator that simulations use: the vectorized one if it applies to the rod, and else the plain one.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! The tangent stiffness of the whole rod.
+//! The tangent stiffness of the whole rod, a block-tridiagonal matrix.
 
 use nalgebra::Matrix3;
 

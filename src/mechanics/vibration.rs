@@ -1,4 +1,4 @@
-//! Small motions about a configuration at rest: natural frequencies, and how fast an unstable one is left.
+//! Small motions about a configuration at rest: natural frequencies, and the rate at which a motion leaves an unstable one.
 //!
 //! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + c M q̇ + K q = 0` with the inertia `M` of the nodes, the viscous damping `c` and
 //! the tangent stiffness `K`. In a mode `K q = ω² M q` they go as `exp(s t)` with `s² + c s + ω² = 0`: where `ω² < 0` they grow. Of loads

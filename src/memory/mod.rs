@@ -1,4 +1,4 @@
-//! How much memory work takes at its peak, estimated before it begins, and what the system can give.
+//! The peak of the memory that work needs, estimated before it begins, and what the system can give.
 //!
 //! An estimate is meant to be no less than what is measured and no more than a few times that: it counts the large arrays by their
 //! sizes, at the moment when most of them are alive. `tests/memory.rs` holds it to that.

@@ -1,4 +1,4 @@
-//! What memory the system can still give to this process. Only Linux says; elsewhere nothing is known.
+//! The memory that the system can still give to this process. It is known on Linux only.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! `feedback.npz`: gains along a solution.
+//! `feedback.npz`: the gains of the regulator along a solution.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! What a simulation or an optimal-control solve writes to disk.
+//! The files of a result directory: reading and writing.
 
 mod checkpoint;
 mod controls;

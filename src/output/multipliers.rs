@@ -1,4 +1,4 @@
-//! `multipliers.json`: what `verify` needs beside the motion and the controls.
+//! `multipliers.json`: the Lagrange multipliers that `softarm verify` needs.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Numpy archives of 64-bit floats, written and read one number at a time, so that an array need not fit in memory.
+//! NumPy archives of 64-bit numbers, written and read one number at a time, so that an array need not fit in memory.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};

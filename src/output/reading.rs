@@ -1,4 +1,4 @@
-//! Files of a result directory as a stranger may have left them: only regular ones are opened, and no more is read than the result can hold.
+//! Reading of result files that may have been changed: only regular files are opened, and no more is read than the result can hold.
 
 use std::fs::{self, File};
 use std::io::Read;

@@ -1,4 +1,4 @@
-//! The summary objects that scripts read: `summary.json`, and what `--json` prints.
+//! The summary objects: `summary.json`, and what `--json` prints.
 
 use crate::control::{Abandoned, TrackingError};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! What section 5 measures: two models of one rod, step by step beside each other.
+//! The quantities of section 5: differences (87) to (90) between two models of one rod that are simulated side by side.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! Every number that section 5 prints, and what it is here.
+//! The numbers that section 5 prints, each beside the recomputed one.
 
 use super::comparison::Comparison;
 use super::{PaperError, Study};

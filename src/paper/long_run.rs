@@ -1,4 +1,4 @@
-//! The energy of a rod left to itself, over as many steps as asked for.
+//! The energy of a rod without loads over a long time.
 
 use nalgebra::Matrix3;
 

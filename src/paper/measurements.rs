@@ -1,4 +1,4 @@
-//! What the third experiment shows beside the printed numbers: locking, and the breakdown of the paper's model.
+//! The third experiment beyond its printed numbers: locking of the strain rule, and the breakdown of the model `dilatation` on fine grids.
 
 use super::{PaperError, Study};
 use crate::mechanics::{Integrator, NodeWrenches, RodModel, StepError, StrainRule};

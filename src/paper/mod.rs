@@ -1,4 +1,4 @@
-//! The numerical experiments of the paper's section 5, run again, and what its figures become.
+//! The numerical experiments of the paper's section 5, recomputed.
 //!
 //! The experiments are built-in scenes. [`Comparison`] holds the quantities that the paper prints, [`Figure`] sets them
 //! beside the printed ones, [`convergence`] is the study of section 5.4, and [`LongRun`] looks at the energy over as many

@@ -1,4 +1,4 @@
-//! The scenes that come with the program.
+//! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
 const SCENES: [(&str, &str); 13] = [

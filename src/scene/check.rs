@@ -1,4 +1,4 @@
-//! Ranges and relations between keys: what the types of a scene cannot say.
+//! Ranges of keys and relations between them that the types of a scene cannot express.
 
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Continuation, Control, Damping, DistributedLoad,

@@ -1,4 +1,4 @@
-//! The scene that describes a problem which was posed in a program.
+//! Writes a problem that a program posed as a scene.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! What is wrong with a scene, and where.
+//! Errors in a scene, with the place, what was expected, and what to do.
 
 use std::fmt;
 use std::ops::Range;

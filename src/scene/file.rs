@@ -1,4 +1,4 @@
-//! The file that a scene is read from: found, not too large, and text.
+//! Reads a scene from its file, and refuses what is too large or not text.
 
 use super::builtin;
 use super::error::{SceneError, excerpt, nearest};

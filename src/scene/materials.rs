@@ -1,4 +1,4 @@
-//! Materials by name: typical figures, where they are from, and how far others are from them.
+//! Materials by name: typical values, their sources, and the range of values in other sources.
 //!
 //! One number cannot describe a rubber: moduli differ by batch, cure, temperature, rate and stretch, and by a factor of two
 //! between one laboratory and the next. A preset is where a first arm begins; a measured modulus beside it takes its place.

@@ -1,4 +1,4 @@
-//! What a user writes: the scene file, its keys, and errors that point at the line.
+//! The scene file: its keys, its translation to arm, task and discretization, and errors that point at the line.
 //!
 //! A scene is TOML in SI units; every key of a physical quantity ends in its unit. It flows one way:
 //! a name or path and overrides become text ([`SceneSource`]), the text becomes a [`Scene`], and the scene is
@@ -18,7 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A section that is absent is a feature that the scene does not need; it is `None` here, and nothing is paid for it.
+//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scenes.md` explains every key.
 
 pub mod builtin;
 mod check;

@@ -1,4 +1,4 @@
-//! `KEY=VALUE`: one entry of a scene, set from the command line.
+//! `KEY=VALUE`: an entry of a scene that is set on the command line.
 
 use super::error::{Place, SceneError, excerpt};
 use super::reader::describe;

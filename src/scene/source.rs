@@ -1,4 +1,4 @@
-//! The text and the overrides that a scene came from, and where in them each key stands.
+//! The text and the overrides of a scene, and the place of each key in them.
 
 use super::error::{Line, Place, SceneError, excerpt};
 use super::overrides::Override;

@@ -1,4 +1,4 @@
-//! From a checked scene to the arm, the task and the discretization that it describes, and to what is made of them.
+//! From a checked scene to its arm, task and discretization, and to a simulation or an optimal-control problem.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! What a mechanician would say of a motion that broke down.
+//! Explanations of a simulation that broke down, such as an arm that topples under its weight.
 
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};

@@ -1,4 +1,4 @@
-//! Which of several attempts is the result: the best one that the check certifies, or else the best.
+//! Selects the result among several attempts: the best one that is certified, or else the best one.
 
 use super::examined::{Examined, Spent, examine};
 use super::solution::Solution;

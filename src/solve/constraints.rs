@@ -1,4 +1,4 @@
-//! The constraints of a problem by name, with how far a point is from meeting them.
+//! The constraints of a problem by name, with the amount by which a point violates them.
 
 use crate::control::{LiftedPoint, PathEnforcement, PathRow, Transcription};
 use crate::output::summary::NamedConstraint;

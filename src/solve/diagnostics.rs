@@ -1,4 +1,4 @@
-//! `diagnostics.npz` of an optimized motion: the controls count among the loads.
+//! `diagnostics.npz` of an optimized motion, whose controls count among the loads.
 
 use nalgebra::Vector3;
 

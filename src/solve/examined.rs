@@ -1,4 +1,4 @@
-//! What is found out about a solution: the check, and the regulator around it.
+//! Check and regulator of a solution, computed beside each other.
 
 use std::panic::resume_unwind;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! The files of a result directory.
+//! Writes the files of a result directory.
 
 use std::path::{Path, PathBuf};
 

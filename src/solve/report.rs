@@ -1,4 +1,4 @@
-//! What the report page of a solve shows.
+//! The contents of the report page of a solve.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! What the report page of a simulation shows.
+//! The contents of the report page of a simulation.
 
 use super::report::{ENERGY_ROWS, FRAMES, arm, fact, obstacles};
 use crate::output::summary::SimulateSummary;

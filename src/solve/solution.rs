@@ -1,4 +1,4 @@
-//! A solution: where a solve ended, in the terms of the problem.
+//! A solution: the end of a solve in terms of the problem, with its motion, controls and multipliers.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! What the column `kind` of the iteration table says.
+//! The column `kind` of the iteration table.
 
 use crate::sqp::{HessianKind, IterationRecord, Leave};
 

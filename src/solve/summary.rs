@@ -1,4 +1,4 @@
-//! What the summary of a solve says.
+//! The summary of a solve.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! A soft arm as it is, before anybody divides it into elements: material, sections, rest shape, base, gravity, damping, loads, payload.
+//! The continuous arm: material, sections, rest shape, base, gravity, damping, loads, payload. It has no elements.
 
 use nalgebra::{Matrix3, Vector3};
 

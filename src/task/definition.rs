@@ -1,4 +1,5 @@
-//! What an arm is to do: goals, points on the way, paths to follow, limits, obstacles, and the wrenches that may be chosen for it.
+//! The task of an arm: goals, points on the way, paths to follow, limits, obstacles, actuators, objective and horizon. It has no time
+//! steps.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,4 +1,4 @@
-//! How a continuous problem is cut into numbers: elements, steps, blocks and samples.
+//! The discretization of a continuous problem: elements, strain rule, integrator, time step, blocks of the controls and samples.
 
 use crate::control::Hold;
 use crate::mechanics::{RotaryInertia, StrainRule, TimeScheme};

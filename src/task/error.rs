@@ -1,4 +1,4 @@
-//! Why a continuous problem cannot be cut into the numbers that were asked for.
+//! Errors of a discretization: what the continuous problem or the requested numbers do not allow.
 
 use crate::control::{DurationConflict, GoalPart};
 use crate::mechanics::RodError;

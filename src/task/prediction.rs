@@ -1,10 +1,10 @@
-//! What a run will take, before it starts: seconds, predicted from the number of node-steps, and the integrator that takes fewer of them.
+//! Predicted times of simulations and solves, from the number of node-steps, and the integrator that is predicted to be faster.
 //!
 //! Time goes with the node-steps `(K + 1) N`. A simulation takes one step of every node each. An iteration of a solve linearizes every
 //! step, differentiates it with respect to every variable, and rolls out about one trial point; the check replays on finer grids. The
 //! constants per node-step are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
 //! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
-//! steel wire (iterations and checks); a prediction is good to a factor of two or three: it ranks, it does not time.
+//! steel wire (iterations and checks); a prediction is good to a factor of two or three, which suffices to rank.
 
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};

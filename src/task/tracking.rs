@@ -1,4 +1,4 @@
-//! Paths to follow: what a track without a weight weighs.
+//! The weight of a path to follow that has no weight of its own.
 
 use crate::control::{Actuator, Bound, Channel};
 use crate::mechanics::Rod;

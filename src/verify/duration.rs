@@ -1,4 +1,4 @@
-//! Whether a free duration is stationary, or held by its limits: from motions that last a little longer and shorter.
+//! Stationarity along a free duration, or a limit that holds it: from motions that last a little longer and shorter.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! The control as a function of time, from the definition of its hold and from nothing of the solver's.
+//! The controls as functions of time, from the definition of the hold; no code is shared with the solver's `control/hold.rs`.
 //!
 //! Every hold is a spline of some degree `p` (constant 0, linear 1, cubic 3) over clamped knots: the edges of the blocks, the first and the
 //! last repeated `p` times more. Its basis functions are those of Cox and de Boor (de Boor 1978, A Practical Guide to Splines, ch. IX),

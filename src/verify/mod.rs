@@ -1,7 +1,8 @@
 //! Re-checks a solution by code that shares no assembly with the solver.
 //!
 //! The optimality conditions are recomputed ([`kkt`]), the controls are replayed by the forward simulation on the same
-//! grid and on finer ones ([`refinement`]), constraints are looked at between nodes and samples, and the energy is balanced.
+//! grid and on finer ones ([`refinement`]), path constraints are evaluated between nodes and samples, and energy and momentum are balanced
+//! ([`momentum`]). [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
 mod dual;
 mod duration;

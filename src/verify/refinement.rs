@@ -1,4 +1,4 @@
-//! What refining the grids says: errors in time and space with their observed orders, and constraints between nodes and samples.
+//! Errors in time and space with their observed orders, and path constraints between nodes and samples, from replays on finer grids.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! Time integrals over samples, from the definition of the trapezoidal rule.
+//! Integrals over time by the trapezoidal rule on the samples.
 
 use crate::control::{OptimalControlProblem, PathConstraint};
 

@@ -1,4 +1,4 @@
-//! What is checked, and whether it belongs to the problem at all.
+//! The solution that is checked: motion, controls and multipliers, and whether their sizes fit the problem.
 
 use std::collections::HashMap;
 

@@ -1,4 +1,4 @@
-//! The rotation of a node during one step, without a division, a square root or a branch.
+//! The rotation of a node during one step, (85), without a division, a square root or a branch.
 
 use pulp::Simd;
 

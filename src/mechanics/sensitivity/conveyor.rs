@@ -1,4 +1,5 @@
-//! Linearized steps, on their way through a sweep: made a group ahead of where they are used, and never all there at once.
+//! The linearized steps that a sweep uses: computed some time nodes ahead of the sweep and dropped behind it, so that a trajectory is never
+//! linearized in memory as a whole.
 
 use std::cell::RefCell;
 use std::ops::Range;

@@ -1,5 +1,5 @@
-//! The linearization of runs of time nodes, packed: in lanes where it can be, one time node a lane, and the
-//! [clear one](StepLinearization) for the rest.
+//! The linearization of consecutive time nodes in the packed layout: one time node in each lane of a vector if the kernel applies, and the
+//! [plain linearization](StepLinearization) for the other nodes.
 
 use std::marker::PhantomData;
 

@@ -1,4 +1,4 @@
-//! Linearized steps, laid out for the kernels.
+//! Linearized steps in the memory layout of the vectorized kernels.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 

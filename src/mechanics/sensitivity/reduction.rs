@@ -1,4 +1,4 @@
-//! The second derivative of the Lagrangian, reduced to the columns.
+//! The second derivative of the Lagrangian, reduced to the control columns: `Σ_k Z_kᵀ Q_k Z_k`.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! The defects of a trajectory in lanes, one time node a lane.
+//! The defects of (77) and (81) along a trajectory, one time node in each lane of a vector.
 
 use std::marker::PhantomData;
 

@@ -1,4 +1,4 @@
-//! Forms, a tile at a time, backward: the transposes of the kernels that take columns forward.
+//! The adjoint sweep of many linear forms, a tile at a time: the transposes of the kernels in `tile.rs`.
 
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};

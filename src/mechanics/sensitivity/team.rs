@@ -1,7 +1,7 @@
-//! Threads that share out the tasks of one round after the other.
+//! Threads that share the tasks of a sweep, round by round.
 //!
 //! A sweep has hundreds of rounds of some microseconds each: the threads stay from the first to the last, and wait for each other without
-//! going to sleep. None waits for one that has nothing begun: a thread that gets no core leaves its tasks to the others.
+//! going to sleep. No thread waits for one that has not begun a task: the tasks of a thread without a core are taken over by the others.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};

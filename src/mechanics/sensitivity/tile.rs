@@ -1,4 +1,4 @@
-//! Columns of the linearized motion, a tile at a time, forward.
+//! The forward sweep of many columns of the linearized motion, a tile at a time.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! `controls.csv`: the times of the coefficients.
+//! `controls.csv`: the times of the coefficients, recomputed.
 
 use super::{FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;

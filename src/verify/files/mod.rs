@@ -1,4 +1,4 @@
-//! What the files of a result directory say beside the solution itself, compared with what they must say.
+//! The contents of the files of a result directory, compared with recomputed ones.
 //!
 //! Numbers that follow from the scene and the controls are recomputed, and compared within what rounding, or replays on another machine, can
 //! change.

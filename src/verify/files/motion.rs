@@ -1,4 +1,4 @@
-//! `trajectory.npz`: what stands beside the configurations.
+//! `trajectory.npz`: wrenches, energies and dilatations beside the configurations, recomputed.
 
 use nalgebra::Matrix3;
 

@@ -1,4 +1,4 @@
-//! `summary.json`: what a script would read, against what the check finds.
+//! `summary.json`: the fields that the check can recompute, compared.
 //!
 //! What is recomputed here is compared; the rest of the summary (times, iterations, the solver's own residuals, how other starts fared,
 //! names of worst rows) belongs to the solve and cannot be; it is [listed](SummaryCheck::not_recomputed).

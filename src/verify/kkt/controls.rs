@@ -1,4 +1,4 @@
-//! What the controls say: their cost, the gradient of the Lagrangian, bounds and their normals.
+//! The conditions on the controls: their cost, the gradient of the Lagrangian, bounds and their normals.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,6 +1,6 @@
 //! The optimality conditions, recomputed from a trajectory, the controls and the target's multipliers.
 //!
-//! Nothing here is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
+//! No assembly is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
 //! form (81) with `J_d`, and the adjoint equations are those of the two-level form, with second derivatives of the
 //! energy by central differences along the adjoint itself. Stresses of [implicit steps and Kelvin-Voigt
 //! damping](crate::mechanics::implicit) come from differentiated strains.

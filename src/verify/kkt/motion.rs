@@ -1,4 +1,4 @@
-//! What a trajectory says by itself: momenta, forces, defects of the equations of motion, residuals of the goals.
+//! Momenta, forces, defects of (77) and (81), and residuals of the goals, recomputed from a trajectory.
 
 use nalgebra::{Matrix3, Vector3};
 

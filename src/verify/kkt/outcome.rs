@@ -1,4 +1,4 @@
-//! The part of the Lagrangian over states, and what the rows of path constraints say.
+//! The terms of the Lagrangian over states, and the values of the path constraints.
 
 use nalgebra::{Matrix3, Vector3};
 

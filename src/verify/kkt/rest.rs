@@ -1,4 +1,4 @@
-//! Rest within a tolerance: what a velocity in a ball asks of its multiplier.
+//! Rest within a tolerance: the multiplier of a velocity in a ball points along the velocity at the edge and vanishes inside.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! Conditions by name: the four parts of the optimality conditions, each with the row where it is worst.
+//! The four parts of the optimality conditions, each with the name of its worst row.
 
 use nalgebra::Vector3;
 

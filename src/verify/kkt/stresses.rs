@@ -1,4 +1,4 @@
-//! Stresses that depend on both ends of a time step, in the adjoint equations.
+//! The terms of the adjoint equations from stresses that depend on both ends of a time step.
 
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
