@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 use softarm::mechanics::energy::linear_momentum;
 use softarm::mechanics::linearization::{Motion, defects};
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, ControlSignal, Oscillation, Integrator, LaneIntegrator, Load,
-    LoadFrame, MomentumBalance, MotionCurve, NodeWrenches, Rod, RodParameters, State, Stepper,
+    BaseCondition, BaseMotion, ControlSignal, Integrator, LaneIntegrator, Load, LoadFrame,
+    MomentumBalance, MotionCurve, NodeWrenches, Oscillation, Rod, RodParameters, State, Stepper,
     StrainRule, TimeGrid, TimeScheme, Trajectory, stable_step,
 };
 

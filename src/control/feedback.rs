@@ -32,7 +32,7 @@ use crate::mechanics::sensitivity::{Transition, transition};
 use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
-/// What a regulator weighs.
+/// Weights of the regulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedbackWeights {
     /// Of the energy of a deviation, twice over `EI/L`: its mean on the way, and what is left at the end; not negative.
@@ -63,7 +63,7 @@ pub enum FeedbackError {
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What it should be.
+        /// The values that are allowed.
         expected: &'static str,
     },
     /// Nothing can be corrected: no actuated component.
@@ -82,7 +82,7 @@ pub enum FeedbackError {
     IllPosed {
         /// The block.
         block: usize,
-        /// Which matrix.
+        /// The matrix that is not finite or not positive.
         what: &'static str,
     },
 }
@@ -104,7 +104,7 @@ pub struct Feedback {
     pub cost_to_go: Mat<f64>,
     /// Largest growth of the norm of a deviation from the start to each edge of the blocks, without feedback.
     pub open_loop: Vec<f64>,
-    /// The same with feedback.
+    /// The same growth with feedback.
     pub closed_loop: Vec<f64>,
 }
 

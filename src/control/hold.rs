@@ -4,7 +4,7 @@ use faer::Mat;
 
 use crate::mechanics::Wrench;
 
-/// How coefficients become a function of time.
+/// The course of a control between its coefficients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hold {
     /// One coefficient per block, constant over it.
@@ -30,7 +30,7 @@ impl Hold {
 /// The blocks of a control on a time grid, and how its coefficients act at the time nodes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlGrid {
-    /// How coefficients become a function of time.
+    /// The course of a control between its coefficients.
     pub hold: Hold,
     /// First step of every block, and the number of steps at the end.
     edges: Vec<usize>,

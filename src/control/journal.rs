@@ -15,20 +15,20 @@ pub struct SolveLog {
     pub from: String,
     /// Its rows, in order.
     pub rows: Vec<IterationRecord>,
-    /// How it ended, and so why the next one began.
+    /// How the solve ended, in words.
     pub ended: String,
 }
 
-/// What happens in a search.
+/// An event of a search.
 #[derive(Clone, Copy, Debug)]
 pub enum SearchEvent<'a> {
     /// A solve begins; `before` are those of the same start that came before it.
     Begins {
         /// Number of the start, from 0.
         start: usize,
-        /// What the solve begins from.
+        /// Name of the first point.
         from: &'a str,
-        /// Those before it.
+        /// The solves before it.
         before: &'a [SolveLog],
     },
     /// A row of the solve that began last.
@@ -42,7 +42,7 @@ pub enum SearchEvent<'a> {
     Ends(&'a Attempt),
 }
 
-/// Who is told; may stop a solve at its rows.
+/// Receives the events of a search; may stop a solve at each of its rows.
 pub type Listener<'a> = dyn Fn(&SearchEvent) -> ControlFlow<Stop> + Sync + 'a;
 
 /// The solves of one start, as they happen.

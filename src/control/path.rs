@@ -16,7 +16,7 @@ use crate::mechanics::strain::{IntervalStress, log_second_derivative};
 use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 
-/// What is limited.
+/// The quantity that a path constraint limits.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PathLimit {
     /// Points of the center line, with the arm's radius around them, stay `margin` clear of an obstacle.
@@ -79,7 +79,7 @@ pub enum PathLimit {
 pub struct PathConstraint {
     /// Name in reports.
     pub name: String,
-    /// What is limited.
+    /// The quantity that a path constraint limits.
     pub limit: PathLimit,
     /// The time nodes at which it must hold, ascending.
     pub time_nodes: Vec<usize>,

@@ -205,7 +205,7 @@ impl Tracking {
     }
 }
 
-/// What is made small.
+/// The objective.
 ///
 /// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals carry
 /// the step: refining the grid does not change what weights mean. Those over states are sums by the trapezoidal rule over
@@ -261,23 +261,23 @@ pub struct OptimalControlProblem {
     pub actuators: Vec<Actuator>,
     /// What must be reached.
     pub goals: Vec<Goal>,
-    /// What must hold on the way.
+    /// The path constraints: obstacles and limits.
     pub path: Vec<PathConstraint>,
-    /// What is made small.
+    /// The objective.
     pub objective: Objective,
     /// What may end work on the problem before it is done: roll-outs, sweeps, first points, gains and the check look at it. By
     /// default nothing.
     pub stop: StopSignal,
 }
 
-/// What does not go with a free duration.
+/// Parts of a problem that a free duration does not allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DurationConflict {
-    /// A cone whose size would be a variable.
+    /// A bound on the magnitude of a rate, which would be a cone of variable size.
     Rate,
-    /// The price of a path constraint, an integral over time; which one.
+    /// The price of a soft path constraint, an integral over time; its index.
     Path(usize),
-    /// A base that moves by the clock.
+    /// A driven base, whose motion is a function of time.
     Base,
     /// A term of one's own, which may depend on time.
     Term,
@@ -288,7 +288,7 @@ pub enum DurationConflict {
 pub struct GoalRow {
     /// Index of the goal.
     pub goal: usize,
-    /// Which vector.
+    /// The vector of the goal.
     pub part: GoalPart,
     /// Component, 0..3.
     pub axis: usize,

@@ -17,7 +17,7 @@ use crate::mechanics::rotation::{exp, log};
 use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
 use crate::stop::Stop;
 
-/// What is made easier at first.
+/// Continuation: the part of the problem that is made easier at first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Continuation {
     /// Goals move from where the arm starts to where they are.
@@ -32,7 +32,7 @@ pub enum Continuation {
     },
 }
 
-/// Where solves start.
+/// First points, continuation, starts and threads of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
     /// How the first point is made; `None` tries one after the other until a solve converges.
@@ -77,17 +77,17 @@ pub struct Abandoned {
 /// One solve.
 #[derive(Clone, Debug)]
 pub struct Attempt {
-    /// Which start, from 0.
+    /// Number of the start, from 0.
     pub start: usize,
     /// Where it started: name of a guess, `detour`, or `previous`.
     pub from: &'static str,
-    /// How it ended.
+    /// The end of the solve.
     pub outcome: SqpOutcome<LiftedPoint>,
-    /// What was tried before it.
+    /// The solves of the same start before it.
     pub abandoned: Vec<Abandoned>,
     /// All solves of this start in the order in which they were made, with their rows.
     pub solves: Vec<SolveLog>,
-    /// Which of them has the outcome.
+    /// Index of the solve that has the outcome.
     pub chosen: usize,
 }
 
@@ -118,8 +118,8 @@ impl Attempt {
             .then(self.start.cmp(&other.start))
     }
 
-    /// Whether this one is to be kept rather than an earlier one. One that was proven infeasible gives way to an unfinished one only
-    /// where that came far nearer: a little says nothing about what is feasible.
+    /// Whether this attempt replaces an earlier one. An attempt that was proven infeasible is replaced by an unfinished one only if
+    /// the infeasibility of that is far smaller ([`NEARER`]).
     fn improves_on(&self, earlier: &Self) -> bool {
         let is_proven = |attempt: &Self| attempt.outcome.status == SqpStatus::LocallyInfeasible;
         let [new, old] = [self, earlier].map(|attempt| attempt.outcome.residual.feasibility);
@@ -128,18 +128,18 @@ impl Attempt {
     }
 }
 
-/// Iterations after which another first point is tried, where there is one left and this solve does not get on.
+/// Iterations after which another first point is tried, if there is one left and the solve makes no progress ([`RECENT`]).
 const PATIENCE: usize = 50;
-/// The same where the infeasibility is small already: what is left then is the objective.
+/// The same if the infeasibility is below [`NEARLY_FEASIBLE`]: the solve then still has to lower the objective.
 const NEARLY_FEASIBLE: f64 = 1e-2;
 const PATIENCE_NEARLY_FEASIBLE: usize = 100;
-/// It gets on where over so many iterations the least infeasibility falls to this part.
+/// A solve makes progress if its least infeasibility falls to [`RECENT_GAIN`] of itself over so many iterations.
 const RECENT: usize = 25;
 const RECENT_GAIN: f64 = 0.9;
-/// Iterations within which an earlier solution leads to the next one, where there is another first point left. The fast waves of a light tip
-/// are others on another grid: what cancelled them sets them off, and the way back takes longer than the way from rest.
+/// Iterations after which an earlier solution as a first point is given up for another one. On another grid the fast waves of a light tip
+/// have other phases, so that the controls of the earlier solution may excite them.
 const NEXT_BY: usize = 25;
-/// Part of the infeasibility of an attempt that was proven infeasible at which an unfinished one says more.
+/// An unfinished attempt replaces one that was proven infeasible below this part of its infeasibility.
 const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
 const DETOURS: usize = 6;
@@ -220,7 +220,7 @@ fn iterations(outcome: &SqpOutcome<LiftedPoint>) -> usize {
     outcome.history.len().saturating_sub(1)
 }
 
-/// Where one solve starts.
+/// The first point of one solve.
 #[derive(Clone, Copy)]
 enum First<'a> {
     Previous(&'a [Wrench]),
@@ -714,8 +714,8 @@ mod tests {
         at
     }
 
-    /// What stands still is given up once the patience is over, later where it is nearly feasible; what stops getting on a little after that;
-    /// what falls by more than a tenth in 25 iterations never, unless it comes from an earlier solution.
+    /// A solve without progress is given up after `PATIENCE` iterations, and later if it is nearly feasible; one that stops making progress
+    /// a little after that; one whose infeasibility falls by more than a tenth in 25 iterations never, unless it began from an earlier solution.
     #[test]
     fn what_gets_on_is_not_given_up() {
         let falling = |rate: f64| move |k: usize| rate.powf(k as f64 / RECENT as f64);

@@ -135,7 +135,7 @@ pub struct SolveCost {
     pub total_s: f64,
 }
 
-/// What a simulation costs with either integrator, from the time of a node's step on the machine of ARCHITECTURE.md.
+/// The predicted time of a simulation with either integrator, from the seconds per node-step of [`prediction`](crate::task::prediction).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct CostEstimate {
     /// Step of the explicit integrator, s: the scene's own, or the automatic one.

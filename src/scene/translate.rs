@@ -217,7 +217,7 @@ impl Scene {
     #[must_use]
     pub fn deadline(&self, began: Instant) -> Option<Instant> {
         let seconds = self.solver.as_ref()?.deadline_s?;
-        // Beyond what a clock can tell there is no deadline worth the name.
+        // A deadline beyond the range of the clock is none.
         began.checked_add(Duration::try_from_secs_f64(seconds).ok()?)
     }
 

@@ -14,7 +14,7 @@ use crate::stop::StopSignal;
 /// A place along an arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Place {
-    /// Where the arm is held.
+    /// The base, where the arm is held.
     Base,
     /// Its free end.
     #[default]
@@ -58,7 +58,7 @@ impl Place {
 /// A given force and moment at a place of the arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointLoad {
-    /// Where it acts.
+    /// The place where it acts.
     pub at: Place,
     /// Force, N.
     pub force: Vector3<f64>,
@@ -85,7 +85,7 @@ pub struct Arm {
     pub rest_curvature: Vector3<f64>,
     /// Stress-free stretch (1: the arm is as long as `length`).
     pub rest_stretch: f64,
-    /// How the base is held.
+    /// The condition at the base: clamped, driven or free.
     pub base: BaseCondition,
     /// Position of the base, m; what a driven base moves from.
     pub base_position: Vector3<f64>,

@@ -19,7 +19,7 @@ pub enum Hardness {
     },
 }
 
-/// How near to a hard goal is near enough.
+/// Tolerances within which a hard goal counts as met.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tolerances {
     /// Distance from the position, m; `None`: it is met exactly.
@@ -53,7 +53,7 @@ impl Tolerances {
 pub struct Target {
     /// Name in reports.
     pub name: String,
-    /// Which place.
+    /// The place on the arm.
     pub at: Place,
     /// When, s; the nearest time node counts. `None`: at the end of the horizon.
     pub time: Option<f64>,
@@ -65,14 +65,14 @@ pub struct Target {
     pub at_rest: bool,
     /// Hard or soft.
     pub hardness: Hardness,
-    /// How near is near enough, where it is hard.
+    /// Tolerances within which a hard goal counts as met.
     pub tolerances: Tolerances,
 }
 
 /// A place that should follow a path: `weight/2 ∫ |x - x*|²/L² dt` in the objective.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// Which place.
+    /// The place on the arm.
     pub at: Place,
     /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside.
     pub path: Vec<(f64, Vector3<f64>)>,
@@ -115,7 +115,7 @@ impl Default for Cost {
     }
 }
 
-/// What is limited at all times.
+/// A quantity that is limited at all times.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LimitKind {
     /// The arm, with its radius, stays `margin` in m clear of an obstacle.
@@ -144,7 +144,7 @@ pub enum LimitKind {
     },
     /// Speed of a place, m/s.
     Speed {
-        /// Which place.
+        /// The place on the arm.
         at: Place,
         /// Largest.
         largest: f64,
@@ -153,12 +153,12 @@ pub enum LimitKind {
     Term(SharedTerm),
 }
 
-/// A limit, how often it is looked at, and how strictly it holds.
+/// A limit with the rate at which it is evaluated and its enforcement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limit {
     /// Name in reports.
     pub name: String,
-    /// What is limited.
+    /// The quantity that is limited.
     pub kind: LimitKind,
     /// Times per second at which it is kept, Hz. `None`: at every time step, or at about 1000 times of a longer motion.
     pub rate: Option<f64>,
@@ -176,13 +176,13 @@ pub struct ChannelLimits {
 }
 
 impl ChannelLimits {
-    /// A force or moment that is not there.
+    /// No force or moment.
     pub const NONE: Self = Self {
         bound: Some(Bound::Norm(0.0)),
         rate_bound: None,
     };
 
-    /// At most so many N or N m in magnitude.
+    /// A bound on the Euclidean norm, N or N m; no bound on the rate.
     #[must_use]
     pub fn at_most(limit: f64) -> Self {
         Self {
@@ -199,7 +199,7 @@ impl ChannelLimits {
 /// A wrench at a place that may be chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchActuator {
-    /// Where it acts; no two on one node.
+    /// The place where it acts; no two actuators share a node.
     pub at: Place,
     /// Force, spatial frame.
     pub force: ChannelLimits,
@@ -218,7 +218,7 @@ pub struct Task {
     pub start: Start,
     /// Goals at the end and points on the way.
     pub targets: Vec<Target>,
-    /// What must hold at all times.
+    /// Limits and obstacles that hold at all times.
     pub limits: Vec<Limit>,
     /// The wrenches that may be chosen.
     pub actuators: Vec<WrenchActuator>,

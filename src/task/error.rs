@@ -10,14 +10,14 @@ pub enum DiscretizeError {
     /// A number of the task or the discretization that is out of its range.
     #[error("{what}: {value} is not {expected}")]
     OutOfRange {
-        /// Which field.
+        /// The field of the arm, task or discretization.
         what: &'static str,
         /// The number.
         value: f64,
-        /// What it should be.
+        /// The values that are allowed.
         expected: &'static str,
     },
-    /// The arm makes no rod.
+    /// No rod can be built from the arm.
     #[error(transparent)]
     Rod(#[from] RodError),
     /// Stiffness and inertia are too far apart.
@@ -30,7 +30,7 @@ pub enum DiscretizeError {
         step: f64,
         /// The stable one, s.
         limit: f64,
-        /// What is taken where no step is given, s.
+        /// The step that is chosen if none is given, s.
         automatic: f64,
     },
     /// A free duration whose longest makes steps that cannot be taken.
@@ -47,12 +47,12 @@ pub enum DiscretizeError {
         /// A step of the horizon at which the longest one is stable, s.
         automatic: f64,
     },
-    /// More steps than anybody counts.
+    /// The horizon has too many steps.
     #[error("{n_steps:.3e} steps of {step:.3e} s are more than {most:e}")]
     TooManySteps {
-        /// How many.
+        /// Number of steps.
         n_steps: f64,
-        /// Each, s.
+        /// The time step, s.
         step: f64,
         /// The most there may be.
         most: f64,
@@ -62,7 +62,7 @@ pub enum DiscretizeError {
     TooManyStates {
         /// Steps of the horizon.
         n_steps: f64,
-        /// Each, s.
+        /// The time step, s.
         step: f64,
         /// Nodes of the rod.
         n_nodes: usize,
@@ -111,33 +111,33 @@ pub enum DiscretizeError {
     GoalConflict {
         /// Name of the goal.
         goal: String,
-        /// Which part of it.
+        /// The part of the goal.
         part: GoalPart,
         /// By how much, in the part's unit.
         amount: f64,
-        /// What is in its way, and where that is.
+        /// The reason, with the place of the obstruction.
         why: String,
-        /// When, s.
+        /// Time of the goal, s.
         time: f64,
-        /// What is in its way.
+        /// The obstruction.
         with: Obstruction,
     },
-    /// What does not go with a free duration.
+    /// The problem has a part that a free duration does not allow.
     #[error("a free duration does not go with {what}")]
     Duration {
-        /// Which part of the problem.
+        /// That part.
         conflict: DurationConflict,
         /// In words.
         what: String,
     },
 }
 
-/// What is in the way of a hard goal.
+/// The obstruction of a hard goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Obstruction {
     /// Another goal.
     Goal,
-    /// What holds the base.
+    /// The condition at the base.
     Base,
     /// A hard obstacle.
     Obstacle,

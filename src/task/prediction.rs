@@ -70,7 +70,7 @@ pub fn simulation_seconds(rod: &Rod, n_steps: f64) -> f64 {
     node_steps(rod, n_steps) * costs(rod).step
 }
 
-/// What a solve will take.
+/// The predicted time of a solve, and its parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolveTime {
     /// Seconds of an iteration.

@@ -497,7 +497,7 @@ fn account(
     let start = Energy::of(rod, &after);
     let mut energies = vec![start];
     observe(&after);
-    // Below this no energy passes through worth the name: rounding of the stiffest element.
+    // A smaller throughput is rounding of the stiffest element, and no energy to compare a residual with.
     let mut balance = EnergyBalance {
         throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
         ..EnergyBalance::default()
