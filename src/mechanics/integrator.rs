@@ -182,7 +182,7 @@ pub struct TimeNode {
     pub after: f64,
 }
 
-/// Where and why a step could not be taken.
+/// The reason why a step could not be taken, with node, step and time.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StepError {
     /// The discrete rotation has no regular solution.
@@ -274,7 +274,7 @@ pub enum StepError {
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// What was found.
+        /// The value that was found.
         quantity: &'static str,
     },
     /// Somebody ended it.

@@ -426,7 +426,7 @@ fn interval_error(
     }
 }
 
-/// How a load's wrench turns with its node.
+/// The derivative of a load's wrench along the rotation of its node.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadDerivative {
     /// The node.

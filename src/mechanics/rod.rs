@@ -112,7 +112,7 @@ impl SectionProfile {
     }
 }
 
-/// How the base node (node 0) is held.
+/// The condition at the base, node 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BaseCondition {
     /// Position and rotation fixed.
@@ -167,14 +167,14 @@ impl RotaryInertia {
     }
 }
 
-/// What a rod is built from; see [`Rod::new`].
+/// The parameters of a rod; see [`Rod::new`].
 #[derive(Clone, Debug)]
 pub struct RodParameters {
     /// Rest length, m.
     pub length: f64,
     /// Number of elements, at least 1.
     pub n_elements: usize,
-    /// How strains follow from the nodes.
+    /// The strain rule.
     pub strain_rule: StrainRule,
     /// How axial stretch enters stiffness and inertia.
     pub model: RodModel,
@@ -186,7 +186,7 @@ pub struct RodParameters {
     pub rest_curvature: Vector3<f64>,
     /// Stress-free stretch (1: the rod is as long as `length`).
     pub rest_stretch: f64,
-    /// How node 0 is held.
+    /// The condition at node 0.
     pub base: BaseCondition,
     /// Position of the base, m; what a driven base moves from.
     pub base_position: Vector3<f64>,
@@ -272,7 +272,7 @@ impl Scales {
 /// A rod of `K` elements and `K + 1` nodes.
 #[derive(Clone, Debug)]
 pub struct Rod {
-    /// How strains follow from the nodes.
+    /// The strain rule.
     pub strain_rule: StrainRule,
     /// How axial stretch enters stiffness and inertia.
     pub model: RodModel,
@@ -283,7 +283,7 @@ pub struct Rod {
     pub nodes: Vec<NodeInertia>,
     /// The share of each element in the inertia of its two ends, without the payload.
     pub element_inertia: Vec<[NodeInertia; 2]>,
-    /// How node 0 is held.
+    /// The condition at node 0.
     pub base: BaseCondition,
     /// What the rotary inertia of the nodes is made of.
     pub rotary_inertia: RotaryInertia,
@@ -318,7 +318,7 @@ pub enum RodError {
         parameter: &'static str,
         /// The offending value.
         value: f64,
-        /// What it should have been.
+        /// The values that are allowed.
         expected: &'static str,
     },
     /// Something that only [`RodModel::Standard`] has.

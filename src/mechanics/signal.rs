@@ -47,7 +47,7 @@ impl ControlSignal {
     /// The wrenches of time node `k`.
     ///
     /// # Panics
-    /// Where the signal ends before `k`.
+    /// When the signal ends before `k`.
     #[must_use]
     pub fn at(&self, k: usize) -> NodeWrenches<'_> {
         let n = self.nodes.len();

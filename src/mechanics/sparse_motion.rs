@@ -17,7 +17,7 @@ use super::{RodModel, StepError, Trajectory};
 pub struct MotionRow {
     /// Unknown, coefficient; an unknown may occur more than once.
     pub states: Vec<(usize, f64)>,
-    /// What wrenches add.
+    /// The terms of the control wrenches.
     pub wrenches: Vec<WrenchTerm>,
 }
 

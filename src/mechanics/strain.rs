@@ -62,7 +62,7 @@ pub struct IntervalStress {
 /// Stiffness and stress-free strain of one element.
 #[derive(Clone, Copy, Debug)]
 pub struct Element {
-    /// How the dilatation enters the stress.
+    /// The model of the section: how the dilatation enters the stress.
     pub model: RodModel,
     /// Rest length `l`, m.
     pub length: f64,

@@ -169,7 +169,7 @@ impl Checkpoint {
         Self::parse(&text).map(Some).map_err(malformed)
     }
 
-    /// What `text` holds, or what is wrong with it.
+    /// The checkpoint in `text`, or the fault of the text.
     fn parse(text: &str) -> Result<Self, String> {
         let not_one = |error| format!("not a checkpoint: {error}; start over without --resume");
         let head: Head = serde_json::from_str(text).map_err(not_one)?;

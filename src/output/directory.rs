@@ -114,13 +114,13 @@ impl ResultDirectory {
         }
     }
 
-    /// Where to write files.
+    /// The directory to write to while the run lives.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where the files will be found.
+    /// The directory of the result.
     #[must_use]
     pub fn place(&self) -> &Path {
         &self.place

@@ -9,7 +9,7 @@ pub enum OutputError {
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What was attempted, as in "cannot read".
+        /// The operation that failed, as in "cannot read".
         action: &'static str,
         /// The operating system's answer.
         source: io::Error,
@@ -19,7 +19,7 @@ pub enum OutputError {
     Unwritten {
         /// The file or directory.
         path: PathBuf,
-        /// What was attempted, as in "cannot write".
+        /// The operation that failed, as in "cannot write".
         action: &'static str,
         /// The operating system's answer.
         source: io::Error,
@@ -31,7 +31,7 @@ pub enum OutputError {
         path: PathBuf,
         /// The line in a text file, counted from 1.
         line: Option<u64>,
-        /// What is wrong, and what was expected.
+        /// The fault, and what was expected.
         reason: String,
     },
     /// Writing there would touch something that is not softarm's, or that another run is at work on.
@@ -39,7 +39,7 @@ pub enum OutputError {
     Refused {
         /// The path that was to be written.
         path: PathBuf,
-        /// What stands there, and what to do.
+        /// The contents of the directory, and what to do.
         reason: String,
     },
     /// A result is not where it was asked for, but safe.
@@ -66,7 +66,7 @@ pub enum OutputError {
     Kept {
         /// The directory of the run.
         folder: PathBuf,
-        /// What stopped the simulation.
+        /// The reason why the simulation ended.
         source: Box<OutputError>,
     },
 }

@@ -20,11 +20,11 @@ pub struct ReportData {
     pub arm: ReportArm,
     /// Its motion, thin enough to draw.
     pub motion: ReportMotion,
-    /// Where the tip should go.
+    /// The target of the tip.
     pub target: Option<ReportTarget>,
     /// Paths that nodes should follow.
     pub paths: Vec<ReportPath>,
-    /// What the arm should stay clear of.
+    /// The obstacles.
     pub obstacles: Option<ReportObstacles>,
     /// Force and moment on the tip.
     pub controls: Option<ReportControls>,
@@ -149,7 +149,7 @@ pub struct ReportObstacles {
 pub struct ReportObstacle {
     /// As the scene calls it.
     pub name: String,
-    /// What it looks like.
+    /// The shape.
     pub shape: ReportShape,
     /// Distance in meters that should be kept.
     pub margin: f64,
@@ -195,7 +195,7 @@ pub enum ReportShape {
     },
 }
 
-/// How a control runs between its values.
+/// The course of a control between its values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Hold {
@@ -218,7 +218,7 @@ pub enum Bound {
 /// Force and moment on the tip over time.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportControls {
-    /// How the values are to be read.
+    /// The course between the values.
     pub hold: Hold,
     /// In seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
     pub t: Vec<f64>,
@@ -295,11 +295,11 @@ pub struct ReportSensitivity {
 /// One solve on the way to the result.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportAttempt {
-    /// What it began from.
+    /// Name of the first point.
     pub from: String,
     /// Iterations it took.
     pub iterations: usize,
-    /// How it ended.
+    /// The end of the solve.
     pub ended: String,
     /// Whether it is the result.
     pub is_result: bool,
@@ -308,7 +308,7 @@ pub struct ReportAttempt {
 /// One SQP iteration.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportIteration {
-    /// Which solve it belongs to, from 1.
+    /// Number of the solve that it belongs to, from 1.
     pub attempt: usize,
     /// Its number.
     pub iteration: usize,
@@ -331,13 +331,13 @@ pub struct ReportIteration {
 pub struct ReportCheck {
     /// Its name.
     pub name: String,
-    /// What was found, with its unit.
+    /// The value that was found, with its unit.
     pub value: String,
-    /// What is allowed, with its unit.
+    /// The limit, with its unit.
     pub limit: String,
     /// Whether it passed.
     pub ok: bool,
-    /// What it says about the result, in a sentence.
+    /// The meaning of the criterion, in a sentence.
     pub meaning: String,
 }
 

@@ -26,7 +26,7 @@ pub fn row_bytes(layout: &[ArrayView]) -> u64 {
 /// The first rows of several arrays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RowPrefix {
-    /// How many.
+    /// Number of rows.
     pub rows: usize,
     /// CRC-32 of their numbers (64 bits, little-endian), row by row, in the order of the arrays.
     pub checksum: u32,

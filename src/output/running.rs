@@ -96,7 +96,7 @@ impl RunDirectory {
         Ok(target.with_file_name(name))
     }
 
-    /// Where the files are.
+    /// The directory of the files.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.folder

@@ -60,9 +60,9 @@ pub struct CheckSummary {
     pub at_rest: RestSummary,
     /// What may be chosen, and where it acts; empty for a simulation.
     pub actuators: Vec<ActuatorSummary>,
-    /// What holds the tip at its target.
+    /// The wrench that holds the tip at its target.
     pub static_need: Option<StaticNeedSummary>,
-    /// What a solve takes; absent for a simulation.
+    /// The predicted time of a solve; absent for a simulation.
     pub solve_cost: Option<SolveCost>,
     /// Whether the scene left the integrator open.
     pub integrator_is_chosen: bool,
@@ -79,7 +79,7 @@ pub struct MaterialSummary {
     pub youngs_modulus_pa: f64,
     /// Least and largest Young's modulus, Pa.
     pub range_pa: [f64; 2],
-    /// Where the figures are from.
+    /// Source of the figures.
     pub source: &'static str,
 }
 
@@ -111,7 +111,7 @@ pub struct ActuatorSummary {
     pub moment: String,
 }
 
-/// What holds the tip at its target.
+/// The wrench that holds the tip at its target.
 #[derive(Clone, Debug, Serialize)]
 pub struct StaticNeedSummary {
     /// `within-bounds`, `above-bounds`, or `not-found`.
@@ -122,7 +122,7 @@ pub struct StaticNeedSummary {
     pub reason: Option<String>,
 }
 
-/// What a solve takes, predicted.
+/// The predicted time of a solve.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct SolveCost {
     /// Seconds of an iteration.
@@ -270,7 +270,7 @@ pub struct SimulateSummary {
     pub dilatation: Range,
     /// Length of the polygon of nodes over the run, m.
     pub length_m: Range,
-    /// Where the files are.
+    /// The result directory.
     pub directory: String,
 }
 
@@ -291,7 +291,7 @@ pub struct PhaseSummary {
     pub feedback: f64,
 }
 
-/// What another method found, from a tenth away.
+/// The optimum of another method, which starts a tenth away from the solution.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct SecondOpinionSummary {
     /// `converged`, `bounds-violated` (it does not know them: not comparable), or `not-converged`.
@@ -403,11 +403,11 @@ pub struct BetweenSummary {
     pub excess: f64,
     /// Unit of the excess.
     pub unit: &'static str,
-    /// What the certificate compares it with.
+    /// The value that the certificate compares it with.
     pub reference: f64,
-    /// Where, as a fraction of the arm's length.
+    /// Place, as a fraction of the arm's length.
     pub along: f64,
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
 }
 
@@ -451,7 +451,7 @@ pub struct MomentumAccount {
     pub angular_n_m_s: f64,
     /// The larger of both, each over what rounding explains.
     pub over_rounding: f64,
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
 }
 
@@ -484,7 +484,7 @@ pub struct GrowthSummary {
     /// Energy of a disturbance of one percent of the initial state.
     #[serde(rename = "disturbance_J")]
     pub disturbance: f64,
-    /// How far it moves the tip, at most.
+    /// Largest displacement of the tip that it causes, m.
     pub tip_from_state_m: f64,
     /// How far an error of one percent of the largest force and moment that are used moves the tip, at most.
     pub tip_from_control_m: f64,
@@ -499,7 +499,7 @@ pub struct NamedConstraint {
     pub name: String,
     /// Node of the rod.
     pub node: usize,
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
     /// Amount of the violation (bounds: negative inside).
     pub amount: f64,
@@ -514,9 +514,9 @@ pub struct NamedConstraint {
 pub struct StartSummary {
     /// Its number, from 0.
     pub start: usize,
-    /// Where it started.
+    /// Name of the first point.
     pub from: &'static str,
-    /// How it ended.
+    /// The end of the solve.
     pub status: &'static str,
     /// Value of the objective.
     pub objective: f64,
@@ -529,7 +529,7 @@ pub struct StartSummary {
 /// One solve of the start that the result is from.
 #[derive(Clone, Debug, Serialize)]
 pub struct AttemptSummary {
-    /// What it began from.
+    /// Name of the first point.
     pub from: String,
     /// Iterations it took.
     pub iterations: usize,
@@ -550,7 +550,7 @@ pub struct SolveSummary {
     pub command: &'static str,
     /// Name of the scene.
     pub scene: String,
-    /// How the solver ended.
+    /// The status of the solver.
     pub status: &'static str,
     /// In words, where there is more to say.
     pub message: Option<String>,
@@ -564,11 +564,11 @@ pub struct SolveSummary {
     pub wall_s: f64,
     /// Median wall time of an iteration, s.
     pub iteration_s: f64,
-    /// Where the time went.
+    /// Times of the phases.
     pub phases_s: PhaseSummary,
     /// The solver's own residuals.
     pub kkt: KktResidual,
-    /// How fast the last steps shrank.
+    /// Ratio of the last two steps, and the observed order of convergence.
     pub convergence: Convergence,
     /// Distance of the tip from its target in the forward simulation, m.
     pub tip_error_m: f64,
@@ -596,17 +596,17 @@ pub struct SolveSummary {
     pub second_opinion: Option<SecondOpinionSummary>,
     /// The worst constraints by name.
     pub worst_constraints: Vec<NamedConstraint>,
-    /// Which form of subproblem.
+    /// The form of the quadratic subproblems.
     pub qp_backend: &'static str,
-    /// Which Hessian.
+    /// The Hessian of the quadratic subproblems.
     pub hessian: &'static str,
-    /// Which start was used.
+    /// The first point of the result.
     pub guess: &'static str,
     /// Solves from other first points that were given up before; `iterations` has theirs as well.
     pub abandoned: Vec<Abandoned>,
     /// All solves of this start, in the order in which they were made; `iterations.csv` counts them from 1.
     pub attempts: Vec<AttemptSummary>,
-    /// How every start fared.
+    /// The end of every start.
     pub starts: Vec<StartSummary>,
     /// Rod model.
     pub model: &'static str,
@@ -626,7 +626,7 @@ pub struct SolveSummary {
     pub variables: usize,
     /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
     pub multipliers: Vec<f64>,
-    /// Where the files are.
+    /// The result directory.
     pub directory: String,
 }
 

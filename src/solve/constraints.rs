@@ -4,7 +4,7 @@ use crate::control::{LiftedPoint, PathEnforcement, PathRow, Transcription};
 use crate::output::summary::NamedConstraint;
 use crate::sqp::{Evaluation, SqpOutcome};
 
-/// How many constraints are named.
+/// Number of constraints that are named, at most.
 const NAMED: usize = 5;
 
 /// Constraints by name, the most violated (scaled) first; those of a path with their worst row only. Where nothing is hard, the soft

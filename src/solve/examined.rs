@@ -9,7 +9,7 @@ use crate::mechanics::StepError;
 use crate::stop::Stop;
 use crate::verify::{CheckError, ForwardCheck};
 
-/// What was found out about a solution.
+/// Check and regulator of a solution.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Examined {
     /// The check, if it could be made.
@@ -20,7 +20,7 @@ pub(crate) struct Examined {
     pub feedback: Option<Feedback>,
     /// Why a regulator that was asked for was not found any more.
     pub without_gains: Option<Stop>,
-    /// What else went wrong, in sentences.
+    /// Other faults, in sentences.
     pub warnings: Vec<String>,
 }
 
@@ -67,7 +67,7 @@ pub(crate) fn examine(
     (examined, spent)
 }
 
-/// What was found, and the time that it took.
+/// A result, and the time that it took.
 struct Timed<T> {
     found: T,
     seconds: f64,

@@ -56,7 +56,7 @@ pub struct SolveOptions {
     pub settings: SqpSettings,
     /// Where it starts, how often, and on how many threads.
     pub search: Search,
-    /// What ends the work before it is done.
+    /// The signal that ends the work early.
     pub stop: StopSignal,
 }
 

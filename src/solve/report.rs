@@ -24,7 +24,7 @@ pub(super) const FRAMES: usize = 240;
 pub(super) const ENERGY_ROWS: usize = 600;
 const CLEARANCE_ROWS: usize = 600;
 
-/// What a solve's page shows.
+/// The contents of the page of a solve.
 pub(super) struct SolvePage<'a> {
     pub solution: &'a Solution,
     pub examined: &'a Examined,

@@ -18,7 +18,7 @@ use crate::verify::{self, CheckError, CheckLimits, ForwardCheck};
 pub struct Solution {
     /// The problem, on the grid of the solution.
     pub problem: Problem,
-    /// What it was solved with.
+    /// The settings of the solver.
     pub settings: SqpSettings,
     /// The attempt: status, objective, residuals, iterations.
     pub attempt: Attempt,
@@ -72,7 +72,7 @@ impl Solution {
         }
     }
 
-    /// How the solver ended.
+    /// The status of the solver.
     #[must_use]
     pub fn status(&self) -> &SqpStatus {
         &self.attempt.outcome.status
@@ -109,7 +109,7 @@ impl Solution {
             .collect()
     }
 
-    /// What the check looks at.
+    /// The solution in the form that the check reads.
     #[must_use]
     pub fn claim(&self) -> verify::Solution<'_> {
         verify::Solution {

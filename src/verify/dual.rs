@@ -231,7 +231,7 @@ pub(super) fn strain(
     (SVector::from_fn(|i, _| entry(i).value), derivative)
 }
 
-/// What an element knows of its pose.
+/// The pose of an element: chord and relative rotation.
 struct Relative {
     /// `R_aᵀ dx`
     difference: Vector3<f64>,

@@ -54,7 +54,7 @@ fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
     }
 }
 
-/// What a term of one's own is at a pose.
+/// Values of a term of the user at a pose.
 fn term_value(term: &dyn StateTerm, rod: &Rod, pose: &Pose, item: usize) -> f64 {
     let view = StateView {
         rod,

@@ -108,13 +108,13 @@ impl Default for CheckLimits {
 pub struct CheckItem {
     /// Short name, as in the summary.
     pub name: &'static str,
-    /// What was found, in `unit`.
+    /// The value that was found, in `unit`.
     pub value: f64,
-    /// What is acceptable.
+    /// The largest value that is acceptable, in `unit`.
     pub limit: f64,
     /// Unit of both; empty for pure numbers.
     pub unit: &'static str,
-    /// What it means.
+    /// The meaning of the criterion, in a sentence.
     pub meaning: &'static str,
 }
 
@@ -172,7 +172,7 @@ impl CheckItem {
     }
 }
 
-/// The proof that comes with a solution.
+/// The certificate of a solution.
 #[derive(Clone, Debug)]
 pub struct ForwardCheck {
     /// Recomputed optimality conditions.
@@ -328,7 +328,7 @@ pub struct Replay {
     pub balance: EnergyBalance,
 }
 
-/// Which replay of a solution broke down.
+/// A replay of a solution, in errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayKind {
     /// On the solution's own grid.
@@ -373,9 +373,9 @@ pub enum CheckError {
     /// A replay broke down.
     #[error("replay ({which}): {source}{}", which.advice())]
     Replay {
-        /// Which replay.
+        /// The replay.
         which: ReplayKind,
-        /// Where and why.
+        /// The step at which it broke down, and the reason.
         source: StepError,
     },
     /// The refined rod could not be built.
@@ -426,7 +426,7 @@ pub fn replay(
     })
 }
 
-/// What a motion is replayed by.
+/// The integrator of a replay.
 enum Simulation<'a> {
     /// The integrator itself, which knows its forces.
     Plain(Box<Integrator<'a>>),

@@ -27,7 +27,7 @@ pub struct MomentumBalance {
     pub angular: f64,
     /// The larger of both, each over what rounding explains.
     pub over_rounding: f64,
-    /// When, s.
+    /// Time, s.
     pub time: f64,
 }
 

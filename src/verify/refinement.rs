@@ -43,13 +43,13 @@ pub struct Between {
     pub reference: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// Where, as a fraction of the arm's length.
+    /// Place, as a fraction of the arm's length.
     pub along: f64,
-    /// When, s.
+    /// Time, s.
     pub time: f64,
 }
 
-/// What refined replays say.
+/// The result of the replays on finer grids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refinement {
     /// From the time step.

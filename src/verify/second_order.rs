@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use super::CheckError;
 use super::probe::Probe;
 
-/// What the curvature says.
+/// The kind of a stationary point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extremum {
     /// Positive beyond its error: a strict local minimum.
@@ -57,7 +57,7 @@ pub struct SecondOrder {
 }
 
 impl SecondOrder {
-    /// What it says.
+    /// The kind of the stationary point.
     #[must_use]
     pub fn extremum(&self) -> Extremum {
         if self.eigenvalue > self.error || self.dimension == 0 {

@@ -29,7 +29,7 @@ pub struct SolutionMultipliers<'a> {
 }
 
 impl<'a> SolutionMultipliers<'a> {
-    /// Where only goals have multipliers.
+    /// Multipliers of a problem in which only goals have them.
     #[must_use]
     pub fn of_goals(goals: &'a [f64]) -> Self {
         Self {
@@ -46,9 +46,9 @@ impl<'a> SolutionMultipliers<'a> {
 pub struct SolutionError {
     /// Which part: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
     pub place: String,
-    /// What is there.
+    /// The value or size that was found.
     pub found: String,
-    /// What belongs there.
+    /// The value or size that the problem asks for.
     pub expected: String,
 }
 

@@ -62,7 +62,7 @@ pub struct LaneIntegrator<'a> {
     control: Vec<(usize, Wrench)>,
 }
 
-/// What a clamped or driven base is set to.
+/// The pose of a clamped or driven base.
 #[derive(Clone, Debug)]
 struct HeldBase {
     rows: [f64; STATE_ROWS],
@@ -79,7 +79,7 @@ struct Constants {
     kinds: Vec<[usize; 2]>,
 }
 
-/// Where the nodes are; see [`sweep`].
+/// Positions and rotations of the nodes; see [`sweep`] for their order.
 #[derive(Clone, Copy, Debug)]
 struct Slots {
     n_blocks: usize,

@@ -107,7 +107,7 @@ pub struct Sweep<'a, R, L, T> {
     pub kind: PhantomData<(R, L)>,
 }
 
-/// What a part of a step found.
+/// The findings of a part of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Finding {
     /// Whether all positions, forces and moments are finite.

@@ -124,7 +124,7 @@ fn curvature_of_coupling<S: Simd>(log: &Logarithm<S>, n: Vec3<S>, y: Vec3<S>) ->
     hess_q * log.c + turned * log.slope + own * q
 }
 
-/// What the helical rule needs of an element.
+/// The quantities of an element that the helical rule needs.
 struct HelicalTerms<S: Simd> {
     c1: Vec3<S>,
     c2: Vec3<S>,

@@ -22,7 +22,7 @@ pub(super) const PIECE: usize = 16;
 /// Pieces of a group: with the next group they stay in the second-level cache.
 const GROUP: usize = 2;
 
-/// Which way a sweep goes.
+/// Direction of a sweep.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sense {
     Forward,
@@ -37,7 +37,7 @@ thread_local! {
     static SPARE: RefCell<Pieces> = const { RefCell::new(Vec::new()) };
 }
 
-/// What is linearized, and in which order.
+/// The steps that are linearized, and their order.
 pub(super) struct Conveyor<'a> {
     pub motion: &'a Motion<'a>,
     pub trajectory: &'a Trajectory,

@@ -414,7 +414,7 @@ impl Group<'_> {
     }
 }
 
-/// What rounding may make of a limit.
+/// Margin of a limit for rounding.
 pub(super) const ROUNDING: f64 = 1e-12;
 
 /// Nine rows from row `at` on.

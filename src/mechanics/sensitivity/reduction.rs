@@ -77,7 +77,7 @@ impl<'a> Record<'a> {
         self.own_ends.push(self.own_rows.len());
     }
 
-    /// Where the own rows of a batch of slots lie.
+    /// Place of the own rows of a batch of slots.
     fn own_batch(&self, batch: usize) -> Range<usize> {
         let end = |slot: usize| self.own_ends.get(slot.wrapping_sub(1)).copied();
         let last = self.own_rows.len();

@@ -155,7 +155,7 @@ impl ReverseTile {
         }
     }
 
-    /// What the forms say about sources and control.
+    /// Values of the forms along sources and control columns.
     fn read(&mut self, step: &PackedStep, k: usize, task: &Task) {
         let n_nodes = task.motion.rod.n_nodes();
         let (data, values) = (&self.data, &mut self.values);

@@ -74,7 +74,7 @@ fn owner(task: usize, n_threads: usize) -> usize {
     place.min(2 * n_threads - 1 - place)
 }
 
-/// How far all threads have come.
+/// The round that all threads have reached.
 struct Progress {
     round: AtomicUsize,
     /// Of every task, the first round in which it has not begun.

@@ -14,7 +14,7 @@ const SINGLE: f64 = 2e-3;
 /// Components of a deviation of one node: three each of position, turn, momentum and angular momentum.
 const COMPONENTS: usize = 12;
 
-/// What the file must hold.
+/// The contents that the file must have.
 #[must_use]
 pub fn expected(problem: &OptimalControlProblem, feedback: &Feedback) -> [NamedArray; 12] {
     feedback_arrays(feedback, problem.grid.duration())

@@ -17,9 +17,9 @@ pub struct Mismatch {
     pub file: &'static str,
     /// Column, array or field, with the row.
     pub place: String,
-    /// What is there.
+    /// The contents of the file.
     pub found: String,
-    /// What belongs there.
+    /// The recomputed contents.
     pub expected: String,
     /// Distance of both; absent where they are no numbers.
     pub difference: Option<f64>,

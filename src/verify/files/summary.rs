@@ -27,7 +27,7 @@ pub struct Expected<'a> {
     pub check: &'a ForwardCheck,
     /// The same as summaries carry it.
     pub outcome: &'a Value,
-    /// What the criteria were.
+    /// The criteria of the certificate.
     pub limits: &'a CheckLimits,
     /// Name of the Hessian that the scene asks for.
     pub hessian: &'a str,
@@ -64,7 +64,7 @@ impl Expected<'_> {
         }
     }
 
-    /// What the scene says.
+    /// The scene.
     fn facts(&self, summary: &Value, walk: &mut Walk) {
         let problem = self.problem;
         walk.word(summary, "command", "solve");
@@ -91,7 +91,7 @@ impl Expected<'_> {
         }
     }
 
-    /// What the solution is.
+    /// The solution.
     fn results(&self, summary: &Value, walk: &mut Walk) {
         let (problem, check) = (self.problem, self.check);
         let converged = summary["status"] == "converged";
@@ -301,7 +301,7 @@ pub fn was_checked(summary: &Value) -> bool {
     !check.is_null() && check["verdict"] != "not checked"
 }
 
-/// What a value is, in words.
+/// The kind of a JSON value, in words.
 fn kind(value: &Value) -> &'static str {
     match value {
         Value::Null => "null",

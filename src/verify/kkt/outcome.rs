@@ -159,7 +159,7 @@ fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
 pub(super) struct PathValue {
     h: f64,
     z: f64,
-    /// What one unit of `h` is worth in `unit`.
+    /// Factor from the scaled `h` to `unit`.
     scale: f64,
     unit: &'static str,
 }

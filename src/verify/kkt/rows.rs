@@ -9,15 +9,15 @@ pub struct NamedRow {
     pub name: String,
     /// Node of the rod.
     pub node: usize,
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
     /// `x`, `y` or `z`; empty for scalars. Of a vector that is judged as a whole, the largest.
     pub component: &'static str,
-    /// How far off, in `unit`.
+    /// Residual, in `unit`.
     pub value: f64,
     /// SI; the objective counts as a pure number.
     pub unit: String,
-    /// How far off, scaled.
+    /// Scaled residual.
     pub scaled: f64,
 }
 
