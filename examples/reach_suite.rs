@@ -117,7 +117,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let mut results = found.into_inner().unwrap_or_default();
     results.sort_by_key(|result| result.index);
-    println!("{}", report(&arguments, &results));
+    let given: Vec<String> = std::env::args().skip(1).collect();
+    println!(
+        "# Random reaches\n\nPrinted by `cargo run --release --example reach_suite -- {}`.\n\n{}",
+        given.join(" "),
+        report(&arguments, &results).trim()
+    );
     Ok(())
 }
 

@@ -95,7 +95,12 @@ pub(super) fn run(arguments: &PaperArguments, global: &Global, console: &Console
     let expected: Vec<_> = figures.iter().filter(|f| f.reproducible).collect();
     let reproduced = expected.iter().filter(|f| f.reproduced()).count();
     if arguments.markdown {
-        console.print(page.text.trim_end());
+        let given: Vec<String> = std::env::args().skip(1).collect();
+        console.print(&format!(
+            "# The paper's section 5, recomputed\n\nPrinted by `softarm {}`.\n\n{}",
+            given.join(" "),
+            page.text.trim()
+        ));
     } else {
         console.say(&page.text);
     }
