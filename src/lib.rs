@@ -36,6 +36,7 @@
 //! |---|---|
 //! | [`task`] | describe an arm, a task and a discretization |
 //! | [`solve`](mod@solve) | solve, certify, regulate, save |
+//! | [`mpc`] | close the loop on a measured state |
 //! | [`scene`] | read all of it from a TOML file |
 //! | [`mechanics`] | simulate a rod, find its equilibria and frequencies |
 //! | [`control`] | work with the discrete optimal-control problem |
@@ -58,6 +59,7 @@ pub mod derivatives;
 pub mod mechanics;
 #[doc(hidden)]
 pub mod memory;
+pub mod mpc;
 pub mod output;
 #[cfg(feature = "cli")]
 #[doc(hidden)]

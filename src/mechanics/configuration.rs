@@ -6,7 +6,7 @@ use super::linearization::StateTangent;
 use super::rotation::{exp, log};
 
 /// Position and rotation of every node.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Configuration {
     /// Spatial positions, m.
     pub positions: Vec<Vector3<f64>>,
@@ -15,7 +15,7 @@ pub struct Configuration {
 }
 
 /// A configuration with its momenta at the same instant.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct State {
     /// Positions and rotations.
     pub configuration: Configuration,
@@ -23,6 +23,38 @@ pub struct State {
     pub linear_momentum: Vec<Vector3<f64>>,
     /// Angular momentum of every node about itself, body frame, kg m²/s.
     pub angular_momentum: Vec<Vector3<f64>>,
+}
+
+impl Clone for Configuration {
+    fn clone(&self) -> Self {
+        Self {
+            positions: self.positions.clone(),
+            rotations: self.rotations.clone(),
+        }
+    }
+
+    /// Into the memory that is there.
+    fn clone_from(&mut self, other: &Self) {
+        self.positions.clone_from(&other.positions);
+        self.rotations.clone_from(&other.rotations);
+    }
+}
+
+impl Clone for State {
+    fn clone(&self) -> Self {
+        Self {
+            configuration: self.configuration.clone(),
+            linear_momentum: self.linear_momentum.clone(),
+            angular_momentum: self.angular_momentum.clone(),
+        }
+    }
+
+    /// Into the memory that is there.
+    fn clone_from(&mut self, other: &Self) {
+        self.configuration.clone_from(&other.configuration);
+        self.linear_momentum.clone_from(&other.linear_momentum);
+        self.angular_momentum.clone_from(&other.angular_momentum);
+    }
 }
 
 impl State {
@@ -41,16 +73,19 @@ impl State {
     /// compared in their own body frames, as the linearized motion does.
     #[must_use]
     pub fn difference(&self, reference: &Self) -> StateTangent {
-        let minus =
-            |a: &[Vector3<f64>], b: &[Vector3<f64>]| a.iter().zip(b).map(|(a, b)| a - b).collect();
+        let mut out = StateTangent::zeros(self.linear_momentum.len());
+        self.difference_into(reference, &mut out);
+        out
+    }
+
+    /// [`difference`](Self::difference) into a tangent of the same size.
+    pub fn difference_into(&self, reference: &Self, out: &mut StateTangent) {
         let (here, there) = (&self.configuration, &reference.configuration);
-        StateTangent {
-            positions: minus(&here.positions, &there.positions),
-            rotations: (here.rotations.iter().zip(&there.rotations))
-                .map(|(here, there)| log(&there.tr_mul(here)))
-                .collect(),
-            linear: minus(&self.linear_momentum, &reference.linear_momentum),
-            angular: minus(&self.angular_momentum, &reference.angular_momentum),
+        for q in 0..here.positions.len() {
+            out.positions[q] = here.positions[q] - there.positions[q];
+            out.rotations[q] = log(&there.rotations[q].tr_mul(&here.rotations[q]));
+            out.linear[q] = self.linear_momentum[q] - reference.linear_momentum[q];
+            out.angular[q] = self.angular_momentum[q] - reference.angular_momentum[q];
         }
     }
 

@@ -424,6 +424,11 @@ impl<'a> Integrator<'a> {
         self.step
     }
 
+    /// Its time steps.
+    pub(super) fn clock(&self) -> Clock {
+        self.clock
+    }
+
     /// Current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {

@@ -1119,6 +1119,13 @@ impl StateTangent {
         }
     }
 
+    /// The zero direction, in the same memory.
+    pub fn fill_zero(&mut self) {
+        for part in 0..4 {
+            self.part_mut(part).fill(Vector3::zeros());
+        }
+    }
+
     /// Nodes before `first` do not move.
     fn hold(&mut self, first: usize) {
         for part in 0..4 {

@@ -106,5 +106,6 @@ pub use rod::{
 pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
+pub(crate) use stepper::StepperMemory;
 pub use strain::StrainRule;
 pub use vibration::SmallMotions;

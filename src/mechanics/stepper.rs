@@ -4,9 +4,46 @@ use nalgebra::Vector3;
 
 use super::configuration::{State, Trajectory};
 use super::integrator::{Clock, Integrator, StepError};
-use super::lanes::LaneIntegrator;
+use super::lanes::{LaneIntegrator, LaneMemory};
 use super::rod::Rod;
 use super::signal::NodeWrenches;
+
+/// What a [`Stepper`] is besides its rod, put away between two motions of the same rod with the same step. In lanes, the next
+/// motion asks for no memory; steps that are solved for make theirs anew.
+#[derive(Clone, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a box would be memory that a motion asks for"
+)]
+pub(crate) enum StepperMemory {
+    Lanes(LaneMemory, (usize, State)),
+    Plain(Clock),
+}
+
+impl StepperMemory {
+    /// Memory for motions of `rod` with steps of this length.
+    pub fn new(rod: &Rod, step: f64) -> Self {
+        Stepper::new(rod, step, State::at_rest(rod.rest.clone())).into_memory()
+    }
+
+    /// A motion of `rod`, which is the rod of the motion before, from `start` (s) and `initial` on; a driven base is where the state has it.
+    pub fn begin<'a>(self, rod: &'a Rod, start: f64, initial: &State) -> Stepper<'a> {
+        match self {
+            Self::Lanes(memory, mut seat) => {
+                seat.0 = 0;
+                seat.1.clone_from(initial);
+                Stepper {
+                    engine: Engine::Lanes(memory.begin(rod, start, initial)),
+                    seat,
+                }
+            }
+            Self::Plain(clock) => {
+                let clock = Clock { start, ..clock };
+                Stepper::resume(rod, clock, initial.clone(), 0)
+            }
+        }
+    }
+}
 
 /// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] for steps that are solved
 /// for. Both take the same steps, equal to rounding.
@@ -18,8 +55,12 @@ pub struct Stepper<'a> {
 }
 
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a box would be memory that a motion asks for"
+)]
 enum Engine<'a> {
-    Lanes(Box<LaneIntegrator<'a>>),
+    Lanes(LaneIntegrator<'a>),
     Plain(Box<Integrator<'a>>),
 }
 
@@ -43,7 +84,7 @@ impl<'a> Stepper<'a> {
         let clock = clock.into();
         let seat = (step, state.clone());
         let engine = match LaneIntegrator::resume(rod, clock, &state, step) {
-            Some(lanes) => Engine::Lanes(Box::new(lanes)),
+            Some(lanes) => Engine::Lanes(lanes),
             None => Engine::Plain(Box::new(Integrator::resume(rod, clock, state, step))),
         };
         Self { engine, seat }
@@ -60,11 +101,11 @@ impl<'a> Stepper<'a> {
         }
         let step = self.step();
         if step.is_multiple_of(Self::SEAT) {
-            let state = match &mut self.engine {
-                Engine::Lanes(lanes) => lanes.reseat(),
-                Engine::Plain(plain) => plain.state().clone(),
-            };
-            self.seat = (step, state);
+            self.seat.0 = step;
+            match &mut self.engine {
+                Engine::Lanes(lanes) => lanes.reseat_into(&mut self.seat.1),
+                Engine::Plain(plain) => self.seat.1.clone_from(plain.state()),
+            }
         }
         Ok(())
     }
@@ -84,6 +125,23 @@ impl<'a> Stepper<'a> {
         match &self.engine {
             Engine::Lanes(lanes) => lanes.state(),
             Engine::Plain(plain) => plain.state().clone(),
+        }
+    }
+
+    /// The same into a state of the same size.
+    pub(crate) fn write_state(&self, state: &mut State) {
+        match &self.engine {
+            Engine::Lanes(lanes) if self.step() != self.seat.0 => lanes.write_state(state),
+            Engine::Plain(plain) if self.step() != self.seat.0 => state.clone_from(plain.state()),
+            _ => state.clone_from(&self.seat.1),
+        }
+    }
+
+    /// Ends the motion, and keeps its memory for another.
+    pub(crate) fn into_memory(self) -> StepperMemory {
+        match self.engine {
+            Engine::Lanes(lanes) => StepperMemory::Lanes(lanes.into_memory(), self.seat),
+            Engine::Plain(plain) => StepperMemory::Plain(plain.clock()),
         }
     }
 

@@ -431,7 +431,7 @@ enum Simulation<'a> {
     /// The integrator itself, which knows its forces.
     Plain(Box<Integrator<'a>>),
     /// The fast one.
-    Fast(Stepper<'a>),
+    Fast(Box<Stepper<'a>>),
 }
 
 impl<'a> Simulation<'a> {
@@ -444,7 +444,7 @@ impl<'a> Simulation<'a> {
         if rod.driven_base(0.0).is_some() {
             Self::plain(rod, grid, initial)
         } else {
-            Self::Fast(Stepper::new(rod, grid, initial))
+            Self::Fast(Box::new(Stepper::new(rod, grid, initial)))
         }
     }
 

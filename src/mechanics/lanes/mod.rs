@@ -60,6 +60,50 @@ pub struct LaneIntegrator<'a> {
     base: Option<HeldBase>,
     /// The control just before this time node, on nodes that move.
     control: Vec<(usize, Wrench)>,
+    /// Forces where a motion starts, on their way to the lanes.
+    seating: NodalForces,
+}
+
+/// What a [`LaneIntegrator`] is besides its rod: put away between two motions of the same rod with the same step, neither of
+/// which asks for memory of its own.
+#[derive(Clone, Debug)]
+pub(crate) struct LaneMemory {
+    clock: Clock,
+    step: usize,
+    arch: Arch,
+    slots: Slots,
+    state: Buffer,
+    constants: Constants,
+    spin: Buffer,
+    exchange: Buffer,
+    base: Option<HeldBase>,
+    control: Vec<(usize, Wrench)>,
+    seating: NodalForces,
+}
+
+impl LaneMemory {
+    /// A motion of `rod`, which is the rod of the motion before, from `start` (s) and `initial` on; a driven base is where the state has it.
+    pub fn begin<'a>(self, rod: &'a Rod, start: f64, initial: &State) -> LaneIntegrator<'a> {
+        let mut integrator = LaneIntegrator {
+            rod,
+            clock: Clock {
+                start,
+                ..self.clock
+            },
+            step: self.step,
+            arch: self.arch,
+            slots: self.slots,
+            state: self.state,
+            constants: self.constants,
+            spin: self.spin,
+            exchange: self.exchange,
+            base: self.base,
+            control: self.control,
+            seating: self.seating,
+        };
+        integrator.seat(initial, 0);
+        integrator
+    }
 }
 
 /// The pose of a clamped or driven base.
@@ -194,6 +238,24 @@ impl<'a> LaneIntegrator<'a> {
             exchange: Buffer::zeros(n_lanes * EXCHANGE_ROWS),
             base: None,
             control: Vec::new(),
+            seating: NodalForces::zeros(rod.n_nodes()),
+        }
+    }
+
+    /// Ends the motion, and keeps its memory for another.
+    pub(crate) fn into_memory(self) -> LaneMemory {
+        LaneMemory {
+            clock: self.clock,
+            step: self.step,
+            arch: self.arch,
+            slots: self.slots,
+            state: self.state,
+            constants: self.constants,
+            spin: self.spin,
+            exchange: self.exchange,
+            base: self.base,
+            control: self.control,
+            seating: self.seating,
         }
     }
 
@@ -205,9 +267,15 @@ impl<'a> LaneIntegrator<'a> {
     /// Forgets all but [`Self::state`], whose rotation matrices and momenta are rounded: what follows is the same to the
     /// bit as after [`Self::resume`] from that state, which is given back.
     pub fn reseat(&mut self) -> State {
-        let state = self.state();
-        self.seat(&state, self.step);
+        let mut state = self.state();
+        self.reseat_into(&mut state);
         state
+    }
+
+    /// The same into a state of the same size.
+    pub fn reseat_into(&mut self, state: &mut State) {
+        self.write_state(state);
+        self.seat(state, self.step);
     }
 
     fn seat(&mut self, state: &State, step: usize) {
@@ -225,12 +293,13 @@ impl<'a> LaneIntegrator<'a> {
             }
         }
         let configuration = &state.configuration;
-        let mut forces = NodalForces::zeros(rod.n_nodes());
+        let end = self.end_of_step();
+        let forces = &mut self.seating;
         forces.evaluate_at_node(
             rod,
             &configuration.positions,
             &configuration.rotations,
-            &self.end_of_step(),
+            &end,
         );
         let free = rod.first_free_node();
         if free > 0 {
@@ -251,7 +320,7 @@ impl<'a> LaneIntegrator<'a> {
         let mut last = quaternion(&configuration.rotations[0]);
         for node in 0..rod.n_nodes() {
             let place = slots.place(node);
-            let (force, moment) = (forces.forces[node], forces.moments[node]);
+            let (force, moment) = (self.seating.forces[node], self.seating.moments[node]);
             self.set(place, POSITION, &configuration.positions[node]);
             // Of the two signs the one near the neighbor, so that the relative rotation is near +1.
             let q = quaternion(&configuration.rotations[node]);
@@ -349,26 +418,31 @@ impl<'a> LaneIntegrator<'a> {
     /// State at the current time node, momenta included.
     #[must_use]
     pub fn state(&self) -> State {
-        let nodes = 0..self.rod.n_nodes();
+        let n = self.rod.n_nodes();
+        let mut state = State::at_rest(Configuration {
+            positions: vec![Vector3::zeros(); n],
+            rotations: vec![Matrix3::identity(); n],
+        });
+        self.write_state(&mut state);
+        state
+    }
+
+    /// The same into a state of the same size.
+    pub fn write_state(&self, state: &mut State) {
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.clock.step;
-        let momentum = |row: usize, force_row: usize, part: fn(&Wrench) -> Vector3<f64>| {
-            let mut momentum: Vec<_> = nodes
-                .clone()
-                .map(|q| self.of_node(q, row) * damping + self.of_node(q, force_row) * before)
-                .collect();
-            for (node, wrench) in &self.control {
-                momentum[*node] += part(wrench) * before;
-            }
-            momentum
+        let momentum = |node: usize, row: usize, force_row: usize| {
+            self.of_node(node, row) * damping + self.of_node(node, force_row) * before
         };
-        State {
-            configuration: Configuration {
-                positions: nodes.clone().map(|q| self.position(q)).collect(),
-                rotations: nodes.clone().map(|q| self.rotation(q)).collect(),
-            },
-            linear_momentum: momentum(LINEAR_MOMENTUM, FORCE, |wrench| wrench.force),
-            angular_momentum: momentum(ANGULAR_MOMENTUM, MOMENT, |wrench| wrench.moment),
+        for node in 0..self.rod.n_nodes() {
+            state.configuration.positions[node] = self.position(node);
+            state.configuration.rotations[node] = self.rotation(node);
+            state.linear_momentum[node] = momentum(node, LINEAR_MOMENTUM, FORCE);
+            state.angular_momentum[node] = momentum(node, ANGULAR_MOMENTUM, MOMENT);
+        }
+        for (node, wrench) in &self.control {
+            state.linear_momentum[*node] += wrench.force * before;
+            state.angular_momentum[*node] += wrench.moment * before;
         }
     }
 

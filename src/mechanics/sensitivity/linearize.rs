@@ -37,8 +37,29 @@ pub(super) fn linearize(
     first: usize,
     steps: &mut [PackedStep],
 ) -> Result<(), StepError> {
+    let mut lanes = Workspace::of(arch, motion);
+    linearize_in(
+        &mut lanes,
+        arch,
+        motion,
+        trajectory,
+        multipliers,
+        first,
+        steps,
+    )
+}
+
+/// The same with memory of the caller's, made [for such a motion](Workspace::of).
+pub(super) fn linearize_in(
+    lanes: &mut Option<Workspace>,
+    arch: Arch,
+    motion: &Motion,
+    trajectory: &Trajectory,
+    multipliers: Option<&Multipliers>,
+    first: usize,
+    steps: &mut [PackedStep],
+) -> Result<(), StepError> {
     let n_lanes = dispatch(arch, CountLanes);
-    let mut lanes = is_possible(motion).then(|| Workspace::new(motion.rod.n_nodes(), n_lanes));
     let run = |first: usize, steps: &mut [PackedStep], workspace: &mut Workspace, scope| {
         let group = Group {
             motion,
@@ -58,7 +79,7 @@ pub(super) fn linearize(
     let mut before = IntervalCurvature::default();
     if let (Some(k), Some(multipliers)) = (first.checked_sub(1), multipliers) {
         before = IntervalCurvature::at(motion, trajectory, multipliers, k);
-        if let Some(workspace) = &mut lanes {
+        if let Some(workspace) = lanes.as_mut() {
             let mut step = [PackedStep::default()];
             if run(k, &mut step, workspace, Scope::Drifts).drifts & 1 == 1 {
                 before = workspace.intervals[0].clone();
@@ -105,6 +126,7 @@ pub(super) fn is_possible(motion: &Motion) -> bool {
 }
 
 /// What a group of time nodes needs, a number in each lane.
+#[derive(Debug)]
 pub(super) struct Workspace {
     /// [`POSE_ROWS`] of every node, and those a step later.
     pub poses: Buffer,
@@ -122,6 +144,12 @@ pub(super) struct Workspace {
 const MULTIPLIER_ROWS: usize = 12;
 
 impl Workspace {
+    /// Where the lanes can linearize the motion.
+    pub fn of(arch: Arch, motion: &Motion) -> Option<Self> {
+        let n_lanes = dispatch(arch, CountLanes);
+        is_possible(motion).then(|| Self::new(motion.rod.n_nodes(), n_lanes))
+    }
+
     pub fn new(n_nodes: usize, n_lanes: usize) -> Self {
         Self {
             poses: Buffer::zeros(n_nodes * POSE_ROWS * n_lanes),

@@ -17,6 +17,7 @@ mod conveyor;
 mod linearize;
 mod packed;
 mod reduction;
+mod repeated;
 mod residual;
 mod reverse;
 mod team;
@@ -43,6 +44,7 @@ use super::integrator::StepError;
 use super::linearization::{AdjointSweep, Motion, Sources, StateTangent};
 use super::signal::ControlSignal;
 
+pub use self::repeated::RepeatedReverse;
 pub use self::residual::defects;
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.

@@ -7,10 +7,11 @@ use super::packed::{PackedStep, PackedStressDrift};
 use super::tile::Columns;
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
+use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
 use crate::mechanics::linearization::{AdjointSweep, StateTangent};
 
 /// Covectors of [`TILE`] forms: row `node * 12 + component`, form fastest.
+#[derive(Debug)]
 pub(super) struct ReverseTile {
     first_form: usize,
     /// Where the sum of all forms goes backward, in the first place: what it meets.
@@ -37,6 +38,16 @@ impl ReverseTile {
             values: vec![0.0; task.n_all() * TILE],
             flops: 0,
         }
+    }
+
+    /// Starts anew with forms of the same number; the memory stays.
+    pub fn restart(&mut self, forms: &[StateForm]) {
+        let end = (self.first_form + TILE).min(forms.len());
+        self.last = forms[end - 1].time_node;
+        self.data.fill(0.0);
+        self.increments.fill(0.0);
+        self.values.fill(0.0);
+        self.flops = 0;
     }
 
     /// The sum of all forms, and there must be one.

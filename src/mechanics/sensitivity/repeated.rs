@@ -1,0 +1,110 @@
+//! The reverse sweep over the same forms and columns again and again, as a controller needs it: the memory is its owner's, and no
+//! sweep after the first asks for more.
+
+use pulp::Arch;
+
+use super::conveyor::PIECE;
+use super::linearize::{Workspace, linearize_in};
+use super::packed::PackedStep;
+use super::reverse::ReverseTile;
+use super::{ControlColumns, TILE, Task};
+use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::forms::{NODE_COMPONENTS, StateForm};
+use crate::mechanics::integrator::StepError;
+use crate::mechanics::linearization::Motion;
+
+/// The values of forms along columns and along the state at the start, by the reverse route on one thread: the numbers of
+/// [`sensitivities`](super::sensitivities) to the bit.
+#[derive(Debug)]
+pub struct RepeatedReverse {
+    lanes: Option<Workspace>,
+    steps: Vec<PackedStep>,
+    tiles: Vec<ReverseTile>,
+    first_row: usize,
+}
+
+impl RepeatedReverse {
+    /// Memory for motions of this rod over a grid of this many steps, and for forms and columns of the number of these.
+    #[must_use]
+    pub fn new(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        columns: &dyn ControlColumns,
+        forms: &[StateForm],
+    ) -> Self {
+        let task = task(motion, trajectory, columns, forms);
+        let n_tiles = forms.len().div_ceil(TILE);
+        let mut steps = Vec::new();
+        steps.resize_with(PIECE, PackedStep::default);
+        Self {
+            lanes: Workspace::of(Arch::new(), motion),
+            steps,
+            tiles: (0..n_tiles)
+                .map(|index| ReverseTile::new(&task, index * TILE))
+                .collect(),
+            first_row: motion.rod.first_free_node() * NODE_COMPONENTS,
+        }
+    }
+
+    /// Sweeps once. Forms are in ascending order of time, their number and that of the columns those of the first time.
+    ///
+    /// # Errors
+    /// [`StepError`] where the trajectory cannot be linearized, or of the motion's stop signal.
+    pub fn sweep(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        columns: &dyn ControlColumns,
+        forms: &[StateForm],
+    ) -> Result<(), StepError> {
+        let task = task(motion, trajectory, columns, forms);
+        let arch = Arch::new();
+        for tile in &mut self.tiles {
+            tile.restart(forms);
+        }
+        let n_times = task.n_times();
+        for piece in (0..n_times.div_ceil(PIECE)).rev() {
+            let range = piece * PIECE..n_times.min((piece + 1) * PIECE);
+            if let Some(stop) = motion.stop {
+                stop.check_at(range.start)?;
+            }
+            let steps = &mut self.steps[..range.len()];
+            let (lanes, first) = (&mut self.lanes, range.start);
+            linearize_in(lanes, arch, motion, trajectory, None, first, steps)?;
+            for tile in &mut self.tiles {
+                for (step, k) in steps.iter().zip(range.clone()).rev() {
+                    tile.advance(arch, step, k, &task);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Value of a form along a column.
+    #[must_use]
+    pub fn along_column(&self, form: usize, column: usize) -> f64 {
+        self.tiles[form / TILE].values[column * TILE + form % TILE]
+    }
+
+    /// Derivative of a form along a component of the state at the start: `(δx, ζ, δp, δπ)` of every free node, node by node.
+    #[must_use]
+    pub fn along_start(&self, form: usize, component: usize) -> f64 {
+        self.tiles[form / TILE].component(self.first_row + component, form % TILE)
+    }
+}
+
+fn task<'a>(
+    motion: &'a Motion<'a>,
+    trajectory: &'a Trajectory,
+    columns: &'a dyn ControlColumns,
+    forms: &'a [StateForm],
+) -> Task<'a> {
+    Task {
+        motion,
+        trajectory,
+        sources: &[],
+        columns,
+        forms,
+        n_threads: 1,
+    }
+}

@@ -1,0 +1,471 @@
+//! The model over one horizon: roll-out, rows, sensitivities, and the condensed Gauss-Newton Hessian, all in memory that is kept.
+//!
+//! With `v` the scaled coefficients of the plan, `δs` the deviation of the state at the start from the predicted one and `r` the
+//! residuals of what is made small, the model of a sample is
+//!
+//! ```text
+//! r(v + x, s + δs) = r + J x + G δs,     ½ |r|² + ½ (v + x)ᵀ C (v + x) + ½ w |v₀ + x₀ - a|²
+//! ```
+//!
+//! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. `C` is effort
+//! and rate, `a` the control that acts when the horizon begins.
+
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, Par};
+use nalgebra::Vector3;
+
+use super::error::MpcError;
+use super::knots::Knots;
+use crate::control::{Component, OptimalControlProblem};
+use crate::mechanics::forms::NODE_COMPONENTS;
+use crate::mechanics::linearization::{Motion, StateTangent};
+use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
+use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
+use crate::mechanics::{
+    FormTerm, NodeWrenches, State, StateForm, StepperMemory, TimeGrid, Trajectory, Wrench,
+};
+
+/// What a row of the residuals is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Quantity {
+    /// A node's distance from its path, one axis, over the rod's length.
+    Track {
+        index: usize,
+        axis: usize,
+    },
+    /// A target's position, rotation, velocity or angular velocity, one axis, in the scales of its goal.
+    Position {
+        goal: usize,
+        axis: usize,
+    },
+    Rotation {
+        goal: usize,
+        axis: usize,
+    },
+    Velocity {
+        goal: usize,
+        axis: usize,
+    },
+    Spin {
+        goal: usize,
+        axis: usize,
+    },
+}
+
+/// A row of the residuals.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    quantity: Quantity,
+    /// Square root of its weight, over its scale.
+    factor: f64,
+}
+
+/// The model, at the plan and the start it was last prepared for.
+#[derive(Debug)]
+pub(super) struct Horizon {
+    pub problem: OptimalControlProblem,
+    pub components: Vec<Component>,
+    /// Scale of every component, N or N m.
+    pub scales: Vec<f64>,
+    pub knots: Knots,
+    /// The grid of the present horizon; of the longest one with its start.
+    pub grid: TimeGrid,
+    longest: TimeGrid,
+    rows: Vec<Row>,
+    /// Of every row, on the longest grid: ascending in time. Those of the present horizon are the last ones, moved to its grid.
+    forms: Vec<StateForm>,
+    form_nodes: Vec<usize>,
+    /// First row of the present horizon.
+    first_row: usize,
+    nodes: Vec<usize>,
+    wrenches: [Vec<Wrench>; 2],
+    trajectory: Trajectory,
+    /// State that the roll-out starts from, and the one that it ends in.
+    pub start: State,
+    end: State,
+    memory: Option<StepperMemory>,
+    sweep: RepeatedReverse,
+    residuals: Vec<f64>,
+    /// The residuals of the present horizon with the start moved.
+    moved: Vec<f64>,
+    /// `J` and `G`.
+    jacobian: Mat<f64>,
+    along_start: Mat<f64>,
+    /// `JᵀJ`.
+    pub square: Mat<f64>,
+}
+
+/// The columns of the plan's coefficients.
+struct Columns<'a> {
+    knots: &'a Knots,
+    grid: TimeGrid,
+    components: &'a [Component],
+    scales: &'a [f64],
+    problem: &'a OptimalControlProblem,
+    n: usize,
+}
+
+impl ControlColumns for Columns<'_> {
+    fn n_columns(&self) -> usize {
+        self.n
+    }
+
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+        for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
+            if weight == 0.0 {
+                continue;
+            }
+            for (at, component) in self.components.iter().enumerate() {
+                visit(
+                    coefficient * self.components.len() + at,
+                    self.problem.actuators[component.actuator].node,
+                    component.axis,
+                    weight * self.scales[at],
+                );
+            }
+        }
+    }
+
+    fn n_started(&self, _: usize) -> usize {
+        self.n
+    }
+}
+
+impl Horizon {
+    /// `weight` is what a unit of a target's scaled residual costs, squared and halved.
+    pub fn new(
+        problem: OptimalControlProblem,
+        mut knots: Knots,
+        weight: f64,
+    ) -> Result<Self, MpcError> {
+        if !problem.objective.terms.is_empty() || problem.objective.energy != 0.0 {
+            return Err(MpcError::Unsupported(
+                "the controller knows tracks, targets, effort and rate; leave out cost.energy and terms of one's own",
+            ));
+        }
+        if !problem.path_constraints().is_empty() {
+            return Err(MpcError::Unsupported(
+                "the controller knows bounds on the controls; leave out limits and obstacles",
+            ));
+        }
+        if problem.duration.is_some() {
+            return Err(MpcError::Unsupported(
+                "the controller knows a fixed duration; leave out free_duration",
+            ));
+        }
+        let grid = problem.grid;
+        let components = problem.actuated_components();
+        let scales: Vec<f64> = (components.iter())
+            .map(|component| problem.channel(component).scale)
+            .collect();
+        let (rows, forms) = rows(&problem, weight);
+        let n = knots.most(grid.duration()) * components.len();
+        knots.place(grid.start, grid.time(grid.n_steps));
+        let start = problem.initial.clone();
+        let n_nodes = problem.rod.n_nodes();
+        let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
+        for _ in 0..=grid.n_steps {
+            trajectory.push(&start.configuration);
+        }
+        let sweep = {
+            let motion = Motion {
+                rod: &problem.rod,
+                grid,
+                initial: &start,
+                stop: None,
+            };
+            let columns = Columns {
+                knots: &knots,
+                grid,
+                components: &components,
+                scales: &scales,
+                problem: &problem,
+                n,
+            };
+            RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
+        };
+        let nodes = problem.actuated_nodes();
+        let n_states = NODE_COMPONENTS * (n_nodes - problem.rod.first_free_node());
+        Ok(Self {
+            memory: Some(StepperMemory::new(&problem.rod, grid.step)),
+            form_nodes: forms.iter().map(|form| form.time_node).collect(),
+            first_row: 0,
+            wrenches: [(); 2].map(|()| vec![Wrench::default(); nodes.len()]),
+            nodes,
+            trajectory,
+            end: start.clone(),
+            start,
+            sweep,
+            residuals: vec![0.0; rows.len()],
+            moved: vec![0.0; rows.len()],
+            jacobian: Mat::zeros(rows.len(), n),
+            along_start: Mat::zeros(rows.len(), n_states),
+            square: Mat::zeros(n, n),
+            rows,
+            forms,
+            components,
+            scales,
+            knots,
+            longest: grid,
+            grid,
+            problem,
+        })
+    }
+
+    /// The most variables that a horizon has.
+    pub fn n_variables(&self) -> usize {
+        self.square.nrows()
+    }
+
+    /// Variables of the present horizon.
+    pub fn n_present(&self) -> usize {
+        self.knots.len() * self.components.len()
+    }
+
+    /// Puts the horizon from `start` (s) on: as long as the longest one, or until `due`. False where nothing is left of it.
+    pub fn place(&mut self, start: f64, due: Option<f64>) -> bool {
+        let whole = self.longest.n_steps;
+        let left = due.map_or(whole, |due| {
+            ((due - start) / self.longest.step).round().max(0.0) as usize
+        });
+        let n_steps = left.min(whole);
+        if n_steps == 0 {
+            return false;
+        }
+        self.grid = TimeGrid {
+            start,
+            n_steps,
+            ..self.longest
+        };
+        let passed = if due.is_some() { whole - n_steps } else { 0 };
+        self.first_row = self.form_nodes.partition_point(|node| *node < passed);
+        for (form, node) in (self.forms.iter_mut().zip(&self.form_nodes)).skip(self.first_row) {
+            form.time_node = node - passed;
+        }
+        self.knots.place(start, self.grid.time(n_steps));
+        true
+    }
+
+    /// What the plan applies at time `t`, scaled, one of each component.
+    pub fn control(&self, plan: &[f64], t: f64, out: &mut [f64]) {
+        let n = self.components.len();
+        out.fill(0.0);
+        for (coefficient, weight) in self.knots.at(t) {
+            for (out, v) in out.iter_mut().zip(&plan[coefficient * n..][..n]) {
+                *out += weight * v;
+            }
+        }
+    }
+
+    /// Simulates the plan from the start.
+    ///
+    /// # Errors
+    /// [`MpcError::Rollout`] where the motion breaks down.
+    pub fn roll_out(&mut self, plan: &[f64]) -> Result<(), MpcError> {
+        let Self {
+            problem,
+            knots,
+            grid,
+            nodes,
+            wrenches: [now, next],
+            trajectory,
+            ..
+        } = self;
+        let n = self.components.len();
+        let fill = |k: usize, wrenches: &mut [Wrench]| {
+            wrenches.fill(Wrench::default());
+            for (coefficient, weight) in knots.at_node(grid, k) {
+                let own = &plan[coefficient * n..][..n];
+                for ((component, v), scale) in self.components.iter().zip(own).zip(&self.scales) {
+                    let node = problem.actuators[component.actuator].node;
+                    let Some(at) = nodes.iter().position(|other| *other == node) else {
+                        continue;
+                    };
+                    let value = weight * v * scale;
+                    match component.axis.checked_sub(3) {
+                        None => wrenches[at].force[component.axis] += value,
+                        Some(axis) => wrenches[at].moment[axis] += value,
+                    }
+                }
+            }
+        };
+        trajectory.positions.clear();
+        trajectory.rotations.clear();
+        trajectory.push(&self.start.configuration);
+        let memory = self.memory.take();
+        let memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
+        let mut stepper = memory.begin(&problem.rod, grid.start, &self.start);
+        fill(0, now);
+        let mut outcome = Ok(());
+        for k in 0..grid.n_steps {
+            fill(k + 1, next);
+            let of = |wrenches| NodeWrenches { nodes, wrenches };
+            outcome = stepper.advance([of(now), of(next)]);
+            if outcome.is_err() {
+                break;
+            }
+            stepper.record(trajectory);
+            std::mem::swap(now, next);
+        }
+        stepper.write_state(&mut self.end);
+        self.memory = Some(stepper.into_memory());
+        outcome.map_err(MpcError::from)
+    }
+
+    /// Residuals and their derivatives along the plan and the start, and `JᵀJ`, at the motion of the last roll-out.
+    ///
+    /// # Errors
+    /// [`MpcError::Rollout`] where the motion cannot be linearized.
+    pub fn linearize(&mut self) -> Result<(), MpcError> {
+        for at in self.first_row..self.rows.len() {
+            self.evaluate(at);
+        }
+        let motion = Motion {
+            rod: &self.problem.rod,
+            grid: self.grid,
+            initial: &self.start,
+            stop: None,
+        };
+        let columns = Columns {
+            knots: &self.knots,
+            grid: self.grid,
+            components: &self.components,
+            scales: &self.scales,
+            problem: &self.problem,
+            n: self.square.nrows(),
+        };
+        let forms = &self.forms[self.first_row..];
+        (self.sweep).sweep(&motion, &self.trajectory, &columns, forms)?;
+        let n = self.knots.len() * self.components.len();
+        for j in 0..n {
+            let column = self.jacobian.col_as_slice_mut(j);
+            for (row, value) in column[..forms.len()].iter_mut().enumerate() {
+                *value = self.sweep.along_column(row, j);
+            }
+        }
+        for i in 0..self.along_start.ncols() {
+            let column = self.along_start.col_as_slice_mut(i);
+            for (row, value) in column[..forms.len()].iter_mut().enumerate() {
+                *value = self.sweep.along_start(row, i);
+            }
+        }
+        let jacobian = self.jacobian.get(..forms.len(), ..n);
+        let square = self.square.as_mut().get_mut(..n, ..n);
+        let transposed = jacobian.transpose();
+        matmul(square, Accum::Replace, transposed, jacobian, 1.0, Par::Seq);
+        Ok(())
+    }
+
+    /// `Jᵀ (r + G δs)` over the present variables, and `½ |r + G δs|²`.
+    pub fn gradient(&mut self, deviation: &StateTangent, gradient: &mut [f64]) -> f64 {
+        let first = self.problem.rod.first_free_node();
+        let present = &self.residuals[self.first_row..];
+        let moved = &mut self.moved[..present.len()];
+        moved.copy_from_slice(present);
+        for (i, d) in deviation.components_from(first).enumerate() {
+            for (r, slope) in moved.iter_mut().zip(self.along_start.col_as_slice(i)) {
+                *r += slope * d;
+            }
+        }
+        for (j, g) in gradient.iter_mut().enumerate() {
+            let column = self.jacobian.col_as_slice(j);
+            *g = moved.iter().zip(column).map(|(r, slope)| r * slope).sum();
+        }
+        0.5 * moved.iter().map(|r| r * r).sum::<f64>()
+    }
+
+    /// Position of a node at time node `k` of the last roll-out, m.
+    pub fn position(&self, k: usize, node: usize) -> Vector3<f64> {
+        self.trajectory.positions_at(k)[node]
+    }
+
+    /// Value and form of one row.
+    fn evaluate(&mut self, at: usize) {
+        let Row { quantity, factor } = self.rows[at];
+        let form = &mut self.forms[at];
+        let k = form.time_node;
+        let goals = &self.problem.goals;
+        let value = match quantity {
+            Quantity::Track { index, axis } => {
+                let track = &self.problem.objective.tracking[index];
+                let x = self.trajectory.positions_at(k)[track.node];
+                (x - track.position(self.grid.time(k)))[axis]
+            }
+            Quantity::Position { goal, axis } => {
+                let goal = &goals[goal];
+                let x = self.trajectory.positions_at(k)[goal.node];
+                goal.position.map_or(0.0, |target| (x - target)[axis])
+            }
+            Quantity::Rotation { goal, axis } => {
+                let goal = &goals[goal];
+                let r = self.trajectory.rotations_at(k)[goal.node];
+                let psi = log(&(goal.rotation.unwrap_or(r).transpose() * r));
+                let c = InverseTangentCoefficients::at(psi.norm_squared());
+                let slope = log_tangent(&psi, &c);
+                for (i, term) in form.terms.iter_mut().enumerate() {
+                    term.coefficient = factor * slope[(i, axis)];
+                }
+                psi[axis]
+            }
+            Quantity::Velocity { goal, axis } => {
+                let node = goals[goal].node;
+                self.end.linear_momentum[node][axis] / self.problem.rod.nodes[node].mass
+            }
+            Quantity::Spin { goal, axis } => {
+                let node = goals[goal].node;
+                self.end.angular_momentum[node][axis] / self.problem.rod.nodes[node].rotary[axis]
+            }
+        };
+        self.residuals[at] = factor * value;
+    }
+}
+
+/// All rows of the longest horizon, with their forms, in ascending order of time.
+fn rows(problem: &OptimalControlProblem, weight: f64) -> (Vec<Row>, Vec<StateForm>) {
+    let rod = &problem.rod;
+    let one = |node: usize, component: usize, coefficient: f64| FormTerm {
+        node,
+        component,
+        coefficient,
+    };
+    let mut out: Vec<(Row, StateForm)> = Vec::new();
+    let mut push = |time_node: usize, quantity: Quantity, factor: f64, terms: Vec<FormTerm>| {
+        out.push((Row { quantity, factor }, StateForm { time_node, terms }));
+    };
+    for (time_node, duration) in crate::control::sample_times(problem) {
+        for (index, track) in problem.objective.tracking.iter().enumerate() {
+            let factor = (track.weight * duration).sqrt() / rod.scales.length;
+            for axis in 0..3 {
+                let terms = vec![one(track.node, axis, factor)];
+                push(time_node, Quantity::Track { index, axis }, factor, terms);
+            }
+        }
+    }
+    for (goal, target) in problem.goals.iter().enumerate() {
+        let (k, node) = (target.time_node, target.node);
+        let (length, time) = (rod.scales.length, rod.scales.time);
+        let root = weight.sqrt();
+        let inertia = &rod.nodes[node];
+        for axis in 0..3 {
+            if target.position.is_some() {
+                let factor = root / length;
+                let terms = vec![one(node, axis, factor)];
+                push(k, Quantity::Position { goal, axis }, factor, terms);
+            }
+            if target.rotation.is_some() {
+                let terms = (0..3).map(|i| one(node, 3 + i, 0.0)).collect();
+                push(k, Quantity::Rotation { goal, axis }, root, terms);
+            }
+            if target.at_rest {
+                let factor = root * time / length;
+                let terms = vec![one(node, 6 + axis, factor / inertia.mass)];
+                push(k, Quantity::Velocity { goal, axis }, factor, terms);
+                let factor = root * time;
+                let terms = vec![one(node, 9 + axis, factor / inertia.rotary[axis])];
+                push(k, Quantity::Spin { goal, axis }, factor, terms);
+            }
+        }
+    }
+    out.sort_by_key(|(_, form)| form.time_node);
+    out.into_iter().unzip()
+}

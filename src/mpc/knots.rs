@@ -1,0 +1,200 @@
+//! The course of the controls over a moving horizon.
+
+use crate::mechanics::TimeGrid;
+
+use super::error::MpcError;
+use crate::control::Hold;
+
+/// Part of a block below which two knots are one.
+const SAME: f64 = 1e-6;
+
+/// Coefficients of a control over `[start, end]`, on a lattice of block lengths that stays where it is while the horizon moves: a plan
+/// that is carried over from one sample to the next is the same function of time.
+///
+/// The first and the last knot are the ends of the horizon, those between them lie on the lattice.
+#[derive(Debug)]
+pub(super) struct Knots {
+    hold: Hold,
+    block: f64,
+    times: Vec<f64>,
+}
+
+/// Coefficients that act together, with their weights; unused places have weight 0.
+pub(super) type Pair = [(usize, f64); 2];
+
+impl Clone for Knots {
+    fn clone(&self) -> Self {
+        Self {
+            times: self.times.clone(),
+            ..*self
+        }
+    }
+
+    /// Into the memory that is there.
+    fn clone_from(&mut self, other: &Self) {
+        self.hold = other.hold;
+        self.block = other.block;
+        self.times.clone_from(&other.times);
+    }
+}
+
+impl Knots {
+    /// # Errors
+    /// [`MpcError::Hold`] for a course that is neither constant nor linear.
+    pub fn new(hold: Hold, block: f64, longest: f64) -> Result<Self, MpcError> {
+        if hold == Hold::Cubic {
+            return Err(MpcError::Hold);
+        }
+        let most = (longest / block).ceil() as usize + 3;
+        Ok(Self {
+            hold,
+            block,
+            times: Vec::with_capacity(most),
+        })
+    }
+
+    /// The most coefficients that a horizon of this length may have.
+    pub fn most(&self, longest: f64) -> usize {
+        let inside = (longest / self.block - SAME).ceil() as usize;
+        match self.hold {
+            Hold::Constant => inside + 1,
+            Hold::Linear | Hold::Cubic => inside + 2,
+        }
+    }
+
+    /// Puts the knots where they are for a horizon from `start` to `end`.
+    pub fn place(&mut self, start: f64, end: f64) {
+        let least = SAME * self.block;
+        self.times.clear();
+        self.times.push(start);
+        let mut index = (start / self.block).floor() + 1.0;
+        while index * self.block < end - least {
+            if index * self.block > start + least {
+                self.times.push(index * self.block);
+            }
+            index += 1.0;
+        }
+        self.times.push(end);
+    }
+
+    /// Its course within a block.
+    pub fn hold(&self) -> Hold {
+        self.hold
+    }
+
+    /// Number of coefficients.
+    pub fn len(&self) -> usize {
+        match self.hold {
+            Hold::Constant => self.times.len() - 1,
+            Hold::Linear | Hold::Cubic => self.times.len(),
+        }
+    }
+
+    /// The time that a coefficient stands for, s: its knot, or the middle of its block.
+    pub fn time(&self, index: usize) -> f64 {
+        match self.hold {
+            Hold::Constant => 0.5 * (self.times[index] + self.times[index + 1]),
+            Hold::Linear | Hold::Cubic => self.times[index],
+        }
+    }
+
+    /// Time between a coefficient and the next, s.
+    pub fn gap(&self, index: usize) -> f64 {
+        self.time(index + 1) - self.time(index)
+    }
+
+    /// What the control is made of at time `t`, constant outside the horizon.
+    pub fn at(&self, t: f64) -> Pair {
+        let last = self.times.len() - 1;
+        let piece = (self.times.partition_point(|knot| *knot <= t)).clamp(1, last) - 1;
+        match self.hold {
+            Hold::Constant => [(piece, 1.0), (piece, 0.0)],
+            Hold::Linear | Hold::Cubic => {
+                let (a, b) = (self.times[piece], self.times[piece + 1]);
+                let s = ((t - a) / (b - a)).clamp(0.0, 1.0);
+                [(piece, 1.0 - s), (piece + 1, s)]
+            }
+        }
+    }
+
+    /// What the intervals beside time node `k` apply there on average: of a linear course its value, of a constant one the mean over
+    /// half an interval on either side.
+    pub fn at_node(&self, grid: &TimeGrid, k: usize) -> Pair {
+        let t = grid.time(k);
+        if self.hold == Hold::Linear {
+            return self.at(t);
+        }
+        let half = 0.5 * grid.step;
+        let from = if k == 0 { t } else { t - half };
+        let to = if k == grid.n_steps { t } else { t + half };
+        let ([(a, _), _], [(b, _), _]) = (self.at(from), self.at(to * (1.0 - f64::EPSILON)));
+        if a == b || to <= from {
+            return [(a, 1.0), (a, 0.0)];
+        }
+        let s = ((self.times[b] - from) / (to - from)).clamp(0.0, 1.0);
+        [(a, s), (b, 1.0 - s)]
+    }
+
+    /// Integral of the square over the horizon as a tridiagonal form: of coefficient `index` with itself, and with the next.
+    pub fn square(&self, index: usize) -> [f64; 2] {
+        match self.hold {
+            Hold::Constant => [self.times[index + 1] - self.times[index], 0.0],
+            Hold::Linear | Hold::Cubic => {
+                let after =
+                    (self.times.get(index + 1)).map_or(0.0, |next| next - self.times[index]);
+                let before = index.checked_sub(1);
+                let before = before.map_or(0.0, |i| self.times[index] - self.times[i]);
+                [(before + after) / 3.0, after / 6.0]
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Weights sum to one at every time node; the plan carried over to a horizon that moved on is the same function of time on what
+    /// both cover, between the knots as well.
+    #[test]
+    fn plans_are_carried_over() {
+        let value = |knots: &Knots, u: &[f64], t: f64| -> f64 {
+            knots.at(t).iter().map(|(i, w)| w * u[*i]).sum()
+        };
+        for hold in [Hold::Constant, Hold::Linear] {
+            let mut before = Knots::new(hold, 0.05, 0.5).unwrap();
+            let mut after = before.clone();
+            // Moves of whole blocks, which a constant course needs, and for a linear one the knot at the start moves as well.
+            for start in [0.0, 0.35, 1.05] {
+                before.place(start, start + 0.5);
+                let u: Vec<f64> = (0..before.len()).map(|i| ((7 * i) as f64).sin()).collect();
+                after.place(start + 0.05, start + 0.55);
+                assert!(after.len() <= after.most(0.5));
+                let moved: Vec<f64> = (0..after.len())
+                    .map(|i| value(&before, &u, after.time(i)))
+                    .collect();
+                for i in 0..90 {
+                    let t = start + 0.0501 + 0.005 * f64::from(i);
+                    let gap = value(&before, &u, t) - value(&after, &moved, t);
+                    assert!(gap.abs() < 1e-9, "{hold:?} {t}: {gap:e}");
+                }
+                let grid = TimeGrid {
+                    start,
+                    step: 0.5 / 37.0,
+                    n_steps: 37,
+                };
+                for k in 0..=37 {
+                    let sum: f64 = before.at_node(&grid, k).iter().map(|(_, w)| w).sum();
+                    assert!((sum - 1.0).abs() < 1e-12);
+                }
+                let ones: f64 = (0..before.len())
+                    .map(|i| {
+                        let [own, next] = before.square(i);
+                        own + 2.0 * next
+                    })
+                    .sum();
+                assert!((ones - 0.5).abs() < 1e-12, "{hold:?} {ones}");
+            }
+        }
+    }
+}

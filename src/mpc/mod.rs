@@ -1,0 +1,48 @@
+//! Closed-loop model-predictive control on the full rod.
+//!
+//! A [`Controller`] is made of an arm, a task and a discretization, as a solve is. Once a sample period it takes the measured state,
+//! positions, rotations and momenta of all nodes, and returns the wrenches to apply until the next sample. The measured state is a
+//! parameter of its linearized model, so that the answer to a measurement is one small quadratic program; all that costs time is
+//! prepared before the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first
+//! allocates memory.
+//!
+//! ```
+//! use nalgebra::Vector3;
+//! use softarm::mechanics::Material;
+//! use softarm::mpc::{Controller, MpcSettings};
+//! use softarm::task::{Arm, Cost, Discretization, Place, Task, Track};
+//!
+//! let silicone = Material::isotropic(1e6, 0.5, 1000.0);
+//! let arm = Arm::cylinder(&silicone, 1.0, 0.05);
+//! let upright = Vector3::new(0.0, 0.0, 1.0);
+//! let path = vec![(0.0, upright), (1.0, upright + Vector3::new(0.1, 0.0, 0.0))]; // times in s, positions in m
+//! let task = Task {
+//!     targets: Vec::new(),
+//!     cost: Cost {
+//!         effort: 0.01,
+//!         tracks: vec![Track { at: Place::Tip, path, weight: Some(1e4) }],
+//!         ..Cost::default()
+//!     },
+//!     ..Task::reach(upright, 1.0, 20.0)
+//! };
+//! let settings = MpcSettings::receding(0.2);
+//! let discretization = Discretization { samples: 10, ..Discretization::with_elements(4) };
+//! let mut controller = Controller::new(&arm, &task, &discretization, &settings)?;
+//! for _ in 0..3 {
+//!     let measured = controller.expected().clone(); // here a plant would be asked
+//!     let command = controller.feedback(&measured)?; // apply it from now on, then
+//!     assert!(command.from[0].force.norm() <= 20.0);
+//!     controller.prepare()?;
+//! }
+//! # Ok::<(), softarm::mpc::MpcError>(())
+//! ```
+
+mod controller;
+mod error;
+mod horizon;
+mod knots;
+mod subproblem;
+
+pub use controller::{Command, Controller, MpcSettings, SampleRecord};
+pub use error::MpcError;
+pub use subproblem::SubproblemEnd;

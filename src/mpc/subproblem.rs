@@ -1,0 +1,479 @@
+//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in convex sets that hold zero.
+//!
+//! Where the unconstrained minimum is feasible it is the answer. Elsewhere a primal-dual interior-point method finds the minimum (Boyd and
+//! Vandenberghe 2004, section 11.7): one factorization of `n × n` an iteration, iterates strictly within their sets, so that a control
+//! within its bounds is what comes out whenever it is stopped.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt;
+use faer::linalg::triangular_solve::{
+    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
+};
+use faer::{Mat, Par, Spec};
+
+use super::error::MpcError;
+
+/// Part of the way to zero that a multiplier may go, and of the product of multiplier and slack that the next is aimed at: Boyd and
+/// Vandenberghe 2004, pages 612 and 613.
+const INSIDE: f64 = 0.99;
+const CENTERING: f64 = 0.1;
+/// Part of the way to the boundary at which the first point is.
+const BEGIN: f64 = 0.9;
+/// Weight of a row that must keep its value, over the largest entry of the Hessian's diagonal.
+const FIXED: f64 = 1e8;
+/// Shortest step within the sets before a solve gives up.
+const SHORTEST: f64 = 1e-10;
+
+/// A row of `A`: few entries.
+pub(super) type Row = [(usize, f64); 2];
+
+/// Where consecutive rows must be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Set {
+    /// One row, `|z| ≤ limit`.
+    Interval { limit: f64 },
+    /// One row, zero.
+    Fixed,
+    /// `n` rows together, `|z| ≤ radius`.
+    Ball { n: usize, radius: f64 },
+}
+
+impl Set {
+    fn len(self) -> usize {
+        match self {
+            Self::Interval { .. } | Self::Fixed => 1,
+            Self::Ball { n, .. } => n,
+        }
+    }
+
+    /// `½ (|z|² - radius²)/radius`, which is at most zero within the set.
+    fn excess(self, z: &[f64]) -> f64 {
+        let square = z.iter().map(|z| z * z).sum::<f64>();
+        match self {
+            Self::Interval { limit } | Self::Ball { radius: limit, .. } => {
+                0.5 * (square / limit - limit)
+            }
+            Self::Fixed => 0.0,
+        }
+    }
+
+    fn limit(self) -> f64 {
+        match self {
+            Self::Interval { limit } | Self::Ball { radius: limit, .. } => limit,
+            Self::Fixed => 0.0,
+        }
+    }
+
+    /// Whether it limits anything.
+    fn bounds(self) -> bool {
+        self != Self::Fixed && self.limit().is_finite()
+    }
+}
+
+/// How an answer was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SubproblemEnd {
+    /// Iterations of the interior-point method; 0 where no bound is active.
+    pub iterations: usize,
+    /// Whether it came to its tolerance.
+    pub converged: bool,
+}
+
+/// The program, and its memory.
+pub(super) struct Subproblem {
+    pub hessian: Mat<f64>,
+    pub rows: Vec<Row>,
+    pub sets: Vec<Set>,
+    /// Cholesky factor of `H`, and of the matrix of an iteration.
+    free: Mat<f64>,
+    matrix: Mat<f64>,
+    scratch: MemBuffer,
+    direction: Mat<f64>,
+    /// `Hx + g`.
+    slope: Vec<f64>,
+    /// Values of the rows, and at a trial.
+    z: Vec<f64>,
+    trial: Vec<f64>,
+    moved: Vec<f64>,
+    /// Multipliers of the sets.
+    y: Vec<f64>,
+}
+
+impl std::fmt::Debug for Subproblem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Subproblem")
+            .field("sets", &self.sets)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Subproblem {
+    /// For at most so many variables and rows.
+    pub fn new(n: usize, most_rows: usize) -> Self {
+        let need = llt::factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
+        Self {
+            hessian: Mat::zeros(n, n),
+            rows: Vec::with_capacity(most_rows),
+            sets: Vec::with_capacity(most_rows),
+            free: Mat::zeros(n, n),
+            matrix: Mat::zeros(n, n),
+            scratch: MemBuffer::new(need),
+            direction: Mat::zeros(n, 1),
+            slope: vec![0.0; n],
+            z: vec![0.0; most_rows],
+            trial: vec![0.0; most_rows],
+            moved: vec![0.0; n],
+            y: vec![0.0; most_rows],
+        }
+    }
+
+    /// Factors the Hessian.
+    ///
+    /// # Errors
+    /// [`MpcError::Subproblem`] where it has no factor.
+    pub fn factor(&mut self) -> Result<(), MpcError> {
+        self.free.copy_from(&self.hessian);
+        factor(&mut self.free, &mut self.scratch)
+    }
+
+    /// The minimum for the gradient `g`, where the rows have the values `a` at `x = 0`: written to `x`. Ends when the duality gap is below
+    /// `tolerance` times the decrease that the unconstrained minimum promises, or after `limit` iterations.
+    pub fn solve(
+        &mut self,
+        g: &[f64],
+        a: &[f64],
+        tolerance: f64,
+        limit: usize,
+        x: &mut [f64],
+    ) -> Result<SubproblemEnd, MpcError> {
+        for (i, g) in g.iter().enumerate() {
+            self.direction[(i, 0)] = -g;
+        }
+        solve(&self.free, &mut self.direction);
+        let promised: f64 = (g.iter().enumerate())
+            .map(|(i, g)| -0.5 * g * self.direction[(i, 0)])
+            .sum();
+        for (i, x) in x.iter_mut().enumerate() {
+            *x = self.direction[(i, 0)];
+        }
+        values(&self.rows, a, x, &mut self.z);
+        let fixed = |set: Set, z: &[f64]| set == Set::Fixed && z[0] != 0.0;
+        if self
+            .of_sets()
+            .all(|(set, z)| set.excess(z) <= 0.0 && !fixed(set, z))
+        {
+            return Ok(SubproblemEnd {
+                iterations: 0,
+                converged: true,
+            });
+        }
+        let n_sets = self.sets.iter().filter(|set| set.bounds()).count() as f64;
+        self.start(a, promised / n_sets.max(1.0), x);
+        let enough = tolerance * promised.max(f64::MIN_POSITIVE);
+        let mut iterations = 0;
+        let mut converged = false;
+        while iterations < limit && !converged {
+            iterations += 1;
+            let gap: f64 = (self.of_sets().zip(&self.y))
+                .map(|((set, z), y)| {
+                    if set.bounds() {
+                        -set.excess(z) * y
+                    } else {
+                        0.0
+                    }
+                })
+                .sum();
+            let target = CENTERING * gap / n_sets;
+            self.assemble(g, x, target);
+            factor(&mut self.matrix, &mut self.scratch)?;
+            solve(&self.matrix, &mut self.direction);
+            let step = self.step(a, x, target);
+            // A full step leaves no dual residual.
+            converged = gap <= enough && step == 1.0 || step < SHORTEST;
+        }
+        Ok(SubproblemEnd {
+            iterations,
+            converged,
+        })
+    }
+
+    /// A point strictly within all sets: the values at `x = 0`, drawn towards zero as far as it takes; multipliers whose products with
+    /// the slacks are `product`.
+    fn start(&mut self, a: &[f64], product: f64, x: &mut [f64]) {
+        x.fill(0.0);
+        let mut part = 1.0f64;
+        let mut first = 0;
+        for set in &self.sets {
+            let z = &a[first..first + set.len()];
+            first += set.len();
+            let size = z.iter().map(|z| z * z).sum::<f64>().sqrt();
+            if set.bounds() && size > BEGIN * set.limit() {
+                part = part.min(BEGIN * set.limit() / size);
+            }
+        }
+        // Rows are differences of variables, or single ones: all values shrink with the variables.
+        let mut first = 0;
+        for set in &self.sets {
+            for i in first..first + set.len() {
+                let [(variable, _), (_, second)] = self.rows[i];
+                if second == 0.0 {
+                    x[variable] = (part - 1.0) * a[i];
+                }
+            }
+            first += set.len();
+        }
+        values(&self.rows, a, x, &mut self.z);
+        let mut first = 0;
+        for (index, set) in self.sets.iter().enumerate() {
+            let z = &self.z[first..first + set.len()];
+            first += set.len();
+            self.y[index] = if set.bounds() {
+                product / -set.excess(z)
+            } else {
+                0.0
+            };
+        }
+    }
+
+    fn of_sets(&self) -> impl Iterator<Item = (Set, &[f64])> {
+        let mut first = 0;
+        self.sets.iter().map(move |set| {
+            let z = &self.z[first..first + set.len()];
+            first += set.len();
+            (*set, z)
+        })
+    }
+
+    /// `H + Σ y f'' + Σ (y/-f) f' f'ᵀ`, and minus the gradient with multipliers that are aimed at `target`.
+    fn assemble(&mut self, g: &[f64], x: &[f64], target: f64) {
+        let n = g.len();
+        slope(&self.hessian, g, x, &mut self.slope);
+        self.matrix.copy_from(&self.hessian);
+        for i in 0..n {
+            self.direction[(i, 0)] = -self.slope[i];
+        }
+        let most = (0..n).fold(0.0f64, |m, i| m.max(self.hessian[(i, i)]));
+        let mut first = 0;
+        for (index, set) in self.sets.iter().enumerate() {
+            let range = first..first + set.len();
+            first = range.end;
+            if *set == Set::Fixed {
+                let weight = FIXED * most;
+                for (i, a) in self.rows[range.start] {
+                    self.direction[(i, 0)] -= weight * a * self.z[range.start];
+                    for (j, b) in self.rows[range.start] {
+                        self.matrix[(i, j)] += weight * a * b;
+                    }
+                }
+                continue;
+            }
+            if !set.bounds() {
+                continue;
+            }
+            let limit = set.limit();
+            let slack = -set.excess(&self.z[range.clone()]);
+            let (y, pull) = (self.y[index], target / slack);
+            for r in range.clone() {
+                for (i, a) in self.rows[r] {
+                    self.direction[(i, 0)] -= pull * a * self.z[r] / limit;
+                    for (j, b) in self.rows[r] {
+                        self.matrix[(i, j)] += y * a * b / limit;
+                    }
+                    for s in range.clone() {
+                        for (j, b) in self.rows[s] {
+                            let slopes = a * self.z[r] * b * self.z[s] / (limit * limit);
+                            self.matrix[(i, j)] += y / slack * slopes;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Goes along the direction, with the multipliers, as far as the sets and the decrease of the residual allow.
+    fn step(&mut self, a: &[f64], x: &mut [f64], target: f64) -> f64 {
+        let n = x.len();
+        // Change of the multipliers, in the place of the trial values, and the longest step that leaves them positive.
+        let mut longest = 1.0f64;
+        let mut first = 0;
+        for (index, set) in self.sets.iter().enumerate() {
+            let range = first..first + set.len();
+            first = range.end;
+            if !set.bounds() {
+                continue;
+            }
+            let slack = -set.excess(&self.z[range.clone()]);
+            let along: f64 = range
+                .map(|r| {
+                    let moved: f64 = (self.rows[r].iter())
+                        .map(|&(j, c)| c * self.direction[(j, 0)])
+                        .sum();
+                    moved * self.z[r] / set.limit()
+                })
+                .sum();
+            let y = self.y[index];
+            let change = (target + y * along) / slack - y;
+            self.trial[index] = change;
+            if change < 0.0 {
+                longest = longest.min(-y / change);
+            }
+        }
+        let mut step = if longest < 1.0 { INSIDE * longest } else { 1.0 };
+        loop {
+            for (j, moved) in self.moved[..n].iter_mut().enumerate() {
+                *moved = x[j] + step * self.direction[(j, 0)];
+            }
+            let mut inside = true;
+            let mut first = 0;
+            for set in &self.sets {
+                let range = first..first + set.len();
+                first = range.end;
+                if !set.bounds() {
+                    continue;
+                }
+                let mut square = 0.0;
+                for r in range {
+                    let value: f64 = a[r]
+                        + (self.rows[r].iter())
+                            .map(|&(j, c)| c * self.moved[j])
+                            .sum::<f64>();
+                    square += value * value;
+                }
+                inside &= square < set.limit() * set.limit();
+            }
+            if inside || step < SHORTEST {
+                break;
+            }
+            step *= 0.5;
+        }
+        if step >= SHORTEST {
+            x.copy_from_slice(&self.moved[..n]);
+            for (index, set) in self.sets.iter().enumerate() {
+                if set.bounds() {
+                    self.y[index] += step * self.trial[index];
+                }
+            }
+            values(&self.rows, a, x, &mut self.z);
+        }
+        step
+    }
+}
+
+/// `a + A x`
+fn values(rows: &[Row], a: &[f64], x: &[f64], out: &mut [f64]) {
+    for ((out, a), row) in out.iter_mut().zip(a).zip(rows) {
+        *out = a + row.iter().map(|(j, c)| c * x[*j]).sum::<f64>();
+    }
+}
+
+/// `Hx + g`
+fn slope(hessian: &Mat<f64>, g: &[f64], x: &[f64], out: &mut [f64]) {
+    out.copy_from_slice(g);
+    for (j, x) in x.iter().enumerate() {
+        for (out, h) in out.iter_mut().zip(hessian.col_as_slice(j)) {
+            *out += h * x;
+        }
+    }
+}
+
+fn factor(matrix: &mut Mat<f64>, scratch: &mut MemBuffer) -> Result<(), MpcError> {
+    llt::factor::cholesky_in_place(
+        matrix.as_mut(),
+        llt::factor::LltRegularization::default(),
+        Par::Seq,
+        MemStack::new(scratch),
+        Spec::default(),
+    )
+    .map(|_| ())
+    .map_err(|_| MpcError::Subproblem)
+}
+
+fn solve(factor: &Mat<f64>, x: &mut Mat<f64>) {
+    solve_lower_triangular_in_place(factor.as_ref(), x.as_mut(), Par::Seq);
+    solve_upper_triangular_in_place(factor.transpose(), x.as_mut(), Par::Seq);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than what many steps of the
+    /// projected-gradient method find, to the gap that was asked for, and within their sets to the bit.
+    #[test]
+    fn minima_are_those_of_projected_gradients() {
+        let n = 12;
+        let mut dice = fastrand::Rng::with_seed(5);
+        for case in 0..60 {
+            let size = 10f64.powi(case % 5 - 2);
+            let root: Vec<f64> = (0..n * n).map(|_| dice.f64() - 0.5).collect();
+            let mut program = Subproblem::new(n, 3 * n);
+            for i in 0..n {
+                for j in 0..n {
+                    let dot: f64 = (0..n).map(|k| root[i * n + k] * root[j * n + k]).sum();
+                    program.hessian[(i, j)] = dot + if i == j { 0.02 } else { 0.0 };
+                }
+            }
+            for start in [0, 3] {
+                program
+                    .rows
+                    .extend((start..start + 3).map(|i| [(i, 1.0), (i, 0.0)]));
+                program.sets.push(Set::Ball { n: 3, radius: 1.0 });
+            }
+            for i in 6..12 {
+                program.rows.push([(i, 1.0), (i, 0.0)]);
+                program.sets.push(Set::Interval { limit: 0.7 });
+            }
+            let g: Vec<f64> = (0..n).map(|_| size * (dice.f64() - 0.5)).collect();
+            let mut plan: Vec<f64> = (0..n).map(|_| 0.4 * (dice.f64() - 0.5)).collect();
+            plan[7] = 0.7;
+            let a: Vec<f64> = plan.clone();
+            program.factor().unwrap();
+            let mut x = vec![0.0; n];
+            let end = program.solve(&g, &a, 1e-10, 60, &mut x).unwrap();
+            assert!(end.converged, "{case}: {end:?}");
+            // Projected gradient.
+            let step = 1.0 / (0..n).map(|i| program.hessian[(i, i)]).sum::<f64>();
+            let mut other = vec![0.0; n];
+            for _ in 0..100_000 {
+                let mut slopes = vec![0.0; n];
+                slope(&program.hessian, &g, &other, &mut slopes);
+                for i in 0..n {
+                    other[i] -= step * slopes[i];
+                }
+                for start in [0, 3] {
+                    let v: Vec<f64> = (start..start + 3).map(|i| other[i] + a[i]).collect();
+                    let size = v.iter().map(|v| v * v).sum::<f64>().sqrt();
+                    if size > 1.0 {
+                        for i in 0..3 {
+                            other[start + i] = v[i] / size - a[start + i];
+                        }
+                    }
+                }
+                for i in 6..12 {
+                    other[i] = (other[i] + a[i]).clamp(-0.7, 0.7) - a[i];
+                }
+            }
+            let cost = |x: &[f64]| -> f64 {
+                let mut slopes = vec![0.0; n];
+                slope(&program.hessian, &g, x, &mut slopes);
+                (x.iter().zip(slopes.iter().zip(&g)))
+                    .map(|(x, (s, g))| 0.5 * x * (s + g))
+                    .sum()
+            };
+            let free: Vec<f64> = {
+                let mut free = Mat::from_fn(n, 1, |i, _| -g[i]);
+                super::solve(&program.free, &mut free);
+                (0..n).map(|i| free[(i, 0)]).collect()
+            };
+            // The gap is measured by what the minimum without bounds promises.
+            let (here, there, promised) = (cost(&x), cost(&other), cost(&free).abs());
+            assert!(
+                here <= there + 2e-10 * promised,
+                "{case}: {here:e} {there:e}"
+            );
+            for (set, z) in program.of_sets() {
+                assert!(set.excess(z) <= 0.0);
+            }
+        }
+    }
+}
