@@ -111,7 +111,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         payload_kg: scene
             .payload
             .as_ref()
-            .map_or(0.0, |payload| payload.mass_kg),
+            .map_or(0.0, |payload| payload.mass_kg.get()),
         material: (scene.rod.material.as_ref())
             .and_then(|material| material.preset)
             .map(|preset| {

@@ -224,7 +224,7 @@ fn continued(
             "the earlier run has steps of {step} s, and this one of {} s; time.end_s must be a whole number of the \
              earlier steps, for instance {}, and time.step_s may be left out",
             setup.grid.step,
-            (scene.time.end_s / step).round() * step
+            (scene.time.end_s.get() / step).round() * step
         ));
     }
     setup.grid.step = step;

@@ -106,7 +106,7 @@ impl Study {
             arm: scene.arm(&source)?,
             start: scene.start(),
             discretization: scene.discretization(),
-            end: scene.time.end_s,
+            end: scene.time.end_s.get(),
         })
     }
 

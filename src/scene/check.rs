@@ -1,10 +1,11 @@
 //! Ranges of keys and relations between them that the types of a scene cannot express.
 
 use super::model::{
-    Base, BaseKind, BaseMotion, Bound, Continuation, Control, Damping, DistributedLoad,
-    FreeDuration, Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Payload, Price,
-    Rod, RodModel, Scene, Section, Solver, Task, Time, TimeStep, Via,
+    Base, BaseKind, BaseMotion, Bound, Continuation, Control, DistributedLoad, FreeDuration,
+    Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, RodModel, Scene,
+    Section, Solver, Task, Time, TimeStep, Via,
 };
+use super::values::{self, Positive, digits};
 use super::{SceneError, SceneSource};
 use crate::task::MOST_STEPS;
 
@@ -30,17 +31,11 @@ impl Scene {
         if let Some(gravity) = &self.gravity {
             keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
         }
-        if let Some(damping) = &self.damping {
-            keys.check_damping(damping)?;
-        }
         for (index, load) in self.load.iter().enumerate() {
             keys.check_load(load, index, self.rod.elements)?;
         }
         for (index, load) in self.distributed_load.iter().enumerate() {
             keys.check_distributed_load(load, index)?;
-        }
-        if let Some(payload) = &self.payload {
-            keys.check_payload(payload)?;
         }
         if let Some(initial) = &self.initial {
             keys.check_initial(initial, self.base.kind)?;
@@ -64,9 +59,6 @@ impl Scene {
         if let Some(solver) = &self.solver {
             keys.check_solver(solver)?;
         }
-        if let Some(rate) = self.output.as_ref().and_then(|output| output.rate_hz) {
-            keys.positive("output.rate_hz", rate, "rate", "Hz")?;
-        }
         Ok(())
     }
 }
@@ -80,7 +72,6 @@ type Checked = Result<(), SceneError>;
 
 impl Keys<'_> {
     fn check_rod(&self, rod: &Rod) -> Checked {
-        self.positive("rod.length_m", rod.length_m, "length", "meters")?;
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
         match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
             (Some(material), Some(section), None, None) => {
@@ -90,42 +81,7 @@ impl Keys<'_> {
                     return Err(self.contradiction("rod.display_radius_m", "rod.section"));
                 }
             }
-            (None, None, Some(stiffness), Some(inertia)) => {
-                self.positive("rod.stiffness.ea_n", stiffness.ea_n, "stiffness", "N")?;
-                self.positive("rod.stiffness.ga_n", stiffness.ga_n, "stiffness", "N")?;
-                self.positive(
-                    "rod.stiffness.ei_n_m2",
-                    stiffness.ei_n_m2,
-                    "stiffness",
-                    "N m²",
-                )?;
-                self.positive(
-                    "rod.stiffness.gj_n_m2",
-                    stiffness.gj_n_m2,
-                    "stiffness",
-                    "N m²",
-                )?;
-                self.positive(
-                    "rod.inertia.mass_kg_m",
-                    inertia.mass_kg_m,
-                    "mass per length",
-                    "kg/m",
-                )?;
-                for (axis, rotary) in inertia.rotary_kg_m.into_iter().enumerate() {
-                    self.positive(
-                        &format!("rod.inertia.rotary_kg_m.{axis}"),
-                        rotary,
-                        "rotary inertia",
-                        "kg m",
-                    )?;
-                }
-                self.positive_if_given(
-                    "rod.display_radius_m",
-                    rod.display_radius_m,
-                    "radius",
-                    "meters",
-                )?;
-            }
+            (None, None, Some(_), Some(_)) => {}
             (Some(_), _, Some(_), _) => {
                 return Err(self.contradiction("rod.stiffness", "rod.material"));
             }
@@ -159,77 +115,50 @@ impl Keys<'_> {
         }
         if let Some(reference) = &rod.reference {
             self.finite("rod.reference.curvature_1_m", &reference.curvature_1_m)?;
-            self.positive("rod.reference.stretch", reference.stretch, "stretch", "")?;
         }
         Ok(())
     }
 
     fn check_material(&self, material: &Material) -> Checked {
-        let given = |key: &str, value: Option<f64>| {
-            value.ok_or_else(|| self.missing(key, "or else give rod.material.preset"))
-        };
-        let key = "rod.material.youngs_modulus_pa";
-        let youngs_modulus = given(key, material.youngs_modulus())?;
-        self.positive(key, youngs_modulus, "Young's modulus", "Pa")?;
+        if material.youngs_modulus().is_none() {
+            let key = "rod.material.youngs_modulus_pa";
+            return Err(self.missing(key, NAME_A_PRESET));
+        }
         match (material.poisson_ratio, material.shear_modulus_pa) {
-            (Some(ratio), None) => {
-                if !(ratio > -1.0 && ratio <= 0.5) {
-                    let message = format!("{} is not a Poisson's ratio", number(ratio));
-                    return Err(self
-                        .source
-                        .error_at("rod.material.poisson_ratio", message, None)
-                        .expecting("expected a number above -1 and up to 0.5"));
-                }
-            }
-            (None, Some(modulus)) => {
-                self.positive(
-                    "rod.material.shear_modulus_pa",
-                    modulus,
-                    "shear modulus",
-                    "Pa",
-                )?;
-            }
             (Some(_), Some(_)) => {
                 return Err(self.contradiction(
                     "rod.material.shear_modulus_pa",
                     "rod.material.poisson_ratio",
                 ));
             }
-            (None, None) if material.preset.is_some() => {}
-            (None, None) => {
+            (None, None) if material.preset.is_none() => {
                 return Err(self.missing(
                     "rod.material.poisson_ratio",
                     "or else give rod.material.shear_modulus_pa",
                 ));
             }
+            _ => {}
         }
-        let key = "rod.material.density_kg_m3";
-        self.positive(key, given(key, material.density())?, "density", "kg/m³")?;
-        self.positive(
-            "rod.material.shear_factor",
-            material.shear_factor,
-            "factor",
-            "",
-        )
+        if material.density().is_none() {
+            return Err(self.missing("rod.material.density_kg_m3", NAME_A_PRESET));
+        }
+        Ok(())
     }
 
     fn check_section(&self, section: &Section) -> Checked {
-        let places = [
-            ("", section.radius_m, section.diameter_m),
-            ("base_", section.radius_base_m, section.diameter_base_m),
-            ("tip_", section.radius_tip_m, section.diameter_tip_m),
-        ];
         let key = |quantity: &str, place: &str| format!("rod.section.{quantity}_{place}m");
         // The keys that are given: what they measure, and where.
-        let mut given = Vec::new();
-        for (place, radius, diameter) in places {
-            for (quantity, value) in [("radius", radius), ("diameter", diameter)] {
-                if let Some(value) = value {
-                    self.positive(&key(quantity, place), value, quantity, "meters")?;
-                    given.push((quantity, place));
-                }
-            }
-        }
+        let given: Vec<(&str, &str)> = [
+            ("radius", "", section.radius_m.is_some()),
+            ("diameter", "", section.diameter_m.is_some()),
+            ("radius", "base_", section.radius_base_m.is_some()),
+            ("diameter", "base_", section.diameter_base_m.is_some()),
+            ("radius", "tip_", section.radius_tip_m.is_some()),
+            ("diameter", "tip_", section.diameter_tip_m.is_some()),
+        ]
+        .into_iter()
+        .filter_map(|(quantity, place, is_given)| is_given.then_some((quantity, place)))
+        .collect();
         // Only both ends in the same measure go together.
         let together =
             |a: (&str, &str), b: (&str, &str)| a.0 == b.0 && !a.1.is_empty() && !b.1.is_empty();
@@ -300,21 +229,9 @@ impl Keys<'_> {
             let key = |name: &str| format!("base.motion.oscillation.{index}.{name}");
             self.finite(&key("translation_m"), &oscillation.translation_m)?;
             self.finite(&key("rotation_rad"), &oscillation.rotation_rad)?;
-            let frequency = oscillation.frequency_hz;
-            self.positive(&key("frequency_hz"), frequency, "frequency", "Hz")?;
             self.finite_number(&key("phase_rad"), oscillation.phase_rad)?;
         }
         Ok(())
-    }
-
-    fn check_damping(&self, damping: &Damping) -> Checked {
-        self.not_negative(
-            "damping.viscous_1_s",
-            damping.viscous_1_s,
-            "damping rate",
-            "1/s",
-        )?;
-        self.not_negative("damping.internal_s", damping.internal_s, "time", "seconds")
     }
 
     fn check_load(&self, load: &Load, index: usize, elements: usize) -> Checked {
@@ -328,20 +245,9 @@ impl Keys<'_> {
 
     fn check_distributed_load(&self, load: &DistributedLoad, index: usize) -> Checked {
         let key = |name: &str| format!("distributed_load.{index}.{name}");
-        let fraction = |name: &str, value: f64| {
-            if (0.0..=1.0).contains(&value) {
-                return Ok(());
-            }
-            Err(self.out_of_range(&key(name), value, "fraction from 0 to 1", ""))
-        };
-        fraction("from", load.from)?;
-        fraction("to", load.to)?;
-        if load.to <= load.from {
-            let message = format!(
-                "{} does not come after from, {}",
-                number(load.to),
-                number(load.from)
-            );
+        let (from, to) = (load.from.get(), load.to.get());
+        if to <= from {
+            let message = format!("{} does not come after from, {}", digits(to), digits(from));
             return Err(self
                 .source
                 .error_at(&key("to"), message, None)
@@ -352,15 +258,6 @@ impl Keys<'_> {
         load.profile.as_ref().map_or(Ok(()), |profile| {
             self.table(&key("profile"), profile, "a constant load")
         })
-    }
-
-    fn check_payload(&self, payload: &Payload) -> Checked {
-        self.not_negative("payload.mass_kg", payload.mass_kg, "mass", "kg")?;
-        for (axis, inertia) in payload.inertia_kg_m2.into_iter().enumerate() {
-            let key = format!("payload.inertia_kg_m2.{axis}");
-            self.not_negative(&key, inertia, "moment of inertia", "kg m²")?;
-        }
-        Ok(())
     }
 
     fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
@@ -406,8 +303,8 @@ impl Keys<'_> {
             if pair[1][0] <= pair[0][0] {
                 let message = format!(
                     "{} s does not come after {} s",
-                    number(pair[1][0]),
-                    number(pair[0][0])
+                    digits(pair[1][0]),
+                    digits(pair[0][0])
                 );
                 return Err(self
                     .source
@@ -419,29 +316,29 @@ impl Keys<'_> {
     }
 
     fn check_time(&self, time: &Time) -> Checked {
-        self.not_negative("time.end_s", time.end_s, "duration", "seconds")?;
         let TimeStep::Seconds(step) = time.step_s else {
             return Ok(());
         };
+        let end = time.end_s.get();
         self.positive("time.step_s", step, "time step", "seconds")?;
-        if time.end_s > 0.0 && step > time.end_s {
+        if end > 0.0 && step > end {
             let message = format!(
                 "a step of {} s is longer than time.end_s, {} s",
-                number(step),
-                number(time.end_s)
+                digits(step),
+                digits(end)
             );
             return Err(self.source.error_at("time.step_s", message, None));
         }
-        if time.end_s / step > MOST_STEPS {
+        if end / step > MOST_STEPS {
             let message = format!(
                 "makes {} steps up to time.end_s, {} s",
-                number(time.end_s / step),
-                number(time.end_s)
+                digits(end / step),
+                digits(end)
             );
             return Err(self
                 .source
                 .error_at("time.step_s", message, None)
-                .expecting(format!("expected at most {} steps", number(MOST_STEPS))));
+                .expecting(format!("expected at most {} steps", digits(MOST_STEPS))));
         }
         Ok(())
     }
@@ -460,15 +357,14 @@ impl Keys<'_> {
         if let Some(orientation) = &task.orientation_wxyz {
             self.nonzero("task.orientation_wxyz", orientation)?;
         }
-        let end = scene.time.end_s;
-        if let Some(instant) = task.at_s {
-            self.positive("task.at_s", instant, "instant", "seconds")?;
+        let end = scene.time.end_s.get();
+        if let Some(instant) = task.at_s.map(Positive::get) {
             if instant > end {
-                let message = format!("{} s is after the end of the scene", number(instant));
+                let message = format!("{} s is after the end of the scene", digits(instant));
                 return Err(self
                     .source
                     .error_at("task.at_s", message, None)
-                    .expecting(format!("expected at most time.end_s, {}", number(end))));
+                    .expecting(format!("expected at most time.end_s, {}", digits(end))));
             }
         } else if end == 0.0 {
             let message = "a task cannot be reached in no time";
@@ -483,24 +379,18 @@ impl Keys<'_> {
         self.check_enforcement(
             "task",
             task.hard,
-            task.weight,
-            [
-                (task.tolerance_m, task.position_m.is_some()),
-                (task.tolerance_rad, task.orientation_wxyz.is_some()),
-            ],
+            task.weight.is_some(),
+            (task.tolerance_m.is_some(), task.position_m.is_some()),
+            (task.tolerance_rad, task.orientation_wxyz.is_some()),
         )?;
-        for (key, tolerance, unit) in [
-            ("task.tolerance_m_s", task.tolerance_m_s, "m/s"),
-            ("task.tolerance_rad_s", task.tolerance_rad_s, "rad/s"),
+        for (key, is_given) in [
+            ("task.tolerance_m_s", task.tolerance_m_s.is_some()),
+            ("task.tolerance_rad_s", task.tolerance_rad_s.is_some()),
         ] {
-            let Some(tolerance) = tolerance else {
-                continue;
-            };
-            self.not_negative(key, tolerance, "tolerance", unit)?;
-            if !task.at_rest {
+            if is_given && !task.at_rest {
                 return Err(self.contradiction(key, "task.at_rest"));
             }
-            if !task.hard {
+            if is_given && !task.hard {
                 return Err(self.contradiction(key, "task.hard"));
             }
         }
@@ -512,15 +402,13 @@ impl Keys<'_> {
 
     fn check_free_duration(&self, free: &FreeDuration, start: f64) -> Checked {
         let key = |name: &str| format!("task.free_duration.{name}");
-        self.positive(&key("shortest_s"), free.shortest_s, "duration", "seconds")?;
-        self.positive(&key("longest_s"), free.longest_s, "duration", "seconds")?;
-        self.not_negative(&key("price"), free.price, "price", "per second")?;
-        if free.longest_s < free.shortest_s {
-            let message = format!("{} s is below shortest_s", number(free.longest_s));
+        let (shortest, longest) = (free.shortest_s.get(), free.longest_s.get());
+        if longest < shortest {
+            let message = format!("{} s is below shortest_s", digits(longest));
             return Err(self.source.error_at(&key("longest_s"), message, None));
         }
-        if !(free.shortest_s..=free.longest_s).contains(&start) {
-            let message = format!("the search begins at {} s, outside", number(start));
+        if !(shortest..=longest).contains(&start) {
+            let message = format!("the search begins at {} s, outside", digits(start));
             return Err(self
                 .source
                 .error_at("task.free_duration", message, None)
@@ -545,36 +433,36 @@ impl Keys<'_> {
             self.finite(&key("position_m"), position)?;
             self.check_reach(&key("position_m"), position, via.node, scene)?;
         }
-        self.positive(&key("at_s"), via.at_s, "instant", "seconds")?;
-        if via.at_s >= end {
-            let message = format!("{} s is not before the task's own time", number(via.at_s));
+        if via.at_s.get() >= end {
+            let message = format!(
+                "{} s is not before the task's own time",
+                digits(via.at_s.get())
+            );
             return Err(self
                 .source
                 .error_at(&key("at_s"), message, None)
-                .expecting(format!("expected less than {}", number(end))));
+                .expecting(format!("expected less than {}", digits(end))));
         }
         self.check_enforcement(
             &format!("task.via.{index}"),
             via.hard,
-            via.weight,
-            [
-                (via.tolerance_m, via.position_m.is_some()),
-                (via.tolerance_rad, via.orientation_wxyz.is_some()),
-            ],
+            via.weight.is_some(),
+            (via.tolerance_m.is_some(), via.position_m.is_some()),
+            (via.tolerance_rad, via.orientation_wxyz.is_some()),
         )
     }
 
-    /// `tolerances` in m and rad, each with whether there is anything that it belongs to.
+    /// `tolerances` to a position and to an orientation, each with whether there is one.
     fn check_enforcement(
         &self,
         section: &str,
         hard: bool,
-        weight: Option<f64>,
-        tolerances: [(Option<f64>, bool); 2],
+        has_weight: bool,
+        distance: (bool, bool),
+        angle: (Option<Positive<values::Angle>>, bool),
     ) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        self.positive_if_given(&key("weight"), weight, "weight", "")?;
-        if hard && weight.is_some() {
+        if hard && has_weight {
             let help = format!(
                 "set {} = false to make it a term of the objective",
                 key("hard")
@@ -585,20 +473,25 @@ impl Keys<'_> {
                 Some(help),
             ));
         }
-        let names = [
-            ("tolerance_m", "position_m", "meters"),
-            ("tolerance_rad", "orientation_wxyz", "radians"),
-        ];
-        for ((name, owner, unit), (tolerance, owned)) in names.into_iter().zip(tolerances) {
-            self.positive_if_given(&key(name), tolerance, "tolerance", unit)?;
-            if tolerance.is_some() && !owned {
+        let (has_distance, has_position) = distance;
+        let (angle, has_orientation) = angle;
+        for (name, is_given, owner, owned) in [
+            ("tolerance_m", has_distance, "position_m", has_position),
+            (
+                "tolerance_rad",
+                angle.is_some(),
+                "orientation_wxyz",
+                has_orientation,
+            ),
+        ] {
+            if is_given && !owned {
                 return Err(self.missing(&key(owner), &format!("goes with {}", key(name))));
             }
-            if tolerance.is_some() && !hard {
+            if is_given && !hard {
                 return Err(self.contradiction(&key(name), &key("hard")));
             }
         }
-        if let Some(angle) = tolerances[1].0
+        if let Some(angle) = angle.map(Positive::get)
             && angle >= std::f64::consts::PI
         {
             return Err(self.out_of_range(
@@ -625,22 +518,12 @@ impl Keys<'_> {
             ("box", obstacle.cuboid.is_some()),
         ];
         self.exactly_one(&format!("obstacle.{index}"), &shapes)?;
-        let radius = |shape: &str, radius: f64| {
-            self.positive(
-                &key(&format!("{shape}.radius_m")),
-                radius,
-                "radius",
-                "meters",
-            )
-        };
         if let Some(sphere) = &obstacle.sphere {
             self.finite(&key("sphere.center_m"), &sphere.center_m)?;
-            radius("sphere", sphere.radius_m)?;
         }
         if let Some(capsule) = &obstacle.capsule {
             self.finite(&key("capsule.from_m"), &capsule.from_m)?;
             self.finite(&key("capsule.to_m"), &capsule.to_m)?;
-            radius("capsule", capsule.radius_m)?;
         }
         if let Some(half_space) = &obstacle.half_space {
             self.finite(&key("half_space.point_m"), &half_space.point_m)?;
@@ -648,16 +531,11 @@ impl Keys<'_> {
         }
         if let Some(cuboid) = &obstacle.cuboid {
             self.finite(&key("box.center_m"), &cuboid.center_m)?;
-            for (axis, size) in cuboid.size_m.into_iter().enumerate() {
-                self.positive(&key(&format!("box.size_m.{axis}")), size, "edge", "meters")?;
-            }
             if let Some(orientation) = &cuboid.orientation_wxyz {
                 self.nonzero(&key("box.orientation_wxyz"), orientation)?;
             }
         }
-        self.not_negative(&key("margin_m"), obstacle.margin_m, "clearance", "meters")?;
-        self.check_price(&key("soft"), obstacle.soft)?;
-        self.positive_if_given(&key("rate_hz"), obstacle.rate_hz, "rate", "Hz")
+        self.check_price(&key("soft"), obstacle.soft)
     }
 
     /// Errors say which limit they mean by its name as well: indices count from 0, and readers from 1.
@@ -676,19 +554,15 @@ impl Keys<'_> {
         ];
         self.exactly_one(&format!("limit.{index}"), &kinds)?;
         if let Some([least, largest]) = limit.stretch {
-            self.not_negative(&key("stretch.0"), least, "stretch", "")?;
+            if !(least.is_finite() && least >= 0.0) {
+                let key = key("stretch.0");
+                return Err(self.out_of_range(&key, least, "non-negative stretch", ""));
+            }
             self.positive(&key("stretch.1"), largest, "stretch", "")?;
             if largest <= least {
-                let message = format!("{} is not above {}", number(largest), number(least));
+                let message = format!("{} is not above {}", digits(largest), digits(least));
                 return Err(self.source.error_at(&key("stretch.1"), message, None));
             }
-        }
-        for (name, value, unit) in [
-            ("curvature_max_1_m", limit.curvature_max_1_m, "1/m"),
-            ("twist_max_1_m", limit.twist_max_1_m, "1/m"),
-            ("speed_max_m_s", limit.speed_max_m_s, "m/s"),
-        ] {
-            self.positive_if_given(&key(name), value, "limit", unit)?;
         }
         if let Some(node) = limit.node {
             self.node(&key("node"), node, elements)?;
@@ -696,17 +570,14 @@ impl Keys<'_> {
                 return Err(self.missing(&key("speed_max_m_s"), "goes with node"));
             }
         }
-        self.check_price(&key("soft"), limit.soft)?;
-        self.positive_if_given(&key("rate_hz"), limit.rate_hz, "rate", "Hz")
+        self.check_price(&key("soft"), limit.soft)
     }
 
     fn check_price(&self, key: &str, price: Option<Price>) -> Checked {
         let Some(price) = price else {
             return Ok(());
         };
-        self.not_negative(&format!("{key}.linear"), price.linear, "price", "")?;
-        self.not_negative(&format!("{key}.quadratic"), price.quadratic, "price", "")?;
-        if price.linear == 0.0 && price.quadratic == 0.0 {
+        if price.linear.get() == 0.0 && price.quadratic.get() == 0.0 {
             return Err(self
                 .source
                 .error_at(key, "a violation that costs nothing", None)
@@ -756,15 +627,15 @@ impl Keys<'_> {
             .rod
             .reference
             .as_ref()
-            .map_or(1.0, |reference| reference.stretch.max(1.0));
-        let reach = LARGEST_STRETCH * stretch * fraction * scene.rod.length_m;
+            .map_or(1.0, |reference| reference.stretch.get().max(1.0));
+        let reach = LARGEST_STRETCH * stretch * fraction * scene.rod.length_m.get();
         let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
         let distance = x.hypot(y).hypot(z);
         if scene.base.kind == BaseKind::Clamped && distance > reach {
             let message = format!("{} m from the base is out of reach", rounded(distance));
             let help = format!(
                 "rod.length_m is {} and base.position_m is the clamped end",
-                number(scene.rod.length_m)
+                digits(scene.rod.length_m.get())
             );
             return Err(self
                 .source
@@ -805,16 +676,6 @@ impl Keys<'_> {
                     }
                 }
             }
-        }
-        if let Some(feedback) = &control.feedback {
-            self.not_negative("control.feedback.state", feedback.state, "weight", "")?;
-            self.positive("control.feedback.input", feedback.input, "weight", "")?;
-            self.positive(
-                "control.feedback.tolerance",
-                feedback.tolerance,
-                "tolerance",
-                "",
-            )?;
         }
         let acts =
             |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
@@ -879,10 +740,7 @@ impl Keys<'_> {
     }
 
     fn check_objective(&self, objective: &Objective, scene: &Scene) -> Checked {
-        self.not_negative("objective.effort", objective.effort, "weight", "")?;
-        self.not_negative("objective.rate", objective.rate, "weight", "")?;
-        self.not_negative("objective.energy", objective.energy, "weight", "")?;
-        if objective.energy > 0.0 && scene.rod.model != RodModel::Standard {
+        if objective.energy.get() > 0.0 && scene.rod.model != RodModel::Standard {
             return Err(self.contradiction("objective.energy", "rod.model"));
         }
         self.count("objective.samples", objective.samples, LARGEST_COUNT)?;
@@ -890,36 +748,23 @@ impl Keys<'_> {
             let key = |name: &str| format!("objective.track.{index}.{name}");
             self.node(&key("node"), track.node, scene.rod.elements)?;
             self.table(&key("path_m"), &track.path_m, "no path")?;
-            self.positive_if_given(&key("weight"), track.weight, "weight", "")?;
         }
         let free = scene.task.as_ref().and_then(|task| task.free_duration);
-        let has_price = free.is_some_and(|free| free.price > 0.0);
-        if objective.effort == 0.0 && objective.rate == 0.0 && !has_price {
+        let has_price = free.is_some_and(|free| free.price.get() > 0.0);
+        if objective.effort.get() == 0.0 && objective.rate.get() == 0.0 && !has_price {
             let message =
                 "both this and objective.rate are 0, so that there is nothing to make small";
             return Err(self.source.error_at("objective.effort", message, None));
         }
-        self.positive_if_given(
-            "objective.force_scale_n",
-            objective.force_scale_n,
-            "force",
-            "N",
-        )?;
-        self.positive_if_given(
-            "objective.moment_scale_n_m",
-            objective.moment_scale_n_m,
-            "moment",
-            "N m",
-        )
+        Ok(())
     }
 
     fn check_solver(&self, solver: &Solver) -> Checked {
-        self.positive("solver.tolerance", solver.tolerance, "tolerance", "")?;
-        self.positive("solver.saddle_gain", solver.saddle_gain, "part", "")?;
-        if solver.saddle_gain > MOST_SADDLE_GAIN {
+        let gain = solver.saddle_gain.get();
+        if gain > MOST_SADDLE_GAIN {
             return Err(self.out_of_range(
                 "solver.saddle_gain",
-                solver.saddle_gain,
+                gain,
                 "part up to 0.1 of the objective",
                 "",
             ));
@@ -938,34 +783,12 @@ impl Keys<'_> {
                 self.count("solver.continuation.load", stages, MOST_STAGES)?;
             }
         }
-        self.positive_if_given(
-            "solver.deadline_s",
-            solver.deadline_s,
-            "duration",
-            "seconds",
-        )
+        Ok(())
     }
 
     fn positive(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
         if !value.is_finite() || value <= 0.0 {
             return Err(self.out_of_range(key, value, &format!("positive {quantity}"), unit));
-        }
-        Ok(())
-    }
-
-    fn positive_if_given(
-        &self,
-        key: &str,
-        value: Option<f64>,
-        quantity: &str,
-        unit: &str,
-    ) -> Checked {
-        value.map_or(Ok(()), |value| self.positive(key, value, quantity, unit))
-    }
-
-    fn not_negative(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
-        if !value.is_finite() || value < 0.0 {
-            return Err(self.out_of_range(key, value, &format!("non-negative {quantity}"), unit));
         }
         Ok(())
     }
@@ -986,7 +809,7 @@ impl Keys<'_> {
             format!(" in {unit}")
         };
         self.source
-            .error_at(key, format!("{} is not a {quantity}", number(value)), None)
+            .error_at(key, format!("{} is not a {quantity}", digits(value)), None)
             .expecting(format!("expected a {quantity}{unit}"))
     }
 
@@ -1046,18 +869,12 @@ impl Keys<'_> {
 /// A saddle with more to gain than this part of the objective is no result.
 const MOST_SADDLE_GAIN: f64 = 0.1;
 
+/// What to do where a figure of a material is missing.
+const NAME_A_PRESET: &str = "or else give rod.material.preset";
+
 /// What to do where no part of a wrench acts.
 const NAME_A_PART: &str = "a force or moment acts only where it is named; give its largest magnitude, or `inf` for no bound: \
 force_max_n = inf";
-
-/// The shortest digits that read back as the same number, in powers of ten where it is very large or small.
-fn number(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() || (1e-4..1e7).contains(&value.abs()) {
-        value.to_string()
-    } else {
-        format!("{value:e}")
-    }
-}
 
 /// Four significant digits or so, for derived lengths.
 fn rounded(value: f64) -> String {

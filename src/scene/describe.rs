@@ -9,6 +9,7 @@ use super::model::{
     Reference, Rod, RodModel, RotaryInertia, Scene, Section, Solver, Sphere, Stiffness, StrainRule,
     Task, Time, TimeScheme, TimeStep, Track, Via,
 };
+use super::values::{self, Positive, known};
 use crate::control::{self, PathEnforcement, Shape};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{self, BaseCondition, MotionCurve, SectionProfile};
@@ -37,7 +38,7 @@ impl Scene {
             BaseCondition::Driven(motion) => (BaseKind::Driven, Some(base_motion(motion)?)),
         };
         let mut rod = Rod {
-            length_m: arm.length,
+            length_m: known(arm.length),
             elements: chosen.elements,
             strain: match chosen.strain_rule {
                 mechanics::StrainRule::Helical => StrainRule::Helical,
@@ -61,7 +62,7 @@ impl Scene {
             inertia: None,
             reference: Some(Reference {
                 curvature_1_m: arm.rest_curvature.into(),
-                stretch: arm.rest_stretch,
+                stretch: known(arm.rest_stretch),
             }),
         };
         describe_section(arm, &mut rod)?;
@@ -90,12 +91,12 @@ impl Scene {
                 acceleration_m_s2: arm.gravity.into(),
             }),
             damping: Some(Damping {
-                viscous_1_s: arm.viscous_damping,
-                internal_s: arm.internal_damping,
+                viscous_1_s: known(arm.viscous_damping),
+                internal_s: known(arm.internal_damping),
             }),
             payload: arm.payload.map(|payload| Payload {
-                mass_kg: payload.mass,
-                inertia_kg_m2: payload.rotary.into(),
+                mass_kg: known(payload.mass),
+                inertia_kg_m2: <[f64; 3]>::from(payload.rotary).map(known),
             }),
             load: (arm.loads.iter())
                 .map(|load| Load {
@@ -108,8 +109,8 @@ impl Scene {
                 .collect(),
             distributed_load: (arm.distributed_loads.iter())
                 .map(|load| DistributedLoad {
-                    from: load.from,
-                    to: load.to,
+                    from: known(load.from),
+                    to: known(load.to),
                     force_n_per_m: load.force.into(),
                     moment_n_m_per_m: load.moment.into(),
                     frame: frame(load.frame),
@@ -125,7 +126,7 @@ impl Scene {
                 angular_velocity_rad_s: task.start.angular_velocity.into(),
             }),
             time: Time {
-                end_s: task.horizon,
+                end_s: known(task.horizon),
                 step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),
                 integrator: match chosen.scheme {
                     None => TimeScheme::Auto,
@@ -140,9 +141,9 @@ impl Scene {
                 .map(|limit| described_limit(limit, &at))
                 .collect(),
             objective: Some(Objective {
-                effort: task.cost.effort,
-                rate: task.cost.rate,
-                energy: task.cost.energy,
+                effort: known(task.cost.effort),
+                rate: known(task.cost.rate),
+                energy: known(task.cost.energy),
                 track: (task
                     .cost
                     .tracks
@@ -153,17 +154,18 @@ impl Scene {
                     path_m: (track.path.iter())
                         .map(|&(t, x)| [t, x.x, x.y, x.z])
                         .collect(),
-                    weight: Some(discrete.weight),
+                    weight: Some(known(discrete.weight)),
                 })
                 .collect(),
                 samples: chosen.samples,
-                force_scale_n: (problem.discrete.actuators.first()).map(|a| a.force.scale),
-                moment_scale_n_m: (problem.discrete.actuators.first()).map(|a| a.moment.scale),
+                force_scale_n: (problem.discrete.actuators.first()).map(|a| known(a.force.scale)),
+                moment_scale_n_m: (problem.discrete.actuators.first())
+                    .map(|a| known(a.moment.scale)),
             }),
             solver: Some(Solver {
-                tolerance: settings.tolerance,
+                tolerance: known(settings.tolerance),
                 max_iterations: settings.max_iterations,
-                saddle_gain: settings.saddle_gain,
+                saddle_gain: known(settings.saddle_gain),
                 ..Solver::default()
             }),
             output: None,
@@ -222,7 +224,7 @@ fn base_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, DescribeErr
             .map(|(translation, rotation)| Oscillation {
                 translation_m: translation.amplitude.into(),
                 rotation_rad: rotation.amplitude.into(),
-                frequency_hz: translation.frequency,
+                frequency_hz: known(translation.frequency),
                 phase_rad: translation.phase,
             })
             .collect(),
@@ -245,16 +247,16 @@ fn describe_section(arm: &task::Arm, rod: &mut Rod) -> Result<(), DescribeError>
                 ));
             }
             rod.stiffness = Some(Stiffness {
-                ea_n: linear.z,
-                ga_n: linear.x,
-                ei_n_m2: angular.x,
-                gj_n_m2: angular.z,
+                ea_n: known(linear.z),
+                ga_n: known(linear.x),
+                ei_n_m2: known(angular.x),
+                gj_n_m2: known(angular.z),
             });
             rod.inertia = Some(Inertia {
-                mass_kg_m: section.mass,
-                rotary_kg_m: section.rotary.into(),
+                mass_kg_m: known(section.mass),
+                rotary_kg_m: <[f64; 3]>::from(section.rotary).map(known),
             });
-            rod.display_radius_m = arm.radii.map(|[radius, _]| radius);
+            rod.display_radius_m = arm.radii.map(|[radius, _]| known(radius));
         }
         SectionProfile::TaperedCircle {
             material,
@@ -263,16 +265,16 @@ fn describe_section(arm: &task::Arm, rod: &mut Rod) -> Result<(), DescribeError>
         } => {
             rod.material = Some(Material {
                 preset: None,
-                youngs_modulus_pa: Some(material.youngs_modulus),
+                youngs_modulus_pa: Some(known(material.youngs_modulus)),
                 poisson_ratio: None,
-                shear_modulus_pa: Some(material.shear_modulus),
-                density_kg_m3: Some(material.density),
-                shear_factor: material.shear_factor,
+                shear_modulus_pa: Some(known(material.shear_modulus)),
+                density_kg_m3: Some(known(material.density)),
+                shear_factor: known(material.shear_factor),
             });
             rod.section = Some(Section {
                 radius_m: None,
-                radius_base_m: Some(base_radius),
-                radius_tip_m: Some(tip_radius),
+                radius_base_m: Some(known(base_radius)),
+                radius_tip_m: Some(known(tip_radius)),
                 diameter_m: None,
                 diameter_base_m: None,
                 diameter_tip_m: None,
@@ -306,24 +308,24 @@ fn targets<'a>(
                 .ok_or(DescribeError("it has several goals at the end"))?;
             let (hard, weight) = hardness(target.hardness);
             Ok(Via {
-                at_s,
+                at_s: known(at_s),
                 node: at(target.at),
                 position_m: target.position.map(Into::into),
                 orientation_wxyz: target.rotation.as_ref().map(wxyz),
                 hard,
                 weight,
-                tolerance_m: target.tolerances.distance,
-                tolerance_rad: target.tolerances.angle,
+                tolerance_m: target.tolerances.distance.map(known),
+                tolerance_rad: target.tolerances.angle.map(known),
             })
         })
         .collect::<Result<_, _>>()?;
     Ok((via, last))
 }
 
-fn hardness(hardness: Hardness) -> (bool, Option<f64>) {
+fn hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weight>>) {
     match hardness {
         Hardness::Hard => (true, None),
-        Hardness::Soft { weight } => (false, Some(weight)),
+        Hardness::Soft { weight } => (false, Some(known(weight))),
     }
 }
 
@@ -336,19 +338,19 @@ fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
     Task {
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),
-        at_s: Some(problem.task.horizon),
+        at_s: Some(known(problem.task.horizon)),
         free_duration: problem.task.free_duration.map(|free| FreeDuration {
-            shortest_s: free.shortest,
-            longest_s: free.longest,
-            price: free.price,
+            shortest_s: known(free.shortest),
+            longest_s: known(free.longest),
+            price: known(free.price),
         }),
         at_rest: goal.at_rest,
         hard,
         weight,
-        tolerance_m: goal.tolerances.distance,
-        tolerance_rad: goal.tolerances.angle,
-        tolerance_m_s: with_rest.then_some(speed),
-        tolerance_rad_s: with_rest.then_some(spin),
+        tolerance_m: goal.tolerances.distance.map(known),
+        tolerance_rad: goal.tolerances.angle.map(known),
+        tolerance_m_s: with_rest.then(|| known(speed)),
+        tolerance_rad_s: with_rest.then(|| known(spin)),
         via,
     }
 }
@@ -408,7 +410,10 @@ fn is_obstacle(limit: &task::Limit) -> bool {
 fn price(enforcement: PathEnforcement) -> Option<Price> {
     match enforcement {
         PathEnforcement::Hard => None,
-        PathEnforcement::Soft { linear, quadratic } => Some(Price { linear, quadratic }),
+        PathEnforcement::Soft { linear, quadratic } => Some(Price {
+            linear: known(linear),
+            quadratic: known(quadratic),
+        }),
     }
 }
 
@@ -419,24 +424,24 @@ fn obstacle(limit: &task::Limit) -> Obstacle {
         capsule: None,
         half_space: None,
         cuboid: None,
-        margin_m: 0.0,
+        margin_m: known(0.0),
         soft: price(limit.enforcement),
-        rate_hz: limit.rate,
+        rate_hz: limit.rate.map(known),
     };
     if let LimitKind::Clearance { shape, margin } = limit.kind {
-        out.margin_m = margin;
+        out.margin_m = known(margin);
         match shape {
             Shape::Sphere { center, radius } => {
                 out.sphere = Some(Sphere {
                     center_m: center.into(),
-                    radius_m: radius,
+                    radius_m: known(radius),
                 });
             }
             Shape::Capsule { from, to, radius } => {
                 out.capsule = Some(Capsule {
                     from_m: from.into(),
                     to_m: to.into(),
-                    radius_m: radius,
+                    radius_m: known(radius),
                 });
             }
             Shape::HalfSpace { point, normal } => {
@@ -452,7 +457,7 @@ fn obstacle(limit: &task::Limit) -> Obstacle {
             } => {
                 out.cuboid = Some(Cuboid {
                     center_m: center.into(),
-                    size_m: (half_size * 2.0).into(),
+                    size_m: <[f64; 3]>::from(half_size * 2.0).map(known),
                     orientation_wxyz: Some(wxyz(&rotation)),
                 });
             }
@@ -470,15 +475,15 @@ fn described_limit(limit: &task::Limit, at: &impl Fn(Place) -> LoadNode) -> Limi
         speed_max_m_s: None,
         node: None,
         soft: price(limit.enforcement),
-        rate_hz: limit.rate,
+        rate_hz: limit.rate.map(known),
     };
     match limit.kind {
         LimitKind::Clearance { .. } | LimitKind::Term(_) => {}
         LimitKind::Stretch { least, largest } => out.stretch = Some([least, largest]),
-        LimitKind::Curvature { largest } => out.curvature_max_1_m = Some(largest),
-        LimitKind::Twist { largest } => out.twist_max_1_m = Some(largest),
+        LimitKind::Curvature { largest } => out.curvature_max_1_m = Some(known(largest)),
+        LimitKind::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
         LimitKind::Speed { at: place, largest } => {
-            out.speed_max_m_s = Some(largest);
+            out.speed_max_m_s = Some(known(largest));
             out.node = Some(at(place));
         }
     }

@@ -32,6 +32,7 @@ mod reader;
 mod source;
 #[doc(hidden)]
 pub mod translate;
+mod values;
 
 pub use describe::DescribeError;
 pub use error::SceneError;
@@ -45,6 +46,7 @@ pub use model::{
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
+pub use values::{Fraction, NonNegative, PoissonRatio, Positive};
 
 use overrides::Override;
 use std::path::Path;

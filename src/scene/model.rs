@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::materials::{MaterialFigures, MaterialPreset, Shear};
+use super::values::{self, Fraction, NonNegative, Number, PoissonRatio, Positive, known};
 use crate::mechanics::rotation::unit;
 use crate::sqp::SqpSettings;
 
@@ -69,8 +70,7 @@ pub struct Scene {
 #[serde(deny_unknown_fields)]
 pub struct Rod {
     /// Rest length in m, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub length_m: f64,
+    pub length_m: Positive<values::Length>,
     /// Number of elements, 1 to 5000; there is one node more than elements.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     pub elements: usize,
@@ -85,8 +85,7 @@ pub struct Rod {
     pub rotary_inertia: RotaryInertia,
     /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub display_radius_m: Option<f64>,
+    pub display_radius_m: Option<Positive<values::Radius>>,
     /// What the rod is made of; goes with `section`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
@@ -156,24 +155,19 @@ pub struct Material {
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub youngs_modulus_pa: Option<f64>,
+    pub youngs_modulus_pa: Option<Positive<values::YoungsModulus>>,
     /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent, both: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = -1, "maximum" = 0.5)))]
-    pub poisson_ratio: Option<f64>,
+    pub poisson_ratio: Option<PoissonRatio>,
     /// Shear modulus in Pa, positive; either this or `poisson_ratio`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub shear_modulus_pa: Option<f64>,
+    pub shear_modulus_pa: Option<Positive<values::ShearModulus>>,
     /// Density in kg/m³, positive. Absent: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub density_kg_m3: Option<f64>,
+    pub density_kg_m3: Option<Positive<values::Density>>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
-    #[serde(default = "one")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub shear_factor: f64,
+    #[serde(default = "Positive::<values::Factor>::one")]
+    pub shear_factor: Positive<values::Factor>,
 }
 
 /// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`; or their diameters.
@@ -183,28 +177,22 @@ pub struct Material {
 pub struct Section {
     /// Radius in m all along the rod, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub radius_m: Option<f64>,
+    pub radius_m: Option<Positive<values::Radius>>,
     /// Radius in m at the base, positive; goes with `radius_tip_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub radius_base_m: Option<f64>,
+    pub radius_base_m: Option<Positive<values::Radius>>,
     /// Radius in m at the tip, positive; goes with `radius_base_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub radius_tip_m: Option<f64>,
+    pub radius_tip_m: Option<Positive<values::Radius>>,
     /// Diameter in m all along the rod, positive; instead of `radius_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub diameter_m: Option<f64>,
+    pub diameter_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub diameter_base_m: Option<f64>,
+    pub diameter_base_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub diameter_tip_m: Option<f64>,
+    pub diameter_tip_m: Option<Positive<values::Diameter>>,
 }
 
 /// Stiffness of a section that is the same in both transverse directions.
@@ -213,17 +201,13 @@ pub struct Section {
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
     /// Axial stiffness E A in N, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub ea_n: f64,
+    pub ea_n: Positive<values::SectionStiffness>,
     /// Shear stiffness G A in N, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub ga_n: f64,
+    pub ga_n: Positive<values::SectionStiffness>,
     /// Bending stiffness E I in N m², positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub ei_n_m2: f64,
+    pub ei_n_m2: Positive<values::BendingStiffness>,
     /// Torsional stiffness G J in N m², positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub gj_n_m2: f64,
+    pub gj_n_m2: Positive<values::BendingStiffness>,
 }
 
 /// Inertia of a section, per length of the rod.
@@ -232,11 +216,10 @@ pub struct Stiffness {
 #[serde(deny_unknown_fields)]
 pub struct Inertia {
     /// Mass per length in kg/m, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub mass_kg_m: f64,
+    pub mass_kg_m: Positive<values::MassPerLength>,
     /// Principal rotary inertias per length in kg m (kg m² per m): about the two transverse axes, then about the
     /// rod's own axis; all positive.
-    pub rotary_kg_m: [f64; 3],
+    pub rotary_kg_m: [Positive<values::RotaryInertia>; 3],
 }
 
 /// The shape in which the rod carries no stress, the same all along.
@@ -248,9 +231,8 @@ pub struct Reference {
     #[serde(default)]
     pub curvature_1_m: [f64; 3],
     /// Stress-free length over `length_m`, positive, default 1.
-    #[serde(default = "one")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub stretch: f64,
+    #[serde(default = "Positive::<values::Stretch>::one")]
+    pub stretch: Positive<values::Stretch>,
 }
 
 /// The first node: where it is, how it is turned, and whether it is held or moved.
@@ -316,8 +298,7 @@ pub struct Oscillation {
     #[serde(default)]
     pub rotation_rad: [f64; 3],
     /// Frequency f in Hz, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub frequency_hz: f64,
+    pub frequency_hz: Positive<values::Frequency>,
     /// Phase in rad, default 0; π/2 starts without velocity.
     #[serde(default)]
     pub phase_rad: f64,
@@ -354,12 +335,10 @@ pub struct Damping {
     /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
     /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
     /// only half of the time, as exp(-c t/2).
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub viscous_1_s: f64,
+    pub viscous_1_s: NonNegative<values::DampingRate>,
     /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
     /// It damps a mode of angular frequency ω with the ratio τω/2.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub internal_s: f64,
+    pub internal_s: NonNegative<values::Time>,
 }
 
 /// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
@@ -368,12 +347,11 @@ pub struct Damping {
 #[serde(deny_unknown_fields)]
 pub struct Payload {
     /// Mass in kg, not negative.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub mass_kg: f64,
+    pub mass_kg: NonNegative<values::Mass>,
     /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
     /// axis. Default: none.
     #[serde(default)]
-    pub inertia_kg_m2: [f64; 3],
+    pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
 }
 
 /// A prescribed force and moment per rest length on a part of the arm.
@@ -383,12 +361,10 @@ pub struct Payload {
 pub struct DistributedLoad {
     /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
-    pub from: f64,
+    pub from: Fraction,
     /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "one")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
-    pub to: f64,
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
     /// Force in N per m of the arm's rest length. Default: none.
     #[serde(default)]
     pub force_n_per_m: [f64; 3],
@@ -510,8 +486,7 @@ pub enum LoadFrame {
 #[serde(deny_unknown_fields)]
 pub struct Time {
     /// Duration in s, from t = 0; not negative.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub end_s: f64,
+    pub end_s: NonNegative<values::Duration>,
     /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
     /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
     #[serde(default)]
@@ -597,8 +572,7 @@ pub struct Task {
     pub orientation_wxyz: Option<[f64; 4]>,
     /// When, in s; above 0 and up to `time.end_s`, which is the default.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub at_s: Option<f64>,
+    pub at_s: Option<Positive<values::Instant>>,
     /// Choose the duration of the task as well; `at_s` is where the search begins. Absent: the task is due at `at_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
@@ -610,26 +584,21 @@ pub struct Task {
     pub hard: bool,
     /// Weight of that term, positive, default 1; only with `hard = false`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub weight: Option<f64>,
+    pub weight: Option<Positive<values::Weight>>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub tolerance_m: Option<f64>,
+    pub tolerance_m: Option<Positive<values::Distance>>,
     /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub tolerance_rad: Option<f64>,
+    pub tolerance_rad: Option<Positive<values::Angle>>,
     /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`. Absent:
     /// a hundredth of `rod.length_m` per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub tolerance_m_s: Option<f64>,
+    pub tolerance_m_s: Option<NonNegative<values::Speed>>,
     /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`.
     /// Absent: a tenth of a radian per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub tolerance_rad_s: Option<f64>,
+    pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
     /// Points to pass through on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Via>,
@@ -642,17 +611,14 @@ pub struct Task {
 #[serde(deny_unknown_fields)]
 pub struct FreeDuration {
     /// Shortest, s; positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub shortest_s: f64,
+    pub shortest_s: Positive<values::Duration>,
     /// Longest, s; not below `shortest_s`. The time step is chosen for this one.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub longest_s: f64,
+    pub longest_s: Positive<values::Duration>,
     /// What a second costs, a pure number like the effort's: as much as a control of the size sqrt(2 price/effort) costs that is held for a
     /// second, in units of `objective.force_scale_n` or `moment_scale_n_m`. Not negative, default 1. With `objective.effort = 0` (and
     /// `rate = 0`) only time counts, whatever its price: minimum time, for which the controls need bounds.
-    #[serde(default = "one")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub price: f64,
+    #[serde(default = "NonNegative::<values::PriceOfTime>::one")]
+    pub price: NonNegative<values::PriceOfTime>,
 }
 
 /// A point to pass through: a position, an orientation, or both.
@@ -661,8 +627,7 @@ pub struct FreeDuration {
 #[serde(deny_unknown_fields)]
 pub struct Via {
     /// When, in s; above 0 and before the task's own time. The nearest time node counts.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub at_s: f64,
+    pub at_s: Positive<values::Instant>,
     /// Which node passes. Default: "tip".
     #[serde(default)]
     pub node: LoadNode,
@@ -677,16 +642,13 @@ pub struct Via {
     pub hard: bool,
     /// Weight of that term, positive, default 1; only with `hard = false`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub weight: Option<f64>,
+    pub weight: Option<Positive<values::Weight>>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub tolerance_m: Option<f64>,
+    pub tolerance_m: Option<Positive<values::Distance>>,
     /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub tolerance_rad: Option<f64>,
+    pub tolerance_rad: Option<Positive<values::Angle>>,
 }
 
 /// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
@@ -711,16 +673,14 @@ pub struct Obstacle {
     pub cuboid: Option<Cuboid>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub margin_m: f64,
+    pub margin_m: NonNegative<values::Clearance>,
     /// The price of coming closer. Absent: never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
     /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub rate_hz: Option<f64>,
+    pub rate_hz: Option<Positive<values::Rate>>,
 }
 
 /// A sphere.
@@ -731,8 +691,7 @@ pub struct Sphere {
     /// Center in m.
     pub center_m: [f64; 3],
     /// Radius in m, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub radius_m: f64,
+    pub radius_m: Positive<values::Radius>,
 }
 
 /// A cylinder with round ends.
@@ -745,8 +704,7 @@ pub struct Capsule {
     /// The other end of the axis in m.
     pub to_m: [f64; 3],
     /// Radius in m, positive.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub radius_m: f64,
+    pub radius_m: Positive<values::Radius>,
 }
 
 /// All points behind a plane.
@@ -768,7 +726,7 @@ pub struct Cuboid {
     /// Center in m.
     pub center_m: [f64; 3],
     /// Whole edges in m, positive.
-    pub size_m: [f64; 3],
+    pub size_m: [Positive<values::Edge>; 3],
     /// Orientation as a quaternion, scalar first, of any length but zero. Default: along the axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
@@ -783,12 +741,10 @@ pub struct Cuboid {
 pub struct Price {
     /// Not negative, default 0.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub linear: f64,
+    pub linear: NonNegative<values::PriceOfViolation>,
     /// Not negative, default 0; one of the two is positive.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub quadratic: f64,
+    pub quadratic: NonNegative<values::PriceOfViolation>,
 }
 
 /// A limit on the strain of every element, or on the speed of a node: exactly one of the four.
@@ -804,16 +760,13 @@ pub struct Limit {
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub curvature_max_1_m: Option<f64>,
+    pub curvature_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest twist in 1/m, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub twist_max_1_m: Option<f64>,
+    pub twist_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest speed of a node in m/s, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub speed_max_m_s: Option<f64>,
+    pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
     /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
@@ -823,8 +776,7 @@ pub struct Limit {
     /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
     /// 1000 times of a longer motion; the check looks between them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub rate_hz: Option<f64>,
+    pub rate_hz: Option<Positive<values::Rate>>,
 }
 
 /// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
@@ -866,21 +818,20 @@ pub struct Control {
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {
     /// Weight of the energy of a deviation, twice over EI/L, on the way and at the end; not negative, default 1.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub state: f64,
+    pub state: NonNegative<values::Weight>,
     /// Weight of the square of a correction over its scale; positive, default 1.
-    pub input: f64,
+    pub input: Positive<values::Weight>,
     /// Scaled residual of the task that counts as 1 (over the length, or in rad); positive, default 0.01.
-    pub tolerance: f64,
+    pub tolerance: Positive<values::Tolerance>,
 }
 
 impl Default for Feedback {
     fn default() -> Self {
         let weights = crate::control::FeedbackWeights::default();
         Self {
-            state: weights.state,
-            input: weights.input,
-            tolerance: weights.tolerance,
+            state: known(weights.state),
+            input: known(weights.input),
+            tolerance: known(weights.tolerance),
         }
     }
 }
@@ -934,14 +885,11 @@ pub enum Bound {
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub effort: f64,
+    pub effort: NonNegative<values::Weight>,
     /// Weight of the squared changes of the controls from block to block; not negative, default 0.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub rate: f64,
+    pub rate: NonNegative<values::Weight>,
     /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
-    pub energy: f64,
+    pub energy: NonNegative<values::Weight>,
     /// Nodes that should follow a path.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub track: Vec<Track>,
@@ -951,13 +899,11 @@ pub struct Objective {
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
     /// by an angle of about 1.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub force_scale_n: Option<f64>,
+    pub force_scale_n: Option<Positive<values::Force>>,
     /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
     /// section by an angle of 1.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub moment_scale_n_m: Option<f64>,
+    pub moment_scale_n_m: Option<Positive<values::Moment>>,
 }
 
 /// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time.
@@ -976,8 +922,7 @@ pub struct Track {
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
     /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub weight: Option<f64>,
+    pub weight: Option<Positive<values::Weight>>,
 }
 
 /// How the optimizer works.
@@ -986,8 +931,7 @@ pub struct Track {
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
     /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub tolerance: f64,
+    pub tolerance: Positive<values::Tolerance>,
     /// Iterations after which to give up, at least 1, default 600.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
@@ -995,8 +939,7 @@ pub struct Solver {
     pub saddle_escapes: usize,
     /// Part of the objective that leaving a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
     /// how much is left.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub saddle_gain: f64,
+    pub saddle_gain: Positive<values::GainedPart>,
     /// The second derivatives that the quadratic model uses.
     pub hessian: Hessian,
     /// How the quadratic subproblems are solved.
@@ -1009,8 +952,7 @@ pub struct Solver {
     /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
     /// is written, positive. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub deadline_s: Option<f64>,
+    pub deadline_s: Option<Positive<values::Duration>>,
 }
 
 /// The second derivatives that the quadratic model uses.
@@ -1102,8 +1044,7 @@ pub struct Output {
     /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
     /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub rate_hz: Option<f64>,
+    pub rate_hz: Option<Positive<values::Rate>>,
     /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
     /// of momentum and power, of a solve with its controls among the loads. Default: false.
     pub diagnostics: bool,
@@ -1135,9 +1076,9 @@ impl Bound {
 impl Default for Objective {
     fn default() -> Objective {
         Objective {
-            effort: 1.0,
-            rate: 0.0,
-            energy: 0.0,
+            effort: known(1.0),
+            rate: known(0.0),
+            energy: known(0.0),
             track: Vec::new(),
             samples: 100,
             force_scale_n: None,
@@ -1150,10 +1091,10 @@ impl Default for Solver {
     fn default() -> Solver {
         let settings = SqpSettings::default();
         Solver {
-            tolerance: settings.tolerance,
+            tolerance: known(settings.tolerance),
             max_iterations: settings.max_iterations,
             saddle_escapes: settings.saddle_escapes,
-            saddle_gain: settings.saddle_gain,
+            saddle_gain: known(settings.saddle_gain),
             hessian: Hessian::default(),
             qp: Qp::default(),
             guess: Guess::default(),
@@ -1170,13 +1111,13 @@ impl Material {
 
     /// Young's modulus in Pa: as given, or that of the preset.
     pub fn youngs_modulus(&self) -> Option<f64> {
-        self.youngs_modulus_pa
+        (self.youngs_modulus_pa.map(Number::get))
             .or(self.figures().map(|figures| figures.youngs_modulus_pa))
     }
 
     /// Density in kg/m³: as given, or that of the preset.
     pub fn density(&self) -> Option<f64> {
-        self.density_kg_m3
+        (self.density_kg_m3.map(Number::get))
             .or(self.figures().map(|figures| figures.density_kg_m3))
     }
 
@@ -1185,8 +1126,8 @@ impl Material {
     pub fn shear_modulus(&self) -> Option<f64> {
         let youngs_modulus = self.youngs_modulus()?;
         match (self.shear_modulus_pa, self.poisson_ratio) {
-            (Some(modulus), _) => Some(modulus),
-            (None, Some(ratio)) => Some(youngs_modulus / (2.0 * (1.0 + ratio))),
+            (Some(modulus), _) => Some(modulus.get()),
+            (None, Some(ratio)) => Some(youngs_modulus / (2.0 * (1.0 + ratio.get()))),
             (None, None) => (self.figures()).map(|figures| figures.shear_modulus(youngs_modulus)),
         }
     }
@@ -1197,16 +1138,16 @@ impl Material {
             .then(|| self.figures().map(|figures| figures.shear))
             .flatten();
         let (ratio, modulus) = match shear {
-            Some(Shear::PoissonRatio(ratio)) => (Some(ratio), None),
-            Some(Shear::Modulus(modulus)) => (None, Some(modulus)),
+            Some(Shear::PoissonRatio(ratio)) => (Some(known(ratio)), None),
+            Some(Shear::Modulus(modulus)) => (None, Some(known(modulus))),
             None => (self.poisson_ratio, self.shear_modulus_pa),
         };
         Self {
             preset: None,
-            youngs_modulus_pa: self.youngs_modulus(),
+            youngs_modulus_pa: self.youngs_modulus().map(known),
             poisson_ratio: ratio,
             shear_modulus_pa: modulus,
-            density_kg_m3: self.density(),
+            density_kg_m3: self.density().map(known),
             shear_factor: self.shear_factor,
         }
     }
@@ -1220,7 +1161,9 @@ impl Section {
             (self.radius_base_m, self.diameter_base_m),
             (self.radius_tip_m, self.diameter_tip_m),
         ]
-        .map(|(radius, diameter)| radius.or(diameter.map(|diameter| 0.5 * diameter)));
+        .map(|(radius, diameter)| {
+            (radius.map(Number::get)).or(diameter.map(|diameter| 0.5 * diameter.get()))
+        });
         match (uniform, base, tip) {
             (Some(radius), None, None) => Some([radius, radius]),
             (None, Some(base), Some(tip)) => Some([base, tip]),
@@ -1283,12 +1226,8 @@ impl Obstacle {
 impl Task {
     /// When the tip should be there, in s, given the duration of the scene.
     pub fn instant(&self, end_s: f64) -> f64 {
-        self.at_s.unwrap_or(end_s)
+        self.at_s.map_or(end_s, Number::get)
     }
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 fn twenty() -> usize {

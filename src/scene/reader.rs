@@ -5,8 +5,10 @@
 
 use super::error::{excerpt, nearest};
 use super::source::Mark;
+use super::values::digits;
 use serde::de::{
-    self, DeserializeOwned, Deserializer, IntoDeserializer, Visitor, value::StringDeserializer,
+    self, DeserializeOwned, Deserializer, IntoDeserializer, Unexpected, Visitor,
+    value::StringDeserializer,
 };
 use std::fmt;
 use toml::Value;
@@ -93,6 +95,16 @@ impl de::Error for Misfit {
         misfit.expected = Some(format!("expected one of \"{}\"", known.join("\", \"")));
         misfit.help =
             nearest(variant, known.iter().copied()).map(|near| format!("did you mean \"{near}\"?"));
+        misfit
+    }
+
+    /// The alternate form of `expected` is a hint that may say more, for example a unit.
+    fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Misfit {
+        let Unexpected::Float(value) = found else {
+            return Misfit::new(format!("{found} does not fit here, expected {expected}"));
+        };
+        let mut misfit = Misfit::new(format!("{} is not a {expected}", digits(value)));
+        misfit.expected = Some(format!("expected a {expected:#}"));
         misfit
     }
 

@@ -112,9 +112,9 @@ proptest! {
     #[test]
     fn floats_round_trip_exactly(length in (1_u64..0x7ff0_0000_0000_0000).prop_map(f64::from_bits)) {
         let mut scene = builtin_scene("swing", &[]);
-        scene.rod.length_m = length;
+        scene.rod.length_m = Positive::new(length).expect("positive");
         let (again, _) = Scene::from_toml("again", &scene.to_toml(), &[])?;
-        prop_assert_eq!(again.rod.length_m.to_bits(), length.to_bits());
+        prop_assert_eq!(again.rod.length_m.get().to_bits(), length.to_bits());
     }
 }
 
@@ -176,7 +176,7 @@ fn defaults_are_as_documented() {
             .rod
             .material
             .as_ref()
-            .map(|material| material.shear_factor),
+            .map(|material| material.shear_factor.get()),
         Some(1.0)
     );
     assert_eq!(
@@ -188,7 +188,7 @@ fn defaults_are_as_documented() {
     );
     assert_eq!(
         (
-            Solver::default().tolerance,
+            Solver::default().tolerance.get(),
             Solver::default().max_iterations
         ),
         (1e-6, 600)
@@ -196,8 +196,8 @@ fn defaults_are_as_documented() {
     assert_eq!(
         scene.damping,
         Some(Damping {
-            viscous_1_s: 0.0,
-            internal_s: 0.0
+            viscous_1_s: NonNegative::default(),
+            internal_s: NonNegative::default(),
         })
     );
     let task = scene.task.unwrap_or_else(|| panic!("reach has a task"));

@@ -8,6 +8,7 @@ use super::check::MOST_ELEMENTS;
 use super::error::SceneError;
 use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
 use super::source::SceneSource;
+use super::values::{Number, known};
 use crate::control::{
     Bound, Continuation, DurationConflict, FeedbackWeights, FreeDuration, Guess, Hold,
     OptimalControlProblem, PathEnforcement, Search, Shape,
@@ -61,7 +62,7 @@ impl Simulation {
     /// instead, in a sentence.
     #[must_use]
     pub fn row_warning(&self) -> Option<String> {
-        let rate = self.resolved.output.as_ref()?.rate_hz?;
+        let rate = self.resolved.output.as_ref()?.rate_hz?.get();
         let step = self.grid.step;
         let rows = self.steps_per_row as f64 * step;
         // One row at the start and one at the end, whatever the interval.
@@ -119,11 +120,12 @@ impl OptimalControl {
         resolve_time(&mut out.resolved, &out.problem.grid);
         if let Some(task) = &mut out.resolved.task {
             let end = out.problem.grid.duration();
-            task.at_s = Some(end);
+            task.at_s = Some(known(end));
             for (via, target) in task.via.iter_mut().zip(&problem.task.targets) {
-                via.at_s = target.time.unwrap_or(end);
+                via.at_s = known(target.time.unwrap_or(end));
             }
-            out.resolved.time.end_s = out.resolved.time.end_s.max(end);
+            let until = out.resolved.time.end_s.get().max(end);
+            out.resolved.time.end_s = known(until);
         }
         out
     }
@@ -178,11 +180,12 @@ impl Scene {
         let arm = self.arm(source)?;
         let refused = |error| self.discretize_error(source, error);
         let motion = arm
-            .discretize(self.time.end_s, &self.discretization())
+            .discretize(self.time.end_s.get(), &self.discretization())
             .map_err(refused)?;
         let output = self.output.clone().unwrap_or_default();
+        let rate_hz = output.rate_hz.map(Number::get);
         let (mut grid, rod) = (motion.grid, motion.rod);
-        if let (Some(rate), TimeStep::Auto) = (output.rate_hz, self.time.step_s) {
+        if let (Some(rate), TimeStep::Auto) = (rate_hz, self.time.step_s) {
             grid = row_grid(source, grid, rate)?;
         }
         let discretization = Discretization {
@@ -193,7 +196,7 @@ impl Scene {
         Ok(Simulation {
             arm,
             discretization,
-            steps_per_row: output.rate_hz.map_or(1, |rate| {
+            steps_per_row: rate_hz.map_or(1, |rate| {
                 ((1.0 / (rate * grid.step)).round() as usize).max(1)
             }),
             diagnostics: output.diagnostics,
@@ -216,7 +219,7 @@ impl Scene {
     /// When a solve that began at an instant must end, by `solver.deadline_s`.
     #[must_use]
     pub fn deadline(&self, began: Instant) -> Option<Instant> {
-        let seconds = self.solver.as_ref()?.deadline_s?;
+        let seconds = self.solver.as_ref()?.deadline_s?.get();
         // A deadline beyond the range of the clock is none.
         began.checked_add(Duration::try_from_secs_f64(seconds).ok()?)
     }
@@ -251,22 +254,22 @@ impl Scene {
         let resolved = {
             let mut resolved = self.resolved(&discretization);
             if let Some(definition) = &mut resolved.task {
-                definition.at_s = Some(task.horizon);
+                definition.at_s = Some(known(task.horizon));
                 if definition.at_rest && definition.hard {
                     let tolerances = definition.tolerances();
                     let [speed, spin] = tolerances.rest(arm.length, task.horizon);
-                    definition.tolerance_m_s = Some(speed);
-                    definition.tolerance_rad_s = Some(spin);
+                    definition.tolerance_m_s = Some(known(speed));
+                    definition.tolerance_rad_s = Some(known(spin));
                 }
             }
             let mut objective = self.objective.clone().unwrap_or_default();
             for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-                track.weight = Some(tracking.weight);
+                track.weight = Some(known(tracking.weight));
             }
             let tip = problem.actuators.first();
             resolved.objective = Some(Objective {
-                force_scale_n: tip.map(|tip| tip.force.scale),
-                moment_scale_n_m: tip.map(|tip| tip.moment.scale),
+                force_scale_n: tip.map(|tip| known(tip.force.scale)),
+                moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
                 ..objective
             });
             resolved.solver = Some(solver.clone());
@@ -282,10 +285,10 @@ impl Scene {
             discretization,
             problem,
             settings: SqpSettings {
-                tolerance: solver.tolerance,
+                tolerance: solver.tolerance.get(),
                 max_iterations: solver.max_iterations,
                 saddle_escapes: solver.saddle_escapes,
-                saddle_gain: solver.saddle_gain,
+                saddle_gain: solver.saddle_gain.get(),
                 hessian: match solver.hessian {
                     model::Hessian::Auto => HessianChoice::Auto,
                     model::Hessian::GaussNewton => HessianChoice::GaussNewton,
@@ -313,9 +316,9 @@ impl Scene {
             },
             feedback: match feedback {
                 Some(feedback) => Some(FeedbackWeights {
-                    state: feedback.state,
-                    input: feedback.input,
-                    tolerance: feedback.tolerance,
+                    state: feedback.state.get(),
+                    input: feedback.input.get(),
+                    tolerance: feedback.tolerance.get(),
                 }),
                 None if self.rod.elements <= MOST_FEEDBACK_ELEMENTS => {
                     Some(FeedbackWeights::default())
@@ -335,7 +338,7 @@ impl Scene {
         let reference = self.rod.reference.as_ref();
         let elements = self.rod.elements;
         Ok(Arm {
-            length: self.rod.length_m,
+            length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
             model: match self.rod.model {
                 model::RodModel::Standard => RodModel::Standard,
@@ -343,7 +346,7 @@ impl Scene {
                 model::RodModel::Consistent => RodModel::Consistent,
             },
             rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
-            rest_stretch: reference.map_or(1.0, |r| r.stretch),
+            rest_stretch: reference.map_or(1.0, |r| r.stretch.get()),
             base: match self.base.kind {
                 model::BaseKind::Clamped => BaseCondition::Clamped,
                 model::BaseKind::Driven => {
@@ -362,8 +365,8 @@ impl Scene {
                 .gravity
                 .as_ref()
                 .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
-            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s),
-            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s),
+            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s.get()),
+            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s.get()),
             loads: (self.load.iter())
                 .map(|load| PointLoad {
                     at: load.node.place(elements),
@@ -375,12 +378,12 @@ impl Scene {
                 .collect(),
             distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
             payload: self.payload.as_ref().map(|payload| NodeInertia {
-                mass: payload.mass_kg,
-                rotary: payload.inertia_kg_m2.into(),
+                mass: payload.mass_kg.get(),
+                rotary: payload.inertia_kg_m2.map(Number::get).into(),
             }),
             radii: (self.rod.section.as_ref())
                 .and_then(model::Section::radii)
-                .or(self.rod.display_radius_m.map(|radius| [radius; 2])),
+                .or(self.rod.display_radius_m.map(|radius| [radius.get(); 2])),
         })
     }
 
@@ -461,7 +464,9 @@ impl Scene {
             return Err(missing("task"));
         }
         let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
-        let horizon = task.map_or(self.time.end_s, |task| task.instant(self.time.end_s));
+        let horizon = task.map_or(self.time.end_s.get(), |task| {
+            task.instant(self.time.end_s.get())
+        });
         if !(horizon > 0.0) {
             let message = "a path cannot be followed in no time";
             let error = source.error_at("time.end_s", message, None);
@@ -494,30 +499,30 @@ impl Scene {
             free_duration: task
                 .and_then(|task| task.free_duration)
                 .map(|free| FreeDuration {
-                    shortest: free.shortest_s,
-                    longest: free.longest_s,
-                    price: free.price,
+                    shortest: free.shortest_s.get(),
+                    longest: free.longest_s.get(),
+                    price: free.price.get(),
                 }),
             start: self.start(),
             targets: task.map_or_else(Vec::new, |task| targets(task, elements)),
             limits: self.limits(),
             actuators,
             cost: Cost {
-                effort: objective.effort,
-                rate: objective.rate,
-                energy: objective.energy,
+                effort: objective.effort.get(),
+                rate: objective.rate.get(),
+                energy: objective.energy.get(),
                 tracks: (objective.track.iter())
                     .map(|track| Track {
                         at: track.node.place(elements),
                         path: (track.path_m.iter())
                             .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
                             .collect(),
-                        weight: track.weight,
+                        weight: track.weight.map(Number::get),
                     })
                     .collect(),
                 terms: Vec::new(),
-                force_scale: objective.force_scale_n,
-                moment_scale: objective.moment_scale_n_m,
+                force_scale: objective.force_scale_n.map(Number::get),
+                moment_scale: objective.moment_scale_n_m.map(Number::get),
             },
         })
     }
@@ -527,34 +532,34 @@ impl Scene {
     pub fn limits(&self) -> Vec<Limit> {
         let price = |soft: Option<model::Price>| {
             soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
-                linear: price.linear,
-                quadratic: price.quadratic,
+                linear: price.linear.get(),
+                quadratic: price.quadratic.get(),
             })
         };
         let obstacles = (self.obstacle.iter().enumerate()).filter_map(|(index, obstacle)| {
             Some(Limit {
                 name: obstacle.name(index),
                 kind: clearance(obstacle)?,
-                rate: obstacle.rate_hz,
+                rate: obstacle.rate_hz.map(Number::get),
                 enforcement: price(obstacle.soft),
             })
         });
         let limits = self.limit.iter().filter_map(|limit| {
             let kind = if let Some([least, largest]) = limit.stretch {
                 LimitKind::Stretch { least, largest }
-            } else if let Some(largest) = limit.curvature_max_1_m {
+            } else if let Some(largest) = limit.curvature_max_1_m.map(Number::get) {
                 LimitKind::Curvature { largest }
-            } else if let Some(largest) = limit.twist_max_1_m {
+            } else if let Some(largest) = limit.twist_max_1_m.map(Number::get) {
                 LimitKind::Twist { largest }
             } else {
                 let at = limit.node.unwrap_or_default().place(self.rod.elements);
-                let largest = limit.speed_max_m_s?;
+                let largest = limit.speed_max_m_s?.get();
                 LimitKind::Speed { at, largest }
             };
             Some(Limit {
                 name: limit.name(),
                 kind,
-                rate: limit.rate_hz,
+                rate: limit.rate_hz.map(Number::get),
                 enforcement: price(limit.soft),
             })
         });
@@ -712,7 +717,7 @@ impl Scene {
             "rest_curvature" => {
                 let curvature: Vector3<f64> = (self.rod.reference.as_ref())
                     .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
-                let least = curvature.norm() * self.rod.length_m / std::f64::consts::PI;
+                let least = curvature.norm() * self.rod.length_m.get() / std::f64::consts::PI;
                 let help = if least < MOST_ELEMENTS as f64 {
                     format!(
                         "make it smaller, or rod.elements {} or more",
@@ -766,15 +771,12 @@ impl Scene {
             )
         };
         if let (Some(stiffness), Some(inertia)) = (&self.rod.stiffness, &self.rod.inertia) {
+            let (ga, ei) = (stiffness.ga_n.get(), stiffness.ei_n_m2.get());
             return Ok(SectionProfile::Uniform(Section {
-                linear_stiffness: Vector3::new(stiffness.ga_n, stiffness.ga_n, stiffness.ea_n),
-                angular_stiffness: Vector3::new(
-                    stiffness.ei_n_m2,
-                    stiffness.ei_n_m2,
-                    stiffness.gj_n_m2,
-                ),
-                mass: inertia.mass_kg_m,
-                rotary: inertia.rotary_kg_m.into(),
+                linear_stiffness: Vector3::new(ga, ga, stiffness.ea_n.get()),
+                angular_stiffness: Vector3::new(ei, ei, stiffness.gj_n_m2.get()),
+                mass: inertia.mass_kg_m.get(),
+                rotary: inertia.rotary_kg_m.map(Number::get).into(),
             }));
         }
         let material = self.rod.material.as_ref().ok_or_else(incomplete)?;
@@ -788,7 +790,7 @@ impl Scene {
             youngs_modulus: material.youngs_modulus().ok_or_else(incomplete)?,
             shear_modulus: material.shear_modulus().ok_or_else(incomplete)?,
             density: material.density().ok_or_else(incomplete)?,
-            shear_factor: material.shear_factor,
+            shear_factor: material.shear_factor.get(),
         };
         Ok(if base_radius == tip_radius {
             SectionProfile::Uniform(Section::circle(&material, base_radius))
@@ -816,10 +818,10 @@ impl LoadNode {
 impl model::Task {
     fn tolerances(&self) -> Tolerances {
         Tolerances {
-            distance: self.tolerance_m,
-            angle: self.tolerance_rad,
-            speed: self.tolerance_m_s,
-            spin: self.tolerance_rad_s,
+            distance: self.tolerance_m.map(Number::get),
+            angle: self.tolerance_rad.map(Number::get),
+            speed: self.tolerance_m_s.map(Number::get),
+            spin: self.tolerance_rad_s.map(Number::get),
         }
     }
 }
@@ -829,14 +831,14 @@ fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
     let via = task.via.iter().enumerate().map(|(index, via)| Target {
         name: format!("task.via.{index}"),
         at: via.node.place(elements),
-        time: Some(via.at_s),
+        time: Some(via.at_s.get()),
         position: via.position_m.map(Vector3::from),
         rotation: via.orientation_wxyz.map(from_quaternion),
         at_rest: false,
-        hardness: hardness(via.hard, via.weight),
+        hardness: hardness(via.hard, via.weight.map(Number::get)),
         tolerances: Tolerances {
-            distance: via.tolerance_m,
-            angle: via.tolerance_rad,
+            distance: via.tolerance_m.map(Number::get),
+            angle: via.tolerance_rad.map(Number::get),
             ..Tolerances::default()
         },
     });
@@ -847,7 +849,7 @@ fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
         position: task.position_m.map(Vector3::from),
         rotation: task.orientation_wxyz.map(from_quaternion),
         at_rest: task.at_rest,
-        hardness: hardness(task.hard, task.weight),
+        hardness: hardness(task.hard, task.weight.map(Number::get)),
         tolerances: task.tolerances(),
     };
     via.chain([goal]).collect()
@@ -866,7 +868,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
 fn clearance(obstacle: &model::Obstacle) -> Option<LimitKind> {
     Some(LimitKind::Clearance {
         shape: shape(obstacle)?,
-        margin: obstacle.margin_m,
+        margin: obstacle.margin_m.get(),
     })
 }
 
@@ -890,14 +892,14 @@ fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
     if let Some(sphere) = &obstacle.sphere {
         return Some(Shape::Sphere {
             center: sphere.center_m.into(),
-            radius: sphere.radius_m,
+            radius: sphere.radius_m.get(),
         });
     }
     if let Some(capsule) = &obstacle.capsule {
         return Some(Shape::Capsule {
             from: capsule.from_m.into(),
             to: capsule.to_m.into(),
-            radius: capsule.radius_m,
+            radius: capsule.radius_m.get(),
         });
     }
     if let Some(half_space) = &obstacle.half_space {
@@ -911,7 +913,7 @@ fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
         rotation: cuboid
             .orientation_wxyz
             .map_or_else(Matrix3::identity, from_quaternion),
-        half_size: Vector3::from(cuboid.size_m) * 0.5,
+        half_size: Vector3::from(cuboid.size_m.map(Number::get)) * 0.5,
     })
 }
 
@@ -929,8 +931,8 @@ fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
 
 fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
     DistributedLoad {
-        from: load.from,
-        to: load.to,
+        from: load.from.get(),
+        to: load.to.get(),
         force: load.force_n_per_m.into(),
         moment: load.moment_n_m_per_m.into(),
         frame: load_frame(load.frame),
@@ -949,7 +951,7 @@ fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
             .map(|rows| CubicSpline::through(&rows.iter().map(point).collect::<Vec<_>>()));
         let oscillations = motion.oscillation.iter().map(|o| Oscillation {
             amplitude: amplitude(o).into(),
-            frequency: o.frequency_hz,
+            frequency: o.frequency_hz.get(),
             phase: o.phase_rad,
         });
         Ok(MotionCurve {
