@@ -4,15 +4,18 @@ use faer::Mat;
 
 use crate::mechanics::Wrench;
 
-/// The course of a control between its coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The course of the controls within a block.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum Hold {
-    /// One coefficient per block, constant over it.
+    /// Constant in each block; its jumps set off elastic waves.
     Constant,
-    /// One coefficient per knot (blocks + 1 of them), linear in between.
+    /// Linear between the ends of blocks (one coefficient per end). The default.
+    #[default]
     Linear,
-    /// Clamped cubic B-spline with knots where blocks meet (blocks + 3 coefficients): twice continuously differentiable, and
-    /// within the convex hull of its coefficients, so that a convex bound on these bounds the control at all times.
+    /// A cubic spline, smooth where blocks meet: a clamped B-spline with blocks + 3 coefficients. Bounds hold for its control points, and so
+    /// for the spline.
     Cubic,
 }
 

@@ -18,15 +18,18 @@ use nalgebra::{Matrix3, Vector3};
 use super::strain::Element;
 
 /// How axial stretch enters stiffness and inertia.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum RodModel {
-    /// The section keeps its size: `e = 1` in stiffness and inertia.
+    /// The section keeps its size as the rod stretches: `e = 1` in stiffness and inertia.
     #[default]
     Standard,
-    /// The paper's modified model: `C₁/e`, `C₂/e³`, `J/e` at frozen dilatation. Not the variation of an action: angular
-    /// momentum is broken and the energy wanders; long or violent motions can blow up at any time step.
+    /// The section thins as the rod stretches, at frozen stretch in the equations of motion: the paper's modified model, `C₁/e`, `C₂/e³`,
+    /// `J/e`. Not the variation of an action: angular momentum is broken and the energy wanders; long or violent motions can blow up at
+    /// any time step.
     Dilatation,
-    /// The dilatation taken through the whole variation: a discrete energy exists, and momenta are conserved.
+    /// The section thins as the rod stretches, with every derivative kept: a discrete energy exists, and momenta are conserved.
     Consistent,
 }
 

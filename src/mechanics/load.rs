@@ -29,13 +29,15 @@ impl Wrench {
     }
 }
 
-/// The frame in which a load's components stay constant.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// The frame that a load is given in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum LoadFrame {
-    /// Fixed in space (a dead load).
+    /// The load keeps its direction in space.
     #[default]
     Spatial,
-    /// Turns with the node (a follower load).
+    /// The load turns with the node.
     Body,
 }
 

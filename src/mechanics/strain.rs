@@ -21,12 +21,15 @@ use super::rotation::{
     InverseTangentCoefficients, cay_inverse, cay_inverse_tangent, hat, log, log_tangent,
 };
 
-/// How the strains of an element follow from its two end nodes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How the strains of an element follow from its two nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum StrainRule {
-    /// One constant strain per element, from the exponential of SE(3).
+    /// One constant strain per element; arcs and helices are exact, and elements may be long.
+    #[default]
     Helical,
-    /// The paper's rule: strains at the two ends, half weight each.
+    /// Strains at both ends with half weight each; locks in shear unless elements are shorter than the radius.
     Trapezoidal,
 }
 

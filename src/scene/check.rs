@@ -2,11 +2,12 @@
 
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Continuation, Control, DistributedLoad, FreeDuration,
-    Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, RodModel, Scene,
-    Section, Solver, Task, Time, TimeStep, Via,
+    Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene, Section,
+    Solver, Task, Time, TimeStep, Via,
 };
 use super::values::{self, Positive, digits};
 use super::{SceneError, SceneSource};
+use crate::mechanics::RodModel;
 use crate::task::MOST_STEPS;
 
 /// Elements beyond this number are a typing error rather than a wish.

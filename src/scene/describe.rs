@@ -4,17 +4,16 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::model::{
     Actuator, Base, BaseKind, BaseMotion, Bound, Capsule, Control, Cuboid, Damping,
-    DistributedLoad, FreeDuration, Gravity, HalfSpace, Hold, Inertia, Initial, InitialShape, Limit,
-    Load, LoadFrame, LoadNode, Material, Objective, Obstacle, Oscillation, Payload, Price,
-    Reference, Rod, RodModel, RotaryInertia, Scene, Section, Solver, Sphere, Stiffness, StrainRule,
-    Task, Time, TimeScheme, TimeStep, Track, Via,
+    DistributedLoad, FreeDuration, Gravity, HalfSpace, Inertia, Initial, Limit, Load, LoadNode,
+    Material, Objective, Obstacle, Oscillation, Payload, Price, Reference, Rod, RotaryInertia,
+    Scene, Section, Solver, Sphere, Stiffness, Task, Time, TimeScheme, TimeStep, Track, Via,
 };
 use super::values::{self, Positive, known};
 use crate::control::{self, PathEnforcement, Shape};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{self, BaseCondition, MotionCurve, SectionProfile};
 use crate::sqp::SqpSettings;
-use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, StartShape, Target};
+use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, Target};
 
 /// A part of a problem that no scene can say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -40,15 +39,8 @@ impl Scene {
         let mut rod = Rod {
             length_m: known(arm.length),
             elements: chosen.elements,
-            strain: match chosen.strain_rule {
-                mechanics::StrainRule::Helical => StrainRule::Helical,
-                mechanics::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
-            },
-            model: match arm.model {
-                mechanics::RodModel::Standard => RodModel::Standard,
-                mechanics::RodModel::Dilatation => RodModel::Dilatation,
-                mechanics::RodModel::Consistent => RodModel::Consistent,
-            },
+            strain: chosen.strain_rule,
+            model: arm.model,
             rotary_inertia: chosen
                 .rotary_inertia
                 .map_or(RotaryInertia::Auto, |inertia| match inertia {
@@ -103,7 +95,7 @@ impl Scene {
                     node: at(load.at),
                     force_n: load.force.into(),
                     moment_n_m: load.moment.into(),
-                    frame: frame(load.frame),
+                    frame: load.frame,
                     profile: profile(&load.profile),
                 })
                 .collect(),
@@ -113,15 +105,12 @@ impl Scene {
                     to: known(load.to),
                     force_n_per_m: load.force.into(),
                     moment_n_m_per_m: load.moment.into(),
-                    frame: frame(load.frame),
+                    frame: load.frame,
                     profile: profile(&load.profile),
                 })
                 .collect(),
             initial: Some(Initial {
-                shape: match task.start.shape {
-                    StartShape::Rest => InitialShape::Rest,
-                    StartShape::Equilibrium => InitialShape::Equilibrium,
-                },
+                shape: task.start.shape,
                 velocity_m_s: task.start.velocity.into(),
                 angular_velocity_rad_s: task.start.angular_velocity.into(),
             }),
@@ -184,13 +173,6 @@ fn node(place: Place, elements: usize) -> LoadNode {
 fn wxyz(rotation: &Matrix3<f64>) -> [f64; 4] {
     let q = quaternion(rotation);
     [q.w, q.i, q.j, q.k]
-}
-
-fn frame(frame: mechanics::LoadFrame) -> LoadFrame {
-    match frame {
-        mechanics::LoadFrame::Spatial => LoadFrame::Spatial,
-        mechanics::LoadFrame::Body => LoadFrame::Body,
-    }
 }
 
 fn profile(points: &[(f64, f64)]) -> Option<Vec<[f64; 2]>> {
@@ -383,11 +365,7 @@ fn control(problem: &Problem) -> Result<Control, DescribeError> {
     let rate = |limits: &ChannelLimits| limits.rate_bound.and_then(|rate| bound(Some(rate)));
     Ok(Control {
         blocks: chosen.blocks,
-        hold: match chosen.hold {
-            control::Hold::Constant => Hold::Constant,
-            control::Hold::Linear => Hold::Linear,
-            control::Hold::Cubic => Hold::Cubic,
-        },
+        hold: chosen.hold,
         force_max_n: bound(tip.force.bound),
         moment_max_n_m: bound(tip.moment.bound),
         force_rate_max_n_s: rate(&tip.force),

@@ -39,10 +39,9 @@ pub use error::SceneError;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::{
     Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Feedback,
-    Gravity, Guess, HalfSpace, Hessian, Hold, Inertia, Initial, InitialShape, Limit, Load,
-    LoadFrame, LoadNode, Material, Objective, Obstacle, Output, Price, Reference, Rod, RodModel,
-    RotaryInertia, Scene, Section, Solver, Sphere, Stiffness, StrainRule, Task, Time, TimeScheme,
-    TimeStep, Track, Via,
+    Gravity, Guess, HalfSpace, Inertia, Initial, Limit, Load, LoadNode, Material, Objective,
+    Obstacle, Output, Price, Reference, Rod, RotaryInertia, Scene, Section, Solver, Sphere,
+    Stiffness, Task, Time, TimeScheme, TimeStep, Track, Via,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};

@@ -1,6 +1,7 @@
 //! What holds for every scene that can be read. What cannot be read is in `tests/scene_errors.rs`.
 
 use super::*;
+use crate::mechanics::StrainRule;
 use crate::mechanics::energy::linear_momentum;
 use crate::mechanics::rotation::{exp, from_direction};
 use nalgebra::Vector3;

@@ -6,26 +6,26 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::check::MOST_ELEMENTS;
 use super::error::SceneError;
-use super::model::{self, InitialShape, LoadNode, Objective, Scene, TimeStep};
+use super::model::{self, LoadNode, Objective, Scene, TimeStep};
 use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{
-    Bound, Continuation, DurationConflict, FeedbackWeights, FreeDuration, Guess, Hold,
+    Bound, Continuation, DurationConflict, FeedbackWeights, FreeDuration, Guess,
     OptimalControlProblem, PathEnforcement, Search, Shape,
 };
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, LoadFrame, Material, MotionCurve,
-    NodeInertia, Oscillation, Rod, RodError, RodModel, RotaryInertia, Section, SectionProfile,
-    State, StrainRule, TimeGrid, TimeScheme,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Material, MotionCurve, NodeInertia,
+    Oscillation, Rod, RodError, RotaryInertia, Section, SectionProfile, State, TimeGrid,
+    TimeScheme,
 };
-use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
+use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{
     Arm, ChannelLimits, Cost, Discretization, DiscretizeError, Hardness, Limit, LimitKind,
-    MOST_STEPS, Obstruction, Place, PointLoad, Problem, Start, StartShape, Target, Task,
-    Tolerances, Track, WrenchActuator,
+    MOST_STEPS, Obstruction, Place, PointLoad, Problem, Start, Target, Task, Tolerances, Track,
+    WrenchActuator,
 };
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
 
@@ -289,11 +289,7 @@ impl Scene {
                 max_iterations: solver.max_iterations,
                 saddle_escapes: solver.saddle_escapes,
                 saddle_gain: solver.saddle_gain.get(),
-                hessian: match solver.hessian {
-                    model::Hessian::Auto => HessianChoice::Auto,
-                    model::Hessian::GaussNewton => HessianChoice::GaussNewton,
-                    model::Hessian::Exact => HessianChoice::Exact,
-                },
+                hessian: solver.hessian,
                 qp: match solver.qp {
                     model::Qp::Condensed => QpRoute::Condensed,
                     model::Qp::Sparse => QpRoute::Sparse,
@@ -340,11 +336,7 @@ impl Scene {
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
-            model: match self.rod.model {
-                model::RodModel::Standard => RodModel::Standard,
-                model::RodModel::Dilatation => RodModel::Dilatation,
-                model::RodModel::Consistent => RodModel::Consistent,
-            },
+            model: self.rod.model,
             rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
             rest_stretch: reference.map_or(1.0, |r| r.stretch.get()),
             base: match self.base.kind {
@@ -372,7 +364,7 @@ impl Scene {
                     at: load.node.place(elements),
                     force: load.force_n.into(),
                     moment: load.moment_n_m.into(),
-                    frame: load_frame(load.frame),
+                    frame: load.frame,
                     profile: load_profile(&load.profile),
                 })
                 .collect(),
@@ -392,10 +384,7 @@ impl Scene {
     pub fn start(&self) -> Start {
         let initial = self.initial.clone().unwrap_or_default();
         Start {
-            shape: match initial.shape {
-                InitialShape::Rest => StartShape::Rest,
-                InitialShape::Equilibrium => StartShape::Equilibrium,
-            },
+            shape: initial.shape,
             velocity: initial.velocity_m_s.into(),
             angular_velocity: initial.angular_velocity_rad_s.into(),
         }
@@ -408,10 +397,7 @@ impl Scene {
         let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
         Discretization {
             elements: self.rod.elements,
-            strain_rule: match self.rod.strain {
-                model::StrainRule::Helical => StrainRule::Helical,
-                model::StrainRule::Trapezoidal => StrainRule::Trapezoidal,
-            },
+            strain_rule: self.rod.strain,
             scheme: match self.time.integrator {
                 // Implicit steps are not local enough for the sparse route.
                 model::TimeScheme::Auto if is_sparse => Some(TimeScheme::Explicit),
@@ -431,11 +417,7 @@ impl Scene {
                 TimeStep::Auto => None,
                 TimeStep::Seconds(step) => Some(step),
             },
-            hold: (self.control.as_ref()).map_or(default.hold, |control| match control.hold {
-                model::Hold::Constant => Hold::Constant,
-                model::Hold::Linear => Hold::Linear,
-                model::Hold::Cubic => Hold::Cubic,
-            }),
+            hold: (self.control.as_ref()).map_or(default.hold, |control| control.hold),
             blocks: (self.control.as_ref()).map_or(default.blocks, |control| control.blocks),
             samples: (self.objective.as_ref())
                 .map_or(default.samples, |objective| objective.samples),
@@ -699,11 +681,7 @@ impl Scene {
                 _ => ("damping.internal_s", "leave it out"),
             };
             let help = format!("{remedy}, or set rod.model = \"standard\"");
-            let name = match self.rod.model {
-                model::RodModel::Standard => "standard",
-                model::RodModel::Dilatation => "dilatation",
-                model::RodModel::Consistent => "consistent",
-            };
+            let name = self.rod.model.name();
             let message = format!("the {name} model does not have it, only the standard one");
             return source.error_at(key, message, Some(help));
         };
@@ -917,13 +895,6 @@ fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
     })
 }
 
-fn load_frame(frame: model::LoadFrame) -> LoadFrame {
-    match frame {
-        model::LoadFrame::Spatial => LoadFrame::Spatial,
-        model::LoadFrame::Body => LoadFrame::Body,
-    }
-}
-
 fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
     let points = profile.iter().flatten();
     points.map(|&[t, factor]| (t, factor)).collect()
@@ -935,7 +906,7 @@ fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
         to: load.to.get(),
         force: load.force_n_per_m.into(),
         moment: load.moment_n_m_per_m.into(),
-        frame: load_frame(load.frame),
+        frame: load.frame,
         profile: load_profile(&load.profile),
     }
 }

@@ -6,14 +6,18 @@ use faer::{Mat, Side};
 use super::program::{ConvexSet, Linearization, Softness, along};
 use super::residual::{Multipliers, norm};
 
-/// Which Hessian the solver uses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The second derivatives that the quadratic model uses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
+#[serde(rename_all = "kebab-case")]
 pub enum HessianChoice {
-    /// Gauss-Newton far out, exact once the point is near enough to a solution.
+    /// Gauss-Newton far from the solution, exact near it.
+    #[default]
     Auto,
-    /// Gauss-Newton throughout.
+    /// Of the objective alone.
     GaussNewton,
-    /// Exact throughout.
+    /// Of the Lagrangian.
     Exact,
 }
 

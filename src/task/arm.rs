@@ -226,13 +226,16 @@ impl Arm {
     }
 }
 
-/// The shape in which a motion starts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Shape that a motion starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "InitialShape"))]
+#[serde(rename_all = "kebab-case")]
 pub enum StartShape {
-    /// Free of stress.
+    /// The stress-free shape: gravity and loads act suddenly.
     #[default]
     Rest,
-    /// In static equilibrium with gravity and loads.
+    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped or driven base.
     Equilibrium,
 }
 

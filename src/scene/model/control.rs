@@ -1,0 +1,108 @@
+//! What the optimizer may choose.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::values::{self, NonNegative, Positive, known};
+use crate::control::Hold;
+
+/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
+/// is not named does not act.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Control {
+    /// Number of blocks, at least 1, default 20.
+    #[serde(default = "twenty")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub blocks: usize,
+    /// The course of the controls within a block.
+    #[serde(default)]
+    pub hold: Hold,
+    /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<Bound>,
+    /// Largest tip moment in N m; `inf` is unbounded. Absent, or 0: there is no tip moment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_max_n_m: Option<Bound>,
+    /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_rate_max_n_s: Option<Bound>,
+    /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_rate_max_n_m_s: Option<Bound>,
+    /// Forces and moments on other nodes than the tip.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub actuator: Vec<Actuator>,
+    /// Weights of the feedback gains along the solution. Absent: 1, 1 and 0.01 for arms of at most 40 elements, no gains for others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub feedback: Option<Feedback>,
+}
+
+/// What the regulator around the solution weighs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Feedback {
+    /// Weight of the energy of a deviation, twice over EI/L, on the way and at the end; not negative, default 1.
+    pub state: NonNegative<values::Weight>,
+    /// Weight of the square of a correction over its scale; positive, default 1.
+    pub input: Positive<values::Weight>,
+    /// Scaled residual of the task that counts as 1 (over the length, or in rad); positive, default 0.01.
+    pub tolerance: Positive<values::Tolerance>,
+}
+
+impl Default for Feedback {
+    fn default() -> Self {
+        let weights = crate::control::FeedbackWeights::default();
+        Self {
+            state: known(weights.state),
+            input: known(weights.input),
+            tolerance: known(weights.tolerance),
+        }
+    }
+}
+
+/// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Actuator {
+    /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
+    pub node: usize,
+    /// Largest force in N; `inf` is unbounded. Absent, or 0: there is no force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<Bound>,
+    /// Largest moment in N m; `inf` is unbounded. Absent, or 0: there is no moment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_max_n_m: Option<Bound>,
+}
+
+/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(
+    untagged,
+    expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
+)]
+pub enum Bound {
+    /// On the Euclidean norm.
+    Norm(f64),
+    /// On the magnitude of each component.
+    PerAxis([f64; 3]),
+}
+
+impl Bound {
+    /// Whether it leaves nothing.
+    pub fn is_zero(self) -> bool {
+        match self {
+            Self::Norm(norm) => norm == 0.0,
+            Self::PerAxis(bounds) => bounds == [0.0; 3],
+        }
+    }
+}
+
+fn twenty() -> usize {
+    20
+}

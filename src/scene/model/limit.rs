@@ -1,0 +1,162 @@
+//! What the arm keeps clear of, and the limits on its strains and speeds.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::values::{self, NonNegative, Positive};
+use super::LoadNode;
+
+/// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Obstacle {
+    /// Name in reports. Default: "obstacle" and its number, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// All points within a distance of a center.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sphere: Option<Sphere>,
+    /// All points within a distance of a segment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub capsule: Option<Capsule>,
+    /// All points behind a plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub half_space: Option<HalfSpace>,
+    /// A box.
+    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    pub cuboid: Option<Cuboid>,
+    /// Clearance in m between the arm's surface and the body, not negative, default 0.
+    #[serde(default)]
+    pub margin_m: NonNegative<values::Clearance>,
+    /// The price of coming closer. Absent: never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub soft: Option<Price>,
+    /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
+    /// 1000 times of a longer motion; the check looks between them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<Positive<values::Rate>>,
+}
+
+/// A sphere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Sphere {
+    /// Center in m.
+    pub center_m: [f64; 3],
+    /// Radius in m, positive.
+    pub radius_m: Positive<values::Radius>,
+}
+
+/// A cylinder with round ends.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Capsule {
+    /// One end of the axis in m.
+    pub from_m: [f64; 3],
+    /// The other end of the axis in m.
+    pub to_m: [f64; 3],
+    /// Radius in m, positive.
+    pub radius_m: Positive<values::Radius>,
+}
+
+/// All points behind a plane.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct HalfSpace {
+    /// A point of the plane in m.
+    pub point_m: [f64; 3],
+    /// Direction out of the obstacle, of any length but zero.
+    pub normal: [f64; 3],
+}
+
+/// A box.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Cuboid {
+    /// Center in m.
+    pub center_m: [f64; 3],
+    /// Whole edges in m, positive.
+    pub size_m: [Positive<values::Edge>; 3],
+    /// Orientation as a quaternion, scalar first, of any length but zero. Default: along the axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+}
+
+/// The price of a violation, in the units of the objective: per second and per violation over the rod's length (strains and
+/// angles as they are, speeds over the rod's length per its time scale), `linear` times it and half of `quadratic` times its square. A linear price above
+/// the constraint's multiplier keeps it exactly.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Price {
+    /// Not negative, default 0.
+    #[serde(default)]
+    pub linear: NonNegative<values::PriceOfViolation>,
+    /// Not negative, default 0; one of the two is positive.
+    #[serde(default)]
+    pub quadratic: NonNegative<values::PriceOfViolation>,
+}
+
+/// A limit on the strain of every element, or on the speed of a node: exactly one of the four.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Limit {
+    /// Name in reports. Default: the key of what is limited.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Least and largest length of an element over its length at rest. The model of the section holds for about [0.7, 1.3].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<[f64; 2]>,
+    /// Largest bending curvature in 1/m, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub curvature_max_1_m: Option<Positive<values::LargestCurvature>>,
+    /// Largest twist in 1/m, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub twist_max_1_m: Option<Positive<values::LargestCurvature>>,
+    /// Largest speed of a node in m/s, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
+    /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub node: Option<LoadNode>,
+    /// The price of a violation. Absent: never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub soft: Option<Price>,
+    /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
+    /// 1000 times of a longer motion; the check looks between them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<Positive<values::Rate>>,
+}
+
+impl Limit {
+    /// Name in reports and errors: its own, or the key of what is limited.
+    #[must_use]
+    pub fn name(&self) -> String {
+        if let Some(name) = &self.name {
+            return name.clone();
+        }
+        let kinds = [
+            ("stretch", self.stretch.is_some()),
+            ("curvature", self.curvature_max_1_m.is_some()),
+            ("twist", self.twist_max_1_m.is_some()),
+            ("speed", self.speed_max_m_s.is_some()),
+        ];
+        let kind = kinds.iter().find(|(_, given)| *given);
+        kind.map_or("without a kind", |(name, _)| name).to_string()
+    }
+}
+
+impl Obstacle {
+    /// Name in reports and errors: its own, or its place in the list.
+    #[must_use]
+    pub fn name(&self, index: usize) -> String {
+        (self.name.clone()).unwrap_or_else(|| format!("obstacle {index}"))
+    }
+}

@@ -1,0 +1,158 @@
+//! What acts on the arm: gravity, damping, a payload, given forces and moments.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::values::{self, Fraction, NonNegative};
+use crate::mechanics::LoadFrame;
+
+/// Uniform gravity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Gravity {
+    /// Acceleration in m/s², spatial frame.
+    pub acceleration_m_s2: [f64; 3],
+}
+
+/// Damping of the motion.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Damping {
+    /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
+    /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
+    /// only half of the time, as exp(-c t/2).
+    pub viscous_1_s: NonNegative<values::DampingRate>,
+    /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
+    /// It damps a mode of angular frequency ω with the ratio τω/2.
+    pub internal_s: NonNegative<values::Time>,
+}
+
+/// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Payload {
+    /// Mass in kg, not negative.
+    pub mass_kg: NonNegative<values::Mass>,
+    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
+    /// axis. Default: none.
+    #[serde(default)]
+    pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
+}
+
+/// A prescribed force and moment per rest length on a part of the arm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct DistributedLoad {
+    /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+    /// Force in N per m of the arm's rest length. Default: none.
+    #[serde(default)]
+    pub force_n_per_m: [f64; 3],
+    /// Moment in N m per m of the arm's rest length. Default: none.
+    #[serde(default)]
+    pub moment_n_m_per_m: [f64; 3],
+    /// The frame that force and moment are given in.
+    #[serde(default)]
+    pub frame: LoadFrame,
+    /// Factor on force and moment over time, as in `[[load]]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A prescribed force and moment on one node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Load {
+    /// The node that is loaded: "tip", "base", or an index that counts from 0 at the base.
+    pub node: LoadNode,
+    /// Force in N. Default: none.
+    #[serde(default)]
+    pub force_n: [f64; 3],
+    /// Moment in N m. Default: none.
+    #[serde(default)]
+    pub moment_n_m: [f64; 3],
+    /// The frame that `force_n` and `moment_n_m` are given in.
+    #[serde(default)]
+    pub frame: LoadFrame,
+    /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
+    /// Absent: always 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A node of the rod.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
+pub enum LoadNode {
+    /// The last node.
+    #[default]
+    Tip,
+    /// The first node.
+    Base,
+    /// The node of this index, from 0 at the base to `elements` at the tip.
+    Index(usize),
+}
+
+/// "tip", "base", or the index of a node, from 0 at the base.
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(
+    untagged,
+    expecting = "expected \"tip\", \"base\", or the index of a node"
+)]
+#[cfg_attr(feature = "schema", schemars(rename = "LoadNode"))]
+enum LoadNodeKey {
+    End(RodEnd),
+    Index(usize),
+}
+
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "schema", schemars(inline))]
+enum RodEnd {
+    Tip,
+    Base,
+}
+
+impl LoadNode {
+    /// Index of the node in a rod of `elements`.
+    pub fn index(self, elements: usize) -> usize {
+        match self {
+            Self::Tip => elements,
+            Self::Base => 0,
+            Self::Index(index) => index,
+        }
+    }
+}
+
+impl From<LoadNodeKey> for LoadNode {
+    fn from(key: LoadNodeKey) -> LoadNode {
+        match key {
+            LoadNodeKey::End(RodEnd::Tip) => LoadNode::Tip,
+            LoadNodeKey::End(RodEnd::Base) => LoadNode::Base,
+            LoadNodeKey::Index(index) => LoadNode::Index(index),
+        }
+    }
+}
+
+impl From<LoadNode> for LoadNodeKey {
+    fn from(node: LoadNode) -> LoadNodeKey {
+        match node {
+            LoadNode::Tip => LoadNodeKey::End(RodEnd::Tip),
+            LoadNode::Base => LoadNodeKey::End(RodEnd::Base),
+            LoadNode::Index(index) => LoadNodeKey::Index(index),
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
+
+mod base;
+mod control;
+mod limit;
+mod load;
+mod rod;
+mod solver;
+mod task;
+mod time;
+
+pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
+pub use self::control::{Actuator, Bound, Control, Feedback};
+pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
+pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
+pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
+pub use self::solver::{Continuation, Guess, Objective, Qp, Solver, Track};
+pub use self::task::{FreeDuration, Task, Via};
+pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A soft arm, what acts on it, and what it should do. SI units throughout.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// The arm.
+    pub rod: Rod,
+    /// Where the first node is, and whether it is held. Default: clamped at the origin, the arm along +z.
+    #[serde(default)]
+    pub base: Base,
+    /// Uniform gravity. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<Gravity>,
+    /// Damping. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub damping: Option<Damping>,
+    /// A rigid body at the tip. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
+    /// Prescribed forces and moments on nodes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub load: Vec<Load>,
+    /// Prescribed forces and moments along the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub distributed_load: Vec<DistributedLoad>,
+    /// State at t = 0. Absent: in the stress-free shape, at rest or moving with a driven base.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub initial: Option<Initial>,
+    /// Duration and time step.
+    pub time: Time,
+    /// Where the tip should be, and when. Absent: there is nothing to reach.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<Task>,
+    /// The forces and moments that the optimizer may choose. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub control: Option<Control>,
+    /// Bodies that the arm stays clear of.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub obstacle: Vec<Obstacle>,
+    /// Limits on strain and speed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limit: Vec<Limit>,
+    /// What the optimizer makes small. Absent: the defaults.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub objective: Option<Objective>,
+    /// How the optimizer works. Absent: the defaults.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub solver: Option<Solver>,
+    /// What is written. Absent: every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub output: Option<Output>,
+}

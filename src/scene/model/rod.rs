@@ -1,0 +1,224 @@
+//! The rod: what it is made of, its section, and its stress-free shape.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
+use super::super::values::{self, Number, PoissonRatio, Positive, known};
+use crate::mechanics::{RodModel, StrainRule};
+
+/// A straight or curved rod with a circular section, or with stiffness and inertia given directly.
+///
+/// Either `material` and `section`, or `stiffness` and `inertia`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Rod {
+    /// Rest length in m, positive.
+    pub length_m: Positive<values::Length>,
+    /// Number of elements, 1 to 5000; there is one node more than elements.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    pub elements: usize,
+    /// How strains follow from the nodes.
+    #[serde(default)]
+    pub strain: StrainRule,
+    /// How axial stretch enters stiffness and inertia.
+    #[serde(default)]
+    pub model: RodModel,
+    /// The rotary inertia of the nodes.
+    #[serde(default)]
+    pub rotary_inertia: RotaryInertia,
+    /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub display_radius_m: Option<Positive<values::Radius>>,
+    /// What the rod is made of; goes with `section`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub material: Option<Material>,
+    /// The circular section; goes with `material`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub section: Option<Section>,
+    /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stiffness: Option<Stiffness>,
+    /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertia: Option<Inertia>,
+    /// Stress-free shape. Absent: straight and unstretched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<Reference>,
+}
+
+/// The rotary inertia of the nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum RotaryInertia {
+    /// That of segments for a slender arm of a material that would take more than a second with that of sections, and five times as
+    /// long; otherwise that of sections. `softarm check` says which, and what it does to the first natural frequency.
+    #[default]
+    Auto,
+    /// That of the section.
+    Section,
+    /// That of the section and of the piece of rod that a node stands for, rho A l²/12 about all axes, l the length of an element. It
+    /// vanishes with more elements and lets a wire take long steps; not for rods that spin fast about their own axis.
+    Segment,
+}
+
+/// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which then count.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Material {
+    /// A material by name: the figures below that are not given are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<MaterialPreset>,
+    /// Young's modulus in Pa, positive. Absent: that of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub youngs_modulus_pa: Option<Positive<values::YoungsModulus>>,
+    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent, both: that of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub poisson_ratio: Option<PoissonRatio>,
+    /// Shear modulus in Pa, positive; either this or `poisson_ratio`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shear_modulus_pa: Option<Positive<values::ShearModulus>>,
+    /// Density in kg/m³, positive. Absent: that of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub density_kg_m3: Option<Positive<values::Density>>,
+    /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
+    #[serde(default = "Positive::<values::Factor>::one")]
+    pub shear_factor: Positive<values::Factor>,
+}
+
+/// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`; or their diameters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Section {
+    /// Radius in m all along the rod, positive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_m: Option<Positive<values::Radius>>,
+    /// Radius in m at the base, positive; goes with `radius_tip_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_base_m: Option<Positive<values::Radius>>,
+    /// Radius in m at the tip, positive; goes with `radius_base_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_tip_m: Option<Positive<values::Radius>>,
+    /// Diameter in m all along the rod, positive; instead of `radius_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub diameter_m: Option<Positive<values::Diameter>>,
+    /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub diameter_base_m: Option<Positive<values::Diameter>>,
+    /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub diameter_tip_m: Option<Positive<values::Diameter>>,
+}
+
+/// Stiffness of a section that is the same in both transverse directions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Stiffness {
+    /// Axial stiffness E A in N, positive.
+    pub ea_n: Positive<values::SectionStiffness>,
+    /// Shear stiffness G A in N, positive.
+    pub ga_n: Positive<values::SectionStiffness>,
+    /// Bending stiffness E I in N m², positive.
+    pub ei_n_m2: Positive<values::BendingStiffness>,
+    /// Torsional stiffness G J in N m², positive.
+    pub gj_n_m2: Positive<values::BendingStiffness>,
+}
+
+/// Inertia of a section, per length of the rod.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Inertia {
+    /// Mass per length in kg/m, positive.
+    pub mass_kg_m: Positive<values::MassPerLength>,
+    /// Principal rotary inertias per length in kg m (kg m² per m): about the two transverse axes, then about the
+    /// rod's own axis; all positive.
+    pub rotary_kg_m: [Positive<values::RotaryInertia>; 3],
+}
+
+/// The shape in which the rod carries no stress, the same all along.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.
+    #[serde(default)]
+    pub curvature_1_m: [f64; 3],
+    /// Stress-free length over `length_m`, positive, default 1.
+    #[serde(default = "Positive::<values::Stretch>::one")]
+    pub stretch: Positive<values::Stretch>,
+}
+
+impl Material {
+    fn figures(&self) -> Option<&'static MaterialFigures> {
+        self.preset.map(MaterialPreset::figures)
+    }
+
+    /// Young's modulus in Pa: as given, or that of the preset.
+    pub fn youngs_modulus(&self) -> Option<f64> {
+        (self.youngs_modulus_pa.map(Number::get))
+            .or(self.figures().map(|figures| figures.youngs_modulus_pa))
+    }
+
+    /// Density in kg/m³: as given, or that of the preset.
+    pub fn density(&self) -> Option<f64> {
+        (self.density_kg_m3.map(Number::get))
+            .or(self.figures().map(|figures| figures.density_kg_m3))
+    }
+
+    /// Shear modulus in Pa: as given; or `E / (2 (1 + ν))` with Poisson's ratio as given; or by the preset, with its shear modulus, or
+    /// its ratio and Young's modulus as given here.
+    pub fn shear_modulus(&self) -> Option<f64> {
+        let youngs_modulus = self.youngs_modulus()?;
+        match (self.shear_modulus_pa, self.poisson_ratio) {
+            (Some(modulus), _) => Some(modulus.get()),
+            (None, Some(ratio)) => Some(youngs_modulus / (2.0 * (1.0 + ratio.get()))),
+            (None, None) => (self.figures()).map(|figures| figures.shear_modulus(youngs_modulus)),
+        }
+    }
+
+    /// The same material with its figures written out in place of its name.
+    pub fn resolved(&self) -> Self {
+        let shear = (self.shear_modulus_pa.is_none() && self.poisson_ratio.is_none())
+            .then(|| self.figures().map(|figures| figures.shear))
+            .flatten();
+        let (ratio, modulus) = match shear {
+            Some(Shear::PoissonRatio(ratio)) => (Some(known(ratio)), None),
+            Some(Shear::Modulus(modulus)) => (None, Some(known(modulus))),
+            None => (self.poisson_ratio, self.shear_modulus_pa),
+        };
+        Self {
+            preset: None,
+            youngs_modulus_pa: self.youngs_modulus().map(known),
+            poisson_ratio: ratio,
+            shear_modulus_pa: modulus,
+            density_kg_m3: self.density().map(known),
+            shear_factor: self.shear_factor,
+        }
+    }
+}
+
+impl Section {
+    /// Radii in m at the base and at the tip.
+    pub fn radii(&self) -> Option<[f64; 2]> {
+        let [uniform, base, tip] = [
+            (self.radius_m, self.diameter_m),
+            (self.radius_base_m, self.diameter_base_m),
+            (self.radius_tip_m, self.diameter_tip_m),
+        ]
+        .map(|(radius, diameter)| {
+            (radius.map(Number::get)).or(diameter.map(|diameter| 0.5 * diameter.get()))
+        });
+        match (uniform, base, tip) {
+            (Some(radius), None, None) => Some([radius, radius]),
+            (None, Some(base), Some(tip)) => Some([base, tip]),
+            _ => None,
+        }
+    }
+}

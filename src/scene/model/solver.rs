@@ -1,0 +1,156 @@
+//! What the optimizer makes small, and how it works.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::values::{self, NonNegative, Positive, known};
+use super::LoadNode;
+use crate::sqp::{HessianChoice, SqpSettings};
+
+/// What the optimizer makes small.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Objective {
+    /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
+    pub effort: NonNegative<values::Weight>,
+    /// Weight of the squared changes of the controls from block to block; not negative, default 0.
+    pub rate: NonNegative<values::Weight>,
+    /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
+    pub energy: NonNegative<values::Weight>,
+    /// Nodes that should follow a path.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub track: Vec<Track>,
+    /// Samples of energy and paths over the horizon, at least 1, default 100.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub samples: usize,
+    /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
+    /// by an angle of about 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_scale_n: Option<Positive<values::Force>>,
+    /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
+    /// section by an angle of 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_scale_n_m: Option<Positive<values::Moment>>,
+}
+
+/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time.
+///
+/// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Track {
+    /// Which node. Default: "tip".
+    #[serde(default)]
+    pub node: LoadNode,
+    /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
+    pub path_m: Vec<[f64; 4]>,
+    /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of
+    /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
+    /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weight: Option<Positive<values::Weight>>,
+}
+
+/// How the optimizer works.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Solver {
+    /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
+    pub tolerance: Positive<values::Tolerance>,
+    /// Iterations after which to give up, at least 1, default 600.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub max_iterations: usize,
+    /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
+    pub saddle_escapes: usize,
+    /// Part of the objective that leaving a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
+    /// how much is left.
+    pub saddle_gain: Positive<values::GainedPart>,
+    /// The second derivatives that the quadratic model uses.
+    pub hessian: HessianChoice,
+    /// How the quadratic subproblems are solved.
+    pub qp: Qp,
+    /// Where the iteration starts.
+    pub guess: Guess,
+    /// Solve easier problems first, and start each from the one before. Absent: no.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub continuation: Option<Continuation>,
+    /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
+    /// is written, positive. Absent: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline_s: Option<Positive<values::Duration>>,
+}
+
+/// How the quadratic subproblems are solved; the step is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Qp {
+    /// Over the controls alone: small and dense.
+    #[default]
+    Condensed,
+    /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
+    Sparse,
+}
+
+/// Where the iteration starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Guess {
+    /// From rest, then, until a solve converges, from static shapes by detours (with obstacles), from those on the way to the task, by a
+    /// detour (without obstacles), and last as `"slow"`.
+    #[default]
+    Auto,
+    /// From static shapes on the way to the task.
+    Static,
+    /// From the motion under the forces that would hold these shapes.
+    Slow,
+    /// From the arm at rest and no controls.
+    Rest,
+}
+
+/// What is made easier at first, and the number of problems, the last one included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Continuation {
+    /// The task moves from where the arm starts to where it is.
+    Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
+    /// Gravity and loads grow from nothing.
+    Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
+}
+
+impl Default for Objective {
+    fn default() -> Objective {
+        Objective {
+            effort: known(1.0),
+            rate: known(0.0),
+            energy: known(0.0),
+            track: Vec::new(),
+            samples: 100,
+            force_scale_n: None,
+            moment_scale_n_m: None,
+        }
+    }
+}
+
+impl Default for Solver {
+    fn default() -> Solver {
+        let settings = SqpSettings::default();
+        Solver {
+            tolerance: known(settings.tolerance),
+            max_iterations: settings.max_iterations,
+            saddle_escapes: settings.saddle_escapes,
+            saddle_gain: known(settings.saddle_gain),
+            hessian: HessianChoice::default(),
+            qp: Qp::default(),
+            guess: Guess::default(),
+            continuation: None,
+            deadline_s: None,
+        }
+    }
+}

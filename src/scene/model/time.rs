@@ -1,0 +1,116 @@
+//! The course of time: its end, its steps, its start and what is written of it.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::values::{self, NonNegative, Positive};
+use crate::task::StartShape;
+
+/// Duration and time step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Time {
+    /// Duration in s, from t = 0; not negative.
+    pub end_s: NonNegative<values::Duration>,
+    /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
+    /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
+    #[serde(default)]
+    pub step_s: TimeStep,
+    /// How a step is taken. Default: "auto".
+    #[serde(default)]
+    pub integrator: TimeScheme,
+}
+
+/// How a time step is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeScheme {
+    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and twice as long; explicit with a
+    /// step_s that it can take. `softarm check` shows both predictions.
+    #[default]
+    Auto,
+    /// Cheap steps that must resolve the fastest elastic wave of an element.
+    Explicit,
+    /// Costlier steps that need not resolve elastic waves, for stiff and thin arms; strong bending still limits them.
+    Implicit,
+}
+
+/// The time step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(from = "TimeStepKey", into = "TimeStepKey")]
+pub enum TimeStep {
+    /// A step that suits this rod and the integrator.
+    #[default]
+    Auto,
+    /// This many seconds, positive.
+    Seconds(f64),
+}
+
+/// A positive number of seconds, or "auto".
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(untagged, expecting = "expected a number of seconds or \"auto\"")]
+#[cfg_attr(feature = "schema", schemars(rename = "TimeStep"))]
+enum TimeStepKey {
+    Word(AutoWord),
+    Seconds(#[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))] f64),
+}
+
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "schema", schemars(inline))]
+enum AutoWord {
+    Auto,
+}
+
+impl From<TimeStepKey> for TimeStep {
+    fn from(key: TimeStepKey) -> TimeStep {
+        match key {
+            TimeStepKey::Word(AutoWord::Auto) => TimeStep::Auto,
+            TimeStepKey::Seconds(seconds) => TimeStep::Seconds(seconds),
+        }
+    }
+}
+
+impl From<TimeStep> for TimeStepKey {
+    fn from(step: TimeStep) -> TimeStepKey {
+        match step {
+            TimeStep::Auto => TimeStepKey::Word(AutoWord::Auto),
+            TimeStep::Seconds(seconds) => TimeStepKey::Seconds(seconds),
+        }
+    }
+}
+
+/// State at t = 0: a shape, and a velocity as of a rigid body.
+///
+/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with its base's.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Initial {
+    /// Shape that the motion starts from.
+    pub shape: StartShape,
+    /// Velocity of the center of mass in m/s. Default: none.
+    pub velocity_m_s: [f64; 3],
+    /// Angular velocity about the center of mass in rad/s, spatial frame. Default: none.
+    pub angular_velocity_rad_s: [f64; 3],
+}
+
+/// What is written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Output {
+    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
+    /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<Positive<values::Rate>>,
+    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
+    /// of momentum and power, of a solve with its controls among the loads. Default: false.
+    pub diagnostics: bool,
+}
