@@ -95,8 +95,17 @@ impl Scene {
                 return Err(source.error_at(section, "not available in this version", None));
             }
         }
-        let scene: Scene = reader::read(&toml::Value::Table(table))
-            .map_err(|misfit| source.misfit_error(misfit))?;
+        let table = toml::Value::Table(table);
+        let scene: Scene = reader::read(&table).map_err(|misfit| {
+            let item = (misfit.is_out_of_range)
+                .then(|| item_name(&table, &misfit.path))
+                .flatten();
+            let error = source.misfit_error(misfit);
+            match item {
+                Some((kind, name)) => error.of_item(kind, &name),
+                None => error,
+            }
+        })?;
         scene.check(&source)?;
         Ok((scene, source))
     }
@@ -111,6 +120,22 @@ impl Scene {
     #[cfg(feature = "schema")]
     pub fn schema() -> serde_json::Value {
         schemars::schema_for!(Scene).to_value()
+    }
+}
+
+/// The kind and the name of the obstacle or limit that a key is within, whose path is given from the innermost key outward.
+fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, String)> {
+    let [.., index, list] = path else { return None };
+    let index = index.parse::<usize>().ok()?;
+    let item = scene.get(list)?.get(index)?;
+    let name = (item.get("name").and_then(toml::Value::as_str)).map(str::to_string);
+    match list.as_str() {
+        "obstacle" => Some(("obstacle", model::obstacle_name(name.as_deref(), index))),
+        "limit" => {
+            let is_given = |key: &str| item.get(key).is_some();
+            Some(("limit", model::limit_name(name.as_deref(), is_given)))
+        }
+        _ => None,
     }
 }
 

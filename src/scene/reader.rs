@@ -22,6 +22,8 @@ pub(super) struct Misfit {
     pub message: String,
     pub expected: Option<String>,
     pub help: Option<String>,
+    /// Whether it is a number out of range, which is told with the name of the obstacle or limit that it belongs to.
+    pub is_out_of_range: bool,
 }
 
 /// Reads any type from a TOML value.
@@ -50,6 +52,7 @@ impl Misfit {
             message,
             expected: None,
             help: None,
+            is_out_of_range: false,
         }
     }
 
@@ -105,6 +108,7 @@ impl de::Error for Misfit {
         };
         let mut misfit = Misfit::new(format!("{} is not a {expected}", digits(value)));
         misfit.expected = Some(format!("expected a {expected:#}"));
+        misfit.is_out_of_range = true;
         misfit
     }
 

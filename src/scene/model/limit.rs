@@ -139,24 +139,38 @@ impl Limit {
     /// Name in reports and errors: its own, or the key of what is limited.
     #[must_use]
     pub fn name(&self) -> String {
-        if let Some(name) = &self.name {
-            return name.clone();
-        }
-        let kinds = [
-            ("stretch", self.stretch.is_some()),
-            ("curvature", self.curvature_max_1_m.is_some()),
-            ("twist", self.twist_max_1_m.is_some()),
-            ("speed", self.speed_max_m_s.is_some()),
-        ];
-        let kind = kinds.iter().find(|(_, given)| *given);
-        kind.map_or("without a kind", |(name, _)| name).to_string()
+        limit_name(self.name.as_deref(), |key| match key {
+            "stretch" => self.stretch.is_some(),
+            "curvature_max_1_m" => self.curvature_max_1_m.is_some(),
+            "twist_max_1_m" => self.twist_max_1_m.is_some(),
+            _ => self.speed_max_m_s.is_some(),
+        })
     }
+}
+
+/// Name of a limit: its own, or the first word of the first key that is given.
+pub(in crate::scene) fn limit_name(own: Option<&str>, is_given: impl Fn(&str) -> bool) -> String {
+    const KINDS: [(&str, &str); 4] = [
+        ("stretch", "stretch"),
+        ("curvature", "curvature_max_1_m"),
+        ("twist", "twist_max_1_m"),
+        ("speed", "speed_max_m_s"),
+    ];
+    let kind = || KINDS.iter().find(|(_, key)| is_given(key));
+    own.or_else(|| kind().map(|(name, _)| *name))
+        .unwrap_or("without a kind")
+        .to_string()
+}
+
+/// Name of an obstacle: its own, or its place in the list.
+pub(in crate::scene) fn obstacle_name(own: Option<&str>, index: usize) -> String {
+    own.map_or_else(|| format!("obstacle {index}"), str::to_string)
 }
 
 impl Obstacle {
     /// Name in reports and errors: its own, or its place in the list.
     #[must_use]
     pub fn name(&self, index: usize) -> String {
-        (self.name.clone()).unwrap_or_else(|| format!("obstacle {index}"))
+        obstacle_name(self.name.as_deref(), index)
     }
 }

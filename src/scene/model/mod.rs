@@ -12,6 +12,7 @@ mod time;
 pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
 pub use self::control::{Actuator, Bound, Control, Feedback};
 pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
+pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
 pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
 pub use self::solver::{Continuation, Guess, Objective, Qp, Solver, Track};
