@@ -1,5 +1,6 @@
 //! Ranges of keys and relations between them that the types of a scene cannot express.
 
+use super::keys::{Checked, Keys};
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Continuation, Control, DistributedLoad, FreeDuration,
     Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene, Section,
@@ -63,13 +64,6 @@ impl Scene {
         Ok(())
     }
 }
-
-/// The keys of a scene, by dotted path. Each method names the key that does not hold.
-struct Keys<'a> {
-    source: &'a SceneSource,
-}
-
-type Checked = Result<(), SceneError>;
 
 impl Keys<'_> {
     fn check_rod(&self, rod: &Rod) -> Checked {
@@ -285,33 +279,6 @@ impl Keys<'_> {
                 ),
             };
             return Err(self.source.error_at(name, message, Some(help.to_string())));
-        }
-        Ok(())
-    }
-
-    /// Rows that begin with an increasing time; `without` is what there is without the table.
-    fn table<const N: usize>(&self, key: &str, rows: &[[f64; N]], without: &str) -> Checked {
-        if rows.is_empty() {
-            let help = format!("leave it out for {without}");
-            return Err(self
-                .source
-                .error_at(key, "a table without points", Some(help)));
-        }
-        for (point, row) in rows.iter().enumerate() {
-            self.finite(&format!("{key}.{point}"), row)?;
-        }
-        for (point, pair) in rows.windows(2).enumerate() {
-            if pair[1][0] <= pair[0][0] {
-                let message = format!(
-                    "{} s does not come after {} s",
-                    digits(pair[1][0]),
-                    digits(pair[0][0])
-                );
-                return Err(self
-                    .source
-                    .error_at(&format!("{key}.{}", point + 1), message, None)
-                    .expecting("expected increasing times"));
-            }
         }
         Ok(())
     }
@@ -587,34 +554,6 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn exactly_one(&self, section: &str, keys: &[(&str, bool)]) -> Checked {
-        let mut given = keys.iter().filter(|(_, given)| *given);
-        match (given.next(), given.next()) {
-            (Some(_), None) => Ok(()),
-            (Some((first, _)), Some((second, _))) => Err(self.contradiction(
-                &format!("{section}.{second}"),
-                &format!("{section}.{first}"),
-            )),
-            _ => {
-                let names: Vec<&str> = keys.iter().map(|(name, _)| *name).collect();
-                Err(self
-                    .source
-                    .error_at(section, "nothing is given", None)
-                    .expecting(format!("expected one of {}", names.join(", "))))
-            }
-        }
-    }
-
-    fn node(&self, key: &str, node: LoadNode, elements: usize) -> Checked {
-        match node {
-            LoadNode::Index(node) if node > elements => Err(self
-                .source
-                .error_at(key, format!("there is no node {node}"), None)
-                .expecting(format!("expected 0 (base) to {elements} (tip)"))),
-            _ => Ok(()),
-        }
-    }
-
     fn check_reach(
         &self,
         key: &str,
@@ -785,85 +724,6 @@ impl Keys<'_> {
             }
         }
         Ok(())
-    }
-
-    fn positive(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
-        if !value.is_finite() || value <= 0.0 {
-            return Err(self.out_of_range(key, value, &format!("positive {quantity}"), unit));
-        }
-        Ok(())
-    }
-
-    /// Infinity is as good as any.
-    fn not_below_zero(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
-        if !(value >= 0.0) {
-            return Err(self.out_of_range(key, value, &format!("non-negative {quantity}"), unit));
-        }
-        Ok(())
-    }
-
-    /// `unit` is empty for numbers without one.
-    fn out_of_range(&self, key: &str, value: f64, quantity: &str, unit: &str) -> SceneError {
-        let unit = if unit.is_empty() {
-            String::new()
-        } else {
-            format!(" in {unit}")
-        };
-        self.source
-            .error_at(key, format!("{} is not a {quantity}", digits(value)), None)
-            .expecting(format!("expected a {quantity}{unit}"))
-    }
-
-    fn count(&self, key: &str, value: usize, most: usize) -> Checked {
-        if !(1..=most).contains(&value) {
-            return Err(self
-                .source
-                .error_at(key, format!("{value} is out of range"), None)
-                .expecting(format!("expected a whole number from 1 to {most}")));
-        }
-        Ok(())
-    }
-
-    fn finite_number(&self, key: &str, value: f64) -> Checked {
-        if !value.is_finite() {
-            let message = format!("{value} is not a finite number");
-            return Err(self
-                .source
-                .error_at(key, message, None)
-                .expecting("expected a finite number"));
-        }
-        Ok(())
-    }
-
-    fn finite(&self, key: &str, values: &[f64]) -> Checked {
-        for (index, value) in values.iter().enumerate() {
-            self.finite_number(&format!("{key}.{index}"), *value)?;
-        }
-        Ok(())
-    }
-
-    fn nonzero(&self, key: &str, values: &[f64]) -> Checked {
-        self.finite(key, values)?;
-        if values.iter().all(|value| *value == 0.0) {
-            return Err(self
-                .source
-                .error_at(key, "all components are zero", None)
-                .expecting("expected any other vector"));
-        }
-        Ok(())
-    }
-
-    fn missing(&self, key: &str, relation: &str) -> SceneError {
-        self.source
-            .error_at(key, format!("missing; {relation}"), None)
-    }
-
-    fn contradiction(&self, key: &str, other: &str) -> SceneError {
-        self.source.error_at(
-            key,
-            format!("contradicts {other}"),
-            Some("give one or the other".to_string()),
-        )
     }
 }
 

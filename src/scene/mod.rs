@@ -25,10 +25,13 @@ mod check;
 mod describe;
 mod error;
 mod file;
+mod keys;
 mod materials;
 mod model;
 mod overrides;
 mod reader;
+mod refusal;
+mod rows;
 mod source;
 #[doc(hidden)]
 pub mod translate;

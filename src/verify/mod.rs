@@ -20,6 +20,7 @@ pub mod momentum;
 mod probe;
 #[doc(hidden)]
 pub mod refinement;
+mod replay;
 mod samples;
 #[doc(hidden)]
 pub mod second_order;
@@ -28,21 +29,21 @@ mod solution;
 use nalgebra::Vector3;
 
 use self::growth::Growth;
-use self::interval::Strained;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, refine};
+pub use self::replay::{EnergyBalance, Replay, replay};
+use self::replay::{Simulation, account, halving};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
-    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodError, State,
-    StepError, Stepper, StrainRule, TimeGrid, TimeNode, Trajectory, Wrench,
+    ControlSignal, Rod, RodError, State, StepError, StrainRule, TimeGrid, Trajectory,
 };
 use crate::sqp::{KktResidual, SADDLE_GAIN, SqpSettings};
-use crate::stop::{Stop, StopSignal};
+use crate::stop::Stop;
 
 /// Part of the limit of the energy residual below which it need not fall with the step.
 const SMALL_ENERGY: f64 = 0.1;
@@ -286,48 +287,6 @@ impl ForwardCheck {
     }
 }
 
-/// Energy account of a motion, J.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EnergyBalance {
-    /// Work of the control, of the loads on the tip and the other nodes, and of what drives the base.
-    pub work: f64,
-    /// Kinetic, elastic and potential energy at the end minus those at the start.
-    pub change: f64,
-    /// Energy taken by the damping.
-    pub dissipation: f64,
-    /// Largest of the work, the energies and the dissipation on the way: what the residual is compared with.
-    pub throughput: f64,
-    /// Largest residual on the way.
-    pub largest_residual: f64,
-}
-
-impl EnergyBalance {
-    /// `|work - change - dissipation|`, J.
-    #[must_use]
-    pub fn residual(&self) -> f64 {
-        (self.work - self.change - self.dissipation).abs()
-    }
-
-    /// The residual over the throughput.
-    #[must_use]
-    pub fn relative(&self) -> f64 {
-        self.residual() / self.throughput
-    }
-}
-
-/// A forward simulation under given wrenches, with its accounts.
-#[derive(Clone, Debug)]
-pub struct Replay {
-    /// Configurations at every time node.
-    pub trajectory: Trajectory,
-    /// Energies at every time node.
-    pub energies: Vec<Energy>,
-    /// State at the end.
-    pub end: State,
-    /// Energy account.
-    pub balance: EnergyBalance,
-}
-
 /// A replay of a solution, in errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayKind {
@@ -402,268 +361,6 @@ impl CheckError {
             Self::Replay { .. } | Self::Rod(_) | Self::Solution(_) => None,
         }
     }
-}
-
-/// Runs a forward simulation and keeps account of its energy.
-///
-/// # Errors
-/// [`StepError`] of the integrator.
-pub fn replay(
-    rod: &Rod,
-    grid: TimeGrid,
-    initial: &State,
-    control: &ControlSignal,
-) -> Result<Replay, StepError> {
-    let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let simulation = Simulation::plain(rod, grid, initial.clone());
-    let never = StopSignal::default();
-    let accounts = account(rod, grid, simulation, control, 1, &never, &mut |state| {
-        trajectory.push(&state.configuration);
-    })?;
-    Ok(Replay {
-        trajectory,
-        ..accounts
-    })
-}
-
-/// The integrator of a replay.
-enum Simulation<'a> {
-    /// The integrator itself, which knows its forces.
-    Plain(Box<Integrator<'a>>),
-    /// The fast one.
-    Fast(Box<Stepper<'a>>),
-}
-
-impl<'a> Simulation<'a> {
-    fn plain(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
-        Self::Plain(Box::new(Integrator::new(rod, grid, initial)))
-    }
-
-    /// For what only has to be as good as the plain integrator to rounding: that one where the work of what drives the base is counted.
-    fn fast(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
-        if rod.driven_base(0.0).is_some() {
-            Self::plain(rod, grid, initial)
-        } else {
-            Self::Fast(Box::new(Stepper::new(rod, grid, initial)))
-        }
-    }
-
-    fn state(&self) -> State {
-        match self {
-            Self::Plain(integrator) => integrator.state().clone(),
-            Self::Fast(stepper) => stepper.state(),
-        }
-    }
-
-    fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
-        match self {
-            Self::Plain(integrator) => integrator.advance(control),
-            Self::Fast(stepper) => stepper.advance(control),
-        }
-    }
-
-    /// What acts on node 0 apart from what drives it, on the side of the time node that `node` names; nothing where nothing drives it.
-    fn base_wrench(&self, rod: &Rod, node: &TimeNode) -> Wrench {
-        let Self::Plain(integrator) = self else {
-            return Wrench::default();
-        };
-        let mut acting = Wrench {
-            force: integrator.forces().forces[0],
-            moment: integrator.forces().moments[0],
-        };
-        let rotation = &integrator.state().configuration.rotations[0];
-        for load in rod.loads.iter().filter(|load| load.node == 0) {
-            let wrench = load.wrench_at_node(node, rotation);
-            acting.force += wrench.force;
-            acting.moment += wrench.moment;
-        }
-        acting
-    }
-}
-
-/// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty. The largest
-/// residual of the energy is that of every `stride`th time node.
-fn account(
-    rod: &Rod,
-    grid: TimeGrid,
-    mut simulation: Simulation,
-    control: &ControlSignal,
-    stride: usize,
-    stop: &StopSignal,
-    observe: &mut dyn FnMut(&State),
-) -> Result<Replay, StepError> {
-    let mut after = simulation.state();
-    let mut internal = InternalAccount::new(rod, grid.step, &after);
-    let start = Energy::of(rod, &after);
-    let mut energies = vec![start];
-    observe(&after);
-    // A smaller throughput is rounding of the stiffest element, and no energy to compare a residual with.
-    let mut balance = EnergyBalance {
-        throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
-        ..EnergyBalance::default()
-    };
-    for k in 0..grid.n_steps {
-        stop.check_at(k)?;
-        let pair = [control.at(k), control.at(k + 1)];
-        let ends = grid.clock().ends_of_step(k);
-        let base_before = simulation.base_wrench(rod, &ends[0]);
-        simulation.advance(pair)?;
-        let before = std::mem::replace(&mut after, simulation.state());
-        balance.work += step_work(rod, grid, k, &before, &after, &pair);
-        balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
-        let mut passive = [base_before, simulation.base_wrench(rod, &ends[1])];
-        if let Some(internal) = &mut internal {
-            balance.dissipation += internal.advance(&after, &mut passive);
-        }
-        if rod.driven_base(0.0).is_some() {
-            balance.work += drive_work(rod, &before, &after, &passive);
-        }
-        let energy = Energy::of(rod, &after);
-        balance.change = energy.total() - start.total();
-        balance.throughput = balance
-            .throughput
-            .max(balance.work.abs())
-            .max(energy.kinetic)
-            .max((energy.elastic - start.elastic).abs())
-            .max((energy.potential - start.potential).abs())
-            .max(balance.dissipation);
-        if (k + 1).is_multiple_of(stride) {
-            balance.largest_residual = kkt::worse(balance.largest_residual, balance.residual());
-        }
-        energies.push(energy);
-        observe(&after);
-    }
-    Ok(Replay {
-        trajectory: Trajectory::with_capacity(rod.n_nodes(), 0),
-        energies,
-        end: after,
-        balance,
-    })
-}
-
-/// Account of the stresses that depend on both ends of a step, which the forces of the integrator do not hold.
-struct InternalAccount<'a> {
-    rod: &'a Rod,
-    weights: [f64; 2],
-    time_step: f64,
-    strains: Vec<Strained>,
-}
-
-impl<'a> InternalAccount<'a> {
-    /// `None` where there is no such stress.
-    fn new(rod: &'a Rod, time_step: f64, state: &State) -> Option<Self> {
-        let Configuration {
-            positions,
-            rotations,
-        } = &state.configuration;
-        Some(Self {
-            rod,
-            weights: interval::weights(rod, time_step)?,
-            time_step,
-            strains: interval::strains(rod, positions, rotations),
-        })
-    }
-
-    /// Goes on to the end of a step: returns what Kelvin-Voigt damping took, J, and adds what the stresses do to node 0 at both
-    /// ends.
-    fn advance(&mut self, after: &State, passive: &mut [Wrench; 2]) -> f64 {
-        let (rod, h) = (self.rod, self.time_step);
-        let Configuration {
-            positions,
-            rotations,
-        } = &after.configuration;
-        let end = interval::strains(rod, positions, rotations);
-        let stress = interval::stress(
-            &rod.elements[0],
-            self.weights,
-            &self.strains[0].0,
-            &end[0].0,
-        );
-        for (wrench, (_, b)) in passive.iter_mut().zip([&self.strains[0], &end[0]]) {
-            let pull = b.tr_mul(&stress);
-            wrench.force += pull.fixed_rows::<3>(0);
-            wrench.moment -= pull.fixed_rows::<3>(3);
-        }
-        let start = std::mem::replace(&mut self.strains, end);
-        interval::dissipation(rod, h, &start, &self.strains)
-    }
-}
-
-/// Part of the rod's energy scale `EI/L` that counts as none.
-const NO_ENERGY: f64 = 1e-9;
-
-/// Translation and rotation of a node over one step; the rotation vector has the same components in the frames of both
-/// of its ends.
-fn displacement(before: &State, after: &State, q: usize) -> (Vector3<f64>, Vector3<f64>) {
-    let (before, after) = (&before.configuration, &after.configuration);
-    (
-        after.positions[q] - before.positions[q],
-        log(&before.rotations[q].tr_mul(&after.rotations[q])),
-    )
-}
-
-/// Work of what drives the base over one step: the change of node 0's kinetic energy, less the work of all else that
-/// acts on it (`passive`, at both ends of the step).
-fn drive_work(rod: &Rod, before: &State, after: &State, passive: &[Wrench; 2]) -> f64 {
-    let kinetic = |state: &State| {
-        let rotary = rod.rotary_at(&state.configuration.positions)[0];
-        let (p, pi) = (state.linear_momentum[0], state.angular_momentum[0]);
-        0.5 * (p.norm_squared() / rod.nodes[0].mass + pi.dot(&pi.component_div(&rotary)))
-    };
-    let (dx, turn) = displacement(before, after, 0);
-    let done: f64 = passive
-        .iter()
-        .map(|wrench| 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn)))
-        .sum();
-    kinetic(after) - kinetic(before) - done
-}
-
-/// Work of loads and control over one step: forces at both ends, half each, along the step's own displacement.
-fn step_work(
-    rod: &Rod,
-    grid: TimeGrid,
-    k: usize,
-    before: &State,
-    after: &State,
-    control: &[NodeWrenches; 2],
-) -> f64 {
-    let mut work = 0.0;
-    for control in control {
-        for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
-            let (dx, turn) = displacement(before, after, *node);
-            work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
-        }
-    }
-    for load in &rod.loads {
-        let (dx, turn) = displacement(before, after, load.node);
-        let ends = grid.clock().ends_of_step(k);
-        for (state, node) in [before, after].into_iter().zip(&ends) {
-            let rotation = &state.configuration.rotations[load.node];
-            let wrench = load.wrench_at_node(node, rotation);
-            work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
-        }
-    }
-    work
-}
-
-/// `h c Σ m |v|² + ω·Jω` with the step's own velocities.
-fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
-    if rod.viscous_damping == 0.0 {
-        return 0.0;
-    }
-    let rotary = rod.rotary_at(&before.configuration.positions);
-    let sum: f64 = (rod.first_free_node()..rod.n_nodes())
-        .map(|q| {
-            let v = (after.configuration.positions[q] - before.configuration.positions[q]) / h;
-            let omega =
-                log(&(before.configuration.rotations[q].transpose()
-                    * after.configuration.rotations[q]))
-                    / h;
-            let node = &rod.nodes[q];
-            node.mass * v.norm_squared() + omega.dot(&rotary[q].component_mul(&omega))
-        })
-        .sum();
-    h * rod.viscous_damping * sum
 }
 
 /// Checks a solution. `finer` builds the problem's rod with a number of times the elements, and the state in which it starts.
@@ -778,17 +475,6 @@ pub fn forward_check(
         });
     }
     Ok(check)
-}
-
-/// Largest residual with the step halved over the largest one, or 0 where that one is next to nothing.
-fn halving(same: &EnergyBalance, half: &EnergyBalance) -> f64 {
-    // Below this, rounding of stiff elements.
-    const NOTHING: f64 = 1e-6;
-    if same.largest_residual <= NOTHING * same.throughput {
-        0.0
-    } else {
-        half.largest_residual / same.largest_residual
-    }
 }
 
 /// The controls on a grid whose steps are `factor` times shorter, and on the nodes of a rod with a whole multiple of the elements.

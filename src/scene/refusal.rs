@@ -1,0 +1,203 @@
+//! What the library refuses, by the key of the scene that says it.
+
+use nalgebra::Vector3;
+
+use super::check::MOST_ELEMENTS;
+use super::{Scene, SceneError, SceneSource};
+use crate::control::DurationConflict;
+use crate::mechanics::RodError;
+use crate::mechanics::equilibrium::EquilibriumError;
+use crate::task::{DiscretizeError, Obstruction};
+
+impl Scene {
+    /// What cannot be discretized, by the key of the scene that says it, with a remedy that a scene can follow.
+    pub(super) fn discretize_error(
+        &self,
+        source: &SceneSource,
+        error: DiscretizeError,
+    ) -> SceneError {
+        let message = error.to_string();
+        let at = |key: &str, help: &str| source.error_at(key, message.clone(), Some(help.into()));
+        match error {
+            DiscretizeError::Rod(error) => self.rod_error(source, &error),
+            DiscretizeError::OutOfRange { what, .. } => {
+                let key = match what {
+                    "horizon" => "time.end_s",
+                    "elements" => "rod.elements",
+                    "blocks" => "control.blocks",
+                    "samples" => "objective.samples",
+                    "step" => "time.step_s",
+                    "target.time" => "task.via",
+                    "actuator.at" => "control.actuator",
+                    "limit.rate" => "limit",
+                    _ => "task.free_duration",
+                };
+                source.error_at(key, message, None)
+            }
+            DiscretizeError::NoStableStep(_) => {
+                let key = match &self.rod.material {
+                    Some(_) => "rod.section",
+                    None => "rod.stiffness",
+                };
+                at(
+                    key,
+                    "its stiffness and inertia are too far apart to be computed with",
+                )
+            }
+            DiscretizeError::UnstableStep { automatic, .. } => at(
+                "time.step_s",
+                &format!(
+                    "use \"auto\" ({automatic:.4e} s), fewer elements, or time.integrator = \"implicit\"; with this step the motion would grow \
+                     without bound"
+                ),
+            ),
+            DiscretizeError::UnstableLongest { automatic, .. } => at(
+                "task.free_duration.longest_s",
+                &format!(
+                    "time.step_s counts at task.at_s; make it {automatic:.4e} s or less, or \"auto\""
+                ),
+            ),
+            DiscretizeError::TooManySteps { .. } | DiscretizeError::TooManyStates { .. } => at(
+                "time.end_s",
+                "use a shorter time, fewer elements, or a softer or heavier arm",
+            ),
+            DiscretizeError::Start(error) => at("initial.shape", start_remedy(&error)),
+            DiscretizeError::TooManyBlocks { .. } => at(
+                "control.blocks",
+                "use fewer blocks or a shorter time.step_s",
+            ),
+            DiscretizeError::TooManyVariables { .. } => at(
+                "control.blocks",
+                "the subproblem is dense in the controls; use fewer blocks",
+            ),
+            DiscretizeError::ViolatedAtStart { limit, .. } => {
+                match limit.checked_sub(self.obstacle.len()) {
+                    None => at(
+                        &format!("obstacle.{limit}"),
+                        "move the obstacle, give it a smaller margin_m, or a soft price",
+                    ),
+                    Some(index) => at(
+                        &format!("limit.{index}"),
+                        "loosen the limit, start from another shape, or give it a soft price",
+                    ),
+                }
+            }
+            DiscretizeError::GoalConflict {
+                goal, part, with, ..
+            } => {
+                let help = match with {
+                    Obstruction::Goal => {
+                        "move one of them, give it another time, a larger tolerance, or hard = false"
+                    }
+                    Obstruction::Base => "choose another node, or base.kind = \"free\"",
+                    Obstruction::Obstacle => {
+                        "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
+                    }
+                };
+                at(&format!("{goal}.{}", part.name()), help)
+            }
+            DiscretizeError::Duration { conflict, what } => {
+                let key = match conflict {
+                    DurationConflict::Rate => "control".into(),
+                    DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
+                        None => format!("obstacle.{at}.soft"),
+                        Some(at) => format!("limit.{at}.soft"),
+                    },
+                    DurationConflict::Base => "base.motion".into(),
+                    // No scene has one.
+                    DurationConflict::Term => "task.free_duration".into(),
+                };
+                let message = format!("task.free_duration does not go with {what}");
+                source.error_at(&key, message, None)
+            }
+        }
+    }
+
+    /// What [`Rod::new`] refuses, by the key of the scene that says it.
+    fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
+        let RodError::OutOfRange {
+            parameter, value, ..
+        } = *error
+        else {
+            let (key, remedy) = match error.parameter() {
+                "scheme" => ("time.integrator", "set it to \"explicit\""),
+                "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
+                _ => ("damping.internal_s", "leave it out"),
+            };
+            let help = format!("{remedy}, or set rod.model = \"standard\"");
+            let name = self.rod.model.name();
+            let message = format!("the {name} model does not have it, only the standard one");
+            return source.error_at(key, message, Some(help));
+        };
+        const APART: &str = "the numbers are too far apart to be computed with: look for a unit that was mistaken, and give lengths in m, \
+                             moduli in Pa and densities in kg/m³";
+        let given = |material: &'static str, directly: &'static str| match &self.rod.material {
+            Some(_) => material,
+            None => directly,
+        };
+        let (key, message, help) = match parameter {
+            "rest_curvature" => {
+                let curvature: Vector3<f64> = (self.rod.reference.as_ref())
+                    .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
+                let least = curvature.norm() * self.rod.length_m.get() / std::f64::consts::PI;
+                let help = if least < MOST_ELEMENTS as f64 {
+                    format!(
+                        "make it smaller, or rod.elements {} or more",
+                        least as usize + 1
+                    )
+                } else {
+                    "make it smaller: it is in 1/m, one over the radius of the bend".into()
+                };
+                let message = format!("turns each element by {value:.4} rad, half a turn or more");
+                ("rod.reference.curvature_1_m", message, help)
+            }
+            "section mass" | "mass of a node" => (
+                given("rod.material.density_kg_m3", "rod.inertia.mass_kg_m"),
+                format!(
+                    "makes the {parameter} {value} kg/m or kg, which is not positive and finite"
+                ),
+                APART.into(),
+            ),
+            "section rotary inertia" | "inertia of a node" => (
+                given("rod.section", "rod.inertia.rotary_kg_m"),
+                format!("makes the {parameter} {value}, which is not positive and finite"),
+                APART.into(),
+            ),
+            "section linear stiffness"
+            | "section angular stiffness"
+            | "stiffness of an element" => (
+                given("rod.section", "rod.stiffness"),
+                format!("makes the {parameter} {value}, which is not positive and finite"),
+                APART.into(),
+            ),
+            "length of an element" => (
+                "rod.length_m",
+                format!("makes the {parameter} {value} m, which is not positive and finite"),
+                APART.into(),
+            ),
+            _ => (
+                "rod.length_m",
+                format!("makes the {parameter} {value}"),
+                APART.into(),
+            ),
+        };
+        source.error_at(key, message, Some(help))
+    }
+}
+
+/// What to do about a start that was not found.
+fn start_remedy(error: &EquilibriumError) -> &'static str {
+    match error {
+        EquilibriumError::FreeBase => "set base.kind = \"clamped\", or initial.shape = \"rest\"",
+        EquilibriumError::NotConverged { .. } => {
+            "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
+             make gravity and loads smaller or the rod stiffer"
+        }
+        EquilibriumError::Overstretched { .. } => {
+            "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
+        }
+        EquilibriumError::Stopped(_) => {
+            "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"
+        }
+    }
+}
