@@ -286,6 +286,7 @@ impl<'a> SensitivityCase<'a> {
             rod,
             grid,
             initial: &initial,
+            control: None,
         };
         let end: Vec<_> = (0..12).map(|component| form(n_steps, component)).collect();
         let adjoint = adjoint_sweep(&motion, &trajectory, &end).expect("a rod at rest");
@@ -314,6 +315,7 @@ impl<'a> SensitivityCase<'a> {
             rod: self.rod,
             grid: self.grid,
             initial: &self.initial,
+            control: None,
         };
         let d = defects(&motion, &self.trajectory, &ControlSignal::default());
         let sources = Sources::against(&d.expect("a rod at rest"));

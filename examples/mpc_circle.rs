@@ -121,10 +121,7 @@ fn run(feeds_back: bool) -> Result<(f64, f64, Vec<f64>), Box<dyn Error>> {
             let t = command.start + k as f64 * step;
             command.at(t, &mut now);
             command.at(t + step, &mut next);
-            stepper.advance([&now, &next].map(|wrenches| NodeWrenches {
-                nodes: &nodes,
-                wrenches,
-            }))?;
+            stepper.advance([&now, &next].map(|wrenches| NodeWrenches::on(&nodes, wrenches)))?;
         }
         controller.prepare()?;
         let record = controller.record();

@@ -52,10 +52,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             force,
             moment: Vector3::zeros(),
         }];
-        let held = NodeWrenches {
-            nodes: &[tip],
-            wrenches: &wrench,
-        };
+        let nodes = [tip];
+        let held = NodeWrenches::on(&nodes, &wrench);
         stepper.advance([held, held])?;
     }
     let off = (stepper.state().configuration.positions[tip] - target).norm();

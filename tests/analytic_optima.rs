@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use common::soft_arm;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Enforcement, FreeDuration, Goal, Guess, Hold,
+    ActuatedNode, Bound, Channel, ControlGrid, Enforcement, FreeDuration, Goal, Guess, Hold,
     LiftedPoint, Objective, OptimalControlProblem, Transcription, first_point,
 };
 use softarm::mechanics::rotation::{exp, log};
@@ -52,8 +52,9 @@ fn free_rod(
         duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control,
+        acting: Vec::new(),
         actuators: (0..2)
-            .map(|node| Actuator {
+            .map(|node| ActuatedNode {
                 node,
                 force: Channel::new(1.0, None),
                 moment: Channel::new(1.0, None),

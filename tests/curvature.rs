@@ -283,6 +283,7 @@ impl Blocks {
     /// No wrench at all.
     fn nothing(&self) -> ControlSignal {
         ControlSignal {
+            acting: Vec::new(),
             nodes: vec![self.node],
             wrenches: vec![Wrench::default(); self.n_steps + 1],
         }
@@ -367,6 +368,7 @@ impl Case {
             },
             initial,
             control: ControlSignal {
+                acting: Vec::new(),
                 nodes: vec![node],
                 wrenches,
             },
@@ -387,6 +389,7 @@ impl Case {
             rod: &self.rod,
             grid: self.grid,
             initial: &self.initial,
+            control: None,
         }
     }
 

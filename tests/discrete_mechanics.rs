@@ -142,6 +142,7 @@ fn integrated_trajectory_has_no_defects() {
             rod: &rod,
             grid,
             initial: &initial,
+            control: None,
         };
         let d = defects(&motion, &trajectory.0, &control).unwrap();
         let impulse = rod.nodes[1].mass;
@@ -196,6 +197,7 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
         rod,
         grid,
         initial: state,
+        control: None,
     };
     // Columns of the map by the adjoint: row i of A is the pull-back of the i-th covector. The covector of the
     // initial (x, η) comes with the force change at k = 0, the one of (p, π) is the row multiplier times the decay 1.
@@ -380,6 +382,7 @@ fn linearization_passes_the_taylor_test() {
             rod: &rod,
             grid,
             initial: &initial,
+            control: None,
         };
         let control = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
         let change = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
@@ -471,6 +474,7 @@ fn adjoint_is_the_transpose() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let change = random_signal(&rod, grid.n_steps, [2.0, 0.2], &mut dice);
             let sources = random_sources(&rod, grid.n_steps, 1e-3, &mut dice);
@@ -530,6 +534,7 @@ fn forward_sweep_is_linear() {
         rod: &rod,
         grid,
         initial: &initial,
+        control: None,
     };
     let change = random_signal(&rod, 10, [1.0, 1.0], &mut dice);
     let mut twice = change.clone();

@@ -46,7 +46,7 @@ fn states(
         });
         let [before, after] = sides
             .each_ref()
-            .map(|(nodes, wrenches)| NodeWrenches { nodes, wrenches });
+            .map(|(nodes, wrenches)| NodeWrenches::on(nodes, wrenches));
         integrator.advance([before, after]).unwrap();
         out.push(integrator.state().clone());
         trajectory.push(&integrator.state().configuration);
@@ -125,6 +125,7 @@ impl Case {
             rod: &self.rod,
             grid: self.grid,
             initial: &self.states[0],
+            control: None,
         }
     }
 }
@@ -337,6 +338,7 @@ fn closed_loops_end_where_the_linear_one_does() {
             rod,
             grid: problem.grid,
             initial: &problem.initial,
+            control: None,
         };
         let (mut open, mut closed) = (change.clone(), change.clone());
         for (j, edge) in edges.windows(2).enumerate() {

@@ -106,6 +106,7 @@ fn at_rest(rod: &Rod, h: f64) -> StepLinearization {
         trajectory.push(&rod.rest);
     }
     let motion = Motion {
+        control: None,
         stop: None,
         rod,
         grid: TimeGrid {

@@ -49,10 +49,8 @@ fn run_both(rod: &Rod, h: f64, initial: &State, n_steps: usize, dice: &mut Dice)
             })
         });
         let nodes = [[rod.tip(), 0], [rod.tip() / 2, rod.tip()]];
-        let control = [0, 1].map(|end| NodeWrenches {
-            nodes: &nodes[(step / 3 + end) % 2],
-            wrenches: &control[end],
-        });
+        let control =
+            [0, 1].map(|end| NodeWrenches::on(&nodes[(step / 3 + end) % 2], &control[end]));
         plain.advance(control).unwrap();
         lanes.advance(control).unwrap();
         if step % 20 == 19 || step + 1 == n_steps {

@@ -210,6 +210,7 @@ fn all_agree_at_jumps() {
                 grid,
                 initial: &initial,
                 stop: None,
+                control: None,
             };
             let control = ControlSignal::tip(&rod, vec![Default::default(); grid.n_steps + 1]);
             let rest = defects(&motion, &trajectory, &control).unwrap();

@@ -19,7 +19,7 @@ fn apply(stepper: &mut Stepper, command: &Command, steps: usize) -> (f64, f64) {
         command.at(t, &mut now);
         command.at(t + step, &mut next);
         let nodes = &command.nodes;
-        let [now, next] = [&now, &next].map(|wrenches| NodeWrenches { nodes, wrenches });
+        let [now, next] = [&now, &next].map(|wrenches| NodeWrenches::on(nodes, wrenches));
         stepper.advance([now, next]).unwrap();
         for wrench in now.wrenches {
             most.0 = most.0.max(wrench.force.norm());

@@ -9,8 +9,8 @@ use common::{
 };
 use nalgebra::Vector3;
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint, Objective,
-    OptimalControlProblem, Search, Transcription, first_point, search,
+    ActuatedNode, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint,
+    Objective, OptimalControlProblem, Search, Transcription, first_point, search,
 };
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
@@ -59,7 +59,8 @@ impl Case {
             duration: None,
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
-            actuators: vec![Actuator {
+            acting: Vec::new(),
+            actuators: vec![ActuatedNode {
                 node: rod.tip(),
                 force: Channel::new(scales.force, None),
                 moment: Channel::new(scales.moment, None),
@@ -213,7 +214,8 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
         duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
-        actuators: vec![Actuator {
+        acting: Vec::new(),
+        actuators: vec![ActuatedNode {
             node: rod.tip(),
             force: Channel::new(2.0, Some(Bound::PerAxis(Vector3::new(0.0, 0.0, 1e3)))),
             moment: Channel::new(1.0, Some(Bound::Norm(0.0))),

@@ -8,8 +8,8 @@ use common::tasks::{busy_problem, long_reach};
 use common::{Dice, RULES, finer_at_rest};
 use nalgebra::Vector3;
 use softarm::control::{
-    Actuator, Bound, Enforcement, Goal, Guess, LiftedPoint, OptimalControlProblem, PathConstraint,
-    PathEnforcement, PathLimit, Shape, Transcription, first_point,
+    ActuatedNode, Bound, Enforcement, Goal, Guess, LiftedPoint, OptimalControlProblem,
+    PathConstraint, PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
 use softarm::mechanics::RodParameters;
 use softarm::sqp::{
@@ -422,7 +422,7 @@ fn points_on_the_way_and_several_actuators() {
     assert!((passed - Vector3::new(0.1, 0.2, 0.9)).norm() < 1e-9);
     let check = checked(&parameters, &problem, &one);
     assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
-    problem.actuators.push(Actuator {
+    problem.actuators.push(ActuatedNode {
         node: 4,
         ..problem.actuators[0]
     });

@@ -16,7 +16,7 @@ use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use nalgebra::Vector3;
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Hold, LiftedPoint, Objective,
+    ActuatedNode, Bound, Channel, ControlGrid, Enforcement, Goal, Hold, LiftedPoint, Objective,
     OptimalControlProblem, Transcription,
 };
 use softarm::mechanics::linearization::Defects;
@@ -63,7 +63,8 @@ fn problem(look: Look) -> OptimalControlProblem {
             n_steps: look.steps,
         },
         control: ControlGrid::new(look.hold, BLOCKS, look.steps, step).unwrap(),
-        actuators: vec![Actuator {
+        acting: Vec::new(),
+        actuators: vec![ActuatedNode {
             node: tip,
             force: Channel::new(scales.force, None),
             moment: Channel::new(scales.moment, None),

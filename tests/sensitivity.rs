@@ -65,6 +65,7 @@ impl Blocks {
         ControlSignal {
             nodes: self.nodes.clone(),
             wrenches,
+            acting: Vec::new(),
         }
     }
 }
@@ -115,6 +116,7 @@ fn both_routes_equal_the_clear_sweep() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let d = defects(&motion, &trajectory, &ControlSignal::default()).unwrap();
             let sources = [
@@ -233,6 +235,7 @@ fn single_sweeps_equal_the_clear_ones() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let case = format!("{method:?} {base:?}");
             for (times, n_threads) in [
@@ -308,6 +311,7 @@ fn covectors_of_the_start_equal_the_clear_sweep() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let forms: Vec<StateForm> = ([0, 1, 17, 39, 40].iter())
                 .map(|k| StateForm::of_covector(*k, &random_tangent(&rod, &mut dice)))
@@ -421,6 +425,7 @@ fn covectors_of_the_start_are_derivatives_of_the_simulation() {
             rod: &rod,
             grid,
             initial: &initial,
+            control: None,
         };
         let forms: Vec<StateForm> = (0..3)
             .map(|component| StateForm {
@@ -482,6 +487,7 @@ fn nothing_to_ask_is_no_error() {
         rod: &rod,
         grid,
         initial: &initial,
+        control: None,
     };
     for (nodes, n_forms) in [(vec![], 0), (vec![], 3), (vec![2], 0)] {
         let blocks = Blocks {
@@ -576,6 +582,7 @@ fn forms_are_derivatives_of_the_simulation() {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let from_configurations = rod.model == RodModel::Standard
                 && rod.scheme == TimeScheme::Explicit

@@ -207,7 +207,7 @@ impl Peaks {
 /// The static force on the tip at its last target, against its bound, where a force on the tip is all there is to hold it with.
 fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     let tip = problem.rod.tip();
-    let actuator = problem.actuators.iter().find(|a| a.node == tip)?;
+    let actuator = problem.wrench_actuators().iter().find(|a| a.node == tip)?;
     let Some(Bound::Norm(bound)) = actuator.force.bound else {
         return None;
     };
@@ -240,10 +240,10 @@ fn cheap_moment(
             .map(|wrench| part(wrench).norm())
             .fold(0.0, f64::max)
     };
-    let force = (problem.actuators.iter().enumerate())
+    let force = (problem.wrench_actuators().iter().enumerate())
         .map(|(a, actuator)| largest(a, |wrench| wrench.force) / actuator.force.scale)
         .fold(0.0, f64::max);
-    (problem.actuators.iter().enumerate()).find_map(|(a, actuator)| {
+    (problem.wrench_actuators().iter().enumerate()).find_map(|(a, actuator)| {
         let moment = largest(a, |wrench| wrench.moment);
         let price = (moment / actuator.moment.scale / force).powi(2);
         let is_beside = most.element + 1 == actuator.node || most.element == actuator.node;

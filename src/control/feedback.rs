@@ -25,10 +25,12 @@ use faer::linalg::solvers::Solve as _;
 use faer::{Accum, ColRef, Mat, Par, Side};
 use nalgebra::{DMatrix, DVector};
 
+use super::acting::{ActingAlong, own_controls};
 use super::problem::{Enforcement, OptimalControlProblem};
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::sensitivity::{Transition, transition};
+use crate::mechanics::linearization::Motion;
+use crate::mechanics::sensitivity::{InputVisitor, Transition, transition_by};
 use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
@@ -92,7 +94,8 @@ pub enum FeedbackError {
 pub struct Feedback {
     /// Starts of the blocks, s.
     pub times: Vec<f64>,
-    /// Node and axis (0..3 force, spatial; 3..6 moment, body) of every row of the gains.
+    /// Node and axis (0..3 force, spatial; 3..6 moment, body) of every row of the gains; of a control of an actuator of one's own the
+    /// first of its nodes, and its place.
     pub inputs: Vec<(usize, usize)>,
     /// First of the nodes that have a deviation; the others are held.
     pub first_node: usize,
@@ -144,11 +147,30 @@ impl Feedback {
                 what: "energy of deviations",
             })?);
         }
-        let motion = problem.motion();
+        let control = problem.signal(&problem.control, coefficients);
+        let motion = Motion {
+            control: (!problem.acting.is_empty()).then_some(&control),
+            ..problem.motion()
+        };
+        let own = own_controls(problem, &components);
+        let acting = ActingAlong::of(problem, control.clone(), trajectory);
+        let visit: &InputVisitor = &|k, visit| {
+            for (index, &(node, axis)) in inputs.iter().enumerate() {
+                match (own[index], &acting) {
+                    (Some(own), Some(acting)) => {
+                        acting.visit(k, own, &mut |node, axis, slope| {
+                            visit(index, node, axis, slope);
+                        });
+                    }
+                    _ => visit(index, node, axis, 1.0),
+                }
+            }
+        };
+        let by = (inputs.len(), visit);
         let mut stages = Vec::with_capacity(edges.len() - 1);
         for (j, edge) in edges.windows(2).enumerate() {
             let Transition { state, input } =
-                transition(&motion, trajectory, edge[0]..edge[1], &inputs, n_threads)?;
+                transition_by(&motion, trajectory, edge[0]..edge[1], by, n_threads)?;
             let lasting = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
@@ -198,15 +220,25 @@ impl Feedback {
         difference.components_from(self.first_node).collect()
     }
 
-    /// What to add to the optimal control over block `j`: node and wrench, one for every input.
+    /// What to add to every input over block `j`, N, N m or the unit of the control.
+    #[must_use]
+    pub fn input_changes(&self, j: usize, state: &State) -> Vec<f64> {
+        let deviation = self.deviation(j, state);
+        (0..self.inputs.len())
+            .map(|i| {
+                (deviation.iter().enumerate())
+                    .map(|(c, d)| -self.gains[j][(i, c)] * d)
+                    .sum()
+            })
+            .collect()
+    }
+
+    /// What to add to the optimal control over block `j`: node and wrench, one for every input, where all inputs are
+    /// wrenches on nodes.
     #[must_use]
     pub fn correction(&self, j: usize, state: &State) -> Vec<(usize, Wrench)> {
-        let deviation = self.deviation(j, state);
-        (self.inputs.iter().enumerate())
-            .map(|(i, &(node, axis))| {
-                let value: f64 = (deviation.iter().enumerate())
-                    .map(|(c, d)| -self.gains[j][(i, c)] * d)
-                    .sum();
+        (self.inputs.iter().zip(self.input_changes(j, state)))
+            .map(|(&(node, axis), value)| {
                 let mut wrench = Wrench::default();
                 if axis < 3 {
                     wrench.force[axis] = value;

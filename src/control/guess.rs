@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::problem::{Actuator, Bound, Goal, OptimalControlProblem};
+use super::problem::{ActuatedNode, Bound, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
@@ -244,8 +244,9 @@ impl StaticPath {
         (problem.control.coefficient_times().into_iter())
             .flat_map(|t| {
                 let hold = self.hold(t / horizon);
-                (problem.actuators.iter()).map(move |actuator| {
-                    if actuator.node == problem.rod.tip() {
+                (problem.actuators.iter().enumerate()).map(move |(a, actuator)| {
+                    let is_wrench = a < problem.wrench_actuators().len();
+                    if is_wrench && actuator.node == problem.rod.tip() {
                         within_bounds(actuator, hold)
                     } else {
                         Wrench::default()
@@ -286,7 +287,7 @@ impl StaticPath {
 }
 
 /// The wrench, scaled back into the actuator's bounds.
-fn within_bounds(actuator: &Actuator, wrench: Wrench) -> Wrench {
+fn within_bounds(actuator: &ActuatedNode, wrench: Wrench) -> Wrench {
     let clip = |u: Vector3<f64>, bound: Option<Bound>| match bound {
         None => u,
         Some(Bound::Norm(limit)) => {

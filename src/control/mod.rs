@@ -18,6 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod acting;
 #[doc(hidden)]
 pub mod advice;
 mod control_cost;
@@ -48,6 +49,7 @@ mod tracking_error;
 #[doc(hidden)]
 pub mod transcription;
 
+pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};
 pub use cost::sample_times;
 pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
@@ -58,7 +60,7 @@ pub use journal::{Listener, SearchEvent, SolveLog};
 pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Posture};
 pub use problem::{
-    Actuator, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
+    ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
     Objective, OptimalControlProblem, Tracking,
 };
 #[doc(hidden)]

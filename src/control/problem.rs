@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::hold::ControlGrid;
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
 use super::term::StateCost;
+use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
@@ -64,10 +65,10 @@ impl Channel {
     }
 }
 
-/// A wrench on one node that may be chosen.
+/// A wrench on one node that may be chosen, or six controls of an [actuator of one's own](crate::mechanics::Actuator).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Actuator {
-    /// The node.
+pub struct ActuatedNode {
+    /// The node; of an actuator of one's own its first.
     pub node: usize,
     /// Force, spatial frame.
     pub force: Channel,
@@ -258,7 +259,9 @@ pub struct OptimalControlProblem {
     /// Blocks of the control.
     pub control: ControlGrid,
     /// The wrenches that may be chosen; no node twice.
-    pub actuators: Vec<Actuator>,
+    pub actuators: Vec<ActuatedNode>,
+    /// Actuators of one's own. Their controls are what the last of the `actuators` stand for, in the order of force and moment.
+    pub acting: Vec<Acting>,
     /// What must be reached.
     pub goals: Vec<Goal>,
     /// The path constraints: obstacles and limits.
@@ -281,6 +284,8 @@ pub enum DurationConflict {
     Base,
     /// A term of one's own, which may depend on time.
     Term,
+    /// An actuator of one's own, which may depend on time.
+    Actuator,
 }
 
 /// One scalar residual of a goal.
@@ -346,14 +351,15 @@ impl OptimalControlProblem {
             grid: self.grid,
             initial: &self.initial,
             stop: Some(&self.stop),
+            control: None,
         }
     }
 
     /// Unknowns of the configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where
-    /// the duration is free.
+    /// the duration is free or an actuator is one's own.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        if self.duration.is_some() {
+        if self.duration.is_some() || !self.acting.is_empty() {
             return None;
         }
         SparseMotion::unknowns_per_time_node(&self.motion())
@@ -375,11 +381,12 @@ impl OptimalControlProblem {
             duration: None,
             initial,
             control,
-            actuators: vec![Actuator {
+            actuators: vec![ActuatedNode {
                 node: rod.tip(),
                 force,
                 moment,
             }],
+            acting: Vec::new(),
             goals: vec![goal],
             path: Vec::new(),
             objective: Objective {
@@ -502,6 +509,7 @@ impl OptimalControlProblem {
     pub fn actuated_components(&self) -> Vec<Component> {
         (0..self.actuators.len())
             .flat_map(|actuator| (0..6).map(move |axis| Component { actuator, axis }))
+            .filter(|component| self.is_control(component))
             .filter(|component| {
                 self.channel(component)
                     .bound
@@ -521,10 +529,32 @@ impl OptimalControlProblem {
         }
     }
 
-    /// The actuated nodes.
+    /// Whether a component is one at all: of a wrench, or a control of an actuator of one's own.
+    fn is_control(&self, component: &Component) -> bool {
+        component.actuator < self.wrench_actuators().len() || self.own_control(component).is_some()
+    }
+
+    /// Index of the actuator of one's own and of its control, where a component is one.
+    #[must_use]
+    pub fn own_control(&self, component: &Component) -> Option<(usize, usize)> {
+        (self.acting.iter().enumerate()).find_map(|(index, acting)| {
+            let place = 6 * component.actuator.checked_sub(acting.first)? + component.axis;
+            let control = acting.places.iter().position(|own| *own == place)?;
+            Some((index, control))
+        })
+    }
+
+    /// Those of the actuators that are wrenches on nodes.
+    #[must_use]
+    pub fn wrench_actuators(&self) -> &[ActuatedNode] {
+        let first = (self.acting.first()).map_or(self.actuators.len(), |acting| acting.first);
+        &self.actuators[..first]
+    }
+
+    /// The nodes with a wrench that may be chosen.
     #[must_use]
     pub fn actuated_nodes(&self) -> Vec<usize> {
-        self.actuators
+        self.wrench_actuators()
             .iter()
             .map(|actuator| actuator.node)
             .collect()
@@ -575,6 +605,10 @@ impl OptimalControlProblem {
         if !self.objective.terms.is_empty() || self.path.iter().any(is_term) {
             let what = "a term of one's own, which may depend on time".into();
             return Some((DurationConflict::Term, what));
+        }
+        if !self.acting.is_empty() {
+            let what = "an actuator of one's own, which may depend on time".into();
+            return Some((DurationConflict::Actuator, what));
         }
         None
     }
@@ -671,6 +705,7 @@ impl OptimalControlProblem {
         ControlSignal {
             nodes: self.actuated_nodes(),
             wrenches,
+            acting: self.acting.clone(),
         }
     }
 }

@@ -83,7 +83,10 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
         .final_goals()
         .find(|goal| goal.position.is_some() || goal.rotation.is_some())
         .ok_or(StaticNeedError::NoGoal)?;
-    let components = problem.actuated_components();
+    // Wrenches on nodes alone: what actuators of one's own can hold is not looked for.
+    let components: Vec<Component> = (problem.actuated_components().into_iter())
+        .filter(|component| component.actuator < problem.wrench_actuators().len())
+        .collect();
     if components.is_empty() {
         return Err(StaticNeedError::NoActuation);
     }

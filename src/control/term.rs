@@ -9,24 +9,11 @@ use std::fmt;
 use std::sync::Arc;
 
 use faer::Mat;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use crate::mechanics::Rod;
+pub use crate::mechanics::StateView;
 use crate::mechanics::forms::FormTerm;
-use crate::mechanics::rotation::exp;
-
-/// What a term sees: the arm at one instant.
-#[derive(Clone, Copy, Debug)]
-pub struct StateView<'a> {
-    /// The rod.
-    pub rod: &'a Rod,
-    /// Time, s.
-    pub time: f64,
-    /// Positions of the nodes, spatial frame, m.
-    pub positions: &'a [Vector3<f64>],
-    /// Rotations of the nodes, body to space.
-    pub rotations: &'a [Matrix3<f64>],
-}
 
 /// A linear form `Σ a_q·δx_q + b_q·ζ_q` of the motion of nodes.
 #[derive(Clone, Debug, Default)]
@@ -103,30 +90,16 @@ fn differenced(
     nodes: &[usize],
     gradient: impl Fn(&StateView) -> NodeForm,
 ) -> Mat<f64> {
-    let (x, r) = (at.positions, at.rotations);
     let size = 6 * nodes.len();
     let mut out = Mat::zeros(size, size);
     for (j, &node) in nodes.iter().enumerate() {
         for component in 0..6 {
-            let axis = Vector3::ith(component % 3, 1.0);
             let step = if component < 3 {
                 DIFFERENCE * at.rod.scales.length
             } else {
                 DIFFERENCE
             };
-            let moved = |step: f64| {
-                let (mut x, mut r) = (x.to_vec(), r.to_vec());
-                if component < 3 {
-                    x[node] += axis * step;
-                } else {
-                    r[node] *= exp(&(axis * step));
-                }
-                gradient(&StateView {
-                    positions: &x,
-                    rotations: &r,
-                    ..*at
-                })
-            };
+            let moved = |step: f64| at.moved(node, component, step, &gradient);
             let (plus, minus) = (moved(step), moved(-step));
             for (i, &other) in nodes.iter().enumerate() {
                 for row in 0..6 {

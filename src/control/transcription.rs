@@ -7,6 +7,7 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Vector3};
 
+use super::acting::{ActingAlong, ControlCurvature, own_controls};
 use super::control_cost::ControlCost;
 use super::cost::{CostRow, cost_curvature, cost_rows, sample_times};
 use super::path::{
@@ -261,6 +262,18 @@ impl<'a> Transcription<'a> {
         }
     }
 
+    /// Actuators of one's own at a point; `None` where there are none.
+    fn acting(&self, point: &LiftedPoint) -> Option<ActingAlong<'_>> {
+        if self.problem.acting.is_empty() {
+            return None;
+        }
+        ActingAlong::of(
+            self.problem,
+            self.signal(&point.variables),
+            &point.trajectory,
+        )
+    }
+
     pub(super) fn signal(&self, variables: &[f64]) -> ControlSignal {
         let coefficients = self.problem.wrenches(variables);
         self.problem.signal(&self.problem.control, &coefficients)
@@ -374,10 +387,7 @@ impl<'a> Transcription<'a> {
 
     /// What every variable does to the wrenches of every time node.
     fn columns_by_time(&self) -> Vec<Vec<WrenchColumn>> {
-        let columns = Columns {
-            problem: self.problem,
-            components: &self.components,
-        };
+        let columns = Columns::new(self.problem, &self.components, None);
         (0..=self.problem.grid.n_steps)
             .map(|k| {
                 let mut out = Vec::new();
@@ -506,6 +516,24 @@ struct WrenchColumn {
 struct Columns<'a> {
     problem: &'a OptimalControlProblem,
     components: &'a [Component],
+    acting: Option<&'a ActingAlong<'a>>,
+    /// Of every component, which control of an actuator of one's own it is.
+    own: Vec<Option<(usize, usize)>>,
+}
+
+impl<'a> Columns<'a> {
+    fn new(
+        problem: &'a OptimalControlProblem,
+        components: &'a [Component],
+        acting: Option<&'a ActingAlong<'a>>,
+    ) -> Self {
+        Self {
+            problem,
+            components,
+            acting,
+            own: own_controls(problem, components),
+        }
+    }
 }
 
 impl ControlColumns for Columns<'_> {
@@ -519,12 +547,20 @@ impl ControlColumns for Columns<'_> {
                 continue;
             }
             for (at, component) in self.components.iter().enumerate() {
-                visit(
-                    coefficient * self.components.len() + at,
-                    self.problem.actuators[component.actuator].node,
-                    component.axis,
-                    weight * self.problem.channel(component).scale,
-                );
+                let column = coefficient * self.components.len() + at;
+                let weight = weight * self.problem.channel(component).scale;
+                match (self.own[at], self.acting) {
+                    (None, _) => {
+                        let node = self.problem.actuators[component.actuator].node;
+                        visit(column, node, component.axis, weight);
+                    }
+                    (Some(own), Some(acting)) => {
+                        acting.visit(k, own, &mut |node, component, slope| {
+                            visit(column, node, component, weight * slope);
+                        });
+                    }
+                    (Some(_), None) => {}
+                }
             }
         }
     }
@@ -687,7 +723,7 @@ impl LiftedProgram for Transcription<'_> {
         rows: &[usize],
     ) -> Result<Option<StateLinearization>, Failure> {
         let trajectory = &point.trajectory;
-        if self.problem.duration.is_some() {
+        if self.problem.duration.is_some() || !self.problem.acting.is_empty() {
             return Ok(None);
         }
         let motion = self.motion(&point.variables);
@@ -789,12 +825,19 @@ impl LiftedProgram for Transcription<'_> {
         defects: &Defects,
         change: &[f64],
     ) -> Result<LiftedDirection, Failure> {
-        let control = self.signal(change);
+        let mut control = self.signal(change);
+        let acting = self.acting(point);
+        if let Some(acting) = &acting {
+            control = acting.change(&control);
+        }
         let mut sources = Sources::against(defects);
         if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
             sources.add(change[at], &stretching);
         }
-        let motion = self.motion(&point.variables);
+        let motion = Motion {
+            control: acting.as_ref().map(|acting| &acting.signal),
+            ..self.motion(&point.variables)
+        };
         let (trajectory, _) = direction(
             &motion,
             &point.trajectory,
@@ -888,7 +931,11 @@ impl Transcription<'_> {
         multipliers: &Multipliers,
     ) -> Result<AdjointSweep, Failure> {
         let outcome = self.outcome(point, costs, multipliers);
-        let motion = self.motion(&point.variables);
+        let own = (!self.problem.acting.is_empty()).then(|| self.signal(&point.variables));
+        let motion = Motion {
+            control: own.as_ref(),
+            ..self.motion(&point.variables)
+        };
         adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)
     }
 
@@ -905,10 +952,8 @@ impl Transcription<'_> {
     ) -> Result<Vec<f64>, Failure> {
         let mut gradient = vec![0.0; point.variables.len()];
         let motion = self.motion(&point.variables);
-        let columns = Columns {
-            problem: self.problem,
-            components: &self.components,
-        };
+        let acting = self.acting(point);
+        let columns = Columns::new(self.problem, &self.components, acting.as_ref());
         for k in 0..=motion.grid.n_steps {
             columns.visit(k, &mut |column, node, component, weight| {
                 let wrench = costates.wrench(&motion, k, node);
@@ -951,7 +996,11 @@ impl Transcription<'_> {
         request: &LinearizationRequest,
         costates: Option<&AdjointSweep>,
     ) -> Result<Linearization, Failure> {
-        let motion = self.motion(&point.variables);
+        let acting = self.acting(point);
+        let motion = Motion {
+            control: acting.as_ref().map(|acting| &acting.signal),
+            ..self.motion(&point.variables)
+        };
         let posture = self.posture(point);
         let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
@@ -976,9 +1025,20 @@ impl Transcription<'_> {
                 }
             }
         }
+        let mut along_controls: Vec<ControlCurvature> = Vec::new();
+        if let (Some(acting), Some(costates)) = (&acting, costates) {
+            let trajectory = &point.trajectory;
+            let found = acting.curvature(&motion, trajectory, costates, &self.components);
+            own.extend(found.0);
+            along_controls = found.1;
+        }
         own.sort_by_key(|curvature| curvature.time_node);
         for form in across.iter().flat_map(|curvature| &curvature.forms) {
             gathered.push(form.clone());
+        }
+        let mut first_bent = gathered.rows.len();
+        for form in along_controls.iter().flat_map(ControlCurvature::gradients) {
+            gathered.push(form);
         }
         let (forms, place) = gathered.sorted();
         let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
@@ -988,10 +1048,7 @@ impl Transcription<'_> {
             &motion,
             &point.trajectory,
             &sources.iter().collect::<Vec<_>>(),
-            &Columns {
-                problem: self.problem,
-                components: &self.components,
-            },
+            &Columns::new(self.problem, &self.components, acting.as_ref()),
             &forms,
             second_order.as_ref(),
             self.n_threads,
@@ -1007,6 +1064,10 @@ impl Transcription<'_> {
             &mut found,
             &self.problem.stop,
         );
+        for curvature in &along_controls {
+            curvature.add_to(first_bent, &values, &answers, &mut found);
+            first_bent += curvature.forms.len();
+        }
         self.problem
             .stop
             .check()

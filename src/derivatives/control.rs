@@ -7,19 +7,25 @@ use nalgebra::Vector3;
 
 use super::compare::{Comparison, compare};
 use super::mechanics::ROUNDING;
-use super::point::{number, random_variables, vector};
+use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::path::RowGradient;
 use crate::control::{
     ControlGrid, FreeDuration, LiftedPoint, Objective, OptimalControlProblem, PathLimit, Posture,
     Shape, Transcription,
 };
-use crate::mechanics::{RodModel, StateForm, TrajectoryTangent};
+use crate::mechanics::actuator::flat;
+use crate::mechanics::rotation::exp;
+use crate::mechanics::{
+    Actuator, Configuration, Rod, RodModel, StateForm, StateView, TrajectoryTangent, Wrench,
+};
 use crate::sqp::{LiftedProgram as _, LinearizationRequest, Multipliers};
 
 /// The second derivative of the elastic part is itself a difference, good to about 1e-10 of its largest term (2e-9 in lanes), and
 /// terms of random multipliers cancel.
 const HESSIAN_ROUNDING: f64 = 5e-8;
+/// An actuator's second derivative may itself be a difference, good to about 1e-9 of it.
+const ACTUATOR_ROUNDING: f64 = 1e-8;
 /// Rows of a path constraint that are compared, and points around an obstacle.
 const SAMPLES: usize = 24;
 /// Rows of path constraints that have a multiplier in the Lagrangian.
@@ -79,6 +85,7 @@ pub(super) fn blocks(
     out.extend(goal_blocks(&program, &point, rng)?);
     out.extend(path_blocks(&program, &point, rng));
     out.extend(obstacle_blocks(&program, rng));
+    out.extend(actuator_blocks(problem, rng));
     out.extend(hessian_block(&program, &point, rng)?);
     Ok(out)
 }
@@ -340,6 +347,123 @@ fn obstacle_blocks(program: &Transcription, rng: &mut Rng) -> Vec<Block> {
         ));
     }
     out
+}
+
+/// Every actuator of one's own at random states and controls: both derivatives of its wrenches, and the second derivative.
+fn actuator_blocks(problem: &OptimalControlProblem, rng: &mut Rng) -> Vec<Block> {
+    let rod = &problem.rod;
+    let mut out = Vec::new();
+    for (index, acting) in problem.acting.iter().enumerate() {
+        let actuator = &*acting.actuator;
+        let nodes = actuator.nodes(rod);
+        let scales: Vec<f64> = (acting.places.iter())
+            .map(|place| {
+                let carrier = &problem.actuators[acting.first + place / 6];
+                [&carrier.force, &carrier.moment][place % 6 / 3].scale
+            })
+            .collect();
+        let found = (0..SAMPLES)
+            .filter_map(|_| actuator_comparison(rod, actuator, &nodes, &scales, rng))
+            .collect();
+        out.extend(gather(
+            format!("own actuator {index}"),
+            "wrenches by configuration and controls, and their derivatives likewise",
+            found,
+        ));
+    }
+    out
+}
+
+fn view<'a>(rod: &'a Rod, at: &'a Configuration) -> StateView<'a> {
+    StateView {
+        rod,
+        time: 0.0,
+        positions: &at.positions,
+        rotations: &at.rotations,
+    }
+}
+
+fn actuator_comparison(
+    rod: &Rod,
+    actuator: &dyn Actuator,
+    nodes: &[usize],
+    scales: &[f64],
+    rng: &mut Rng,
+) -> Option<Comparison> {
+    let state = random_state(rod, 1.0, rng).configuration;
+    let u: Vec<f64> = scales.iter().map(|scale| scale * number(rng)).collect();
+    let du: Vec<f64> = scales.iter().map(|scale| scale * number(rng)).collect();
+    let length = rod.scales.length;
+    let moves: Vec<_> = (nodes.iter())
+        .map(|_| [vector(rng, 0.1 * length), vector(rng, 1.0)])
+        .collect();
+    let at = |s: f64| {
+        let mut there = state.clone();
+        for (&node, [dx, zeta]) in nodes.iter().zip(&moves) {
+            there.positions[node] += s * dx;
+            there.rotations[node] *= exp(&(s * zeta));
+        }
+        let u: Vec<f64> = u.iter().zip(&du).map(|(u, du)| u + s * du).collect();
+        (there, u)
+    };
+    let direction: Vec<f64> = (moves.iter().flatten())
+        .flat_map(|v| [v.x, v.y, v.z])
+        .chain(du.iter().copied())
+        .collect();
+    let covector: Vec<Wrench> = (nodes.iter())
+        .map(|_| {
+            Wrench::from_array(std::array::from_fn(|i| {
+                number(rng) * if i < 3 { length } else { 1.0 }
+            }))
+        })
+        .collect();
+    let n = 6 * nodes.len();
+    // The derivative of the wrenches along the direction, and that of `λ·w` along all.
+    let slopes_at = |there: &Configuration, u: &[f64]| {
+        let (mut slopes, mut covectors) = (vec![0.0; n], vec![0.0; direction.len()]);
+        let at = view(rod, there);
+        let configuration = actuator.configuration_jacobian(&at, u);
+        let controls = actuator.control_jacobian(&at, u);
+        for (i, weight) in flat(&covector).into_iter().enumerate() {
+            for (j, along) in direction.iter().enumerate() {
+                let entry = match j.checked_sub(n) {
+                    None => configuration[(i, j)],
+                    Some(j) => controls[(i, j)],
+                };
+                slopes[i] += entry * along;
+                covectors[j] += weight * entry;
+            }
+        }
+        (slopes, covectors)
+    };
+    let (slopes, _) = slopes_at(&state, &u);
+    let curvature = actuator.curvature(&view(rod, &state), &u, &covector);
+    let mut bend = 0.0;
+    for (i, a) in direction.iter().enumerate() {
+        for (j, b) in direction.iter().enumerate() {
+            bend += a * curvature[(i, j)] * b;
+        }
+    }
+    let halves = |all: &[f64]| -> Vec<Vec<f64>> {
+        let part = |from: usize| -> Vec<f64> {
+            (all.chunks(6))
+                .flat_map(|row| row[from..from + 3].to_vec())
+                .collect()
+        };
+        vec![part(0), part(3)]
+    };
+    let mut along = |s: f64| {
+        let (there, u) = at(s);
+        let mut wrenches = vec![Wrench::default(); nodes.len()];
+        actuator.wrench(&view(rod, &there), &u, &mut wrenches);
+        let (_, covectors) = slopes_at(&there, &u);
+        let mut out = halves(&flat(&wrenches));
+        out.push(vec![dot(&covectors, &direction)]);
+        Some(out)
+    };
+    let mut expected = halves(&slopes);
+    expected.push(vec![bend]);
+    compare(&mut along, &expected, ACTUATOR_ROUNDING)
 }
 
 fn distance_comparison(shape: &Shape, length: f64, rng: &mut Rng) -> Option<Comparison> {

@@ -131,10 +131,7 @@ fn two_steps(
 ) -> Result<(Trajectory, State), StepError> {
     let nodes = [rod.tip()];
     let wrenches = [*wrench];
-    let control = NodeWrenches {
-        nodes: &nodes,
-        wrenches: &wrenches,
-    };
+    let control = NodeWrenches::on(&nodes, &wrenches);
     let mut integrator = Integrator::new(rod, time_step, state.clone());
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), STEPS + 1);
     trajectory.push(&integrator.state().configuration);
@@ -212,6 +209,7 @@ pub fn step_linearization(
         rod,
         grid,
         initial: state,
+        control: None,
     };
     let steps = (0..=STEPS)
         .map(|k| linearize(&motion, &trajectory, k))
@@ -314,6 +312,7 @@ pub fn symplectic_identity(
         rod,
         grid,
         initial: state,
+        control: None,
     };
     let steps = (0..=STEPS)
         .map(|k| linearize(&motion, &trajectory, k))

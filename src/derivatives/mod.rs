@@ -181,6 +181,7 @@ fn motion_blocks(
         rod,
         grid,
         initial: state,
+        control: None,
     };
     blocks.extend(mechanics::sweeps(&motion, seed)?);
     Ok(blocks)

@@ -18,8 +18,9 @@
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
+use super::actuator::StateView;
 use super::base_motion::BaseState;
-use super::configuration::State;
+use super::configuration::{Configuration, State};
 use super::forces::NodalForces;
 use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
@@ -548,6 +549,11 @@ impl<'a> Integrator<'a> {
             self.forces.forces[node] += wrench.force;
             self.forces.moments[node] += wrench.moment;
         }
+        let here = view(self.rod, start.time, &self.state.configuration);
+        for (node, wrench) in control.acting_on(here) {
+            self.forces.forces[node] += wrench.force;
+            self.forces.moments[node] += wrench.moment;
+        }
         let State {
             linear_momentum: p,
             angular_momentum: g,
@@ -587,7 +593,9 @@ impl<'a> Integrator<'a> {
             angular_momentum[load.node] += half_step * wrench.moment;
             probe += linear_momentum[load.node] + angular_momentum[load.node];
         }
-        for (node, wrench) in control.iter().filter(|(node, _)| *node >= first) {
+        let given = control.iter().map(|(node, wrench)| (node, *wrench));
+        let acting = control.acting_on(view(self.rod, end.time, configuration));
+        for (node, wrench) in given.chain(acting).filter(|(node, _)| *node >= first) {
             linear_momentum[node] += half_step * wrench.force;
             angular_momentum[node] += half_step * wrench.moment;
             probe += linear_momentum[node] + angular_momentum[node];
@@ -707,6 +715,15 @@ impl<'a> Integrator<'a> {
             self.clock.step,
             linear_momentum,
         );
+    }
+}
+
+fn view<'a>(rod: &'a Rod, time: f64, at: &'a Configuration) -> StateView<'a> {
+    StateView {
+        rod,
+        time,
+        positions: &at.positions,
+        rotations: &at.rotations,
     }
 }
 

@@ -18,6 +18,7 @@
 
 use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 
+use super::actuator::{ActingDerivative, StateView};
 use super::block_tridiagonal::BlockLu;
 use super::configuration::{State, Trajectory, TrajectoryTangent};
 use super::forces::NodalForces;
@@ -48,6 +49,9 @@ pub struct Motion<'a> {
     pub initial: &'a State,
     /// What may end a sweep before it is done, if anything may.
     pub stop: Option<&'a StopSignal>,
+    /// The control, where it has [actuators of one's own](super::Actuator): what is linearized contains how their wrenches follow the
+    /// configuration. Nothing else of it matters.
+    pub control: Option<&'a ControlSignal>,
 }
 
 /// Decay of the momentum and weight of the force in one kick.
@@ -337,6 +341,11 @@ pub fn defects(
             forces.forces[node] += wrench.force;
             forces.moments[node] += wrench.moment;
         }
+        let here = StateView::of(rod, &grid, trajectory, k);
+        for (node, wrench) in control.at(k).acting_on(here) {
+            forces.forces[node] += wrench.force;
+            forces.moments[node] += wrench.moment;
+        }
         let Kick {
             decay,
             weight,
@@ -488,6 +497,8 @@ pub struct StepLinearization {
     pub elements: Vec<ElementStiffness>,
     /// Loads that turn with their node.
     pub loads: Vec<LoadDerivative>,
+    /// Actuators of one's own.
+    pub acting: Vec<ActingDerivative>,
     /// Drift of every node; absent at the last time node.
     pub drifts: Vec<NodeDrift>,
     /// How the dilatation of every element enters the drift; absent where it does not.
@@ -520,6 +531,27 @@ pub(super) fn load_derivatives(
         .collect()
 }
 
+/// Of all actuators of one's own.
+pub(super) fn acting_derivatives(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+) -> Vec<ActingDerivative> {
+    let Some(control) = motion.control.filter(|control| !control.acting.is_empty()) else {
+        return Vec::new();
+    };
+    let at = StateView::of(motion.rod, &motion.grid, trajectory, k);
+    (control.acting.iter())
+        .map(|acting| {
+            let u = acting.controls(control.at(k).wrenches);
+            ActingDerivative {
+                nodes: acting.actuator.nodes(motion.rod),
+                matrix: acting.actuator.configuration_jacobian(&at, &u),
+            }
+        })
+        .collect()
+}
+
 impl StepLinearization {
     /// Linearizes time node `k` (`0..=N`; no drift at `N`) along a trajectory.
     ///
@@ -539,6 +571,7 @@ impl StepLinearization {
                 .collect(),
         };
         let loads = load_derivatives(motion, trajectory, k);
+        let acting = acting_derivatives(motion, trajectory, k);
         let (mut drifts, mut element_drifts) = (Vec::new(), Vec::new());
         let mut stress_drift = None;
         if k < grid.n_steps {
@@ -565,6 +598,7 @@ impl StepLinearization {
             kick: motion.kick(k),
             elements,
             loads,
+            acting,
             drifts,
             element_drifts,
             stress_drift,
@@ -787,7 +821,7 @@ impl StepLinearization {
             .filter(move |(_, reaction)| reaction.at == at)
     }
 
-    /// `δF` and `δτ` on every node from `δx` and `ζ`: minus the elastic stiffness, plus the loads' own turning.
+    /// `δF` and `δτ` on every node from `δx` and `ζ`: minus the elastic stiffness, plus how loads and actuators follow.
     pub fn force_change(
         &self,
         dx: &[Vector3<f64>],
@@ -808,6 +842,9 @@ impl StepLinearization {
         for load in &self.loads {
             force[load.node] += load.force * zeta[load.node];
             moment[load.node] += load.moment * zeta[load.node];
+        }
+        for acting in &self.acting {
+            acting.add([dx, zeta], [force, moment]);
         }
     }
 
@@ -835,6 +872,9 @@ impl StepLinearization {
         for load in &self.loads {
             zeta[load.node] +=
                 load.force.tr_mul(&force[load.node]) + load.moment.tr_mul(&moment[load.node]);
+        }
+        for acting in &self.acting {
+            acting.add_transposed([force, moment], [dx, zeta]);
         }
     }
 }

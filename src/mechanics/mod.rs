@@ -28,6 +28,8 @@
 //! ```
 
 #[doc(hidden)]
+pub mod actuator;
+#[doc(hidden)]
 pub mod base_motion;
 mod block_tridiagonal;
 mod buffer;
@@ -85,6 +87,9 @@ pub mod strain_coordinates;
 #[doc(hidden)]
 pub mod vibration;
 
+#[doc(hidden)]
+pub use actuator::{Acting, ActingDerivative};
+pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use constitutive::RodModel;

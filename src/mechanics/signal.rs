@@ -1,5 +1,8 @@
 //! Control wrenches on nodes of the rod, as functions of time.
 
+use super::actuator::{Acting, StateView};
+use super::configuration::Trajectory;
+use super::integrator::TimeGrid;
 use super::load::Wrench;
 use super::rod::Rod;
 
@@ -8,8 +11,10 @@ use super::rod::Rod;
 pub struct NodeWrenches<'a> {
     /// The nodes; a node may occur again, its wrenches add up.
     pub nodes: &'a [usize],
-    /// A wrench for each of them.
+    /// A wrench for each of them, and then the controls of actuators of one's own, six to a wrench.
     pub wrenches: &'a [Wrench],
+    /// Actuators of one's own.
+    pub acting: &'a [Acting],
 }
 
 impl<'a> NodeWrenches<'a> {
@@ -17,11 +22,28 @@ impl<'a> NodeWrenches<'a> {
     pub const NONE: Self = Self {
         nodes: &[],
         wrenches: &[],
+        acting: &[],
     };
 
-    /// Nodes with their wrenches.
+    /// Wrenches on nodes, one each.
+    #[must_use]
+    pub fn on(nodes: &'a [usize], wrenches: &'a [Wrench]) -> Self {
+        Self {
+            nodes,
+            wrenches,
+            acting: &[],
+        }
+    }
+
+    /// Nodes with their wrenches; those of actuators of one's own [depend on the configuration](Self::acting_on).
     pub fn iter(self) -> impl Iterator<Item = (usize, &'a Wrench)> {
         self.nodes.iter().copied().zip(self.wrenches)
+    }
+
+    /// Nodes and wrenches of the actuators of one's own at a configuration.
+    pub fn acting_on(self, at: StateView<'a>) -> impl Iterator<Item = (usize, Wrench)> {
+        (self.acting.iter())
+            .flat_map(move |acting| acting.wrenches(&at, &acting.controls(self.wrenches)))
     }
 }
 
@@ -30,18 +52,37 @@ impl<'a> NodeWrenches<'a> {
 pub struct ControlSignal {
     /// The nodes.
     pub nodes: Vec<usize>,
-    /// Time-major: one of each node at time node 0, then at 1, up to `N`.
+    /// Time-major: one of each node, and then the controls of actuators of one's own, six to a wrench, at time node 0, then at 1, up to `N`.
     pub wrenches: Vec<Wrench>,
+    /// Actuators of one's own.
+    pub acting: Vec<Acting>,
 }
 
 impl ControlSignal {
+    /// Wrenches on nodes, time-major.
+    #[must_use]
+    pub fn on(nodes: Vec<usize>, wrenches: Vec<Wrench>) -> Self {
+        Self {
+            nodes,
+            wrenches,
+            acting: Vec::new(),
+        }
+    }
+
     /// Wrenches on the tip of `rod`, one a time node.
     #[must_use]
     pub fn tip(rod: &Rod, wrenches: Vec<Wrench>) -> Self {
-        Self {
-            nodes: vec![rod.tip()],
-            wrenches,
-        }
+        Self::on(vec![rod.tip()], wrenches)
+    }
+
+    /// Wrenches of one time node, those that carry controls included.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        let carriers = |acting: &Acting| {
+            let last = acting.places.iter().max();
+            last.map_or(0, |place| acting.first + place / 6 + 1)
+        };
+        (self.acting.iter().map(carriers)).fold(self.nodes.len(), usize::max)
     }
 
     /// The wrenches of time node `k`.
@@ -50,10 +91,26 @@ impl ControlSignal {
     /// When the signal ends before `k`.
     #[must_use]
     pub fn at(&self, k: usize) -> NodeWrenches<'_> {
-        let n = self.nodes.len();
+        let n = self.width();
         NodeWrenches {
             nodes: &self.nodes,
             wrenches: &self.wrenches[k * n..][..n],
+            acting: &self.acting,
         }
+    }
+
+    /// The wrenches that act along a trajectory, with those of the actuators of one's own as they are there.
+    #[must_use]
+    pub fn along(&self, rod: &Rod, grid: &TimeGrid, trajectory: &Trajectory) -> Self {
+        let mut nodes = self.nodes.clone();
+        nodes.extend((self.acting.iter()).flat_map(|acting| acting.actuator.nodes(rod)));
+        let mut wrenches = Vec::with_capacity(nodes.len() * (grid.n_steps + 1));
+        for k in 0..=grid.n_steps {
+            let here = self.at(k);
+            wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
+            let view = StateView::of(rod, grid, trajectory, k);
+            wrenches.extend(here.acting_on(view).map(|(_, wrench)| wrench));
+        }
+        Self::on(nodes, wrenches)
     }
 }

@@ -46,7 +46,7 @@ impl StepperMemory {
 }
 
 /// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] for steps that are solved
-/// for. Both take the same steps, equal to rounding.
+/// for and under actuators of one's own. Both take the same steps, equal to rounding.
 #[derive(Clone, Debug)]
 pub struct Stepper<'a> {
     engine: Engine<'a>,
@@ -95,6 +95,12 @@ impl<'a> Stepper<'a> {
     /// # Errors
     /// As [`Integrator::advance`].
     pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
+        let acting = control.iter().any(|control| !control.acting.is_empty());
+        if let (true, Engine::Lanes(lanes)) = (acting, &self.engine) {
+            let (rod, clock) = (lanes.rod(), lanes.clock());
+            let plain = Integrator::resume(rod, clock, self.state(), self.step());
+            self.engine = Engine::Plain(Box::new(plain));
+        }
         match &mut self.engine {
             Engine::Lanes(lanes) => lanes.advance(control)?,
             Engine::Plain(plain) => plain.advance(control)?,

@@ -624,7 +624,7 @@ impl Controller {
             self.command.at(at(k), now);
             self.command.at(at(k + 1), next);
             let nodes = &self.command.nodes;
-            let of = |wrenches| NodeWrenches { nodes, wrenches };
+            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
             outcome = stepper.advance([of(now), of(next)]);
             if outcome.is_err() {
                 break;

@@ -148,6 +148,11 @@ impl Horizon {
                 "the controller knows bounds on the controls; leave out limits and obstacles",
             ));
         }
+        if !problem.acting.is_empty() {
+            return Err(MpcError::Unsupported(
+                "the controller knows wrenches on nodes; leave out own_actuators",
+            ));
+        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -173,6 +178,7 @@ impl Horizon {
                 grid,
                 initial: &start,
                 stop: None,
+                control: None,
             };
             let columns = Columns {
                 knots: &knots,
@@ -299,7 +305,7 @@ impl Horizon {
         let mut outcome = Ok(());
         for k in 0..grid.n_steps {
             fill(k + 1, next);
-            let of = |wrenches| NodeWrenches { nodes, wrenches };
+            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
             outcome = stepper.advance([of(now), of(next)]);
             if outcome.is_err() {
                 break;
@@ -325,6 +331,7 @@ impl Horizon {
             grid: self.grid,
             initial: &self.start,
             stop: None,
+            control: None,
         };
         let columns = Columns {
             knots: &self.knots,

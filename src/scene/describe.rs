@@ -349,6 +349,9 @@ fn bound(bound: Option<control::Bound>) -> Option<Bound> {
 
 fn control(problem: &Problem) -> Result<Control, DescribeError> {
     let chosen = &problem.discretization;
+    if !problem.task.own_actuators.is_empty() {
+        return Err(DescribeError("it has an actuator of one's own"));
+    }
     let Some((tip, others)) = problem.task.actuators.split_first() else {
         return Err(DescribeError("it has no actuator"));
     };

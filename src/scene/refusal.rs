@@ -105,7 +105,9 @@ impl Scene {
                     },
                     DurationConflict::Base => "base.motion".into(),
                     // No scene has one.
-                    DurationConflict::Term => "task.free_duration".into(),
+                    DurationConflict::Term | DurationConflict::Actuator => {
+                        "task.free_duration".into()
+                    }
                 };
                 let message = format!("task.free_duration does not go with {what}");
                 source.error_at(&key, message, None)

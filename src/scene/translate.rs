@@ -487,6 +487,7 @@ impl Scene {
             targets: task.map_or_else(Vec::new, |task| targets(task, elements)),
             limits: self.limits(),
             actuators,
+            own_actuators: Vec::new(),
             cost: Cost {
                 effort: objective.effort.get(),
                 rate: objective.rate.get(),

@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{
-    Diagnostics, Load, LoadFrame, PowerBalance, Rod, StepError, Stepper, Wrench,
+    Diagnostics, Load, LoadFrame, NodeWrenches, PowerBalance, Rod, State, StateView, StepError,
+    Stepper, Wrench,
 };
 use crate::output::DiagnosticsRecord;
 
@@ -34,18 +35,21 @@ pub(crate) fn diagnostics(
         // Over the step that ends here, each end with its own wrenches.
         if let Some(earlier) = k.checked_sub(1) {
             let at = control.at(earlier);
+            let (nodes, wrenches) =
+                acting(&problem.rod, t - h, at, before.as_ref().unwrap_or(&state));
             act(
                 &mut loaded,
-                at.nodes,
-                at.wrenches,
+                &nodes,
+                &wrenches,
                 &[(t - 2.0 * h, 1.0), (t - h, 1.0), (t, 0.0), (t + h, 0.0)],
             );
         }
         let at = control.at(k);
+        let (nodes, wrenches) = acting(&problem.rod, t, at, &state);
         act(
             &mut loaded,
-            at.nodes,
-            at.wrenches,
+            &nodes,
+            &wrenches,
             &[(t - 2.0 * h, 0.0), (t - h, 0.0), (t, 1.0), (t + h, 1.0)],
         );
         let power = before
@@ -57,6 +61,19 @@ pub(crate) fn diagnostics(
         record.append(&DiagnosticsRecord::row(t, &found, &power));
     }
     Ok(record)
+}
+
+/// All that the control does at a state: nodes and wrenches.
+fn acting(rod: &Rod, time: f64, control: NodeWrenches, state: &State) -> (Vec<usize>, Vec<Wrench>) {
+    let at = StateView {
+        rod,
+        time,
+        positions: &state.configuration.positions,
+        rotations: &state.configuration.rotations,
+    };
+    (control.iter().map(|(node, wrench)| (node, *wrench)))
+        .chain(control.acting_on(at))
+        .unzip()
 }
 
 /// Adds wrenches (force in space, moment in the body) to the loads of a rod.

@@ -4,7 +4,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::{Place, Start};
-use crate::control::{Bound, FreeDuration, PathEnforcement, Shape, SharedTerm, StateCost};
+use crate::control::{
+    Bound, Channel, FreeDuration, PathEnforcement, Shape, SharedActuator, SharedTerm, StateCost,
+};
 
 /// Whether a goal must be met, or is paid for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -207,6 +209,24 @@ pub struct WrenchActuator {
     pub moment: ChannelLimits,
 }
 
+/// One to three controls of an actuator of one's own that share a unit and limits: a vector, or a number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlGroup {
+    /// How many, 1 to 3.
+    pub count: usize,
+    /// Size that counts as 1 in the cost, and limits, in the unit of the controls; limits per axis are those of the first `count` axes.
+    pub channel: Channel,
+}
+
+/// An actuator of one's own, and what may be chosen of its controls.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnActuator {
+    /// The actuator.
+    pub actuator: SharedActuator,
+    /// All of its controls, in order.
+    pub controls: Vec<ControlGroup>,
+}
+
 /// What an arm is to do, in continuous time and space.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Task {
@@ -222,6 +242,8 @@ pub struct Task {
     pub limits: Vec<Limit>,
     /// The wrenches that may be chosen.
     pub actuators: Vec<WrenchActuator>,
+    /// Actuators of one's own.
+    pub own_actuators: Vec<OwnActuator>,
     /// What is made as small as possible.
     pub cost: Cost,
 }
@@ -247,6 +269,7 @@ impl Task {
                 force: ChannelLimits::at_most(largest_force),
                 moment: ChannelLimits::NONE,
             }],
+            own_actuators: Vec::new(),
             cost: Cost::default(),
         }
     }

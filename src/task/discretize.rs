@@ -3,15 +3,16 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
-use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task};
+use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task, Track};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
+use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
 use super::tracking::default_weight;
 use crate::control::path::thinnest;
 use crate::control::{
-    Actuator, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, Posture, Tracking,
+    ActuatedNode, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Tracking,
 };
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
@@ -144,7 +145,7 @@ impl Task {
         self.check(discretization)?;
         let blocks = discretization.blocks;
         let work = Work::Solve {
-            n_variables: blocks.saturating_mul(6 * self.actuators.len()),
+            n_variables: blocks.saturating_mul(6 * self.actuators.len() + self.n_own_controls()),
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
@@ -166,6 +167,8 @@ impl Task {
         )?;
         let actuators = self.actuators(&rod);
         let default_weight = default_weight(self.cost.effort, &rod, &actuators);
+        let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
+        let actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
         let samples_on = match self.free_duration {
             None => grid,
@@ -202,6 +205,7 @@ impl Task {
             initial,
             control,
             actuators,
+            acting,
             rod,
         };
         check_start(&discrete)?;
@@ -282,6 +286,12 @@ impl Task {
                 return refuse("actuator.at", actuator.at.fraction(), expected);
             }
         }
+        let is_weighed = |track: &Track| track.weight.is_some();
+        if self.actuators.is_empty() && !self.cost.tracks.iter().all(is_weighed) {
+            let expected =
+                "given: what holds the arm without a wrench that may be chosen is not known";
+            return refuse("track.weight", f64::NAN, expected);
+        }
         for limit in &self.limits {
             if let Some(rate) = limit.rate
                 && !(rate > 0.0)
@@ -323,7 +333,13 @@ impl Task {
         Ok(grid)
     }
 
-    fn actuators(&self, rod: &Rod) -> Vec<Actuator> {
+    fn n_own_controls(&self) -> usize {
+        (self.own_actuators.iter().flat_map(|own| &own.controls))
+            .map(|group| group.count)
+            .sum()
+    }
+
+    fn actuators(&self, rod: &Rod) -> Vec<ActuatedNode> {
         let force_scale = self.cost.force_scale.unwrap_or(rod.scales.force);
         let moment_scale = (self.cost.moment_scale)
             .unwrap_or_else(|| self.weakest_bending(rod) / rod.scales.length);
@@ -333,7 +349,7 @@ impl Task {
             rate_bound: limits.rate_bound,
         };
         (self.actuators.iter())
-            .map(|actuator| Actuator {
+            .map(|actuator| ActuatedNode {
                 node: actuator.at.node(rod.tip()),
                 force: channel(force_scale, &actuator.force),
                 moment: channel(moment_scale, &actuator.moment),

@@ -23,14 +23,15 @@ mod definition;
 mod discretization;
 mod discretize;
 mod error;
+mod own;
 #[doc(hidden)]
 pub mod prediction;
 mod tracking;
 
 pub use arm::{Arm, Place, PointLoad, Start, StartShape};
 pub use definition::{
-    ChannelLimits, Cost, Hardness, Limit, LimitKind, Target, Task, Tolerances, Track,
-    WrenchActuator,
+    ChannelLimits, ControlGroup, Cost, Hardness, Limit, LimitKind, OwnActuator, Target, Task,
+    Tolerances, Track, WrenchActuator,
 };
 pub use discretization::Discretization;
 pub(crate) use discretize::MOST_STEPS;

@@ -1,6 +1,6 @@
 //! The weight of a path to follow that has no weight of its own.
 
-use crate::control::{Actuator, Bound, Channel};
+use crate::control::{ActuatedNode, Bound, Channel};
 use crate::mechanics::Rod;
 
 /// Part of a displacement that is missed where it is held statically.
@@ -11,11 +11,11 @@ const MISSED: f64 = 1e-4;
 ///
 /// `c` are the displacements of a straight clamped arm over its length under one unit of each part of the wrench: `f L²/(3EI)` of a force
 /// `f` across the tip and `m L/(2EI)` of a moment `m`. Actuators on other nodes count as if they were on the tip.
-pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[Actuator]) -> f64 {
+pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> f64 {
     let acts = |channel: &Channel| {
         (channel.bound).is_none_or(|bound: Bound| (0..3).any(|axis| bound.actuates(axis)))
     };
-    let held = |part: &dyn Fn(&Actuator) -> Channel, unit: f64| {
+    let held = |part: &dyn Fn(&ActuatedNode) -> Channel, unit: f64| {
         (actuators.iter().map(part))
             .filter(acts)
             .map(|channel| channel.scale / unit)

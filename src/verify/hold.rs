@@ -251,6 +251,7 @@ pub(super) fn signal(
     ControlSignal {
         nodes: problem.actuated_nodes(),
         wrenches,
+        acting: problem.acting.clone(),
     }
 }
 

@@ -4,6 +4,7 @@
 //! grid and on finer ones ([`refinement`]), path constraints are evaluated between nodes and samples, and energy and momentum are balanced
 //! ([`momentum`]). [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
+mod acting;
 mod dual;
 mod duration;
 #[doc(hidden)]

@@ -2,12 +2,13 @@
 
 use nalgebra::Vector3;
 
+use super::acting;
 use super::interval::{self, Strained};
 use super::kkt;
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
-    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, State, StepError, Stepper,
-    TimeGrid, TimeNode, Trajectory, Wrench,
+    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, State, StateView,
+    StepError, Stepper, TimeGrid, TimeNode, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -281,6 +282,21 @@ fn step_work(
         for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
             let (dx, turn) = displacement(before, after, *node);
             work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
+        }
+    }
+    for (end, (control, state)) in control.iter().zip([before, after]).enumerate() {
+        let at = StateView {
+            rod,
+            time: grid.time(k + end),
+            positions: &state.configuration.positions,
+            rotations: &state.configuration.rotations,
+        };
+        for own in control.acting {
+            let u = own.controls(control.wrenches);
+            for (node, wrench) in acting::wrenches(&*own.actuator, &at, &u) {
+                let (dx, turn) = displacement(before, after, node);
+                work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
+            }
         }
     }
     for load in &rod.loads {

@@ -361,7 +361,7 @@ pub fn random_signal(
             moment: dice.vector(moment),
         })
         .collect();
-    ControlSignal { nodes, wrenches }
+    ControlSignal::on(nodes, wrenches)
 }
 
 /// Any right-hand side of the equations of motion.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use softarm::control::{
-    Actuator, Bound, Channel, ControlGrid, Enforcement, Goal, Hold, Objective,
+    ActuatedNode, Bound, Channel, ControlGrid, Enforcement, Goal, Hold, Objective,
     OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking,
 };
 use softarm::mechanics::rotation::exp;
@@ -116,7 +116,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         rate_bound: Some(Bound::Norm(100.0 * scale)),
         ..Channel::new(scale, Some(Bound::Norm(50.0 * scale)))
     };
-    let actuator = |node| Actuator {
+    let actuator = |node| ActuatedNode {
         node,
         force: channel(rod.scales.force),
         moment: channel(rod.scales.moment),
@@ -147,6 +147,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         duration: None,
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Cubic, 4, BUSY_STEPS, grid.step).unwrap(),
+        acting: Vec::new(),
         actuators: vec![actuator(rod.tip()), actuator(2)],
         goals: vec![via, near],
         path: limits(&rod),

@@ -185,6 +185,14 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
+    pub(super) fn rod(&self) -> &'a Rod {
+        self.rod
+    }
+
+    pub(super) fn clock(&self) -> Clock {
+        self.clock
+    }
+
     /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
     /// integrator can do: implicit steps, internal damping, or steps near the smallest numbers there are.
     #[must_use]
@@ -928,10 +936,7 @@ mod tests {
         let mut integrator = LaneIntegrator::on(arch, rod, h, &initial).unwrap();
         let nodes = [rod.tip(), rod.tip() / 2];
         let wrenches = [Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]); 2];
-        let control = NodeWrenches {
-            nodes: &nodes,
-            wrenches: &wrenches,
-        };
+        let control = NodeWrenches::on(&nodes, &wrenches);
         for _ in 0..3 {
             integrator.advance([control; 2]).unwrap();
         }

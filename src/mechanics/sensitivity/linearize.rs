@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_loads};
+use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_acting, pack_loads};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::constitutive::RodModel;
@@ -21,7 +21,9 @@ use crate::mechanics::lanes::tangent::{
 };
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
-use crate::mechanics::linearization::{Motion, StepLinearization, load_derivatives};
+use crate::mechanics::linearization::{
+    Motion, StepLinearization, acting_derivatives, load_derivatives,
+};
 use crate::mechanics::strain::StrainRule;
 
 /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
@@ -272,6 +274,10 @@ impl Group<'_> {
             step.weight = kick.weight;
             step.loads = pack_loads(
                 &load_derivatives(self.motion, self.trajectory, k),
+                kick.weight,
+            );
+            step.acting = pack_acting(
+                &acting_derivatives(self.motion, self.trajectory, k),
                 kick.weight,
             );
             step.first_free_node = rod.first_free_node();
@@ -571,6 +577,7 @@ mod tests {
                 rod: &rod,
                 grid,
                 initial: &initial,
+                control: None,
             };
             let mut covector = crate::mechanics::linearization::StateTangent::zeros(n + 1);
             covector.positions[n] = Vector3::new(1.0, -2.0, 0.5);

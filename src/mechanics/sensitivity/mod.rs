@@ -260,11 +260,37 @@ pub fn transition(
     inputs: &[(usize, usize)],
     n_threads: usize,
 ) -> Result<Transition, StepError> {
+    let visit: &InputVisitor = &|_, visit| {
+        for (index, (node, component)) in inputs.iter().enumerate() {
+            visit(index, *node, *component, 1.0);
+        }
+    };
+    transition_by(motion, trajectory, range, (inputs.len(), visit), n_threads)
+}
+
+/// Calls its second argument with the input, the node, the component and the weight of all that inputs do at a time node.
+pub type InputVisitor<'a> = dyn Fn(usize, &mut dyn FnMut(usize, usize, usize, f64)) + Sync + 'a;
+
+/// [`transition`] along inputs, so many, that act on any nodes and differently at every time node.
+///
+/// # Errors
+/// As [`transition`].
+///
+/// # Panics
+/// As [`transition`].
+pub fn transition_by(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    range: Range<usize>,
+    (n_inputs, inputs): (usize, &InputVisitor),
+    n_threads: usize,
+) -> Result<Transition, StepError> {
     assert!(range.start < range.end && range.end <= motion.grid.n_steps);
     let first = motion.rod.first_free_node();
     let size = NODE_COMPONENTS * (motion.rod.n_nodes() - first);
     let columns = ConstantColumns {
         n_states: size,
+        n_inputs,
         inputs,
     };
     let task = Task {
@@ -313,25 +339,26 @@ pub fn transition(
     };
     Ok(Transition {
         state: Mat::from_fn(size, size, of),
-        input: Mat::from_fn(size, inputs.len(), |row, input| of(row, size + input)),
+        input: Mat::from_fn(size, n_inputs, |row, input| of(row, size + input)),
     })
 }
 
-/// Columns of the state at the start, on which no control acts, then one for every constant wrench.
+/// Columns of the state at the start, on which no control acts, then one for every input.
 struct ConstantColumns<'a> {
     n_states: usize,
-    inputs: &'a [(usize, usize)],
+    n_inputs: usize,
+    inputs: &'a InputVisitor<'a>,
 }
 
 impl ControlColumns for ConstantColumns<'_> {
     fn n_columns(&self) -> usize {
-        self.n_states + self.inputs.len()
+        self.n_states + self.n_inputs
     }
 
-    fn visit(&self, _: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
-        for (index, (node, component)) in self.inputs.iter().enumerate() {
-            visit(self.n_states + index, *node, *component, 1.0);
-        }
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+        (self.inputs)(k, &mut |index, node, component, weight| {
+            visit(self.n_states + index, node, component, weight);
+        });
     }
 
     fn n_started(&self, _: usize) -> usize {

@@ -2,7 +2,10 @@
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use super::TILE;
+use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature, StepCurvature};
+use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{
     ElementDrift, Kick, LoadDerivative, StepLinearization, StressDrift,
 };
@@ -18,6 +21,8 @@ pub(super) struct PackedStep {
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
     pub loads: Vec<(usize, [[f64; 3]; 6])>,
+    /// Nodes, and what actuators of one's own add.
+    pub acting: Vec<PackedActing>,
     pub drifts: Vec<PackedDrift>,
     pub element_drifts: Vec<PackedElementDrift>,
     pub first_free_node: usize,
@@ -135,6 +140,67 @@ pub(super) fn pack_loads(loads: &[LoadDerivative], weight: f64) -> Vec<(usize, [
         .collect()
 }
 
+/// An [`ActingDerivative`] with the kick's weight multiplied in: the terms `(momentum row, configuration row, coefficient)` of a
+/// tile that are not zero.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct PackedActing {
+    /// The nodes.
+    pub nodes: Vec<usize>,
+    terms: Vec<(usize, usize, f64)>,
+}
+
+impl PackedActing {
+    fn new(acting: &ActingDerivative, weight: f64) -> Self {
+        let mut terms = Vec::new();
+        for (i, node) in acting.nodes.iter().enumerate() {
+            for (j, other) in acting.nodes.iter().enumerate() {
+                for row in 0..6 {
+                    for column in 0..6 {
+                        let coefficient = weight * acting.matrix[(6 * i + row, 6 * j + column)];
+                        let momentum = node * NODE_COMPONENTS + 6 + row;
+                        let configuration = other * NODE_COMPONENTS + column;
+                        if coefficient != 0.0 {
+                            terms.push((momentum, configuration, coefficient));
+                        }
+                    }
+                }
+            }
+        }
+        Self {
+            nodes: acting.nodes.clone(),
+            terms,
+        }
+    }
+
+    /// Adds the change of the momenta that the configurations of a tile make.
+    pub fn kick(&self, data: &mut [f64]) {
+        for &(momentum, configuration, coefficient) in &self.terms {
+            add_row(data, momentum, configuration, coefficient);
+        }
+    }
+
+    /// Transpose of [`Self::kick`].
+    pub fn kick_transposed(&self, data: &mut [f64]) {
+        for &(momentum, configuration, coefficient) in &self.terms {
+            add_row(data, configuration, momentum, coefficient);
+        }
+    }
+}
+
+/// Adds a multiple of one row of a tile to another.
+fn add_row(data: &mut [f64], to: usize, from: usize, factor: f64) {
+    let row: [f64; TILE] = std::array::from_fn(|at| data[from * TILE + at]);
+    for (sum, value) in data[to * TILE..][..TILE].iter_mut().zip(row) {
+        *sum += factor * value;
+    }
+}
+
+pub(super) fn pack_acting(acting: &[ActingDerivative], weight: f64) -> Vec<PackedActing> {
+    (acting.iter())
+        .map(|acting| PackedActing::new(acting, weight))
+        .collect()
+}
+
 impl PackedStep {
     /// Puts another kick in the place of this one, at the same time node.
     pub fn replace_kick(&mut self, kick: &Kick) {
@@ -145,6 +211,9 @@ impl PackedStep {
             *value *= factor;
         }
         for value in (self.loads.iter_mut()).flat_map(|(_, rows)| rows.iter_mut().flatten()) {
+            *value *= factor;
+        }
+        for (_, _, value) in self.acting.iter_mut().flat_map(|acting| &mut acting.terms) {
             *value *= factor;
         }
     }
@@ -160,6 +229,7 @@ impl PackedStep {
                 .map(|k| square(&(k * weight)))
                 .collect(),
             loads: pack_loads(&step.loads, weight),
+            acting: pack_acting(&step.acting, weight),
             drifts: step
                 .drifts
                 .iter()

@@ -29,6 +29,13 @@ pub fn defects(
     trajectory: &Trajectory,
     control: &ControlSignal,
 ) -> Result<Defects, StepError> {
+    let along;
+    let control = if control.acting.is_empty() {
+        control
+    } else {
+        along = control.along(motion.rod, &motion.grid, trajectory);
+        &along
+    };
     let found = is_possible(motion).then(|| in_lanes(Arch::new(), motion, trajectory, control));
     match found.flatten() {
         Some(found) => Ok(found),

@@ -89,6 +89,9 @@ impl ReverseTile {
         }
         if k < self.last || at_end {
             self.read(step, k, task);
+            for acting in &step.acting {
+                acting.kick_transposed(&mut self.data);
+            }
             arch.dispatch(KickTransposed {
                 step,
                 data: &mut self.data,

@@ -122,6 +122,13 @@ impl<'a> Tile<'a> {
         });
         if !self.reach.is_empty() {
             self.reach = self.reach.start.saturating_sub(1)..n_nodes.min(self.reach.end + 1);
+            for acting in &step.acting {
+                acting.kick(&mut self.data);
+                self.reach = acting
+                    .nodes
+                    .iter()
+                    .fold(self.reach.clone(), |reach, node| joined(&reach, *node));
+            }
         }
         self.add_sources(step, k, task);
         if last {

@@ -11,7 +11,7 @@ use crate::control::GoalPart;
 use crate::mechanics::differences;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{RodModel, Wrench};
-use crate::verify::{dual, interval};
+use crate::verify::{acting, dual, interval};
 
 impl Conditions<'_> {
     /// Adjoint equations backward in time: derivative of an outcome along the wrench on every actuated node at every time node,
@@ -41,7 +41,8 @@ impl Conditions<'_> {
             }
         }
         let nodes = &self.control.nodes;
-        let mut out = vec![Wrench::default(); (n + 1) * nodes.len()];
+        let width = self.control.width();
+        let mut out = vec![Wrench::default(); (n + 1) * width];
         for k in (0..=n).rev() {
             if self.problem.stop.check_at(k).is_err() {
                 break;
@@ -52,11 +53,12 @@ impl Conditions<'_> {
                 ceta[q] += outcome.eta[k * count + q];
             }
             for (i, &node) in nodes.iter().enumerate() {
-                out[k * nodes.len() + i] = Wrench {
+                out[k * width + i] = Wrench {
                     force: weight * lx[node],
                     moment: weight * lr[node],
                 };
             }
+            self.add_own_controls(k, weight, [&lx, &lr], &mut out[k * width..][..width]);
             self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
             if k == 0 {
                 break;
@@ -248,6 +250,11 @@ impl Conditions<'_> {
             ceta[load.node] +=
                 weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
         }
+        for own in &self.control.acting {
+            let u = own.controls(self.control.at(k).wrenches);
+            let view = self.view(k);
+            acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
+        }
         if !rod.model.has_potential() {
             self.add_stress_covectors(k, weight, lx, lr, cx, ceta);
             return;
@@ -278,6 +285,31 @@ impl Conditions<'_> {
             let far = plus_far.eta[q] + minus_far.eta[q];
             let here = (4.0 * (plus.eta[q] + minus.eta[q]) - far) / 6.0;
             ceta[q] -= weight * (slope(|at| &at.eta) + lr[q].cross(&here));
+        }
+    }
+
+    /// Derivative of an outcome along the controls of actuators of one's own at time node `k`, in the places that they have among
+    /// the wrenches.
+    fn add_own_controls(
+        &self,
+        k: usize,
+        weight: f64,
+        covectors: [&[Vector3<f64>]; 2],
+        out: &mut [Wrench],
+    ) {
+        for own in &self.control.acting {
+            let u = own.controls(self.control.at(k).wrenches);
+            for (control, place) in own.places.iter().enumerate() {
+                let (carrier, axis) = (own.first + place / 6, place % 6);
+                let definition = &self.problem.actuators[carrier];
+                let channel = [&definition.force, &definition.moment][axis / 3];
+                let (actuator, view) = (&*own.actuator, self.view(k));
+                let slope =
+                    acting::control_slope(actuator, &view, &u, control, channel.scale, covectors);
+                let carrier = &mut out[carrier];
+                let vector = [&mut carrier.force, &mut carrier.moment];
+                vector[axis / 3][axis % 3] += weight * slope;
+            }
         }
     }
 

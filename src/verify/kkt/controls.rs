@@ -20,6 +20,9 @@ pub(in crate::verify) fn channels(
     a: usize,
 ) -> [(f64, &'static str, &'static str); 2] {
     let actuator = &problem.actuators[a];
+    if a >= problem.wrench_actuators().len() {
+        return [actuator.force.scale, actuator.moment.scale].map(|scale| (scale, "control", ""));
+    }
     [
         (actuator.force.scale, "force", "N"),
         (actuator.moment.scale, "moment", "N m"),

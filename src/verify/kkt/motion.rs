@@ -5,7 +5,10 @@ use nalgebra::{Matrix3, Vector3};
 use super::rows::{Place, Worst, largest_axis};
 use crate::control::{GoalPart, OptimalControlProblem, PathConstraint};
 use crate::mechanics::rotation::log;
-use crate::mechanics::{BaseCondition, ControlSignal, Rod, RodModel, TimeScheme, Trajectory};
+use crate::mechanics::{
+    BaseCondition, ControlSignal, Rod, RodModel, StateView, TimeScheme, Trajectory,
+};
+use crate::verify::acting;
 use crate::verify::dual;
 use crate::verify::interval::{self, Nine, Strained};
 use crate::verify::limits::Measure;
@@ -128,6 +131,16 @@ pub(in crate::verify) struct Conditions<'a> {
 impl Conditions<'_> {
     pub(in crate::verify) fn rod(&self) -> &Rod {
         &self.problem.rod
+    }
+
+    /// What actuators of one's own see at time node `k`.
+    pub(in crate::verify) fn view(&self, k: usize) -> StateView<'_> {
+        StateView {
+            rod: self.rod(),
+            time: self.problem.grid.time(k),
+            positions: self.trajectory.positions_at(k),
+            rotations: self.trajectory.rotations_at(k),
+        }
     }
 
     pub(in crate::verify) fn turn(&self, k: usize, q: usize) -> Matrix3<f64> {
@@ -261,6 +274,15 @@ impl Conditions<'_> {
             if *node == q {
                 force += wrench.force;
                 moment += wrench.moment;
+            }
+        }
+        for own in &self.control.acting {
+            let u = own.controls(control.wrenches);
+            for (node, wrench) in acting::wrenches(&*own.actuator, &self.view(k), &u) {
+                if node == q {
+                    force += wrench.force;
+                    moment += wrench.moment;
+                }
             }
         }
         (force, moment)

@@ -1,0 +1,227 @@
+//! Actuators of one's own along a point: columns of their controls, and what they add to the Hessian of the Lagrangian.
+
+use faer::Mat;
+
+use super::path::RowGradient;
+use super::problem::{Component, OptimalControlProblem};
+use crate::mechanics::actuator::{StateView, flat};
+use crate::mechanics::curvature::OwnCurvature;
+use crate::mechanics::linearization::{AdjointSweep, Motion};
+use crate::mechanics::sensitivity::Sensitivities;
+use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, Wrench};
+
+/// Which actuator of one's own a component controls, and which of its controls it is; `None` where it is part of a wrench.
+pub(super) fn own_controls(
+    problem: &OptimalControlProblem,
+    components: &[Component],
+) -> Vec<Option<(usize, usize)>> {
+    (components.iter())
+        .map(|component| problem.own_control(component))
+        .collect()
+}
+
+/// The actuators of one's own along a trajectory under a control.
+pub(super) struct ActingAlong<'a> {
+    problem: &'a OptimalControlProblem,
+    /// The controls.
+    pub signal: ControlSignal,
+    /// Nodes of every actuator.
+    nodes: Vec<Vec<usize>>,
+    /// Derivative of its wrenches along its controls, actuator by actuator, at every time node.
+    jacobians: Vec<Vec<Mat<f64>>>,
+}
+
+impl<'a> ActingAlong<'a> {
+    /// `None` of a problem without any.
+    pub fn of(
+        problem: &'a OptimalControlProblem,
+        signal: ControlSignal,
+        trajectory: &Trajectory,
+    ) -> Option<Self> {
+        if problem.acting.is_empty() {
+            return None;
+        }
+        let rod = &problem.rod;
+        let jacobians = (problem.acting.iter())
+            .map(|acting| {
+                (0..=problem.grid.n_steps)
+                    .map(|k| {
+                        let at = StateView::of(rod, &problem.grid, trajectory, k);
+                        let u = acting.controls(signal.at(k).wrenches);
+                        acting.actuator.control_jacobian(&at, &u)
+                    })
+                    .collect()
+            })
+            .collect();
+        Some(Self {
+            nodes: (problem.acting.iter())
+                .map(|acting| acting.actuator.nodes(rod))
+                .collect(),
+            problem,
+            signal,
+            jacobians,
+        })
+    }
+
+    /// Calls `visit(node, component, derivative)` for what one control does to the wrenches at time node `k`.
+    pub fn visit(&self, k: usize, own: (usize, usize), visit: &mut dyn FnMut(usize, usize, f64)) {
+        let (actuator, control) = own;
+        let jacobian = &self.jacobians[actuator][k];
+        for (i, &node) in self.nodes[actuator].iter().enumerate() {
+            for component in 0..6 {
+                let slope = jacobian[(6 * i + component, control)];
+                if slope != 0.0 {
+                    visit(node, component, slope);
+                }
+            }
+        }
+    }
+
+    /// The change of all wrenches with a change of the controls, to first order.
+    pub fn change(&self, change: &ControlSignal) -> ControlSignal {
+        let mut nodes = change.nodes.clone();
+        nodes.extend(self.nodes.iter().flatten());
+        let mut wrenches = Vec::with_capacity(nodes.len() * (self.problem.grid.n_steps + 1));
+        for k in 0..=self.problem.grid.n_steps {
+            let here = change.at(k);
+            wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
+            for (acting, jacobians) in self.problem.acting.iter().zip(&self.jacobians) {
+                let du = acting.controls(here.wrenches);
+                let row = |i: usize| -> f64 {
+                    (du.iter().enumerate())
+                        .map(|(j, du)| jacobians[k][(i, j)] * du)
+                        .sum()
+                };
+                wrenches
+                    .extend((0..jacobians[k].nrows() / 6).map(|node| {
+                        Wrench::from_array(std::array::from_fn(|c| row(6 * node + c)))
+                    }));
+            }
+        }
+        ControlSignal::on(nodes, wrenches)
+    }
+
+    /// Second derivatives of the wrenches' part in the Lagrangian: those along the configuration alone, and those along controls.
+    pub fn curvature(
+        &self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        costates: &AdjointSweep,
+        components: &[Component],
+    ) -> (Vec<OwnCurvature>, Vec<ControlCurvature>) {
+        let problem = self.problem;
+        let own = own_controls(problem, components);
+        let (mut along_states, mut along_controls) = (Vec::new(), Vec::new());
+        for k in 0..=problem.grid.n_steps {
+            let at = StateView::of(&problem.rod, &motion.grid, trajectory, k);
+            for (index, (acting, nodes)) in problem.acting.iter().zip(&self.nodes).enumerate() {
+                let u = acting.controls(self.signal.at(k).wrenches);
+                let covector: Vec<Wrench> = (nodes.iter())
+                    .map(|&node| costates.wrench(motion, k, node))
+                    .collect();
+                if flat(&covector).iter().all(|entry| *entry == 0.0) {
+                    continue;
+                }
+                let matrix = acting.actuator.curvature(&at, &u, &covector);
+                let rows: Vec<(usize, usize)> = (nodes.iter())
+                    .flat_map(|&node| (0..6).map(move |component| (node, component)))
+                    .collect();
+                let n = rows.len();
+                along_states.push(OwnCurvature {
+                    time_node: k,
+                    matrix: Mat::from_fn(n, n, |i, j| matrix[(i, j)]),
+                    rows: rows.clone(),
+                });
+                let columns = (0..u.len())
+                    .map(|control| {
+                        let mut entries = Vec::new();
+                        for (coefficient, weight) in problem.control.weights(k) {
+                            for (i, component) in components.iter().enumerate() {
+                                if own[i] == Some((index, control)) && weight != 0.0 {
+                                    let scale = problem.channel(component).scale;
+                                    entries
+                                        .push((coefficient * components.len() + i, weight * scale));
+                                }
+                            }
+                        }
+                        entries
+                    })
+                    .collect();
+                let bent: Vec<usize> = (0..n)
+                    .filter(|&i| (0..u.len()).any(|c| matrix[(i, n + c)] != 0.0))
+                    .collect();
+                along_controls.push(ControlCurvature {
+                    forms: (bent.iter())
+                        .map(|&i| StateForm {
+                            time_node: k,
+                            terms: vec![FormTerm {
+                                node: rows[i].0,
+                                component: rows[i].1,
+                                coefficient: 1.0,
+                            }],
+                        })
+                        .collect(),
+                    cross: Mat::from_fn(bent.len(), u.len(), |i, c| matrix[(bent[i], n + c)]),
+                    own: Mat::from_fn(u.len(), u.len(), |i, j| matrix[(n + i, n + j)]),
+                    columns,
+                });
+            }
+        }
+        (along_states, along_controls)
+    }
+}
+
+/// Second derivative of an actuator's part in the Lagrangian at one time node, over its controls, and over them and the configuration.
+pub(super) struct ControlCurvature {
+    /// Forms of the configuration.
+    pub forms: Vec<StateForm>,
+    /// Forms by controls.
+    cross: Mat<f64>,
+    /// Controls by controls.
+    own: Mat<f64>,
+    /// Of every control, the columns that move it and by how much.
+    columns: Vec<Vec<(usize, f64)>>,
+}
+
+impl ControlCurvature {
+    /// The forms as rows of a sweep.
+    pub fn gradients(&self) -> impl Iterator<Item = RowGradient> {
+        self.forms.iter().map(|form| vec![form.clone()])
+    }
+
+    /// Adds this to a Hessian over the columns, where the forms are the rows from `first` on of `values`, by columns, and of
+    /// `answers`, by sources.
+    pub fn add_to(
+        &self,
+        first: usize,
+        values: &Mat<f64>,
+        answers: &Mat<f64>,
+        found: &mut Sensitivities,
+    ) {
+        let (Some(curvature), Some(sources)) =
+            (found.curvature.as_mut(), found.curvature_sources.as_mut())
+        else {
+            return;
+        };
+        for (control, entries) in self.columns.iter().enumerate() {
+            for &(column, weight) in entries {
+                for i in 0..self.forms.len() {
+                    let factor = weight * self.cross[(i, control)];
+                    for other in 0..values.ncols() {
+                        let product = factor * values[(first + i, other)];
+                        curvature[(column, other)] += product;
+                        curvature[(other, column)] += product;
+                    }
+                    for source in 0..answers.ncols() {
+                        sources[(column, source)] += factor * answers[(first + i, source)];
+                    }
+                }
+                for (other, others) in self.columns.iter().enumerate() {
+                    for &(at, factor) in others {
+                        curvature[(column, at)] += weight * factor * self.own[(control, other)];
+                    }
+                }
+            }
+        }
+    }
+}

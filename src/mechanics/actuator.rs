@@ -1,0 +1,276 @@
+//! Actuators of one's own: wrenches on nodes as functions of controls and of the configuration.
+//!
+//! An [`Actuator`] applies `w(x, R, u)`, a force and a moment on each of its nodes, at every time node. Its derivatives along the configuration
+//! enter the linearized equations of motion like those of loads that turn, those along `u` are the columns of the control, and its second
+//! derivatives belong to the Hessian of the Lagrangian. Solver, derivative check, certificate and regulator see it like a force in the
+//! spatial frame or a moment in the body frame, which are linear in the control and constant along the configuration, and have a path of
+//! their own for it. The certificate uses [`Actuator::wrench`] alone, which it differentiates by itself: a wrong derivative makes it reject
+//! the solution.
+
+use std::fmt;
+use std::sync::Arc;
+
+use faer::Mat;
+use nalgebra::{Matrix3, Vector3};
+
+use super::configuration::Trajectory;
+use super::integrator::TimeGrid;
+use super::load::Wrench;
+use super::rod::Rod;
+use super::rotation::exp;
+
+/// The arm at one instant, as terms and actuators of one's own see it.
+#[derive(Clone, Copy, Debug)]
+pub struct StateView<'a> {
+    /// The rod.
+    pub rod: &'a Rod,
+    /// Time, s.
+    pub time: f64,
+    /// Positions of the nodes, spatial frame, m.
+    pub positions: &'a [Vector3<f64>],
+    /// Rotations of the nodes, body to space.
+    pub rotations: &'a [Matrix3<f64>],
+}
+
+impl<'a> StateView<'a> {
+    /// A time node of a trajectory.
+    #[must_use]
+    pub fn of(rod: &'a Rod, grid: &TimeGrid, trajectory: &'a Trajectory, k: usize) -> Self {
+        Self {
+            rod,
+            time: grid.time(k),
+            positions: trajectory.positions_at(k),
+            rotations: trajectory.rotations_at(k),
+        }
+    }
+
+    /// What `seen` sees after component `component` of a node (0..3 `δx`, 3..6 `ζ`) was moved by `step`.
+    pub(crate) fn moved<T>(
+        &self,
+        node: usize,
+        component: usize,
+        step: f64,
+        seen: impl FnOnce(&StateView) -> T,
+    ) -> T {
+        let (mut x, mut r) = (self.positions.to_vec(), self.rotations.to_vec());
+        let shift = Vector3::ith(component % 3, step);
+        if component < 3 {
+            x[node] += shift;
+        } else {
+            r[node] *= exp(&shift);
+        }
+        seen(&StateView {
+            positions: &x,
+            rotations: &r,
+            ..*self
+        })
+    }
+}
+
+/// Wrenches on nodes as a function `w(x, R, u)` of controls and of the configuration.
+///
+/// The rows of its derivatives are six of every node, in the order of [`Self::nodes`]: force (spatial, N), then moment (body frame, N m).
+/// Columns along the configuration are six of every node as well: `δx` (spatial, m), then `ζ` (body frame, rad) with `δR = R ζ̂`.
+/// It depends on the configuration of its own nodes alone, and on no velocity.
+pub trait Actuator: fmt::Debug + Send + Sync {
+    /// Number `n` of its controls.
+    fn n_controls(&self) -> usize;
+
+    /// The `m` nodes that it acts on and looks at, each once.
+    fn nodes(&self, rod: &Rod) -> Vec<usize>;
+
+    /// The wrenches on its nodes under the controls `u`; `out` has one for every node, which this overwrites.
+    fn wrench(&self, at: &StateView, u: &[f64], out: &mut [Wrench]);
+
+    /// Derivative of the wrenches along the configuration of the nodes, `6m × 6m`.
+    fn configuration_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64>;
+
+    /// Derivative of the wrenches along the controls, `6m × n`.
+    fn control_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64>;
+
+    /// Second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, over the configuration and then the controls: `6m + n` rows and
+    /// columns, symmetric; along a rotation that of `s ↦ w(R exp(s ζ̂))`. By default from central differences of both Jacobians, to about
+    /// 1e-9 of its size.
+    fn curvature(&self, at: &StateView, u: &[f64], covector: &[Wrench]) -> Mat<f64> {
+        differenced(at, &self.nodes(at.rod), u, |at, u| {
+            let rows = flat(covector);
+            let pull = |matrix: &Mat<f64>| -> Vec<f64> {
+                (0..matrix.ncols())
+                    .map(|j| (0..rows.len()).map(|i| rows[i] * matrix[(i, j)]).sum())
+                    .collect()
+            };
+            let mut out = pull(&self.configuration_jacobian(at, u));
+            out.extend(pull(&self.control_jacobian(at, u)));
+            out
+        })
+    }
+}
+
+/// Half the width of the central differences along rotations, rad; along positions in rod lengths, along controls in the largest of them.
+const DIFFERENCE: f64 = 1e-5;
+
+/// The symmetric derivative of a gradient over the configuration of some nodes and over controls.
+fn differenced(
+    at: &StateView,
+    nodes: &[usize],
+    u: &[f64],
+    gradient: impl Fn(&StateView, &[f64]) -> Vec<f64>,
+) -> Mat<f64> {
+    let size = 6 * nodes.len() + u.len();
+    let largest = u.iter().fold(0.0_f64, |most, u| most.max(u.abs()));
+    let mut out = Mat::zeros(size, size);
+    for column in 0..size {
+        let (step, slopes) = match nodes.get(column / 6) {
+            Some(&node) => {
+                let component = column % 6;
+                let unit = if component < 3 {
+                    at.rod.scales.length
+                } else {
+                    1.0
+                };
+                let step = DIFFERENCE * unit;
+                let there = |step: f64| at.moved(node, component, step, |at| gradient(at, u));
+                (step, [there(step), there(-step)])
+            }
+            None => {
+                let step = DIFFERENCE * if largest > 0.0 { largest } else { 1.0 };
+                let there = |step: f64| {
+                    let mut u = u.to_vec();
+                    u[column - 6 * nodes.len()] += step;
+                    gradient(at, &u)
+                };
+                (step, [there(step), there(-step)])
+            }
+        };
+        for row in 0..size {
+            let slope = (slopes[0][row] - slopes[1][row]) / (2.0 * step);
+            out[(row, column)] += 0.5 * slope;
+            out[(column, row)] += 0.5 * slope;
+        }
+    }
+    out
+}
+
+/// Components of wrenches one after the other: force, then moment.
+pub(crate) fn flat(wrenches: &[Wrench]) -> Vec<f64> {
+    (wrenches.iter())
+        .flat_map(|wrench| [wrench.force, wrench.moment])
+        .flat_map(|vector| [vector.x, vector.y, vector.z])
+        .collect()
+}
+
+/// An actuator that is shared; equal to itself alone.
+#[derive(Clone, Debug)]
+pub struct SharedActuator(pub Arc<dyn Actuator>);
+
+impl SharedActuator {
+    /// Of an actuator.
+    pub fn new(actuator: impl Actuator + 'static) -> Self {
+        Self(Arc::new(actuator))
+    }
+}
+
+impl std::ops::Deref for SharedActuator {
+    type Target = dyn Actuator;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.0
+    }
+}
+
+impl PartialEq for SharedActuator {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+/// An actuator of one's own and where its controls are in a [signal](super::ControlSignal).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Acting {
+    /// The actuator.
+    pub actuator: SharedActuator,
+    /// First of the signal's wrenches, of one time node, whose components are controls of the actuator.
+    pub first: usize,
+    /// For every control its place from there on: six to a wrench, force before moment.
+    pub places: Vec<usize>,
+}
+
+impl Acting {
+    /// The controls of one time node, from all wrenches of the signal there.
+    #[must_use]
+    pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
+        (self.places.iter())
+            .map(|&place| {
+                let wrench = &wrenches[self.first + place / 6];
+                let axis = place % 6;
+                if axis < 3 {
+                    wrench.force[axis]
+                } else {
+                    wrench.moment[axis - 3]
+                }
+            })
+            .collect()
+    }
+
+    /// The wrenches on the nodes under these controls.
+    #[must_use]
+    pub fn wrenches(&self, at: &StateView, u: &[f64]) -> Vec<(usize, Wrench)> {
+        let nodes = self.actuator.nodes(at.rod);
+        let mut out = vec![Wrench::default(); nodes.len()];
+        self.actuator.wrench(at, u, &mut out);
+        nodes.into_iter().zip(out).collect()
+    }
+}
+
+/// How the wrenches of an actuator follow the configuration of its nodes at one time node.
+#[derive(Clone, Debug)]
+pub struct ActingDerivative {
+    /// The nodes.
+    pub nodes: Vec<usize>,
+    /// Rows of force and moment, columns of `δx` and `ζ`, six of either for every node; N and N m per m and rad.
+    pub matrix: Mat<f64>,
+}
+
+impl ActingDerivative {
+    /// Adds the change of forces and moments along a direction.
+    pub(super) fn add(
+        &self,
+        [dx, zeta]: [&[Vector3<f64>]; 2],
+        [force, moment]: [&mut [Vector3<f64>]; 2],
+    ) {
+        for (i, &node) in self.nodes.iter().enumerate() {
+            for (j, &other) in self.nodes.iter().enumerate() {
+                for axis in 0..3 {
+                    for along in 0..3 {
+                        let entry = |row, column| self.matrix[(6 * i + row, 6 * j + column)];
+                        force[node][axis] += entry(axis, along) * dx[other][along]
+                            + entry(axis, 3 + along) * zeta[other][along];
+                        moment[node][axis] += entry(3 + axis, along) * dx[other][along]
+                            + entry(3 + axis, 3 + along) * zeta[other][along];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Transpose of [`Self::add`].
+    pub(super) fn add_transposed(
+        &self,
+        [force, moment]: [&[Vector3<f64>]; 2],
+        [dx, zeta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        for (i, &node) in self.nodes.iter().enumerate() {
+            for (j, &other) in self.nodes.iter().enumerate() {
+                for axis in 0..3 {
+                    for along in 0..3 {
+                        let entry = |row, column| self.matrix[(6 * i + row, 6 * j + column)];
+                        let (f, m) = (force[node][axis], moment[node][axis]);
+                        dx[other][along] += entry(axis, along) * f + entry(3 + axis, along) * m;
+                        zeta[other][along] +=
+                            entry(axis, 3 + along) * f + entry(3 + axis, 3 + along) * m;
+                    }
+                }
+            }
+        }
+    }
+}
