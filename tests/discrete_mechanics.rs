@@ -499,8 +499,10 @@ fn adjoint_is_the_transpose() {
                     let all = sources.iter().chain(end);
                     rows.iter().zip(all).map(|(l, r)| l.dot(r)).sum()
                 };
+            let start = sources.start.as_ref().map(|start| start.dot(&back.start));
             let by_sources = dot(&back.linear, &sources.linear, &sources.terminal_linear)
-                + dot(&back.angular, &sources.angular, &sources.terminal_angular);
+                + dot(&back.angular, &sources.angular, &sources.terminal_angular)
+                + start.unwrap_or(0.0);
             for (found, expected) in [
                 (forward(None, &change), by_control),
                 (
