@@ -7,6 +7,8 @@ pub mod globalization;
 pub mod hessian;
 #[doc(hidden)]
 pub mod kept_states;
+#[doc(hidden)]
+pub mod outcome;
 mod polish;
 #[doc(hidden)]
 pub mod program;
@@ -18,6 +20,7 @@ mod refit;
 #[doc(hidden)]
 pub mod residual;
 mod run;
+mod settings;
 #[doc(hidden)]
 pub mod solver;
 
@@ -25,15 +28,14 @@ pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
+pub use outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
 pub use program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness,
 };
 pub use progress::{Progress, Trend};
 pub use residual::{KktResidual, Multipliers};
-pub use solver::{
-    Convergence, IterationRecord, Leave, PhaseTimes, SADDLE_GAIN, SqpOutcome, SqpSettings,
-    SqpStatus, solve,
-};
+pub use settings::{SADDLE_GAIN, SqpSettings};
+pub use solver::{Iteration, Solver, WarmStart, solve, solve_warm};
 
 pub use crate::stop::{Stop, StopSignal};

@@ -1,6 +1,6 @@
 //! Whether a solve that ended before its time was still getting on.
 
-use super::solver::IterationRecord;
+use super::outcome::IterationRecord;
 
 /// Iterations that are looked back over.
 const WINDOW: usize = 10;
@@ -83,8 +83,8 @@ impl Progress {
 mod tests {
     use super::*;
     use crate::sqp::hessian::HessianKind;
+    use crate::sqp::outcome::Leave;
     use crate::sqp::residual::KktResidual;
-    use crate::sqp::solver::Leave;
 
     fn row(infeasibility: f64, stationarity: f64) -> IterationRecord {
         IterationRecord {

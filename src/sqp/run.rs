@@ -4,8 +4,7 @@ mod rescue;
 mod restoration;
 mod subproblem;
 
-use std::ops::ControlFlow;
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Instant;
 
 use faer::Mat;
@@ -16,6 +15,7 @@ use self::subproblem::NO_SLACK;
 use super::globalization::{Accepted, CAREFUL_MISS, Departure, FEASIBLE, Filter, Measure, Refused};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::{QpRoute, StateLinearization};
+use super::outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness, sum_of_largest,
@@ -24,9 +24,8 @@ use super::quadratic_program::{
     LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
 };
 use super::residual::{KktResidual, Multipliers, norm};
-use super::solver::{
-    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpSettings, SqpStatus,
-};
+use super::settings::SqpSettings;
+use super::solver::WarmStart;
 use crate::stop::{LARGE, Stop};
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -108,9 +107,11 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     program: &'a P,
     settings: &'a SqpSettings,
     started: Instant,
-    point: Rc<P::Point>,
+    point: Arc<P::Point>,
     evaluation: Evaluation<P::Defects>,
     multipliers: Multipliers,
+    /// Whether the first multipliers are those of another solve.
+    has_multipliers: bool,
     filter: Filter,
     care: Care,
     elastic_weight: Option<f64>,
@@ -166,7 +167,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
 /// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
 #[derive(Clone)]
 struct Best<Point> {
-    point: Rc<Point>,
+    point: Arc<Point>,
     multipliers: Multipliers,
     residual: KktResidual,
     objective: f64,
@@ -202,7 +203,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Err(Box::new(SqpOutcome::without_start(point, status)));
             }
         };
-        let point = Rc::new(point);
+        let point = Arc::new(point);
         let multipliers = Multipliers::zeros(
             evaluation.constraints.len(),
             evaluation.inequalities.len(),
@@ -215,7 +216,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             filter: Filter::new(program.infeasibility(&evaluation)),
             care: Care::NotYet,
             best: Best {
-                point: Rc::clone(&point),
+                point: Arc::clone(&point),
                 multipliers: multipliers.clone(),
                 residual: UNKNOWN_RESIDUAL,
                 objective: program.total_objective(&evaluation),
@@ -237,6 +238,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             point,
             evaluation,
             multipliers,
+            has_multipliers: false,
             elastic_weight: None,
             stuck: 0,
             restored_at: 0,
@@ -279,7 +281,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         match self.settings.hessian {
             HessianChoice::GaussNewton => false,
             // Without multipliers there is no Lagrangian yet.
-            HessianChoice::Exact => !self.history.is_empty(),
+            HessianChoice::Exact => self.has_multipliers || !self.history.is_empty(),
+            HessianChoice::Auto if self.history.is_empty() => {
+                self.has_multipliers && self.infeasibility() < EXACT_BELOW_WITH_MULTIPLIERS
+            }
             HessianChoice::Auto => self.history.last().is_some_and(|last| {
                 let infeasibility = self.infeasibility();
                 let is_near =
@@ -392,7 +397,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         if better {
             self.best = Best {
-                point: Rc::clone(&self.point),
+                point: Arc::clone(&self.point),
                 multipliers: self.multipliers.clone(),
                 residual,
                 objective,
@@ -707,7 +712,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if accepted.restored {
             self.rounding = accepted.evaluation.defect;
         }
-        self.point = Rc::new(accepted.point);
+        self.point = Arc::new(accepted.point);
         self.evaluation = accepted.evaluation;
         self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
@@ -874,24 +879,46 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         promise > 0.0 && delivered >= MERIT_RATIO * promise
     }
 
-    pub(super) fn show(
-        &self,
-        observer: &mut dyn FnMut(&IterationRecord) -> ControlFlow<Stop>,
-    ) -> ControlFlow<Stop> {
-        self.history
-            .last()
-            .map_or(ControlFlow::Continue(()), observer)
+    /// The row of the last iteration.
+    pub(super) fn last(&self) -> Option<&IterationRecord> {
+        self.history.last()
     }
 
-    /// Shows the last row and ends.
-    pub(super) fn finish(
-        self,
-        status: SqpStatus,
-        observer: &mut dyn FnMut(&IterationRecord) -> ControlFlow<Stop>,
-    ) -> SqpOutcome<P::Point> {
-        // Already ending: a request to stop changes nothing.
-        let _ = self.show(observer);
-        self.end(status)
+    /// Rows so far.
+    pub(super) fn n_rows(&self) -> usize {
+        self.history.len()
+    }
+
+    /// Takes over what another solve knew, besides its point.
+    pub(super) fn warm(&mut self, start: &WarmStart<P::Point>) -> Result<(), String> {
+        let (own, other) = (&self.multipliers, &start.multipliers);
+        let sizes = |m: &Multipliers| (m.constraints.len(), m.inequalities.len(), m.normals.len());
+        if sizes(own) != sizes(other) {
+            return Err(format!(
+                "a warm start with {:?} constraints, inequalities and sets for a program with {:?}",
+                sizes(other),
+                sizes(own)
+            ));
+        }
+        self.multipliers = start.multipliers.clone();
+        self.best.multipliers = start.multipliers.clone();
+        self.working.clone_from(&start.working_rows);
+        self.elastic_weight = start.elastic_weight;
+        self.trust_radius = start.trust_radius;
+        self.best.trust_radius = start.trust_radius;
+        self.has_multipliers = true;
+        Ok(())
+    }
+
+    /// What another solve may take over.
+    pub(super) fn warm_start(&self) -> WarmStart<P::Point> {
+        WarmStart {
+            point: P::Point::clone(&self.point),
+            multipliers: self.multipliers.clone(),
+            working_rows: self.working.clone(),
+            elastic_weight: self.elastic_weight,
+            trust_radius: self.trust_radius,
+        }
     }
 
     /// What was found; where a saddle was left for nothing better, the saddle.
@@ -911,7 +938,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         drop((self.point, self.saddle));
         SqpOutcome {
             status,
-            point: Rc::unwrap_or_clone(self.best.point),
+            point: Arc::unwrap_or_clone(self.best.point),
             multipliers: self.best.multipliers,
             residual: self.best.residual,
             objective: self.best.objective,

@@ -1,6 +1,6 @@
 //! What is done where plain steps do not lead on: careful steps, ways back, states computed anew, saddles left.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use super::super::balls::change_into_balls;
 use super::super::globalization::{Accepted, Filter};
@@ -216,7 +216,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             return false;
         };
         self.returns += 1;
-        self.point = Rc::clone(&self.best.point);
+        self.point = Arc::clone(&self.best.point);
         self.evaluation = evaluation;
         self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
         self.multipliers = self.best.multipliers.clone();

@@ -1,6 +1,6 @@
 //! The way back towards feasibility, where no step is acceptable or subproblems promise nothing.
 
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Instant;
 
 use faer::Mat;
@@ -147,7 +147,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
             self.multipliers = multipliers;
             self.best = Best {
-                point: Rc::clone(&self.point),
+                point: Arc::clone(&self.point),
                 multipliers: self.multipliers.clone(),
                 residual: self.linearized_residual(linearization),
                 objective: self.program.total_objective(&self.evaluation),

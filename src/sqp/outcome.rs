@@ -1,0 +1,170 @@
+//! What a solve reports: its iterations, and how it ended.
+
+use super::hessian::HessianKind;
+use super::kept_states::QpRoute;
+use super::residual::{KktResidual, Multipliers};
+use crate::stop::Stop;
+
+/// How a solve ended. Only the residual check can say `Converged`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SqpStatus {
+    /// The KKT residual is within the tolerance, its feasibility well within, or what rounding leaves of it.
+    Converged,
+    /// The constraints cannot be met to first order from here; the multipliers say which pull against each other.
+    LocallyInfeasible,
+    /// Iterations used up.
+    IterationLimit,
+    /// No acceptable step, however short, or none any more that leads anywhere.
+    StepTooSmall,
+    /// Stopped from outside.
+    Stopped(Stop),
+    /// The model broke down at the start, or a subproblem could not be solved.
+    Failed(String),
+}
+
+/// How an iteration left its point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Leave {
+    /// Not at all: the solve ended there.
+    #[default]
+    End,
+    /// By a step of the variables.
+    Step,
+    /// Along negative curvature, a saddle.
+    Saddle,
+    /// The variables stayed, and the states were computed from them.
+    Settled,
+    /// The point stayed, or only its states were put back: filter and trust region begin anew.
+    Anew,
+    /// Back to the best point so far.
+    Back,
+}
+
+/// One row of the iteration table: the point, and the step that left it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IterationRecord {
+    /// Counted from 0.
+    pub iteration: usize,
+    /// `J` at the point, with the price of soft inequalities.
+    pub objective: f64,
+    /// KKT residual at the point.
+    pub residual: KktResidual,
+    /// Infeasibility that the globalization works on.
+    pub infeasibility: f64,
+    /// Norm of the step of the variables from here; 0 in the last row.
+    pub step_norm: f64,
+    /// Norm of this step over that of the last one before it.
+    pub contraction: Option<f64>,
+    /// How the point was left.
+    pub left: Leave,
+    /// Hessian of the step.
+    pub hessian: HessianKind,
+    /// Second-order corrections of the step, or refits of it.
+    pub corrections: usize,
+    /// Whether the step's states were computed from its variables rather than moved linearly.
+    pub restored: bool,
+    /// Trust radius of the step.
+    pub trust_radius: f64,
+    /// Elastic weight of the subproblem.
+    pub elastic_weight: f64,
+    /// What the subproblem could not satisfy.
+    pub slack: f64,
+    /// Inequalities that were linearized.
+    pub linearized_rows: usize,
+    /// Inequalities that Clarabel saw.
+    pub working_rows: usize,
+    /// Interior-point iterations of the subproblem.
+    pub qp_iterations: u32,
+    /// Seconds since the start.
+    pub elapsed: f64,
+}
+
+/// Seconds spent in each phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct PhaseTimes {
+    /// Linearization, sensitivities and condensing.
+    pub linearize: f64,
+    /// Hessian of the subproblem.
+    pub condense: f64,
+    /// Clarabel.
+    pub qp: f64,
+    /// Trial points, expansion and correction.
+    pub globalize: f64,
+}
+
+/// The end of a solve, whatever it was.
+#[derive(Clone, Debug)]
+pub struct SqpOutcome<P> {
+    /// How it ended.
+    pub status: SqpStatus,
+    /// The best point found: the last one if it converged, else the one with the smallest infeasibility.
+    pub point: P,
+    /// Multipliers at that point.
+    pub multipliers: Multipliers,
+    /// KKT residual at that point.
+    pub residual: KktResidual,
+    /// `J` at that point, with the price of soft inequalities.
+    pub objective: f64,
+    /// How subproblems were solved.
+    pub route: QpRoute,
+    /// One row per iteration.
+    pub history: Vec<IterationRecord>,
+    /// How fast the last steps shrank.
+    pub convergence: Convergence,
+    /// Where the time went.
+    pub phases: PhaseTimes,
+    /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
+    pub failed_subproblem: Option<String>,
+    /// Where the point is a saddle that is not worth [leaving](SqpSettings::saddle_gain): what the Lagrangian falls by along its most
+    /// negative curvature, at most.
+    pub left_to_gain: Option<f64>,
+}
+
+impl<P> SqpOutcome<P> {
+    /// A solve that could not begin, or was not begun any more.
+    pub(crate) fn without_start(point: P, status: SqpStatus) -> Self {
+        Self {
+            status,
+            point,
+            multipliers: Multipliers::default(),
+            residual: KktResidual {
+                stationarity: f64::INFINITY,
+                feasibility: f64::INFINITY,
+                complementarity: f64::INFINITY,
+            },
+            objective: f64::NAN,
+            route: QpRoute::Condensed,
+            history: Vec::new(),
+            convergence: Convergence::default(),
+            phases: PhaseTimes::default(),
+            failed_subproblem: None,
+            left_to_gain: None,
+        }
+    }
+}
+
+/// Observed rate of convergence, of the norms `s` of the last three steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Convergence {
+    /// `s₃/s₂`; needs two steps.
+    pub contraction: Option<f64>,
+    /// `ln(s₃/s₂) / ln(s₂/s₁)`, where both ratios are below one: about 1 for linear convergence, 2 for quadratic.
+    pub order: Option<f64>,
+}
+
+impl Convergence {
+    /// Of the steps of a history.
+    #[must_use]
+    pub fn of(history: &[IterationRecord]) -> Self {
+        let mut ratios = history.iter().rev().filter_map(|row| row.contraction);
+        let (last, before) = (ratios.next(), ratios.next());
+        let order = (last.zip(before))
+            .filter(|&(last, before)| 0.0 < last && last < 1.0 && before < 1.0)
+            .map(|(last, before)| last.ln() / before.ln());
+        Self {
+            contraction: last,
+            order,
+        }
+    }
+}

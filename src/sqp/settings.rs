@@ -1,0 +1,71 @@
+//! What a solve may do, and when a point is good enough.
+
+use super::hessian::HessianChoice;
+use super::kept_states::QpRoute;
+use crate::stop::StopSignal;
+
+/// What the solver may do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SqpSettings {
+    /// Largest scaled KKT residual of a converged point.
+    pub tolerance: f64,
+    /// Iterations, at most.
+    pub max_iterations: usize,
+    /// Saddles, points that meet the conditions of first order with negative curvature, that are left for something better, at most.
+    pub saddle_escapes: usize,
+    /// Part of the objective that leaving a saddle must gain; where there is less to gain, the saddle is the result.
+    pub saddle_gain: f64,
+    /// Which Hessian.
+    pub hessian: HessianChoice,
+    /// How its subproblems are solved.
+    pub qp: QpRoute,
+    /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
+    /// that of all rows. Far from a solution not every one of them is worth a solve.
+    pub row_accuracy: f64,
+    /// What may end the solve before it is done.
+    pub stop: StopSignal,
+}
+
+/// Part of the objective that is worth leaving a saddle for: what the discretization of an ordinary solve is off by.
+pub const SADDLE_GAIN: f64 = 1e-2;
+
+impl Default for SqpSettings {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-6,
+            max_iterations: 600,
+            saddle_escapes: 3,
+            saddle_gain: SADDLE_GAIN,
+            hessian: HessianChoice::Auto,
+            qp: QpRoute::Condensed,
+            row_accuracy: 1e-2,
+            stop: StopSignal::default(),
+        }
+    }
+}
+
+impl SqpSettings {
+    /// What is left of states' defects and of violations, as parts of the tolerance, for which a point counts as feasible; where states that
+    /// were computed leave defects of the size `rounding`.
+    pub(super) fn feasibility_tolerance(&self, part: f64, rounding: f64) -> f64 {
+        (part * self.tolerance)
+            .max(FEASIBILITY_FLOOR)
+            .min(STOP_PART * self.tolerance)
+            .max(ROUNDING_MARGIN * rounding)
+    }
+}
+
+/// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
+pub(super) const STOP_PART: f64 = 0.5;
+/// Defects of the states must be this much better than the tolerance: that costs one more iteration at most, and the replay of the
+/// controls shows every digit of them.
+pub(super) const DEFECT_PART: f64 = 1e-3;
+/// And constraints and inequalities this much.
+pub(super) const VIOLATION_PART: f64 = 1e-2;
+/// The sum of the defects of a long motion cannot be brought much below this: rounding.
+pub(super) const FEASIBILITY_FLOOR: f64 = 5e-10;
+/// What falls no faster than this and is below the next may be rounding.
+pub(super) const STALL: f64 = 0.9;
+pub(super) const FEASIBILITY_STALL: f64 = 1e-8;
+/// Nor below what it is for computed states, give or take; stiff equations leave more.
+pub(super) const ROUNDING_MARGIN: f64 = 3.0;
