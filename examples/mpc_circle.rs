@@ -13,10 +13,8 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 use softarm::control::Bound;
-use softarm::mechanics::{
-    Configuration, Material, NodeWrenches, Rod, State, Stepper, Wrench, stable_step,
-};
-use softarm::mpc::{Controller, MpcSettings};
+use softarm::mechanics::{Material, State, stable_step};
+use softarm::mpc::{Controller, MpcSettings, Plant as _, RodPlant};
 use softarm::task::{Arm, ChannelLimits, Cost, Discretization, Place, Task, Track, WrenchActuator};
 
 /// Seconds a turn, and of the whole run.
@@ -72,28 +70,6 @@ fn task() -> Task {
     }
 }
 
-/// The plant's state on the model's nodes, which are some of its own: velocities are carried over, momenta follow from them.
-fn on_model(plant: &Rod, state: &State, model: &Rod) -> State {
-    let every = plant.n_elements() / model.n_elements();
-    let nodes = || (0..model.n_nodes()).map(|q| (q, q * every));
-    let there = &state.configuration;
-    State {
-        configuration: Configuration {
-            positions: nodes().map(|(_, at)| there.positions[at]).collect(),
-            rotations: nodes().map(|(_, at)| there.rotations[at]).collect(),
-        },
-        linear_momentum: nodes()
-            .map(|(q, at)| state.linear_momentum[at] * (model.nodes[q].mass / plant.nodes[at].mass))
-            .collect(),
-        angular_momentum: nodes()
-            .map(|(q, at)| {
-                let ratio = (model.nodes[q].rotary).component_div(&plant.nodes[at].rotary);
-                state.angular_momentum[at].component_mul(&ratio)
-            })
-            .collect(),
-    }
-}
-
 /// Distances of the plant's tip from the reference after the first turn, root mean square and largest, m; and seconds of every sample.
 fn run(feeds_back: bool) -> Result<(f64, f64, Vec<f64>), Box<dyn Error>> {
     let settings = MpcSettings::receding(0.5);
@@ -103,32 +79,25 @@ fn run(feeds_back: bool) -> Result<(f64, f64, Vec<f64>), Box<dyn Error>> {
     };
     let mut controller = Controller::new(&arm(1e6), &task(), &discretization, &settings)?;
 
-    let plant = arm(0.8e6).rod(&Discretization::with_elements(40))?;
-    let steps = (settings.period / (0.7 * stable_step(&plant))).ceil();
-    let step = settings.period / steps;
-    let mut stepper = Stepper::new(&plant, step, State::at_rest(plant.rest.clone()));
-    let nodes = [plant.tip()];
-    let (mut now, mut next) = ([Wrench::default()], [Wrench::default()]);
+    let rod = arm(0.8e6).rod(&Discretization::with_elements(40))?;
+    let start = State::at_rest(rod.rest.clone());
+    let step = 0.7 * stable_step(&rod);
+    let mut plant = RodPlant::new(&rod, start, settings.period, step, controller.rod());
     let (mut squares, mut worst, mut seconds) = (Vec::new(), 0.0f64, Vec::new());
     for sample in 1..=(END / settings.period) as usize {
         let measured = if feeds_back {
-            on_model(&plant, &stepper.state(), controller.rod())
+            plant.measure()
         } else {
             controller.expected().clone()
         };
-        let command = controller.feedback(&measured)?;
-        for k in 0..steps as usize {
-            let t = command.start + k as f64 * step;
-            command.at(t, &mut now);
-            command.at(t + step, &mut next);
-            stepper.advance([&now, &next].map(|wrenches| NodeWrenches::on(&nodes, wrenches)))?;
-        }
+        plant.apply(controller.feedback(&measured)?)?;
         controller.prepare()?;
         let record = controller.record();
         seconds.push(record.feedback_s + record.prepare_s);
         let t = sample as f64 * settings.period;
         if t > TURN {
-            let error = (stepper.position(plant.tip()) - reference(t)).norm();
+            let tip = plant.state().configuration.positions[rod.tip()];
+            let error = (tip - reference(t)).norm();
             squares.push(error * error);
             worst = worst.max(error);
         }

@@ -6,10 +6,13 @@
 //! prepared before the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first
 //! allocates memory.
 //!
+//! A [`Plant`] obeys commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
+//! carries to the model's nodes; hardware and other simulators implement the trait.
+//!
 //! ```
 //! use nalgebra::Vector3;
-//! use softarm::mechanics::Material;
-//! use softarm::mpc::{Controller, MpcSettings};
+//! use softarm::mechanics::{Material, State, stable_step};
+//! use softarm::mpc::{Controller, MpcSettings, Plant as _, RodPlant};
 //! use softarm::task::{Arm, Cost, Discretization, Place, Task, Track};
 //!
 //! let silicone = Material::isotropic(1e6, 0.5, 1000.0);
@@ -28,21 +31,29 @@
 //! let settings = MpcSettings::receding(0.2);
 //! let discretization = Discretization { samples: 10, ..Discretization::with_elements(4) };
 //! let mut controller = Controller::new(&arm, &task, &discretization, &settings)?;
+//!
+//! // The plant has finer elements than the controller's model.
+//! let rod = arm.rod(&Discretization::with_elements(8))?;
+//! let start = State::at_rest(rod.rest.clone());
+//! let mut plant = RodPlant::new(&rod, start, settings.period, stable_step(&rod), controller.rod());
 //! for _ in 0..3 {
-//!     let measured = controller.expected().clone(); // here a plant would be asked
-//!     let command = controller.feedback(&measured)?; // apply it from now on, then
-//!     assert!(command.from[0].force.norm() <= 20.0);
+//!     let command = controller.feedback(&plant.measure())?;
+//!     plant.apply(command)?;
 //!     controller.prepare()?;
 //! }
-//! # Ok::<(), softarm::mpc::MpcError>(())
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod controller;
 mod error;
 mod horizon;
 mod knots;
+mod plant;
 mod subproblem;
+mod transfer;
 
 pub use controller::{Command, Controller, MpcSettings, SampleRecord};
 pub use error::MpcError;
+pub use plant::{Plant, RodPlant};
 pub use subproblem::SubproblemEnd;
+pub use transfer::Transfer;

@@ -1,0 +1,102 @@
+//! What a controller acts on.
+
+use super::controller::Command;
+use super::transfer::Transfer;
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
+
+/// A system that obeys commands and whose state can be asked for: a simulated arm, another simulator, or hardware.
+pub trait Plant {
+    /// Why a command could not be applied.
+    type Error;
+
+    /// Applies a command from its start to its end.
+    ///
+    /// # Errors
+    /// Where that is impossible.
+    fn apply(&mut self, command: &Command) -> Result<(), Self::Error>;
+
+    /// The present state on the nodes of the controller's model.
+    fn measure(&mut self) -> State;
+}
+
+/// A simulated arm: a rod of its own, with its own grid, step, stiffness, mass and damping, that a controller knows by a model of other
+/// elements.
+#[derive(Clone, Debug)]
+pub struct RodPlant<'a> {
+    rod: &'a Rod,
+    stepper: Stepper<'a>,
+    step: f64,
+    transfer: Transfer,
+    /// Of every node of the model, the nearest own one.
+    nearest: Vec<usize>,
+    nodes: Vec<usize>,
+    wrenches: [Vec<Wrench>; 2],
+}
+
+impl<'a> RodPlant<'a> {
+    /// An arm that starts at time 0 from `initial`, a state on its own nodes, with steps of at most `longest_step` (s) that divide the
+    /// sample period; `model` is the rod of the controller.
+    #[must_use]
+    pub fn new(rod: &'a Rod, initial: State, period: f64, longest_step: f64, model: &Rod) -> Self {
+        let steps = (period / longest_step * (1.0 - 1e-9)).ceil().max(1.0);
+        let step = period / steps;
+        let transfer = Transfer::new(rod, model);
+        Self {
+            stepper: Stepper::new(rod, step, initial),
+            nearest: transfer.nearest(),
+            transfer,
+            nodes: Vec::new(),
+            wrenches: [Vec::new(), Vec::new()],
+            rod,
+            step,
+        }
+    }
+
+    /// The arm's rod.
+    #[must_use]
+    pub fn rod(&self) -> &'a Rod {
+        self.rod
+    }
+
+    /// Its state on its own nodes.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.stepper.state()
+    }
+
+    /// How far the model's nodes are from describing the present shape, m: see [`Transfer::error`].
+    #[must_use]
+    pub fn transfer_error(&self) -> f64 {
+        self.transfer.error(&self.stepper.state().configuration)
+    }
+}
+
+impl Plant for RodPlant<'_> {
+    type Error = StepError;
+
+    fn apply(&mut self, command: &Command) -> Result<(), StepError> {
+        let Self {
+            nodes,
+            nearest,
+            wrenches: [now, next],
+            ..
+        } = self;
+        nodes.clear();
+        nodes.extend(command.nodes.iter().map(|node| nearest[*node]));
+        now.resize(nodes.len(), Wrench::default());
+        next.resize(nodes.len(), Wrench::default());
+        let steps = ((command.end - command.start) / self.step).round() as usize;
+        for k in 0..steps {
+            let at = |k: usize| command.start + k as f64 * self.step;
+            command.at(at(k), now);
+            command.at(at(k + 1), next);
+            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+            self.stepper.advance([of(now), of(next)])?;
+        }
+        Ok(())
+    }
+
+    fn measure(&mut self) -> State {
+        self.transfer.state(&self.stepper.state())
+    }
+}

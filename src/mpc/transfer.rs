@@ -1,0 +1,192 @@
+//! States of an arm on the nodes of another rod of the same arm.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::mechanics::rotation::{exp, exp_tangent, log};
+use crate::mechanics::{Configuration, Rod, State};
+
+/// Carries states from the nodes of one rod to those of another, finer or coarser, of the same arm.
+///
+/// Between two nodes the strain is taken as constant, so that poses lie on a helix,
+/// `R(s) = R_a exp(s ψ)`, `x(s) = x_a + R_a ∫₀ˢ exp(t ψ) dt ε` with `ψ = log(R_aᵀ R_b)`; linear (spatial) and angular (body frame) velocities are
+/// linear. Momenta follow from the velocities and the inertia of the other rod's nodes. Nodes at the same place keep their pose to rounding.
+#[derive(Clone, Debug)]
+pub struct Transfer {
+    /// Element and fraction of it of every node of the other rod.
+    places: Vec<(usize, f64)>,
+    /// The same for the way back.
+    back: Vec<(usize, f64)>,
+    /// Mass and rotary inertia of the nodes, there and here.
+    inertia: [Vec<(f64, Vector3<f64>)>; 2],
+}
+
+impl Transfer {
+    /// Between rods of the same length; a place on one is the same part of the length on the other.
+    #[must_use]
+    pub fn new(from: &Rod, to: &Rod) -> Self {
+        let inertia = |rod: &Rod| {
+            let nodes = rod.nodes.iter();
+            nodes.map(|node| (node.mass, node.rotary)).collect()
+        };
+        Self {
+            places: places(from, to),
+            back: places(to, from),
+            inertia: [inertia(from), inertia(to)],
+        }
+    }
+
+    /// The state on the other rod's nodes.
+    #[must_use]
+    pub fn state(&self, state: &State) -> State {
+        let [from, to] = &self.inertia;
+        let configuration = carried(&self.places, &state.configuration);
+        let velocity = |q: usize| state.linear_momentum[q] / from[q].0;
+        let spin = |q: usize| state.angular_momentum[q].component_div(&from[q].1);
+        let between = |(q, s): (usize, f64), of: &dyn Fn(usize) -> Vector3<f64>| {
+            of(q) * (1.0 - s) + of(q + 1) * s
+        };
+        let nodes = || self.places.iter().zip(to);
+        State {
+            linear_momentum: nodes()
+                .map(|(place, (mass, _))| between(*place, &velocity) * *mass)
+                .collect(),
+            angular_momentum: nodes()
+                .map(|(place, (_, rotary))| between(*place, &spin).component_mul(rotary))
+                .collect(),
+            configuration,
+        }
+    }
+
+    /// Of every node of the other rod, the nearest node here.
+    #[must_use]
+    pub fn nearest(&self) -> Vec<usize> {
+        let nearest = |&(q, s): &(usize, f64)| if s > 0.5 { q + 1 } else { q };
+        self.places.iter().map(nearest).collect()
+    }
+
+    /// How far a node's position is from where it was after a transfer and back, m, at most: what the other rod's nodes do not know of
+    /// the shape.
+    #[must_use]
+    pub fn error(&self, configuration: &Configuration) -> f64 {
+        let there = carried(&self.places, configuration);
+        let back = carried(&self.back, &there);
+        (back.positions.iter().zip(&configuration.positions))
+            .fold(0.0, |worst, (a, b)| worst.max((a - b).norm()))
+    }
+}
+
+fn carried(places: &[(usize, f64)], from: &Configuration) -> Configuration {
+    let (positions, rotations) = (places.iter()).map(|&(q, s)| pose(from, q, s)).unzip();
+    Configuration {
+        positions,
+        rotations,
+    }
+}
+
+/// The pose at the fraction `s` of element `q`.
+fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
+    if s == 0.0 {
+        return (at.positions[q], at.rotations[q]);
+    }
+    if s == 1.0 {
+        return (at.positions[q + 1], at.rotations[q + 1]);
+    }
+    let (x, r) = (at.positions[q], at.rotations[q]);
+    let psi = log(&r.tr_mul(&at.rotations[q + 1]));
+    // ∫₀¹ exp(t ψ) dt is the transpose of the body-frame tangent.
+    let whole = exp_tangent(&psi).transpose();
+    let chord = r.tr_mul(&(at.positions[q + 1] - x));
+    let strain = whole.lu().solve(&chord).unwrap_or(chord);
+    let part = exp_tangent(&(psi * s)).transpose() * s;
+    (x + r * (part * strain), r * exp(&(psi * s)))
+}
+
+/// Of every node of `to`, the element of `from` that it is on and the fraction of it.
+fn places(from: &Rod, to: &Rod) -> Vec<(usize, f64)> {
+    let ends = |rod: &Rod| {
+        let mut sum = 0.0;
+        let mut ends = vec![0.0];
+        for element in &rod.elements {
+            sum += element.length;
+            ends.push(sum);
+        }
+        for end in &mut ends {
+            *end /= sum;
+        }
+        ends
+    };
+    let own = ends(from);
+    let last = from.n_elements() - 1;
+    (ends(to).into_iter())
+        .map(|part| {
+            // A node to rounding is that node.
+            const SAME: f64 = 1e-12;
+            let q = own
+                .partition_point(|end| *end <= part + SAME)
+                .clamp(1, last + 1)
+                - 1;
+            let s = (part - own[q]) / (own[q + 1] - own[q]);
+            let s = if s < 1e-9 { 0.0 } else { s };
+            (q, if s > 1.0 - 1e-9 { 1.0 } else { s })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanics::Material;
+    use crate::task::{Arm, Discretization};
+
+    fn rod(elements: usize) -> Rod {
+        let arm = Arm {
+            rest_curvature: Vector3::new(1.1, -0.7, 2.0),
+            rest_stretch: 1.2,
+            ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
+        };
+        arm.rod(&Discretization::with_elements(elements)).unwrap()
+    }
+
+    /// A helix, whose strain is constant, is the same helix on every grid, and loses nothing on the way there and back; a uniform motion
+    /// keeps its linear momentum.
+    #[test]
+    fn helices_stay_helices() {
+        for (from, to) in [(3, 7), (7, 3), (4, 8), (8, 4), (5, 5)] {
+            let (from, to) = (rod(from), rod(to));
+            let transfer = Transfer::new(&from, &to);
+            let mut state = State::at_rest(from.rest.clone());
+            let velocity = Vector3::new(0.3, -0.2, 0.1);
+            for (p, node) in state.linear_momentum.iter_mut().zip(&from.nodes) {
+                *p = velocity * node.mass;
+            }
+            let found = transfer.state(&state);
+            for q in 0..to.n_nodes() {
+                let x = found.configuration.positions[q] - to.rest.positions[q];
+                let turn = to.rest.rotations[q].tr_mul(&found.configuration.rotations[q]);
+                assert!(x.norm() < 1e-12 && log(&turn).norm() < 1e-12, "{q}");
+            }
+            assert!(transfer.error(&from.rest) < 1e-12);
+            let sum: Vector3<f64> = found.linear_momentum.iter().sum();
+            assert!((sum - velocity * to.mass()).norm() < 1e-12 * to.mass());
+        }
+    }
+
+    /// Nodes at the same place keep their pose to the bit, whatever the shape; what a coarse grid does not know of it is reported.
+    #[test]
+    fn shared_nodes_are_kept() {
+        let (fine, coarse) = (rod(8), rod(4));
+        let mut shape = fine.rest.clone();
+        for (q, x) in shape.positions.iter_mut().enumerate() {
+            x.y += 0.01 * ((3 * q) as f64).sin();
+        }
+        let transfer = Transfer::new(&fine, &coarse);
+        let found = transfer.state(&State::at_rest(shape.clone()));
+        for q in 0..coarse.n_nodes() {
+            assert_eq!(found.configuration.positions[q], shape.positions[2 * q]);
+            assert_eq!(found.configuration.rotations[q], shape.rotations[2 * q]);
+        }
+        assert_eq!(transfer.nearest(), [0, 2, 4, 6, 8]);
+        let error = transfer.error(&shape);
+        assert!((1e-3..0.03).contains(&error), "{error}");
+    }
+}
