@@ -67,6 +67,7 @@ pub mod load;
 #[doc(hidden)]
 pub mod rod;
 pub mod rotation;
+mod rotation_step;
 #[doc(hidden)]
 pub mod sensitivity;
 #[doc(hidden)]
@@ -77,6 +78,7 @@ pub mod sparse_motion;
 pub mod stability;
 #[doc(hidden)]
 pub mod step_derivative;
+mod step_error;
 #[doc(hidden)]
 pub mod stepper;
 mod stiffness;
@@ -84,6 +86,7 @@ mod stiffness;
 pub mod strain;
 #[doc(hidden)]
 pub mod strain_coordinates;
+mod time;
 #[doc(hidden)]
 pub mod vibration;
 

@@ -1,0 +1,111 @@
+//! Tests of the module above.
+
+use super::*;
+use crate::mechanics::{
+    Load, LoadFrame, Material, RodParameters, Section, SectionProfile, rotation::exp, stable_step,
+};
+
+fn rod(strain_rule: StrainRule, model: RodModel, n_elements: usize, unequal: f64) -> Rod {
+    let material = Material::isotropic(1e6, 0.5, 1000.0);
+    let mut rod = Rod::new(&RodParameters {
+        strain_rule,
+        model,
+        rest_curvature: Vector3::new(0.3, -0.2, 0.5),
+        gravity: Vector3::new(1.0, -3.0, 5.0),
+        viscous_damping: 1.7,
+        loads: vec![Load {
+            node: n_elements,
+            force: Vector3::new(0.2, -0.3, 0.1),
+            moment: Vector3::new(0.04, 0.01, -0.02),
+            frame: LoadFrame::Body,
+            profile: Vec::new(),
+        }],
+        ..RodParameters::straight(
+            1.0,
+            n_elements,
+            SectionProfile::Uniform(Section::circle(&material, 0.05)),
+        )
+    })
+    .unwrap();
+    for node in &mut rod.nodes {
+        node.rotary.y *= unequal;
+    }
+    rod
+}
+
+/// Nodes spin at up to `spin` per step; every third element is bent beyond the near range of the logarithm.
+fn initial(rod: &Rod, h: f64, spin: f64) -> State {
+    let mut state = State::at_rest(rod.rest.clone());
+    for q in 1..rod.n_nodes() {
+        let x = q as f64;
+        let direction = Vector3::new((3.0 * x).sin(), (5.0 * x).cos(), (7.0 * x).sin());
+        let bend = if q % 3 == 0 { 1.0 } else { 0.1 };
+        state.configuration.rotations[q] *= exp(&(direction * bend));
+        state.configuration.positions[q] += direction * (0.02 / rod.n_nodes() as f64);
+        // The same turn everywhere, lest neighbors twist each other by half a turn.
+        let inertia = rod.nodes[q].rotary.min();
+        state.angular_momentum[q] = Vector3::new(0.6, -0.5, 0.62) * (spin * inertia / h);
+    }
+    state
+}
+
+fn run(rod: &Rod, arch: Arch, spin: f64) -> Vec<u64> {
+    let h = 0.003 * stable_step(rod);
+    let initial = initial(rod, h, spin);
+    let mut integrator = LaneIntegrator::on(arch, rod, h, &initial).unwrap();
+    let nodes = [rod.tip(), rod.tip() / 2];
+    let wrenches = [Wrench::from_array([0.3, -0.2, 0.1, 0.01, -0.02, 0.03]); 2];
+    let control = NodeWrenches::on(&nodes, &wrenches);
+    for _ in 0..3 {
+        integrator.advance([control; 2]).unwrap();
+    }
+    bits(&integrator)
+}
+
+fn bits(integrator: &LaneIntegrator) -> Vec<u64> {
+    let rows =
+        (0..integrator.rod.n_nodes()).flat_map(|node| (0..STATE_ROWS).map(move |row| (node, row)));
+    rows.map(|(node, row)| {
+        integrator.state[integrator
+            .slots
+            .index(integrator.slots.place(node), STATE_ROWS, row)]
+        .to_bits()
+    })
+    .collect()
+}
+
+/// What this machine has beyond the baseline.
+fn wider() -> Vec<Arch> {
+    let mut wider = Vec::new();
+    #[cfg(target_arch = "x86_64")]
+    {
+        use pulp::x86::{V3, V4};
+        wider.extend(V3::try_new().map(Arch::V3));
+        wider.extend(V4::try_new().map(Arch::V4));
+    }
+    wider
+}
+
+/// Every vector length and instruction set gives the same bits: small and large turns, those the lanes leave to the
+/// scalar solver, near and far logarithms side by side.
+#[test]
+fn every_vector_length_gives_the_same_bits() {
+    let models = [
+        RodModel::Standard,
+        RodModel::Dilatation,
+        RodModel::Consistent,
+    ];
+    for rule in [StrainRule::Trapezoidal, StrainRule::Helical] {
+        for (model, unequal) in models.into_iter().flat_map(|m| [(m, 1.0), (m, 1.3)]) {
+            for n_elements in [1, 2, 7, 8, 9, 20] {
+                for spin in [1e-3, 0.2, 0.7] {
+                    let rod = rod(rule, model, n_elements, unequal);
+                    let one = run(&rod, Arch::Scalar, spin);
+                    for arch in wider() {
+                        assert_eq!(one, run(&rod, arch, spin), "{rule:?} {model:?} {arch:?}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! The discrete equations of motion along a given trajectory: their defects, their linearization, the forward sweep of
+//! one direction, and the adjoint sweep.
+//!
+//! A trajectory of configurations defines the half-step momenta `p^{k+½} = m (x^{k+1} - x^k)/h` and
+//! `g^{k+½} = (1/h) vee(F J_d - J_d Fᵀ)`, `F = R^{k,T} R^{k+1}`. The rows are, for `k = 0..N-1` and every free node
+//! (momentum units, angular rows in the body frame at `k`),
+//!
+//! ```text
+//! r_k = p^{k+½} - decay_k p^{k-½} - weight_k f(x^k, R^k)          (the paper's (77), times h)
+//!       g^{k+½} - decay_k F^{k-1,T} g^{k-½} - weight_k τ(x^k, R^k)  (the paper's (81), times h)
+//! ```
+//!
+//! where `k = 0` is the initial Legendre transform (`p^{-½}` is the given initial momentum), and the momentum at `N`
+//! is the terminal one. A trajectory whose defects vanish is what [`Integrator`](super::Integrator) computes.
+//!
+//! A stress of the [interval](super::implicit) acts where the interval starts, after the kick there, and where it ends: that
+//! impulse is added to the momentum that arrives, `p^{k-½}` above.
+
+use nalgebra::Vector3;
+
+use crate::mechanics::configuration::{State, Trajectory};
+use crate::mechanics::implicit::{IntervalWeights, scatter};
+use crate::mechanics::inertia::InertiaRule;
+use crate::mechanics::integrator::TimeGrid;
+use crate::mechanics::rod::Rod;
+use crate::mechanics::signal::ControlSignal;
+use crate::mechanics::strain::IntervalStress;
+use crate::stop::StopSignal;
+
+mod defects;
+mod step;
+mod sweeps;
+mod tangent;
+
+use self::step::stack;
+
+pub use self::defects::{Defects, Sources, defects};
+pub use self::step::*;
+pub use self::sweeps::{AdjointSweep, adjoint_sweep, form_values, forward_sweep};
+pub use self::tangent::StateTangent;
+
+/// A rod on a time grid, from a given state on.
+///
+/// The functions of this module take the control as [wrenches](ControlSignal) at every time node: what the adjacent intervals
+/// apply there on average, the mean of both sides where a control jumps, the one side at either end.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<'a> {
+    /// The rod.
+    pub rod: &'a Rod,
+    /// The time grid.
+    pub grid: TimeGrid,
+    /// State at time 0; its configuration is the first of every trajectory.
+    pub initial: &'a State,
+    /// What may end a sweep before it is done, if anything may.
+    pub stop: Option<&'a StopSignal>,
+    /// The control, where it has [actuators of one's own](super::Actuator): what is linearized contains how their wrenches follow the
+    /// configuration. Nothing else of it matters.
+    pub control: Option<&'a ControlSignal>,
+}
+
+/// Decay of the momentum and weight of the force in one kick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kick {
+    /// Factor on the momentum before the kick.
+    pub decay: f64,
+    /// Factor on the force, s.
+    pub weight: f64,
+    /// Factor on an impulse that acts at this instant, as the [kinetic reaction](super::inertia).
+    pub impulse: f64,
+}
+
+impl Motion<'_> {
+    /// The kick at time node `k`: half a step at either end, a whole one between.
+    #[must_use]
+    pub fn kick(&self, k: usize) -> Kick {
+        let h = self.grid.step;
+        let a = 0.5 * self.rod.viscous_damping * h;
+        let left = self.undamped();
+        if k == 0 {
+            Kick {
+                decay: 1.0 / (1.0 + a),
+                weight: 0.5 * h / (1.0 + a),
+                impulse: 1.0 / (1.0 + a),
+            }
+        } else if k == self.grid.n_steps {
+            Kick {
+                decay: left,
+                weight: 0.5 * h,
+                impulse: 1.0,
+            }
+        } else {
+            Kick {
+                decay: left / (1.0 + a),
+                weight: h / (1.0 + a),
+                impulse: 1.0 / (1.0 + a),
+            }
+        }
+    }
+
+    /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that
+    /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
+    pub(in crate::mechanics) fn arriving_impulse(&self) -> f64 {
+        1.0 / self.undamped()
+    }
+
+    /// `1 - c h/2`: what damping leaves of the momentum of an interval where it ends. Where that is nothing, a rounding of
+    /// it stays, lest the impulses that [arrive](Self::arriving_impulse) with it are lost as well.
+    fn undamped(&self) -> f64 {
+        let left = 1.0 - 0.5 * self.rod.viscous_damping * self.grid.step;
+        if left == 0.0 { f64::EPSILON } else { left }
+    }
+
+    /// `σ` of every element over the interval from `k` to `k + 1`; `None` where stresses are those of the time nodes.
+    fn interval_stresses(&self, trajectory: &Trajectory, k: usize) -> Option<Vec<IntervalStress>> {
+        let rod = self.rod;
+        let weights = IntervalWeights::of(rod, self.grid.step)?;
+        let strain = |k: usize, q: usize| {
+            let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let pose = Rod::element_pose(q, positions, rotations);
+            rod.strain_rule.strain(rod.elements[q].length, &pose)
+        };
+        let stress = |q| weights.stress(&rod.elements[q], &strain(k, q), &strain(k + 1, q));
+        Some((0..rod.n_elements()).map(stress).collect())
+    }
+
+    /// Adds the impulses `-weight B_kᵀ σ` of the given stresses at time node `k`.
+    fn add_stress_impulses(
+        &self,
+        trajectory: &Trajectory,
+        k: usize,
+        stresses: &[IntervalStress],
+        weight: f64,
+        p: &mut [Vector3<f64>],
+        pi: &mut [Vector3<f64>],
+    ) {
+        let rod = self.rod;
+        let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        for (q, stress) in stresses.iter().enumerate() {
+            let pose = Rod::element_pose(q, positions, rotations);
+            let pull = rod.elements[q].gradient_under(rod.strain_rule, &pose, stress);
+            let pull = stack(&pull.force, &pull.moment_a, &pull.moment_b);
+            scatter(rod.first_free_node(), q, &pull, |node, linear, angular| {
+                p[node] -= linear * weight;
+                pi[node] -= angular * weight;
+            });
+        }
+    }
+
+    /// Inertia of every node over the interval from `k` to `k + 1`: where it leaves, and where it arrives.
+    pub(in crate::mechanics) fn inertia(
+        &self,
+        trajectory: &Trajectory,
+        k: usize,
+    ) -> [Vec<Vector3<f64>>; 2] {
+        let at = |k| self.rod.rotary_at(trajectory.positions_at(k));
+        let one = match InertiaRule::of(self.rod.model, k) {
+            InertiaRule::Both => return [at(k), at(k + 1)],
+            InertiaRule::End => at(k + 1),
+            InertiaRule::Constant | InertiaRule::Start => at(k),
+        };
+        [one.clone(), one]
+    }
+}

@@ -1,0 +1,103 @@
+//! Why a step could not be taken.
+
+use crate::stop::Stop;
+
+/// The reason why a step could not be taken, with node, step and time.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StepError {
+    /// The discrete rotation has no regular solution.
+    #[error(
+        "node {node}, step {step} (t = {time} s): more than a quarter turn per step (h |moment| is {ratio:.3e} of the least \
+         inertia, must stay below 1); shorten time.step_s, soften the load, or add elements"
+    )]
+    RotationTooLarge {
+        /// Rod node.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// `|h g| / min J`.
+        ratio: f64,
+    },
+    /// The given motion of the base is too fast for the step.
+    #[error(
+        "node 0, step {step} (t = {time} s): the base turns {angle:.3e} rad in one step, must stay below a quarter turn; \
+         shorten time.step_s or slow the base motion"
+    )]
+    BaseTurnTooLarge {
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Rotation of the base in one step, rad.
+        angle: f64,
+    },
+    /// An element is pressed together so far that the time step does not resolve its stiffness `EA/e²` any more.
+    #[error(
+        "element {element}, step {step} (t = {time} s): pressed to {dilatation:.3e} of its rest length, the time step resolves \
+         {least:.3e}; shorten time.step_s or soften the load"
+    )]
+    ElementCollapsed {
+        /// Element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Its dilatation.
+        dilatation: f64,
+        /// `h c/l`, `c` the speed of axial waves.
+        least: f64,
+    },
+    /// Newton's method for an implicit step came to no end.
+    #[error(
+        "node {node}, step {step} (t = {time} s): the implicit step leaves {residual:.1e} of the momentum after {iterations} \
+         iterations; shorten time.step_s or soften the load"
+    )]
+    NotConverged {
+        /// Rod node with the largest residual.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Its residual over the largest momentum of any node, linear or angular.
+        residual: f64,
+        /// Newton iterations taken.
+        iterations: usize,
+    },
+    /// The ends of an element have come past half a turn against each other, where the rotation vector of either strain
+    /// rule ends.
+    #[error(
+        "element {element}, step {step} (t = {time} s): its ends have come past half a turn against each other, to {angle:.3} \
+         rad; strains end there; soften the load, add elements, or shorten time.step_s"
+    )]
+    ElementFolded {
+        /// Element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Relative rotation of its ends at the end of the step, rad: above `π`.
+        angle: f64,
+    },
+    /// A force, moment or momentum is not a number any more.
+    #[error(
+        "node {node}, step {step} (t = {time} s): {quantity} is not finite; shorten time.step_s or check the loads"
+    )]
+    NotFinite {
+        /// Rod node.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// The value that was found.
+        quantity: &'static str,
+    },
+    /// Somebody ended it.
+    #[error("stopped before the end: {0}")]
+    Stopped(#[from] Stop),
+}

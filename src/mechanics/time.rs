@@ -1,0 +1,155 @@
+//! Time grids, clocks and time schemes.
+
+/// How the elastic forces act within a time step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TimeScheme {
+    /// Those of both ends, half weight each: no equation to solve, and a [largest stable step](super::stable_step).
+    #[default]
+    Explicit,
+    /// Those of the mean strain of both ends: a block-tridiagonal system a step, and no linear limit of the step. See
+    /// [`implicit`](super::implicit).
+    Implicit,
+}
+
+impl TimeScheme {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Explicit => "explicit",
+            Self::Implicit => "implicit",
+        }
+    }
+}
+
+/// A uniform time grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeGrid {
+    /// Time of node 0, s: what signals, base motions and references are read from. [Time nodes](Self::time) count from it.
+    pub start: f64,
+    /// `h`, s.
+    pub step: f64,
+    /// `N`.
+    pub n_steps: usize,
+}
+
+impl TimeGrid {
+    /// Equal steps from time 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least
+    /// 1; the blocks of a control are then equal). A step read back from such a grid gives the same grid again.
+    #[must_use]
+    pub fn covering(end: f64, longest_step: f64, multiple: usize) -> Self {
+        let multiple = multiple.max(1);
+        // The last digit of a quotient that should be whole must not add a step.
+        let groups = (end / longest_step / multiple as f64 * (1.0 - 1e-9)).ceil();
+        let n_steps = (groups as usize).saturating_mul(multiple);
+        Self {
+            step: if n_steps == 0 {
+                longest_step
+            } else {
+                end / n_steps as f64
+            },
+            start: 0.0,
+            n_steps,
+        }
+    }
+
+    /// Time of node `k`, s.
+    #[inline]
+    #[must_use]
+    pub fn time(&self, k: usize) -> f64 {
+        self.clock().time(k)
+    }
+
+    /// Its time nodes, without an end.
+    #[inline]
+    #[must_use]
+    pub fn clock(&self) -> Clock {
+        Clock {
+            start: self.start,
+            step: self.step,
+        }
+    }
+
+    /// Node `k` with the intervals beside it, one at either end.
+    #[inline]
+    #[must_use]
+    pub fn node(&self, k: usize) -> TimeNode {
+        let interval = |is_there| if is_there { self.step } else { 0.0 };
+        TimeNode {
+            time: self.time(k),
+            before: interval(k > 0),
+            after: interval(k < self.n_steps),
+        }
+    }
+
+    /// `N h`, s.
+    #[must_use]
+    pub fn duration(&self) -> f64 {
+        self.n_steps as f64 * self.step
+    }
+
+    /// The same grid from another time on.
+    #[must_use]
+    pub fn starting_at(self, start: f64) -> Self {
+        Self { start, ..self }
+    }
+}
+
+/// Equal steps from a time on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clock {
+    /// Time at which step 0 begins, s.
+    pub start: f64,
+    /// Length of a step, s.
+    pub step: f64,
+}
+
+impl Clock {
+    /// Time at which step `k` begins, s.
+    #[inline]
+    #[must_use]
+    pub fn time(&self, k: usize) -> f64 {
+        self.start + k as f64 * self.step
+    }
+
+    /// The two sides of step `k`: its start with what comes after it, its end with what came before.
+    #[must_use]
+    pub fn ends_of_step(&self, k: usize) -> [TimeNode; 2] {
+        [
+            TimeNode {
+                time: self.time(k),
+                before: 0.0,
+                after: self.step,
+            },
+            TimeNode {
+                time: self.time(k + 1),
+                before: self.step,
+                after: 0.0,
+            },
+        ]
+    }
+}
+
+impl From<f64> for Clock {
+    /// Steps of this length from time 0 on.
+    fn from(step: f64) -> Self {
+        Self { start: 0.0, step }
+    }
+}
+
+impl From<TimeGrid> for Clock {
+    fn from(grid: TimeGrid) -> Self {
+        grid.clock()
+    }
+}
+
+/// A time node, and the intervals over which what happens beside it acts there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeNode {
+    /// Its time, s.
+    pub time: f64,
+    /// Length of the interval before it, s; 0 where there is none, or where only the one after it is asked for.
+    pub before: f64,
+    /// Length of the interval after it, s; 0 likewise.
+    pub after: f64,
+}

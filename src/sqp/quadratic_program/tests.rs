@@ -1,0 +1,224 @@
+//! Tests of the module above.
+
+use super::*;
+
+fn identity(n: usize) -> Mat<f64> {
+    Mat::identity(n, n)
+}
+
+fn none() -> LinearInequalities<'static> {
+    static EMPTY: std::sync::LazyLock<Mat<f64>> = std::sync::LazyLock::new(|| Mat::zeros(0, 0));
+    LinearInequalities {
+        jacobian: &EMPTY,
+        offset: &[],
+        softness: &[],
+        groups: &[],
+        first: &[],
+    }
+}
+
+/// Projection of a point outside onto a ball, with no constraints: known answer, outward normal, right sign.
+#[test]
+fn ball_projects() {
+    let hessian = identity(2);
+    let jacobian = Mat::zeros(0, 2);
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[-3.0, -4.0],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: none(),
+        variables: &[0.0, 0.0],
+        sets: &[ConvexSet::ball([0, 1], 1.0)],
+        elastic_weight: 1.0,
+        trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let solution = qp.solve().expect("solvable");
+    assert!((solution.change[0] - 0.6).abs() < 1e-8 && (solution.change[1] - 0.8).abs() < 1e-8);
+    // Stationarity: δ + g + normal = 0.
+    let normal = &solution.multipliers.normals[0];
+    assert!((normal[0] - 2.4).abs() < 1e-6 && (normal[1] - 3.2).abs() < 1e-6);
+}
+
+/// Intervals at either side, with normals that close the stationarity condition.
+#[test]
+fn intervals_hold_on_both_sides() {
+    let hessian = identity(2);
+    let jacobian = Mat::zeros(0, 2);
+    let variables = [0.5, 0.5];
+    let set = |index| ConvexSet::Interval {
+        index,
+        lower: -1.0,
+        upper: 1.0,
+    };
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[-9.0, 9.0],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: none(),
+        variables: &variables,
+        sets: &[set(0), set(1)],
+        elastic_weight: 1.0,
+        trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let solution = qp.solve().expect("solvable");
+    assert!((solution.change[0] - 0.5).abs() < 1e-8 && (solution.change[1] + 1.5).abs() < 1e-8);
+    assert!((solution.multipliers.normals[0][0] - 8.5).abs() < 1e-6);
+    assert!((solution.multipliers.normals[1][0] + 7.5).abs() < 1e-6);
+}
+
+/// A constraint that a set makes impossible: the slack takes what is missing, the multiplier sits at the weight.
+#[test]
+fn elastic_weight_bounds_the_multiplier() {
+    let hessian = identity(1);
+    let jacobian = Mat::from_fn(1, 1, |_, _| 1.0);
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[0.0],
+        jacobian: &jacobian,
+        offset: &[-5.0],
+        inequalities: none(),
+        variables: &[0.0],
+        sets: &[ConvexSet::Interval {
+            index: 0,
+            lower: -1.0,
+            upper: 1.0,
+        }],
+        elastic_weight: 100.0,
+        trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let solution = qp.solve().expect("always feasible");
+    assert!((solution.change[0] - 1.0).abs() < 1e-7);
+    assert!((solution.slack - 4.0).abs() < 1e-6);
+    assert!((solution.multipliers.constraints[0].abs() - 100.0).abs() < 1e-3);
+}
+
+/// A NaN never reaches the solver.
+#[test]
+fn nan_is_refused() {
+    let hessian = identity(1);
+    let jacobian = Mat::zeros(0, 1);
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[f64::NAN],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: none(),
+        variables: &[0.0],
+        sets: &[],
+        elastic_weight: 1.0,
+        trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
+}
+
+/// Many rows, three kinds of price: the working sets end at the solution of the problem with all rows.
+#[test]
+fn exchange_finds_the_full_solution() {
+    const ROWS: usize = 600;
+    let n = 8;
+    let angle = |i: usize, j: usize| (j as f64 + 0.5) * (i as f64) / ROWS as f64;
+    let rows = Mat::from_fn(ROWS, n, |i, j| (3.0 * angle(i, j)).cos());
+    let offset: Vec<f64> = (0..ROWS).map(|i| -0.4 - 0.1 * angle(i, 3).sin()).collect();
+    let hard = vec![Softness::Hard; ROWS];
+    let soft = vec![
+        Softness::Soft {
+            linear: 0.05,
+            quadratic: 0.1,
+        };
+        ROWS
+    ];
+    let mixed: Vec<Softness> = (0..ROWS)
+        .map(|i| [Softness::Hard, soft[0], Softness::FREE][i * 3 / ROWS])
+        .collect();
+    let (hessian, jacobian) = (identity(n), Mat::zeros(0, n));
+    let groups: Vec<usize> = (0..ROWS).collect();
+    for softness in [&hard, &soft, &mixed] {
+        let qp = QuadraticProgram {
+            hessian: &hessian,
+            gradient: &[-1.0, 0.7, -0.4, 0.9, -0.3, 0.2, -0.8, 0.1],
+            jacobian: &jacobian,
+            offset: &[],
+            inequalities: LinearInequalities {
+                jacobian: &rows,
+                offset: &offset,
+                softness,
+                groups: &groups,
+                first: &[],
+            },
+            variables: &[0.0; 8],
+            sets: &[],
+            elastic_weight: 100.0,
+            trust_radius: f64::INFINITY,
+            row_tolerance: ROW_TOLERANCE,
+            stop: None,
+            states: None,
+            expected: None,
+        };
+        let all: Vec<usize> = (0..ROWS)
+            .filter(|&at| softness[at] != Softness::FREE)
+            .collect();
+        let full = qp.solve_with(&all).expect("feasible");
+        let found = qp.solve().expect("feasible");
+        let seen = found.working.len();
+        assert!(0 < seen && seen < ROWS / 4, "{seen}");
+        assert!(full.multipliers.inequalities.iter().any(|z| *z > 0.01));
+        for (a, b) in found.change.iter().zip(&full.change) {
+            assert!((a - b).abs() < 1e-8, "{a} {b}");
+        }
+    }
+}
+
+/// What Clarabel cannot solve is handed back as it writes it, with the cones.
+#[test]
+fn unsolved_problem_is_saved() {
+    let (hessian, jacobian) = (identity(1), Mat::zeros(0, 1));
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[0.0],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: none(),
+        variables: &[0.0],
+        sets: &[
+            ConvexSet::ball([0], 1.0),
+            ConvexSet::HalfSpace {
+                direction: vec![(0, -1.0)],
+                limit: -2.0,
+            },
+        ],
+        elastic_weight: 1.0,
+        trust_radius: f64::INFINITY,
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let Err(QpError::Status {
+        problem: Some(problem),
+        ..
+    }) = qp.solve()
+    else {
+        panic!("the sets have no common point");
+    };
+    let problem: serde_json::Value = serde_json::from_str(&problem).expect("JSON");
+    assert_eq!(problem["cones"].as_array().map(Vec::len), Some(2));
+    assert_eq!(problem["b"].as_array().map(Vec::len), Some(3));
+}
