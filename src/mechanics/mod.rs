@@ -68,6 +68,7 @@ pub mod load;
 pub mod rod;
 pub mod rotation;
 mod rotation_step;
+mod section;
 #[doc(hidden)]
 pub mod sensitivity;
 #[doc(hidden)]

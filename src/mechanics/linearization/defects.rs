@@ -5,9 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::mechanics::actuator::StateView;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forces::NodalForces;
-use crate::mechanics::inertia::{
-    InertiaRule, momentum_after, momentum_before,
-};
+use crate::mechanics::inertia::{InertiaRule, momentum_after, momentum_before};
 use crate::mechanics::integrator::StepError;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::signal::ControlSignal;

@@ -1,0 +1,361 @@
+//! Condensing: derivatives of all rows along the variables.
+
+use faer::Mat;
+
+use super::rows::{Columns, Gathered, describe};
+use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
+use crate::control::acting::ControlCurvature;
+use crate::control::cost::CostRow;
+use crate::control::path::{RowCurvature, RowGradient};
+use crate::mechanics::StateForm;
+use crate::mechanics::curvature::Multipliers as StateMultipliers;
+use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, Sources};
+use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
+use crate::sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
+use crate::stop::{LARGE, StopSignal};
+
+impl Transcription<'_> {
+    /// Total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep. Normals of
+    /// the sets and prices of soft rows do not enter.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    pub fn lagrangian_gradient(
+        &self,
+        point: &LiftedPoint,
+        multipliers: &Multipliers,
+    ) -> Result<Vec<f64>, Failure> {
+        let (_, own) = self.control_cost.value(&point.variables);
+        let costs = self.state_costs(point);
+        let costates = self.costates(point, &costs, multipliers)?;
+        let through_states = self.through_states(point, &costs, &costates, multipliers)?;
+        Ok((own.iter().zip(through_states))
+            .map(|(own, rest)| own + rest)
+            .collect())
+    }
+
+    /// Multipliers of the equations of motion that belong to those of goals and path constraints: the derivatives of
+    /// `J + yᵀ c + zᵀ h` along the states, swept backward.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    pub(super) fn costates(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        multipliers: &Multipliers,
+    ) -> Result<AdjointSweep, Failure> {
+        let outcome = self.outcome(point, costs, multipliers);
+        let own = (!self.problem.acting.is_empty()).then(|| self.signal(&point.variables));
+        let motion = Motion {
+            control: own.as_ref(),
+            ..self.motion(&point.variables)
+        };
+        adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)
+    }
+
+    /// The derivative of `J + yᵀ c + zᵀ h` along the variables, without what they cost by themselves.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    pub(super) fn through_states(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        costates: &AdjointSweep,
+        multipliers: &Multipliers,
+    ) -> Result<Vec<f64>, Failure> {
+        let mut gradient = vec![0.0; point.variables.len()];
+        let motion = self.motion(&point.variables);
+        let acting = self.acting(point);
+        let columns = Columns::new(self.problem, &self.components, acting.as_ref());
+        for k in 0..=motion.grid.n_steps {
+            columns.visit(k, &mut |column, node, component, weight| {
+                let wrench = costates.wrench(&motion, k, node);
+                let slope = if component < 3 {
+                    wrench.force[component]
+                } else {
+                    wrench.moment[component - 3]
+                };
+                gradient[column] += weight * slope;
+            });
+        }
+        for (variable, y) in self.slack_variables.iter().zip(&multipliers.constraints) {
+            if let Some(variable) = *variable {
+                gradient[variable] -= y;
+            }
+        }
+        if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
+            gradient[at] += stretching.paired(costates);
+            let posture = self.posture(point);
+            for (row, z) in multipliers.inequalities.iter().enumerate() {
+                if *z != 0.0 {
+                    gradient[at] += z * self.path_slope(point, &posture, row);
+                }
+            }
+            for row in costs {
+                gradient[at] += row.residual * self.cost_slope(point, row);
+            }
+        }
+        Ok(gradient)
+    }
+
+    /// The linearization; `costates` belong to the multipliers of the request, if it has any.
+    ///
+    /// # Errors
+    /// [`Failure`] where the trajectory cannot be linearized.
+    pub(super) fn linearize_by(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        request: &LinearizationRequest,
+        costates: Option<&AdjointSweep>,
+    ) -> Result<Linearization, Failure> {
+        let acting = self.acting(point);
+        let motion = Motion {
+            control: acting.as_ref().map(|acting| &acting.signal),
+            ..self.motion(&point.variables)
+        };
+        let posture = self.posture(point);
+        let n_goals = self.goal_rows.len();
+        let mut gathered = Gathered::default();
+        for row in &self.goal_rows {
+            gathered.push(self.goal_gradient(&point.trajectory, row));
+        }
+        for &row in request.rows {
+            gathered.push(self.path_gradient(&posture, row));
+        }
+        let costs = self.state_costs(point);
+        for row in &costs {
+            gathered.push(row.gradient.clone());
+        }
+        let n_rows = gathered.rows.len();
+        // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
+        let (mut own, mut across) = (Vec::new(), Vec::new());
+        if let Some(multipliers) = request.multipliers {
+            for curvature in self.own_curvature(point, multipliers) {
+                match curvature.at_one_time() {
+                    Some(curvature) => own.push(curvature),
+                    None => across.push(curvature),
+                }
+            }
+        }
+        let mut along_controls: Vec<ControlCurvature> = Vec::new();
+        if let (Some(acting), Some(costates)) = (&acting, costates) {
+            let trajectory = &point.trajectory;
+            let found = acting.curvature(&motion, trajectory, costates, &self.components);
+            own.extend(found.0);
+            along_controls = found.1;
+        }
+        own.sort_by_key(|curvature| curvature.time_node);
+        for form in across.iter().flat_map(|curvature| &curvature.forms) {
+            gathered.push(form.clone());
+        }
+        let mut first_bent = gathered.rows.len();
+        for form in along_controls.iter().flat_map(ControlCurvature::gradients) {
+            gathered.push(form);
+        }
+        let (forms, place) = gathered.sorted();
+        let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
+        let mut sources = vec![Sources::against(&evaluation.defects)];
+        sources.extend(self.stretching(point)?);
+        let mut found = sensitivities(
+            &motion,
+            &point.trajectory,
+            &sources.iter().collect::<Vec<_>>(),
+            &Columns::new(self.problem, &self.components, acting.as_ref()),
+            &forms,
+            second_order.as_ref(),
+            self.n_threads,
+        )
+        .map_err(describe)?;
+        let values = gathered.rows_of(&found.forms, &place);
+        let answers = gathered.rows_of(&found.form_sources, &place);
+        add_curvature_across(
+            &across,
+            n_rows,
+            &values,
+            &answers,
+            &mut found,
+            &self.problem.stop,
+        );
+        for curvature in &along_controls {
+            curvature.add_to(first_bent, &values, &answers, &mut found);
+            first_bent += curvature.forms.len();
+        }
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
+        let rows = self.along_driven(point, request.rows, &costs, values, &answers);
+        let mut linearization = self.assemble(
+            point, evaluation, request, &costs, n_goals, &rows, &answers, found,
+        );
+        self.problem
+            .stop
+            .check()
+            .map_err(|stop| describe(stop.into()))?;
+        if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
+            self.bend_duration(point, multipliers, stretching, &mut linearization)?;
+        }
+        Ok(linearization)
+    }
+
+    /// The derivative of `J + yᵀ c + zᵀ h` over the states alone.
+    pub(super) fn outcome(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        multipliers: &Multipliers,
+    ) -> Vec<StateForm> {
+        let posture = self.posture(point);
+        let mut out = Vec::new();
+        let mut add = |gradient: RowGradient, weight: f64| {
+            out.extend(gradient.into_iter().map(|mut form| {
+                for term in &mut form.terms {
+                    term.coefficient *= weight;
+                }
+                form
+            }));
+        };
+        for (row, &y) in self.goal_rows.iter().zip(&multipliers.constraints) {
+            add(self.goal_gradient(&point.trajectory, row), y);
+        }
+        for (row, &z) in multipliers.inequalities.iter().enumerate() {
+            if z != 0.0 {
+                add(self.path_gradient(&posture, row), z);
+            }
+        }
+        for row in costs {
+            add(row.gradient.clone(), row.residual);
+        }
+        out.sort_by_key(|form| form.time_node);
+        out
+    }
+
+    /// The condensed linearization, from the values of all rows along the controls and along the answer to the defects.
+    #[expect(clippy::too_many_arguments, reason = "the parts of one linearization")]
+    pub(super) fn assemble(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+        request: &LinearizationRequest,
+        costs: &[CostRow],
+        n_goals: usize,
+        values: &Mat<f64>,
+        answers: &Mat<f64>,
+        found: Sensitivities,
+    ) -> Linearization {
+        let n = point.variables.len();
+        let jacobian = Mat::from_fn(n_goals, n, |i, j| match self.driven(j) {
+            Some(column) => values[(i, column)],
+            None if self.slack_variables[i] == Some(j) => -1.0,
+            None => 0.0,
+        });
+        let offset = (evaluation.constraints.iter().enumerate())
+            .map(|(i, c)| c + answers[(i, 0)])
+            .collect();
+        let n_path = request.rows.len();
+        let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
+            self.driven(j)
+                .map_or(0.0, |column| values[(n_goals + i, column)])
+        });
+        let inequality_offset = (request.rows.iter().enumerate())
+            .map(|(i, &row)| evaluation.inequalities[row] + answers[(n_goals + i, 0)])
+            .collect();
+        let (_, mut gradient) = self.control_cost.value(&point.variables);
+        let mut gauss_newton = self.control_cost.gauss_newton(&point.variables);
+        // Variables that move the states, with their columns.
+        let driven: Vec<(usize, usize)> = (0..n)
+            .filter_map(|j| self.driven(j).map(|column| (j, column)))
+            .collect();
+        let first_cost = n_goals + n_path;
+        let mut defect_slope = 0.0;
+        let mut model_extra = vec![0.0; n];
+        if !costs.is_empty() {
+            let rows = values.subrows(first_cost, costs.len());
+            let square = if costs.len() * n * n < MANY_PRODUCTS {
+                rows.transpose() * rows
+            } else {
+                let (own, stop) = (rows.to_owned(), &self.problem.stop);
+                // What was stopped is dropped by the caller.
+                stop.unless_raised(LARGE, move || own.transpose() * &own)
+                    .unwrap_or_else(|_| Mat::zeros(rows.ncols(), rows.ncols()))
+            };
+            for &(j, from_j) in &driven {
+                for &(i, from_i) in &driven {
+                    gauss_newton[(i, j)] += square[(from_i, from_j)];
+                }
+            }
+            for (i, cost) in costs.iter().enumerate() {
+                let answer = answers[(first_cost + i, 0)];
+                defect_slope += cost.residual * answer;
+                for &(j, column) in &driven {
+                    gradient[j] += rows[(i, column)] * cost.residual;
+                    model_extra[j] += rows[(i, column)] * answer;
+                }
+            }
+        }
+        // What the defects add through the cost's and the Lagrangian's curvature.
+        let mut model_gradient: Vec<f64> = gradient
+            .iter()
+            .zip(&model_extra)
+            .map(|(g, e)| g + e)
+            .collect();
+        if let Some(sources) = &found.curvature_sources {
+            for (j, g) in model_gradient.iter_mut().enumerate().take(self.n_controls) {
+                *g += sources[(j, 0)];
+            }
+        }
+        let curvature = found.curvature.map(|controls| {
+            Mat::from_fn(n, n, |i, j| {
+                if i < self.n_controls && j < self.n_controls {
+                    controls[(i, j)]
+                } else {
+                    0.0
+                }
+            })
+        });
+        Linearization {
+            gradient,
+            model_gradient,
+            defect_slope,
+            gauss_newton,
+            curvature,
+            jacobian,
+            offset,
+            rows: request.rows.to_vec(),
+            inequality_jacobian,
+            inequality_offset,
+        }
+    }
+}
+
+/// Adds `Fᵀ C F` of the second derivatives whose forms are the rows from `first` on.
+fn add_curvature_across(
+    bent: &[RowCurvature],
+    first: usize,
+    values: &Mat<f64>,
+    answers: &Mat<f64>,
+    found: &mut Sensitivities,
+    stop: &StopSignal,
+) {
+    let (Some(curvature), Some(sources)) =
+        (found.curvature.as_mut(), found.curvature_sources.as_mut())
+    else {
+        return;
+    };
+    let mut first = first;
+    for own in bent {
+        if stop.is_raised() {
+            return;
+        }
+        let m = own.forms.len();
+        let rows = values.subrows(first, m);
+        let matrix = Mat::from_fn(m, m, |i, j| own.matrix[(i, j)]);
+        let weighted = &matrix * rows;
+        *curvature += rows.transpose() * &weighted;
+        *sources += weighted.transpose() * answers.subrows(first, m);
+        first += m;
+    }
+}

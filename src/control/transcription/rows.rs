@@ -1,0 +1,151 @@
+//! Rows of goals, and forms gathered for one sweep.
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use crate::control::acting::{ActingAlong, own_controls};
+use crate::control::path::RowGradient;
+use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
+use crate::mechanics::linearization::Defects;
+use crate::mechanics::rotation::log;
+use crate::mechanics::sensitivity::ControlColumns;
+use crate::mechanics::{StateForm, StepError, Trajectory};
+use crate::sqp::Failure;
+
+/// A goal's vector before scaling.
+pub(super) fn goal_vector(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    end: &Defects,
+    row: &GoalRow,
+) -> Vector3<f64> {
+    let goal = &problem.goals[row.goal];
+    let (k, node) = (goal.time_node, goal.node);
+    let inertia = &problem.rod.nodes[node];
+    let x = trajectory.positions_at(k)[node];
+    match row.part {
+        GoalPart::Position => x - goal.position.unwrap_or(x),
+        GoalPart::Orientation => rotation_error(problem, trajectory, row),
+        GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
+        GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
+    }
+}
+
+/// `log(R*ᵀ R)` of a goal.
+pub(super) fn rotation_error(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    row: &GoalRow,
+) -> Vector3<f64> {
+    let goal = &problem.goals[row.goal];
+    let r = trajectory.rotations_at(goal.time_node)[goal.node];
+    log(&(goal.rotation.unwrap_or(r).transpose() * r))
+}
+
+pub(in crate::control) fn describe(error: StepError) -> Failure {
+    Failure(error.to_string())
+}
+
+/// Rows that are sums of forms, gathered for one sweep in the order of time.
+#[derive(Default)]
+pub(super) struct Gathered {
+    pub(super) forms: Vec<StateForm>,
+    /// Forms of every row.
+    pub(super) rows: Vec<std::ops::Range<usize>>,
+}
+
+impl Gathered {
+    pub(super) fn push(&mut self, gradient: RowGradient) {
+        let start = self.forms.len();
+        self.forms.extend(gradient);
+        self.rows.push(start..self.forms.len());
+    }
+
+    /// The forms in the order of time, and where each of them went.
+    pub(super) fn sorted(&self) -> (Vec<StateForm>, Vec<usize>) {
+        let mut order: Vec<usize> = (0..self.forms.len()).collect();
+        order.sort_by_key(|&i| self.forms[i].time_node);
+        let mut place = vec![0; order.len()];
+        for (at, &i) in order.iter().enumerate() {
+            place[i] = at;
+        }
+        let forms = order.into_iter().map(|i| self.forms[i].clone()).collect();
+        (forms, place)
+    }
+
+    /// Values of the rows from those of the sorted forms.
+    pub(super) fn rows_of(&self, values: &Mat<f64>, place: &[usize]) -> Mat<f64> {
+        Mat::from_fn(self.rows.len(), values.ncols(), |i, j| {
+            self.rows[i]
+                .clone()
+                .map(|form| values[(place[form], j)])
+                .sum()
+        })
+    }
+}
+
+/// Newton or newton meter that a variable adds to one component of a node's wrench.
+pub(super) struct WrenchColumn {
+    pub(super) column: usize,
+    pub(super) node: usize,
+    pub(super) component: usize,
+    pub(super) weight: f64,
+}
+
+/// The columns of the wrenches' coefficients, in physical units times the channel's scale.
+pub(super) struct Columns<'a> {
+    pub(super) problem: &'a OptimalControlProblem,
+    pub(super) components: &'a [Component],
+    pub(super) acting: Option<&'a ActingAlong<'a>>,
+    /// Of every component, which control of an actuator of one's own it is.
+    pub(super) own: Vec<Option<(usize, usize)>>,
+}
+
+impl<'a> Columns<'a> {
+    pub(super) fn new(
+        problem: &'a OptimalControlProblem,
+        components: &'a [Component],
+        acting: Option<&'a ActingAlong<'a>>,
+    ) -> Self {
+        Self {
+            problem,
+            components,
+            acting,
+            own: own_controls(problem, components),
+        }
+    }
+}
+
+impl ControlColumns for Columns<'_> {
+    fn n_columns(&self) -> usize {
+        self.problem.control.n_coefficients() * self.components.len()
+    }
+
+    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+        for (coefficient, weight) in self.problem.control.weights(k) {
+            if weight == 0.0 {
+                continue;
+            }
+            for (at, component) in self.components.iter().enumerate() {
+                let column = coefficient * self.components.len() + at;
+                let weight = weight * self.problem.channel(component).scale;
+                match (self.own[at], self.acting) {
+                    (None, _) => {
+                        let node = self.problem.actuators[component.actuator].node;
+                        visit(column, node, component.axis, weight);
+                    }
+                    (Some(own), Some(acting)) => {
+                        acting.visit(k, own, &mut |node, component, slope| {
+                            visit(column, node, component, weight * slope);
+                        });
+                    }
+                    (Some(_), None) => {}
+                }
+            }
+        }
+    }
+
+    fn n_started(&self, k: usize) -> usize {
+        self.problem.control.n_started(k) * self.components.len()
+    }
+}

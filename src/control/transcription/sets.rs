@@ -1,0 +1,122 @@
+//! Bounds on coefficients and rates, the duration, and rest within a tolerance, as convex sets of the variables.
+
+use crate::control::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
+use crate::sqp::ConvexSet;
+
+/// The actuated variables of one vector of an actuator at one coefficient.
+pub(super) struct ChannelVariables<'a> {
+    channel: &'a Channel,
+    indices: Vec<usize>,
+    axes: Vec<usize>,
+}
+
+impl<'a> ChannelVariables<'a> {
+    fn all(
+        problem: &'a OptimalControlProblem,
+        components: &[Component],
+        coefficient: usize,
+    ) -> Vec<Self> {
+        let base = coefficient * components.len();
+        let mut out = Vec::new();
+        for (actuator, definition) in problem.actuators.iter().enumerate() {
+            for (channel, axes) in [(&definition.force, 0..3), (&definition.moment, 3..6)] {
+                let (indices, axes) = components
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, c)| c.actuator == actuator && axes.contains(&c.axis))
+                    .map(|(at, c)| (base + at, c.axis % 3))
+                    .unzip();
+                out.push(Self {
+                    channel,
+                    indices,
+                    axes,
+                });
+            }
+        }
+        out
+    }
+
+    /// The set in which `rows`, one per axis, must stay; limits per axis grow with the variable `times`, if it is given.
+    fn push_sets(
+        &self,
+        bound: Option<Bound>,
+        unit: f64,
+        rows: Vec<Vec<(usize, f64)>>,
+        times: Option<usize>,
+        sets: &mut Vec<ConvexSet>,
+    ) {
+        match bound {
+            Some(Bound::Norm(limit)) if !rows.is_empty() => sets.push(ConvexSet::Ball {
+                rows,
+                radius: limit * unit,
+            }),
+            Some(Bound::PerAxis(limits)) => {
+                for (row, &axis) in rows.into_iter().zip(&self.axes) {
+                    let limit = limits[axis] * unit;
+                    if let [(index, _)] = row[..] {
+                        sets.push(ConvexSet::Interval {
+                            index,
+                            lower: -limit,
+                            upper: limit,
+                        });
+                        continue;
+                    }
+                    let opposite = row.iter().map(|&(index, c)| (index, -c)).collect();
+                    for mut direction in [row, opposite] {
+                        let mut constant = limit;
+                        if let Some(index) = times {
+                            direction.push((index, -limit));
+                            constant = 0.0;
+                        }
+                        sets.push(ConvexSet::HalfSpace {
+                            direction,
+                            limit: constant,
+                        });
+                    }
+                }
+            }
+            Some(Bound::Norm(_)) | None => {}
+        }
+    }
+}
+
+/// The bounds on coefficients, on their differences, on the duration, and on what rest within a tolerance leaves, in scaled variables.
+pub(super) fn convex_sets(
+    problem: &OptimalControlProblem,
+    components: &[Component],
+    goal_rows: &[GoalRow],
+    slack_variables: &[Option<usize>],
+) -> Vec<ConvexSet> {
+    let mut sets = Vec::new();
+    let duration = problem.duration_variable();
+    if let (Some(free), Some(index)) = (problem.duration, duration) {
+        sets.push(ConvexSet::Interval {
+            index,
+            lower: free.shortest / problem.grid.duration(),
+            upper: free.longest / problem.grid.duration(),
+        });
+    }
+    let gaps = problem.control.rate_gaps();
+    for coefficient in 0..problem.control.n_coefficients() {
+        for variables in ChannelVariables::all(problem, components, coefficient) {
+            let channel = variables.channel;
+            let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
+            variables.push_sets(channel.bound, 1.0 / channel.scale, own, None, &mut sets);
+            if let Some(gap) = gaps.get(coefficient) {
+                let stride = components.len();
+                let change = (variables.indices.iter())
+                    .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
+                    .collect();
+                let unit = gap / channel.scale;
+                variables.push_sets(channel.rate_bound, unit, change, duration, &mut sets);
+            }
+        }
+    }
+    for (rows, slacks) in goal_rows.chunks(3).zip(slack_variables.chunks(3)) {
+        if let Some(radius) = problem.rest_radius(rows[0].goal, rows[0].part) {
+            let rows = slacks.iter().flatten().map(|&i| vec![(i, 1.0)]).collect();
+            sets.push(ConvexSet::Ball { rows, radius });
+        }
+    }
+    sets
+}

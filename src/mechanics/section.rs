@@ -1,0 +1,106 @@
+//! Materials, cross-sections, and how sections change along the arm.
+
+use super::rod::NodeInertia;
+use nalgebra::Vector3;
+
+/// Stiffness and inertia of a cross-section, per unit of rest length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// `diag(GA, GA, EA)`, N.
+    pub linear_stiffness: Vector3<f64>,
+    /// `diag(EI, EI, GJ)`, N m².
+    pub angular_stiffness: Vector3<f64>,
+    /// `ρA`, kg/m.
+    pub mass: f64,
+    /// `diag(ρI₁, ρI₂, ρJ)`, kg m, body frame.
+    pub rotary: Vector3<f64>,
+}
+
+/// A homogeneous, isotropic, linearly elastic material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// `E`, Pa.
+    pub youngs_modulus: f64,
+    /// `G`, Pa.
+    pub shear_modulus: f64,
+    /// `ρ`, kg/m³.
+    pub density: f64,
+    /// Factor on the shear area: `GA = factor G π r²`; 1 as in the paper, 27/28 after Cowper for a circle.
+    pub shear_factor: f64,
+}
+
+impl Material {
+    /// Isotropic: `G = E / (2 (1 + ν))`, shear factor 1.
+    #[must_use]
+    pub fn isotropic(youngs_modulus: f64, poisson_ratio: f64, density: f64) -> Self {
+        Self {
+            youngs_modulus,
+            shear_modulus: youngs_modulus / (2.0 * (1.0 + poisson_ratio)),
+            density,
+            shear_factor: 1.0,
+        }
+    }
+}
+
+impl Section {
+    /// Full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
+    #[must_use]
+    pub fn circle(material: &Material, radius: f64) -> Self {
+        let area = std::f64::consts::PI * radius * radius;
+        let second_moment = 0.25 * area * radius * radius;
+        let shear = material.shear_factor * material.shear_modulus * area;
+        let bending = material.youngs_modulus * second_moment;
+        Self {
+            linear_stiffness: Vector3::new(shear, shear, material.youngs_modulus * area),
+            angular_stiffness: Vector3::new(
+                bending,
+                bending,
+                material.shear_modulus * 2.0 * second_moment,
+            ),
+            mass: material.density * area,
+            rotary: material.density * second_moment * Vector3::new(1.0, 1.0, 2.0),
+        }
+    }
+}
+
+/// The cross-section as a function of the arc coordinate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SectionProfile {
+    /// The same section everywhere.
+    Uniform(Section),
+    /// Full circles whose radius goes linearly from base to tip.
+    TaperedCircle {
+        /// Material of the whole rod.
+        material: Material,
+        /// Radius at the base, m.
+        base_radius: f64,
+        /// Radius at the tip, m.
+        tip_radius: f64,
+    },
+}
+
+impl SectionProfile {
+    /// Section at the fraction `s` of the length (0 at the base, 1 at the tip).
+    #[must_use]
+    pub fn at(&self, s: f64) -> Section {
+        match self {
+            Self::Uniform(section) => *section,
+            Self::TaperedCircle {
+                material,
+                base_radius,
+                tip_radius,
+            } => Section::circle(material, base_radius + (tip_radius - base_radius) * s),
+        }
+    }
+
+    /// Mass (kg) and inertia (kg m²) between the fractions `from` and `to` of a rod of length `length`: Simpson's
+    /// rule, exact for the mass of a linear taper.
+    pub(super) fn inertia_between(&self, from: f64, to: f64, length: f64) -> NodeInertia {
+        let (a, m, b) = (self.at(from), self.at(0.5 * (from + to)), self.at(to));
+        let weight = (to - from) * length / 6.0;
+        NodeInertia {
+            mass: weight * (a.mass + 4.0 * m.mass + b.mass),
+            rotary: weight * (a.rotary + 4.0 * m.rotary + b.rotary),
+        }
+    }
+}
