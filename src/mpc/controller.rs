@@ -202,12 +202,6 @@ impl Controller {
         let blocks = (settings.horizon / settings.block).round().max(1.0) as usize;
         let mut cut = Discretization {
             blocks,
-            step: Some(
-                discretization
-                    .step
-                    .unwrap_or(f64::INFINITY)
-                    .min(settings.period),
-            ),
             ..*discretization
         };
         let mut task = task.clone();
@@ -215,13 +209,7 @@ impl Controller {
         for target in &mut task.targets {
             target.time = None;
         }
-        let chosen = {
-            let free = Discretization {
-                step: discretization.step,
-                ..cut
-            };
-            task.discretize(arm, &free)?.discrete.grid.step
-        };
+        let chosen = task.discretize(arm, &cut)?.discrete.grid.step;
         let steps_per_period = (settings.period / chosen * (1.0 - 1e-9)).ceil().max(1.0) as usize;
         let step = settings.period / steps_per_period as f64;
         cut.step = Some(step);

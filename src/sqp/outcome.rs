@@ -116,7 +116,7 @@ pub struct SqpOutcome<P> {
     pub phases: PhaseTimes,
     /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
     pub failed_subproblem: Option<String>,
-    /// Where the point is a saddle that is not worth [leaving](SqpSettings::saddle_gain): what the Lagrangian falls by along its most
+    /// Where the point is a saddle that is not worth [leaving](super::SqpSettings::saddle_gain): what the Lagrangian falls by along its most
     /// negative curvature, at most.
     pub left_to_gain: Option<f64>,
 }

@@ -767,7 +767,7 @@ impl LiftedProgram for Transcription<'_> {
 /// Forward simulation of the problem's rod under the given wrenches.
 ///
 /// # Errors
-/// [`StepError`] of the integrator, or of the problem's [`StopSignal`].
+/// [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
 pub fn simulate(
     problem: &OptimalControlProblem,
     grid: TimeGrid,

@@ -34,7 +34,7 @@ pub fn forward_sweep(
 }
 
 /// The values of forms along the direction of [`forward_sweep`]; the clear counterpart and test oracle of
-/// [`sensitivities`](super::sensitivity::sensitivities).
+/// [`sensitivities`](crate::mechanics::sensitivity::sensitivities).
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -94,7 +94,7 @@ fn sweep_tangents(
 /// Multipliers of the defect rows of every time node, and of the terminal momenta.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdjointSweep {
-    /// Covector of the momenta after the kick: of the linear rows `r_k`, in the order of [`Defects::linear`], then of the linear
+    /// Covector of the momenta after the kick: of the linear rows `r_k`, in the order of [`Defects::linear`](super::Defects::linear), then of the linear
     /// momenta at `N`; zero on fixed nodes.
     pub linear: Vec<Vector3<f64>>,
     /// Of the angular rows, then of the angular momenta at `N`.
