@@ -9,7 +9,9 @@ use std::time::Instant;
 use common::{RULES, laws, soft_arm};
 use divan::counter::ItemsCount;
 use softarm::mechanics::curvature::Multipliers;
-use softarm::mechanics::linearization::{AdjointSweep, Motion, Sources, adjoint_sweep, defects};
+use softarm::mechanics::linearization::{
+    AdjointSweep, Motion, RightHandSide, adjoint_sweep, defects,
+};
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
@@ -318,7 +320,7 @@ impl<'a> SensitivityCase<'a> {
             control: None,
         };
         let d = defects(&motion, &self.trajectory, &ControlSignal::default());
-        let sources = Sources::against(&d.expect("a rod at rest"));
+        let sources = RightHandSide::against(&d.expect("a rod at rest"));
         let multipliers = (question == Question::Curvature).then_some(Multipliers {
             adjoint: &self.adjoint,
             own: &[],

@@ -477,7 +477,7 @@ fn priced_time_is_weighed_against_effort() {
         let price = 9.0 * (MASS * DISTANCE).powi(2) / best.powi(4);
         let problem = timed_push(Hold::Linear, 6, DISTANCE, price);
         let outcome = solved(&problem);
-        let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
+        let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
         let least = 3.0 * (MASS * DISTANCE).powi(2) / best.powi(3) + price * best;
         assert!(
             (duration / best - 1.0).abs() < 1e-4,
@@ -504,7 +504,7 @@ fn minimum_time_is_bang_bang() {
         actuator.force.bound = Some(Bound::PerAxis(limits));
     }
     let outcome = solved(&problem);
-    let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
+    let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
     let best = 2.0 * (MASS * DISTANCE / FORCE).sqrt();
     assert!(
         (duration / best - 1.0).abs() < 1e-4,
@@ -526,7 +526,7 @@ fn durations_end_at_their_limits() {
     for (price, at_longest) in [(0.0, true), (20.0, false)] {
         let problem = timed_push(Hold::Linear, 6, 0.3, price);
         let outcome = solved(&problem);
-        let duration = problem.grid.duration() * problem.stretch(&outcome.point.variables);
+        let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
         let free = problem.duration.unwrap();
         let limit = if at_longest {
             free.longest

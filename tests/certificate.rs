@@ -133,7 +133,7 @@ fn hessian_of_values(
         let mut variables: Vec<f64> = start.iter().zip(&change).map(|(v, d)| v + d).collect();
         retract(&mut variables);
         let change: Vec<f64> = variables.iter().zip(start).map(|(v, w)| v - w).collect();
-        let moved = program.restored_step(point, &change).unwrap();
+        let moved = program.rollout(point, &change).unwrap();
         let values = program.evaluate(&moved).unwrap();
         let pulled: f64 = values.constraints.iter().zip(y).map(|(c, y)| c * y).sum();
         values.objective + pulled

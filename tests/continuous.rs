@@ -184,7 +184,7 @@ fn stretched_problems_are_discretized_alike() {
     let problem = task
         .discretize(&arm, &discretization)
         .unwrap()
-        .stretched(1.25);
+        .with_time_scale(1.25);
     assert_eq!(problem.task.horizon, 1.25);
     assert_eq!(problem.task.targets[0].time, Some(0.5));
     let again = (problem.task)

@@ -15,7 +15,7 @@ use softarm::mechanics::curvature::{
 };
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{
-    AdjointSweep, Motion, Sources, StateTangent, adjoint_sweep, defects, forward_sweep,
+    AdjointSweep, Motion, RightHandSide, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
 use softarm::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent, vee};
 use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
@@ -406,11 +406,11 @@ impl Case {
         trajectory
     }
 
-    fn sources(&self, trajectory: &Trajectory) -> [Sources; 2] {
+    fn sources(&self, trajectory: &Trajectory) -> [RightHandSide; 2] {
         let d = defects(&self.motion(), trajectory, &self.control).unwrap();
         let dice = &mut Dice(31);
         let other = random_sources(&self.rod, self.grid.n_steps, 1e-3, dice);
-        [Sources::against(&d), other]
+        [RightHandSide::against(&d), other]
     }
 
     fn sweep(&self, trajectory: &Trajectory, n_threads: usize) -> Sensitivities {
@@ -626,7 +626,7 @@ fn fast_reduction_equals_the_clear_one() {
             }
             let motion = case.motion();
             let nothing = case.blocks.nothing();
-            let sweep = |sources: Option<&Sources>, change: &ControlSignal| {
+            let sweep = |sources: Option<&RightHandSide>, change: &ControlSignal| {
                 forward_sweep(&motion, &trajectory, sources, change)
                     .unwrap()
                     .0

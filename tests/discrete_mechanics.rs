@@ -9,7 +9,7 @@ use common::{
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
-    Motion, Sources, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
+    Motion, RightHandSide, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
 };
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::stability::stable_step;
@@ -390,7 +390,7 @@ fn linearization_passes_the_taylor_test() {
         let (direction, end) = forward_sweep(
             &motion,
             &trajectory,
-            Some(&Sources::against(&base)),
+            Some(&RightHandSide::against(&base)),
             &change,
         )
         .unwrap();
@@ -480,7 +480,7 @@ fn adjoint_is_the_transpose() {
             let sources = random_sources(&rod, grid.n_steps, 1e-3, &mut dice);
             let times = [0, 1, 13, 14, 29, 30];
             let forms = times.map(|k| StateForm::of_covector(k, &random_tangent(&rod, &mut dice)));
-            let forward = |sources: Option<&Sources>, change: &ControlSignal| -> f64 {
+            let forward = |sources: Option<&RightHandSide>, change: &ControlSignal| -> f64 {
                 form_values(&motion, &trajectory, sources, change, &forms)
                     .unwrap()
                     .iter()

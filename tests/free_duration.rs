@@ -68,9 +68,9 @@ impl Found {
         self.setup.problem.grid.duration()
     }
 
-    /// The check of these controls and multipliers over `stretch` times the duration.
-    fn checked(&self, stretch: f64) -> ForwardCheck {
-        let setup = self.setup.stretched(stretch);
+    /// The check of these controls and multipliers over `time_scale` times the duration.
+    fn checked(&self, time_scale: f64) -> ForwardCheck {
+        let setup = self.setup.with_time_scale(time_scale);
         let motion = simulated(&setup.problem, &self.coefficients).unwrap();
         let solution = Solution {
             trajectory: &motion.trajectory,
@@ -140,9 +140,9 @@ fn duration_is_certified_where_it_is_stationary() {
         "{} {objective}",
         check.objective
     );
-    for stretch in [0.999, 1.001] {
-        let off = item(&found.checked(stretch), "duration");
-        assert!(!off.holds(), "{off:?} at {stretch}");
+    for time_scale in [0.999, 1.001] {
+        let off = item(&found.checked(time_scale), "duration");
+        assert!(!off.holds(), "{off:?} at {time_scale}");
     }
 }
 
@@ -151,8 +151,8 @@ fn duration_is_certified_where_it_is_stationary() {
 fn fixed_durations_cost_more() {
     let found = solved(&setup(&[]));
     let at = |duration: f64| {
-        let fixed = found.setup.stretched(duration / found.duration());
-        let problem = fixed.problem.held();
+        let fixed = found.setup.with_time_scale(duration / found.duration());
+        let problem = fixed.problem.with_fixed_duration();
         let program = Transcription::new(&problem, 1);
         let start = simulated(&problem, &found.coefficients).unwrap();
         let on = |_: &IterationRecord| ControlFlow::Continue(());
@@ -273,7 +273,7 @@ fn a_worse_minimum_is_left() {
     assert_certified(&found.checked(1.0));
     for duration in ["0.36", "0.44", "0.48"] {
         let mut held = setup(&[&scene[..], &arm, &[&format!("task.at_s={duration}")]].concat());
-        held.problem = held.problem.held();
+        held.problem = held.problem.with_fixed_duration();
         let other = solved(&held);
         let value = other.outcome.objective + price * other.duration();
         let best = found.outcome.objective;
@@ -297,8 +297,8 @@ fn minimum_time_needs_no_effort() {
     let largest = (found.coefficients.iter()).fold(0.0, |m: f64, u| m.max(u.force.norm()));
     assert!((largest / 20.0 - 1.0).abs() < 1e-6, "{largest}");
     let faster = setup(&[&arm[..], &["objective.effort=1.0"]].concat());
-    let mut faster = faster.stretched(0.999 * duration / faster.problem.grid.duration());
-    faster.problem = faster.problem.held();
+    let mut faster = faster.with_time_scale(0.999 * duration / faster.problem.grid.duration());
+    faster.problem = faster.problem.with_fixed_duration();
     let on = |_: &IterationRecord| ControlFlow::Continue(());
     let start = simulated(&faster.problem, &found.coefficients).unwrap();
     let program = Transcription::new(&faster.problem, 1);

@@ -601,7 +601,7 @@ fn check_recomputes_the_gradient() {
         let mut dice = Dice(41);
         let (start, _) = first_point(problem, Guess::Rest, None).unwrap();
         let change: Vec<f64> = start.variables.iter().map(|_| dice.roll()).collect();
-        let point = program.restored_step(&start, &change).unwrap();
+        let point = program.rollout(&start, &change).unwrap();
         let y: Vec<f64> = program
             .goal_rows()
             .iter()
@@ -613,7 +613,7 @@ fn check_recomputes_the_gradient() {
             let at = |s: f64| {
                 let mut change = vec![0.0; n];
                 change[j] = s * 1e-3;
-                let moved = program.restored_step(&point, &change).unwrap();
+                let moved = program.rollout(&point, &change).unwrap();
                 let values = program.evaluate(&moved).unwrap();
                 let pulled: f64 = values.constraints.iter().zip(&y).map(|(c, y)| c * y).sum();
                 [values.objective, pulled]
@@ -744,12 +744,12 @@ fn lifted_steps_are_left_to_long_ones() {
     for x in [0.05, 0.1] {
         for row in steps(HessianChoice::Auto, x) {
             if row.hessian.is_second_order() && row.step_norm < 0.1 {
-                assert!(row.restored, "{x}: {:e}", row.step_norm);
+                assert!(row.rolled_out, "{x}: {:e}", row.step_norm);
                 short += 1;
             }
         }
         for pair in steps(HessianChoice::GaussNewton, x).windows(2) {
-            if pair[0].restored && !pair[1].restored {
+            if pair[0].rolled_out && !pair[1].rolled_out {
                 assert!(pair[1].step_norm < pair[0].step_norm);
                 again += 1;
             }

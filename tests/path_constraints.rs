@@ -24,7 +24,7 @@ use softarm::verify::{
 fn rolled_out(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
     let (start, _) = first_point(program.problem(), Guess::Rest, None).unwrap();
     let change: Vec<f64> = start.variables.iter().map(|_| 0.7 * dice.roll()).collect();
-    program.restored_step(&start, &change).unwrap()
+    program.rollout(&start, &change).unwrap()
 }
 
 /// Random multipliers: of every goal, and of a few rows of every path constraint.
@@ -47,7 +47,7 @@ fn random_multipliers(program: &Transcription, dice: &mut Dice) -> Multipliers {
 
 fn with_change(point: &LiftedPoint, program: &Transcription, d: &[f64], s: f64) -> LiftedPoint {
     let change: Vec<f64> = d.iter().map(|d| s * d).collect();
-    program.restored_step(point, &change).unwrap()
+    program.rollout(point, &change).unwrap()
 }
 
 /// Gradient of the Lagrangian by the solver, and its exact Hessian.

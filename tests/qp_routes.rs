@@ -24,7 +24,7 @@ fn lifted(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
     let (start, _) = first_point(program.problem(), Guess::Rest, None).unwrap();
     let mut random =
         |size: f64| -> Vec<f64> { start.variables.iter().map(|_| size * dice.roll()).collect() };
-    let point = program.restored_step(&start, &random(0.7)).unwrap();
+    let point = program.rollout(&start, &random(0.7)).unwrap();
     let change = random(0.2);
     let defects = program.evaluate(&point).unwrap().defects;
     let direction = program.expand(&point, &defects, &change).unwrap();
@@ -250,8 +250,8 @@ fn iterations_are_the_same() {
         assert_eq!([one.len(), other.len()], [4; 2]);
         for (one, other) in one.iter().zip(&other) {
             assert_eq!(
-                (one.hessian, one.restored, one.corrections),
-                (other.hessian, other.restored, other.corrections)
+                (one.hessian, one.rolled_out, one.corrections),
+                (other.hessian, other.rolled_out, other.corrections)
             );
             for (a, b) in [
                 (one.objective, other.objective),

@@ -9,7 +9,7 @@ use common::{
 use faer::Mat;
 use nalgebra::Vector3;
 use softarm::mechanics::linearization::{
-    Motion, Sources, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
+    Motion, RightHandSide, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
 };
 use softarm::mechanics::rotation::{cay_inverse, log};
 use softarm::mechanics::sensitivity::{
@@ -120,7 +120,7 @@ fn both_routes_equal_the_clear_sweep() {
             };
             let d = defects(&motion, &trajectory, &ControlSignal::default()).unwrap();
             let sources = [
-                Sources::against(&d),
+                RightHandSide::against(&d),
                 random_sources(&rod, grid.n_steps, 1e-3, &mut dice),
             ];
             let blocks = Blocks {
@@ -141,7 +141,7 @@ fn both_routes_equal_the_clear_sweep() {
                 let covector = random_tangent(&rod, &mut dice);
                 forms.push(StateForm::of_covector(time_node, &covector));
             }
-            let sources: Vec<&Sources> = sources.iter().collect();
+            let sources: Vec<&RightHandSide> = sources.iter().collect();
             let run = |forms: &[StateForm], n_threads| {
                 sensitivities(
                     &motion,
@@ -167,7 +167,7 @@ fn both_routes_equal_the_clear_sweep() {
             assert_same(&reverse, &run(&forms, 3));
             assert_same(&forward, &run(&many, 3));
 
-            let clear = |sources: Option<&Sources>, change: &ControlSignal| {
+            let clear = |sources: Option<&RightHandSide>, change: &ControlSignal| {
                 form_values(&motion, &trajectory, sources, change, &forms).unwrap()
             };
             let mut expected: Vec<Vec<f64>> = (0..blocks.n_columns())
@@ -342,7 +342,7 @@ fn covectors_of_the_start_equal_the_clear_sweep() {
                     &mut unit.angular,
                 ];
                 part[component / 3][node][component % 3] = 1.0;
-                let unit = Sources::at_start(unit, grid.n_steps);
+                let unit = RightHandSide::at_start(unit, grid.n_steps);
                 let still = ControlSignal::default();
                 let values =
                     form_values(&motion, &trajectory, Some(&unit), &still, &forms).unwrap();

@@ -1379,7 +1379,7 @@ impl LiftedProgram for Curve {
         f64::INFINITY
     }
 
-    fn restored_step(&self, point: &Vec<f64>, change: &[f64]) -> Result<Vec<f64>, Failure> {
+    fn rollout(&self, point: &Vec<f64>, change: &[f64]) -> Result<Vec<f64>, Failure> {
         Ok(point.iter().zip(change).map(|(v, d)| v + d).collect())
     }
 }

@@ -607,7 +607,7 @@ fn lifted_and_reduced_agree() {
             outcome
                 .history
                 .iter()
-                .any(|row| !row.restored && row.step_norm > 0.0),
+                .any(|row| !row.rolled_out && row.step_norm > 0.0),
             "a lifted step should be taken"
         );
     }

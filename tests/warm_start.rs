@@ -146,7 +146,7 @@ fn moved_starts_take_few_iterations() {
     moved.initial = problem.initial.retract(&deviation);
     let transcription = Transcription::new(&moved, 1);
     let still = vec![0.0; moved.n_variables()];
-    let point = transcription.restored_step(&solved.point, &still).unwrap();
+    let point = transcription.rollout(&solved.point, &still).unwrap();
     let start = WarmStart { point, ..solved };
     let outcome = solve_warm(&transcription, start, &settings, &mut |_| {
         ControlFlow::Continue(())

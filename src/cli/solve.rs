@@ -196,7 +196,7 @@ const AWAY: f64 = 0.9;
 fn other_opinion(solution: &Solution, console: &Console) -> Result<SecondOpinionSummary, CliError> {
     let outcome = &solution.attempt.outcome;
     let posed = &solution.problem.discrete;
-    let problem = posed.held();
+    let problem = posed.with_fixed_duration();
     let ours = &outcome.point.variables[..problem.n_variables()];
     let n_controls = problem.n_controls();
     let start: Vec<f64> = (ours.iter().enumerate())
@@ -265,7 +265,7 @@ impl Earlier {
             .grid
             .duration()
             .clamp(free.shortest, free.longest);
-        setup.stretched(duration / setup.problem.grid.duration())
+        setup.with_time_scale(duration / setup.problem.grid.duration())
     }
 
     /// The coefficients at the times of a problem's.

@@ -190,12 +190,12 @@ impl ControlCurvature {
     }
 
     /// Adds this to a Hessian over the columns, where the forms are the rows from `first` on of `values`, by columns, and of
-    /// `answers`, by sources.
+    /// `responses`, by sources.
     pub fn add_to(
         &self,
         first: usize,
         values: &Mat<f64>,
-        answers: &Mat<f64>,
+        responses: &Mat<f64>,
         found: &mut Sensitivities,
     ) {
         let (Some(curvature), Some(sources)) =
@@ -212,8 +212,8 @@ impl ControlCurvature {
                         curvature[(column, other)] += product;
                         curvature[(other, column)] += product;
                     }
-                    for source in 0..answers.ncols() {
-                        sources[(column, source)] += factor * answers[(first + i, source)];
+                    for source in 0..responses.ncols() {
+                        sources[(column, source)] += factor * responses[(first + i, source)];
                     }
                 }
                 for (other, others) in self.columns.iter().enumerate() {

@@ -3,7 +3,7 @@
 use nalgebra::{SVector, Vector3};
 
 use super::path::{
-    Posture, RowCurvature, RowGradient, along, at, element_curvature, element_form, term_curvature,
+    RodView, RowCurvature, RowGradient, along, at, element_curvature, element_form, term_curvature,
 };
 use super::problem::OptimalControlProblem;
 use crate::mechanics::strain::IntervalStress;
@@ -17,7 +17,7 @@ pub struct CostRow {
     /// `δr`
     pub gradient: RowGradient,
     /// By how much `r` falls per logarithm of the time step because the path moves on by the clock, the duration left out.
-    pub lag: f64,
+    pub reference_drift: f64,
 }
 
 /// Time nodes at which costs over states are sampled, and the time that each stands for, s: the trapezoidal rule over a
@@ -54,19 +54,19 @@ pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
 #[must_use]
 pub fn cost_rows(
     problem: &OptimalControlProblem,
-    posture: &Posture,
+    rod_view: &RodView,
     k: usize,
     duration: f64,
 ) -> Vec<CostRow> {
     let mut rows = Vec::new();
-    let t = posture.grid.time(k);
+    let t = rod_view.grid.time(k);
     for tracking in &problem.objective.tracking {
         let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
-        let distance = posture.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
+        let distance = rod_view.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
         let velocity = tracking.velocity(t);
         rows.extend((0..3).map(|axis| CostRow {
             residual: factor * distance[axis],
-            lag: factor * velocity[axis] * (t - posture.grid.start),
+            reference_drift: factor * velocity[axis] * (t - rod_view.grid.start),
             gradient: at(
                 k,
                 along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
@@ -75,7 +75,7 @@ pub fn cost_rows(
     }
     for cost in &problem.objective.terms {
         let factor = (cost.weight * duration).sqrt();
-        let view = posture.view(k);
+        let view = rod_view.view(k);
         rows.extend((0..cost.term.n_values(&problem.rod)).map(|item| {
             let mut form = cost.term.gradient(&view, item).terms;
             for part in &mut form {
@@ -83,14 +83,14 @@ pub fn cost_rows(
             }
             CostRow {
                 residual: factor * cost.term.value(&view, item),
-                lag: 0.0,
+                reference_drift: 0.0,
                 gradient: at(k, form),
             }
         }));
     }
     if problem.objective.energy > 0.0 {
         for q in 0..problem.rod.n_elements() {
-            energy_rows(problem, posture, k, q, duration, &mut rows);
+            energy_rows(problem, rod_view, k, q, duration, &mut rows);
         }
     }
     rows
@@ -104,7 +104,7 @@ fn energy_weight(problem: &OptimalControlProblem, duration: f64) -> f64 {
 /// Square roots of the energy of one element: `½ Σ r²` is its weighted energy.
 fn energy_rows(
     problem: &OptimalControlProblem,
-    posture: &Posture,
+    rod_view: &RodView,
     k: usize,
     q: usize,
     duration: f64,
@@ -113,8 +113,8 @@ fn energy_rows(
     let rod = &problem.rod;
     let element = &rod.elements[q];
     let (x, r) = (
-        posture.trajectory.positions_at(k),
-        posture.trajectory.rotations_at(k),
+        rod_view.trajectory.positions_at(k),
+        rod_view.trajectory.rotations_at(k),
     );
     let pose = Rod::element_pose(q, x, r);
     let (strain, slope) = rod.strain_rule.strain_derivative(element.length, &pose);
@@ -125,7 +125,7 @@ fn energy_rows(
             let w: SVector<f64, 9> = slope.row(from + axis).transpose() * factor;
             rows.push(CostRow {
                 residual: factor * strain[axis],
-                lag: 0.0,
+                reference_drift: 0.0,
                 gradient: at(k, element_form(q, &w)),
             });
         }
@@ -152,7 +152,7 @@ fn energy_rows(
 #[must_use]
 pub fn cost_curvature(
     problem: &OptimalControlProblem,
-    posture: &Posture,
+    rod_view: &RodView,
     k: usize,
     duration: f64,
 ) -> Vec<RowCurvature> {
@@ -160,9 +160,9 @@ pub fn cost_curvature(
     let mut bent = Vec::new();
     for cost in &problem.objective.terms {
         for item in 0..cost.term.n_values(rod) {
-            let value = cost.term.value(&posture.view(k), item);
+            let value = cost.term.value(&rod_view.view(k), item);
             let factor = cost.weight * duration * value;
-            bent.push(term_curvature(&cost.term, posture, k, item, factor));
+            bent.push(term_curvature(&cost.term, rod_view, k, item, factor));
         }
     }
     if !(problem.objective.energy > 0.0) {
@@ -170,8 +170,8 @@ pub fn cost_curvature(
     }
     let weight = energy_weight(problem, duration);
     let (x, r) = (
-        posture.trajectory.positions_at(k),
-        posture.trajectory.rotations_at(k),
+        rod_view.trajectory.positions_at(k),
+        rod_view.trajectory.rotations_at(k),
     );
     bent.extend((0..rod.n_elements()).map(|q| {
         let element = &rod.elements[q];

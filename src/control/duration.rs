@@ -3,12 +3,12 @@
 use faer::Mat;
 
 use super::cost::CostRow;
-use super::path::Posture;
+use super::path::RodView;
 use super::transcription::{LiftedDirection, LiftedPoint, Transcription, describe};
 use crate::mechanics::differences;
-use crate::mechanics::linearization::Sources;
+use crate::mechanics::linearization::RightHandSide;
 use crate::mechanics::sensitivity::direction;
-use crate::mechanics::step_derivative::step_sources;
+use crate::mechanics::step_derivative::step_right_hand_side;
 use crate::sqp::{Failure, LiftedProgram as _, Linearization, Multipliers};
 
 /// Rotation, and displacement over the length, of the differences that measure how the Lagrangian bends with the duration.
@@ -25,13 +25,17 @@ impl Transcription<'_> {
     }
 
     /// The right-hand side of the linearized motion along the duration's variable, where there is one.
-    pub(super) fn stretching(&self, point: &LiftedPoint) -> Result<Option<Sources>, Failure> {
+    pub(super) fn duration_right_hand_side(
+        &self,
+        point: &LiftedPoint,
+    ) -> Result<Option<RightHandSide>, Failure> {
         let Some(at) = self.duration_variable else {
             return Ok(None);
         };
         let control = self.signal(&point.variables);
         let motion = self.motion(&point.variables);
-        let mut sources = step_sources(&motion, &point.trajectory, &control).map_err(describe)?;
+        let mut sources =
+            step_right_hand_side(&motion, &point.trajectory, &control).map_err(describe)?;
         // From the logarithm of the step to the step over the grid's.
         let inverse = 1.0 / point.variables[at];
         for part in [
@@ -46,14 +50,14 @@ impl Transcription<'_> {
     }
 
     /// Derivative of a path row along the duration's variable, while the configurations stay.
-    pub(super) fn path_slope(&self, point: &LiftedPoint, posture: &Posture, row: usize) -> f64 {
+    pub(super) fn path_slope(&self, point: &LiftedPoint, rod_view: &RodView, row: usize) -> f64 {
         let (constraint, k, _) = self.located(row);
-        constraint.limit.step_slope(posture, k) / self.problem().stretch(&point.variables)
+        constraint.limit.step_slope(rod_view, k) / self.problem().time_scale(&point.variables)
     }
 
     /// Derivative of a cost's residual along the duration's variable, while the configurations stay.
     pub(super) fn cost_slope(&self, point: &LiftedPoint, row: &CostRow) -> f64 {
-        (0.5 * row.residual - row.lag) / self.problem().stretch(&point.variables)
+        (0.5 * row.residual - row.reference_drift) / self.problem().time_scale(&point.variables)
     }
 
     /// Values of the rows (goals, path rows, costs) along the controls, and along the duration as their last column.
@@ -63,19 +67,19 @@ impl Transcription<'_> {
         path_rows: &[usize],
         costs: &[CostRow],
         values: Mat<f64>,
-        answers: &Mat<f64>,
+        responses: &Mat<f64>,
     ) -> Mat<f64> {
         if self.duration_variable.is_none() {
             return values;
         }
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let n_goals = self.goal_rows().len();
         let first_cost = n_goals + path_rows.len();
         let explicit = |row: usize| {
             if row < n_goals {
                 0.0
             } else if let Some(&path) = path_rows.get(row - n_goals) {
-                self.path_slope(point, &posture, path)
+                self.path_slope(point, &rod_view, path)
             } else {
                 (costs.get(row - first_cost)).map_or(0.0, |cost| self.cost_slope(point, cost))
             }
@@ -85,7 +89,7 @@ impl Transcription<'_> {
             if j < last {
                 values[(i, j)]
             } else {
-                answers[(i, 1)] + explicit(i)
+                responses[(i, 1)] + explicit(i)
             }
         })
     }
@@ -96,7 +100,7 @@ impl Transcription<'_> {
         &self,
         point: &LiftedPoint,
         multipliers: &Multipliers,
-        stretching: &Sources,
+        along_duration: &RightHandSide,
         linearization: &mut Linearization,
     ) -> Result<(), Failure> {
         let (Some(at), Some(curvature)) =
@@ -112,7 +116,7 @@ impl Transcription<'_> {
         let (trajectory, _) = direction(
             &motion,
             &point.trajectory,
-            Some(stretching),
+            Some(along_duration),
             &none,
             self.n_threads,
         )

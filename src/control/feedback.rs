@@ -171,15 +171,15 @@ impl Feedback {
         for (j, edge) in edges.windows(2).enumerate() {
             let Transition { state, input } =
                 transition_by(&motion, trajectory, edge[0]..edge[1], by, n_threads)?;
-            let lasting = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
+            let part = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
             });
             stages.push(Stage {
                 state: norms[j + 1].out_of(norms[j].columns_over(state)),
                 input: norms[j + 1].out_of(input),
-                state_weight: weights.state * lasting / rod.scales.moment,
-                input_weight: weights.input * lasting,
+                state_weight: weights.state * part / rod.scales.moment,
+                input_weight: weights.input * part,
             });
         }
         let program = Transcription::new(problem, n_threads);

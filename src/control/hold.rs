@@ -79,11 +79,11 @@ impl ControlGrid {
         }
     }
 
-    /// The same coefficients over a time `stretch` times as long.
+    /// The same coefficients over a time `time_scale` times as long.
     #[must_use]
-    pub fn stretched(&self, stretch: f64) -> Self {
+    pub fn with_time_scale(&self, time_scale: f64) -> Self {
         Self {
-            step: self.step * stretch,
+            step: self.step * time_scale,
             ..self.clone()
         }
     }

@@ -27,6 +27,7 @@ pub mod cost;
 mod duration;
 #[doc(hidden)]
 pub mod feedback;
+mod free_duration;
 #[doc(hidden)]
 pub mod guess;
 #[doc(hidden)]
@@ -38,7 +39,6 @@ pub mod obstacle;
 pub mod path;
 #[doc(hidden)]
 pub mod problem;
-mod release;
 #[doc(hidden)]
 pub mod search;
 #[doc(hidden)]
@@ -58,7 +58,7 @@ pub use hold::{ControlGrid, Hold};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent, SolveLog};
 pub use obstacle::{Shape, SignedDistance};
-pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Posture};
+pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
 pub use problem::{
     ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
     Objective, OptimalControlProblem, Tracking,

@@ -90,7 +90,7 @@ pub struct PathConstraint {
 impl PathConstraint {
     /// The time nodes with the time that each stands for, s, by the trapezoidal rule; a single one stands for one second.
     #[must_use]
-    pub fn lasting(&self, step: f64) -> Vec<(usize, f64)> {
+    pub fn node_durations(&self, step: f64) -> Vec<(usize, f64)> {
         match self.time_nodes.as_slice() {
             [k] => vec![(*k, 1.0)],
             nodes => durations(nodes, step),
@@ -147,7 +147,7 @@ impl PathEnforcement {
 
 /// What the rows are evaluated on.
 #[derive(Clone, Copy, Debug)]
-pub struct Posture<'a> {
+pub struct RodView<'a> {
     /// The rod.
     pub rod: &'a Rod,
     /// Radius of the arm at every node, m; empty for none.
@@ -158,7 +158,7 @@ pub struct Posture<'a> {
     pub grid: TimeGrid,
 }
 
-impl Posture<'_> {
+impl RodView<'_> {
     /// The arm at time node `k`.
     pub(super) fn view(&self, k: usize) -> StateView<'_> {
         StateView {
@@ -359,11 +359,11 @@ impl PathLimit {
     }
 
     /// A point of the center line: element, fraction of the chord, and the arm's radius there.
-    fn point(points: usize, item: usize, posture: &Posture) -> (usize, f64, f64) {
+    fn point(points: usize, item: usize, rod_view: &RodView) -> (usize, f64, f64) {
         let (q, i) = (item / points, item % points);
         let s = i as f64 / points as f64;
-        let radius = |node: usize| posture.radii.get(node).copied().unwrap_or(0.0);
-        let last = posture.rod.n_elements();
+        let radius = |node: usize| rod_view.radii.get(node).copied().unwrap_or(0.0);
+        let last = rod_view.rod.n_elements();
         let radius = if q < last {
             radius(q) + s * (radius(q + 1) - radius(q))
         } else {
@@ -372,8 +372,8 @@ impl PathLimit {
         (q, s, radius)
     }
 
-    fn point_position(posture: &Posture, k: usize, q: usize, s: f64) -> Vector3<f64> {
-        let x = posture.trajectory.positions_at(k);
+    fn point_position(rod_view: &RodView, k: usize, q: usize, s: f64) -> Vector3<f64> {
+        let x = rod_view.trajectory.positions_at(k);
         if s > 0.0 {
             x[q] + (x[q + 1] - x[q]) * s
         } else {
@@ -382,21 +382,21 @@ impl PathLimit {
     }
 
     /// Mean velocity of a node over the step that ends at `k`, m/s; zero at the start.
-    fn velocity(posture: &Posture, k: usize, node: usize) -> Vector3<f64> {
+    fn velocity(rod_view: &RodView, k: usize, node: usize) -> Vector3<f64> {
         if k == 0 {
             return Vector3::zeros();
         }
-        let x = |k: usize| posture.trajectory.positions_at(k)[node];
-        (x(k) - x(k - 1)) / posture.grid.step
+        let x = |k: usize| rod_view.trajectory.positions_at(k)[node];
+        (x(k) - x(k - 1)) / rod_view.grid.step
     }
 
-    fn curvature_vector(posture: &Posture, k: usize, q: usize) -> Vector3<f64> {
+    fn curvature_vector(rod_view: &RodView, k: usize, q: usize) -> Vector3<f64> {
         let (x, r) = (
-            posture.trajectory.positions_at(k),
-            posture.trajectory.rotations_at(k),
+            rod_view.trajectory.positions_at(k),
+            rod_view.trajectory.rotations_at(k),
         );
         let pose = Rod::element_pose(q, x, r);
-        let rod = posture.rod;
+        let rod = rod_view.rod;
         rod.strain_rule
             .strain(rod.elements[q].length, &pose)
             .curvature
@@ -404,10 +404,10 @@ impl PathLimit {
 
     /// Derivative of [`Self::value`] along the logarithm of the time step, while the configurations stay.
     #[must_use]
-    pub fn step_slope(&self, posture: &Posture, k: usize) -> f64 {
+    pub fn step_slope(&self, rod_view: &RodView, k: usize) -> f64 {
         match self {
             Self::Speed { node, .. } => {
-                -Self::velocity(posture, k, *node).norm() / self.scale(posture.rod)
+                -Self::velocity(rod_view, k, *node).norm() / self.scale(rod_view.rod)
             }
             Self::Clearance { .. }
             | Self::Stretch { .. }
@@ -421,21 +421,21 @@ impl PathLimit {
 
     /// Scaled value of a row at time node `k`.
     #[must_use]
-    pub fn value(&self, posture: &Posture, k: usize, item: usize) -> f64 {
+    pub fn value(&self, rod_view: &RodView, k: usize, item: usize) -> f64 {
         let excess = match self {
             Self::Clearance {
                 shape,
                 margin,
                 points,
             } => {
-                let (q, s, radius) = Self::point(*points, item, posture);
-                let x = Self::point_position(posture, k, q, s);
+                let (q, s, radius) = Self::point(*points, item, rod_view);
+                let x = Self::point_position(rod_view, k, q, s);
                 radius + margin - shape.distance(&x).value
             }
             Self::Stretch { least, largest } => {
                 let q = item / 2;
-                let x = posture.trajectory.positions_at(k);
-                let stretch = (x[q + 1] - x[q]).norm() / posture.rod.rest_chords[q];
+                let x = rod_view.trajectory.positions_at(k);
+                let stretch = (x[q + 1] - x[q]).norm() / rod_view.rod.rest_chords[q];
                 if side(item) > 0.0 {
                     stretch - largest
                 } else {
@@ -443,94 +443,94 @@ impl PathLimit {
                 }
             }
             Self::Curvature { largest } => {
-                let kappa = Self::curvature_vector(posture, k, item);
+                let kappa = Self::curvature_vector(rod_view, k, item);
                 kappa.xy().norm() - largest
             }
             Self::Twist { largest } => {
-                let kappa = Self::curvature_vector(posture, k, item / 2);
+                let kappa = Self::curvature_vector(rod_view, k, item / 2);
                 side(item) * kappa.z - largest
             }
-            Self::Speed { node, largest } => Self::velocity(posture, k, *node).norm() - largest,
+            Self::Speed { node, largest } => Self::velocity(rod_view, k, *node).norm() - largest,
             Self::Distance {
                 node,
                 from,
                 largest,
-            } => (posture.trajectory.positions_at(k)[*node] - from).norm() - largest,
+            } => (rod_view.trajectory.positions_at(k)[*node] - from).norm() - largest,
             Self::Angle {
                 node,
                 from,
                 largest,
             } => {
-                let r = posture.trajectory.rotations_at(k)[*node];
+                let r = rod_view.trajectory.rotations_at(k)[*node];
                 log(&from.tr_mul(&r)).norm() - largest
             }
-            Self::Term(term) => term.value(&posture.view(k), item),
+            Self::Term(term) => term.value(&rod_view.view(k), item),
         };
-        excess / self.scale(posture.rod)
+        excess / self.scale(rod_view.rod)
     }
 
     /// First derivative of a row.
     #[must_use]
-    pub fn gradient(&self, posture: &Posture, k: usize, item: usize) -> RowGradient {
-        let inverse = 1.0 / self.scale(posture.rod);
+    pub fn gradient(&self, rod_view: &RodView, k: usize, item: usize) -> RowGradient {
+        let inverse = 1.0 / self.scale(rod_view.rod);
         match self {
             Self::Clearance { shape, points, .. } => {
-                let (q, s, _) = Self::point(*points, item, posture);
-                let x = Self::point_position(posture, k, q, s);
+                let (q, s, _) = Self::point(*points, item, rod_view);
+                let x = Self::point_position(rod_view, k, q, s);
                 let direction = -shape.distance(&x).gradient * inverse;
                 at(k, point_form(q, s, &direction))
             }
             Self::Stretch { .. } => {
                 let q = item / 2;
-                let x = posture.trajectory.positions_at(k);
+                let x = rod_view.trajectory.positions_at(k);
                 let direction =
-                    unit(&(x[q + 1] - x[q])) * (side(item) * inverse / posture.rod.rest_chords[q]);
+                    unit(&(x[q + 1] - x[q])) * (side(item) * inverse / rod_view.rod.rest_chords[q]);
                 let terms = along(q, 0, &-direction).chain(along(q + 1, 0, &direction));
                 at(k, terms.collect())
             }
             Self::Curvature { .. } => {
-                let kappa = Self::curvature_vector(posture, k, item);
+                let kappa = Self::curvature_vector(rod_view, k, item);
                 let n = unit(&Vector3::new(kappa.x, kappa.y, 0.0)) * inverse;
-                at(k, strain_form(posture, k, item, &n))
+                at(k, strain_form(rod_view, k, item, &n))
             }
             Self::Twist { .. } => at(
                 k,
                 strain_form(
-                    posture,
+                    rod_view,
                     k,
                     item / 2,
                     &(Vector3::z() * (side(item) * inverse)),
                 ),
             ),
             Self::Speed { node, .. } => {
-                let n = unit(&Self::velocity(posture, k, *node)) * (inverse / posture.grid.step);
+                let n = unit(&Self::velocity(rod_view, k, *node)) * (inverse / rod_view.grid.step);
                 velocity_form(k, *node, &n)
             }
             Self::Distance { node, from, .. } => {
-                let x = posture.trajectory.positions_at(k)[*node];
+                let x = rod_view.trajectory.positions_at(k)[*node];
                 at(k, along(*node, 0, &(unit(&(x - from)) * inverse)).collect())
             }
             Self::Angle { node, from, .. } => {
-                let r = posture.trajectory.rotations_at(k)[*node];
+                let r = rod_view.trajectory.rotations_at(k)[*node];
                 let psi = log(&from.tr_mul(&r));
                 let c = InverseTangentCoefficients::at(psi.norm_squared());
                 // δψ = Sᵀ ζ.
                 let direction = log_tangent(&psi, &c) * (unit(&psi) * inverse);
                 at(k, along(*node, 3, &direction).collect())
             }
-            Self::Term(term) => at(k, term.gradient(&posture.view(k), item).terms),
+            Self::Term(term) => at(k, term.gradient(&rod_view.view(k), item).terms),
         }
     }
 
     /// Second derivative of a row.
     #[must_use]
-    pub fn curvature(&self, posture: &Posture, k: usize, item: usize) -> RowCurvature {
-        let inverse = 1.0 / self.scale(posture.rod);
+    pub fn curvature(&self, rod_view: &RodView, k: usize, item: usize) -> RowCurvature {
+        let inverse = 1.0 / self.scale(rod_view.rod);
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         match self {
             Self::Clearance { shape, points, .. } => {
-                let (q, s, _) = Self::point(*points, item, posture);
-                let x = Self::point_position(posture, k, q, s);
+                let (q, s, _) = Self::point(*points, item, rod_view);
+                let x = Self::point_position(rod_view, k, q, s);
                 RowCurvature {
                     forms: axes.map(|axis| at(k, point_form(q, s, &axis))).to_vec(),
                     matrix: dynamic(&(shape.distance(&x).curvature * -inverse)),
@@ -538,8 +538,8 @@ impl PathLimit {
             }
             Self::Stretch { .. } => {
                 let q = item / 2;
-                let x = posture.trajectory.positions_at(k);
-                let factor = side(item) * inverse / posture.rod.rest_chords[q];
+                let x = rod_view.trajectory.positions_at(k);
+                let factor = side(item) * inverse / rod_view.rod.rest_chords[q];
                 let difference = |axis: &Vector3<f64>| {
                     at(
                         k,
@@ -552,12 +552,12 @@ impl PathLimit {
                 }
             }
             Self::Curvature { .. } => {
-                let kappa = Self::curvature_vector(posture, k, item);
+                let kappa = Self::curvature_vector(rod_view, k, item);
                 let bend = Vector3::new(kappa.x, kappa.y, 0.0);
                 let mut across = norm_curvature(&bend);
                 across[(2, 2)] = 0.0;
                 strain_curvature(
-                    posture,
+                    rod_view,
                     k,
                     item,
                     &(unit(&bend) * inverse),
@@ -565,29 +565,29 @@ impl PathLimit {
                 )
             }
             Self::Twist { .. } => strain_curvature(
-                posture,
+                rod_view,
                 k,
                 item / 2,
                 &(Vector3::z() * (side(item) * inverse)),
                 &Matrix3::zeros(),
             ),
             Self::Speed { node, .. } => {
-                let v = Self::velocity(posture, k, *node);
-                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / posture.grid.step)));
+                let v = Self::velocity(rod_view, k, *node);
+                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / rod_view.grid.step)));
                 RowCurvature {
                     forms: forms.to_vec(),
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),
                 }
             }
             Self::Distance { node, from, .. } => {
-                let x = posture.trajectory.positions_at(k)[*node];
+                let x = rod_view.trajectory.positions_at(k)[*node];
                 RowCurvature {
                     forms: vector_forms(k, *node, 0),
                     matrix: dynamic(&(norm_curvature(&(x - from)) * inverse)),
                 }
             }
             Self::Angle { node, from, .. } => {
-                let r = posture.trajectory.rotations_at(k)[*node];
+                let r = rod_view.trajectory.rotations_at(k)[*node];
                 let psi = log(&from.tr_mul(&r));
                 let c = InverseTangentCoefficients::at(psi.norm_squared());
                 let s = log_tangent(&psi, &c);
@@ -598,7 +598,7 @@ impl PathLimit {
                     matrix: dynamic(&(0.5 * (bent + bent.transpose()) * inverse)),
                 }
             }
-            Self::Term(term) => term_curvature(term, posture, k, item, 1.0),
+            Self::Term(term) => term_curvature(term, rod_view, k, item, 1.0),
         }
     }
 }
@@ -606,14 +606,14 @@ impl PathLimit {
 /// `factor` times the second derivative of a value of a term.
 pub(super) fn term_curvature(
     term: &SharedTerm,
-    posture: &Posture,
+    rod_view: &RodView,
     k: usize,
     item: usize,
     factor: f64,
 ) -> RowCurvature {
-    let matrix = term.curvature(&posture.view(k), item);
+    let matrix = term.curvature(&rod_view.view(k), item);
     RowCurvature {
-        forms: (term.nodes(posture.rod, item).into_iter())
+        forms: (term.nodes(rod_view.rod, item).into_iter())
             .flat_map(|node| [vector_forms(k, node, 0), vector_forms(k, node, 3)].concat())
             .collect(),
         matrix: DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
@@ -643,17 +643,17 @@ fn velocity_form(k: usize, node: usize, direction: &Vector3<f64>) -> RowGradient
 }
 
 /// `n · δκ` of an element.
-fn strain_form(posture: &Posture, k: usize, q: usize, n: &Vector3<f64>) -> Vec<FormTerm> {
-    element_form(q, &(curvature_rows(posture, k, q).transpose() * n))
+fn strain_form(rod_view: &RodView, k: usize, q: usize, n: &Vector3<f64>) -> Vec<FormTerm> {
+    element_form(q, &(curvature_rows(rod_view, k, q).transpose() * n))
 }
 
 /// `∂κ/∂(dx, ζ_q, ζ_{q+1})` of an element.
-fn curvature_rows(posture: &Posture, k: usize, q: usize) -> SMatrix<f64, 3, 9> {
+fn curvature_rows(rod_view: &RodView, k: usize, q: usize) -> SMatrix<f64, 3, 9> {
     let (x, r) = (
-        posture.trajectory.positions_at(k),
-        posture.trajectory.rotations_at(k),
+        rod_view.trajectory.positions_at(k),
+        rod_view.trajectory.rotations_at(k),
     );
-    let rod = posture.rod;
+    let rod = rod_view.rod;
     let pose = Rod::element_pose(q, x, r);
     let (_, derivative) = rod
         .strain_rule
@@ -663,17 +663,17 @@ fn curvature_rows(posture: &Posture, k: usize, q: usize) -> SMatrix<f64, 3, 9> {
 
 /// Second derivative of a function of the curvature `κ` of an element, with gradient `n` and second derivative `across` there.
 fn strain_curvature(
-    posture: &Posture,
+    rod_view: &RodView,
     k: usize,
     q: usize,
     n: &Vector3<f64>,
     across: &Matrix3<f64>,
 ) -> RowCurvature {
     let (x, r) = (
-        posture.trajectory.positions_at(k),
-        posture.trajectory.rotations_at(k),
+        rod_view.trajectory.positions_at(k),
+        rod_view.trajectory.rotations_at(k),
     );
-    let rod = posture.rod;
+    let rod = rod_view.rod;
     let element = &rod.elements[q];
     let pose = Rod::element_pose(q, x, r);
     // A stress `n/l` does the work n·δκ.
@@ -682,7 +682,7 @@ fn strain_curvature(
         angular: n / element.length,
     };
     let own = element.stiffness_under(rod.strain_rule, &pose, &stress, 0.0);
-    let rows = curvature_rows(posture, k, q);
+    let rows = curvature_rows(rod_view, k, q);
     let sum = own + rows.transpose() * across * rows;
     element_curvature(k, q, &sum)
 }

@@ -560,18 +560,18 @@ impl OptimalControlProblem {
             .collect()
     }
 
-    /// The same problem on a grid that lasts `stretch` times as long.
+    /// The same problem on a grid that lasts `time_scale` times as long.
     #[must_use]
-    pub fn stretched(&self, stretch: f64) -> Self {
+    pub fn with_time_scale(&self, time_scale: f64) -> Self {
         let mut out = self.clone();
-        out.grid.step *= stretch;
-        out.control = self.control.stretched(stretch);
+        out.grid.step *= time_scale;
+        out.control = self.control.with_time_scale(time_scale);
         out
     }
 
     /// The same problem with the duration of its grid.
     #[must_use]
-    pub fn held(&self) -> Self {
+    pub fn with_fixed_duration(&self) -> Self {
         Self {
             duration: None,
             ..self.clone()
@@ -621,7 +621,7 @@ impl OptimalControlProblem {
 
     /// Duration over that of the grid, from the solver's variables.
     #[must_use]
-    pub fn stretch(&self, variables: &[f64]) -> f64 {
+    pub fn time_scale(&self, variables: &[f64]) -> f64 {
         match self.duration {
             Some(_) => variables.last().copied().unwrap_or(1.0),
             None => 1.0,

@@ -6,11 +6,11 @@ use std::sync::Mutex;
 
 use nalgebra::Vector3;
 
+use super::free_duration::{FreeDurationSolver, Vanishing};
 use super::guess::{Guess, GuessError, first_point, simulated};
 use super::journal::{Journal, Listener, SearchEvent, SolveLog};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
-use super::release::{Releasing, Vanishing};
 use super::transcription::{LiftedPoint, Transcription};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
@@ -617,7 +617,7 @@ fn released(
     let vanishing = Vanishing::of(problem);
     let whole = problem;
     let problem = vanishing.as_ref().map_or(problem, Vanishing::first);
-    let stretch = match (start.first, problem.duration) {
+    let time_scale = match (start.first, problem.duration) {
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
             let duration = free.shortest + part * (free.longest - free.shortest);
@@ -625,7 +625,7 @@ fn released(
         }
         _ => 1.0,
     };
-    let held = problem.stretched(stretch).held();
+    let held = problem.with_time_scale(time_scale).with_fixed_duration();
     let start = Start {
         is_held: true,
         ..start
@@ -633,17 +633,17 @@ fn released(
     let Some(mut found) = staged(&held, settings, search, start, n_threads, observer)? else {
         return Ok(None);
     };
-    let mut releasing = Releasing {
+    let mut solver = FreeDurationSolver {
         problem,
         settings,
         n_threads,
         observer,
         journal: start.journal,
     };
-    found.outcome = releasing.release(stretch, found.outcome, &mut found.before)?;
+    found.outcome = solver.solve(time_scale, found.outcome, &mut found.before)?;
     if let Some(vanishing) = &vanishing {
-        releasing.problem = whole;
-        found.outcome = vanishing.follow(&releasing, found.outcome, &mut found.before);
+        solver.problem = whole;
+        found.outcome = vanishing.follow(&solver, found.outcome, &mut found.before);
     }
     Ok(Some(found))
 }

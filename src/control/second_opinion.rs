@@ -145,7 +145,7 @@ impl ReducedProgram for Transcription<'_> {
             variables: variables.to_vec(),
             trajectory: Trajectory::with_capacity(self.problem().rod.n_nodes(), 0),
         };
-        let point = self.restored_step(&here, &vec![0.0; variables.len()])?;
+        let point = self.rollout(&here, &vec![0.0; variables.len()])?;
         let evaluation = self.evaluate(&point)?;
         let pulls = Multipliers {
             constraints: pull(&evaluation.constraints),

@@ -11,7 +11,7 @@ use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::path::RowGradient;
 use crate::control::{
-    ControlGrid, FreeDuration, LiftedPoint, Objective, OptimalControlProblem, PathLimit, Posture,
+    ControlGrid, FreeDuration, LiftedPoint, Objective, OptimalControlProblem, PathLimit, RodView,
     Shape, Transcription,
 };
 use crate::mechanics::actuator::flat;
@@ -80,7 +80,7 @@ pub(super) fn blocks(
         trajectory: crate::mechanics::Trajectory::with_capacity(problem.rod.n_nodes(), 0),
     };
     let still = vec![0.0; start.variables.len()];
-    let point = program.restored_step(&start, &still)?;
+    let point = program.rollout(&start, &still)?;
     let mut out = objective_blocks(problem, &point, rng)?;
     out.extend(goal_blocks(&program, &point, rng)?);
     out.extend(path_blocks(&program, &point, rng));
@@ -205,7 +205,7 @@ fn objective_blocks(
         for kind in kinds(&problem) {
             let change = random_change(gradient.len(), &kind, rng);
             let mut value = |s: f64| {
-                let there = program.restored_step(point, &scaled(&change, s)).ok()?;
+                let there = program.rollout(point, &scaled(&change, s)).ok()?;
                 Some(vec![vec![program.evaluate(&there).ok()?.objective]])
             };
             let slope = vec![dot(&gradient, &change)];
@@ -246,7 +246,7 @@ fn goal_blocks(
                 })
                 .collect();
             let mut values = |s: f64| {
-                let there = program.restored_step(point, &scaled(&change, s)).ok()?;
+                let there = program.rollout(point, &scaled(&change, s)).ok()?;
                 let constraints = program.evaluate(&there).ok()?.constraints;
                 Some(vec![constraints[first..first + 3].to_vec()])
             };
@@ -308,15 +308,15 @@ fn path_blocks(program: &Transcription, point: &LiftedPoint, rng: &mut Rng) -> V
                 positions: vectors(0.1 * length),
                 rotations: vectors(1.0),
             };
-            let posture = program.posture(point);
-            let slope = form_value(&limit.gradient(&posture, k, item), &direction, n_nodes);
+            let rod_view = program.rod_view(point);
+            let slope = form_value(&limit.gradient(&rod_view, k, item), &direction, n_nodes);
             let mut value = |s: f64| {
                 let moved = trajectory.retract(&direction, s);
-                let posture = Posture {
+                let rod_view = RodView {
                     trajectory: &moved,
-                    ..posture
+                    ..rod_view
                 };
-                Some(vec![vec![limit.value(&posture, k, item)]])
+                Some(vec![vec![limit.value(&rod_view, k, item)]])
             };
             found.extend(compare(&mut value, &[vec![slope]], ROUNDING));
         }
@@ -530,7 +530,7 @@ fn hessian_block(
             })
             .collect();
         let mut gradient = |s: f64| {
-            let there = program.restored_step(point, &scaled(&change, s)).ok()?;
+            let there = program.rollout(point, &scaled(&change, s)).ok()?;
             Some(by_kind(
                 &program.lagrangian_gradient(&there, &multipliers).ok()?,
             ))

@@ -7,7 +7,8 @@ use super::compare::{Comparison, compare};
 use super::point::vector;
 use super::{Block, gather};
 use crate::mechanics::linearization::{
-    AdjointSweep, Motion, Sources, StateTangent, StepLinearization, adjoint_sweep, form_values,
+    AdjointSweep, Motion, RightHandSide, StateTangent, StepLinearization, adjoint_sweep,
+    form_values,
 };
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::sensitivity::{adjoint, direction};
@@ -443,7 +444,7 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
         linear: rows(impulse, n),
         angular: rows(twist, n),
     };
-    let sources = Sources {
+    let sources = RightHandSide {
         linear: rows(impulse, n * n_steps),
         angular: rows(twist, n * n_steps),
         terminal_linear: rows(impulse, n),
@@ -514,7 +515,7 @@ fn pairing(
     motion: &Motion,
     sweep: &AdjointSweep,
     control: &ControlSignal,
-    sources: &Sources,
+    sources: &RightHandSide,
 ) -> (f64, f64) {
     let (n, n_steps) = (motion.rod.n_nodes(), motion.grid.n_steps);
     let mut terms = Vec::new();

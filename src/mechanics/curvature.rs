@@ -1,8 +1,8 @@
 //! Second derivatives of the discrete equations of motion, contracted with their multipliers.
 //!
-//! With the rows `r_k` and the multipliers `λ_k` of [`linearization`](super::linearization), an outcome `φ` of the states at the
+//! With the rows `r_k` and the multipliers `λ_k` of [`linearization`](super::linearization), a functional `φ` of the states at the
 //! time nodes has the Lagrangian `L = φ - Σ_{k<N} λ_k·r_k`, stationary in the configurations by the choice of `λ`. Its second
-//! derivative along directions that obey the linearized motion is that of the outcome as a function of the control; without the
+//! derivative along directions that obey the linearized motion is that of the functional as a function of the control; without the
 //! curvature of `φ` in the states it is, with `λ_N = ∂φ/∂(p_N, π_N)` and the covector `μr_k` of the angular momenta that arrive
 //! at `k` (`decay_k λr_k`, and `∂φ/∂π_k` for `k < N`),
 //!
@@ -43,7 +43,7 @@ pub type ElementCurvature = SMatrix<f64, 9, 9>;
 pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 
 /// Multipliers of the equations of motion, as [`adjoint_sweep`](super::linearization::adjoint_sweep) takes and
-/// returns them for the same motion and trajectory; unit: that of the outcome per unit of momentum.
+/// returns them for the same motion and trajectory; unit: that of the functional per unit of momentum.
 #[derive(Clone, Copy, Debug)]
 pub struct Multipliers<'a> {
     /// Covectors `λ_k` of the rows and, as `λ_N`, of the terminal momenta.
@@ -60,7 +60,7 @@ pub struct OwnCurvature {
     pub time_node: usize,
     /// The rod node and the component of every row: 0..3 `δx` (spatial), 3..6 `ζ` (body).
     pub rows: Vec<(usize, usize)>,
-    /// Symmetric, as many rows and columns as `rows`; unit of the outcome per unit of both components.
+    /// Symmetric, as many rows and columns as `rows`; unit of the functional per unit of both components.
     pub matrix: Mat<f64>,
 }
 
@@ -498,8 +498,8 @@ pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3
     0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
 }
 
-/// Second derivative of the Lagrangian, with the [own](OwnCurvature) one of the outcome as far as it is given, along every pair
-/// of `directions`: symmetric, in their order; the unit is that of the outcome per unit of both directions.
+/// Second derivative of the Lagrangian, with the [own](OwnCurvature) one of the functional as far as it is given, along every pair
+/// of `directions`: symmetric, in their order; the unit is that of the functional per unit of both directions.
 ///
 /// The clear counterpart and test oracle of
 /// [`sensitivities`](super::sensitivity::sensitivities), and the form for directions of any kind.

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::configuration::Trajectory;
 use super::differences;
 use super::integrator::StepError;
-use super::linearization::{Defects, Motion, Sources};
+use super::linearization::{Defects, Motion, RightHandSide};
 use super::sensitivity::defects;
 use super::signal::ControlSignal;
 
@@ -20,11 +20,11 @@ const CHANGE: f64 = 1e-3;
 ///
 /// # Errors
 /// [`StepError`] of [`defects`].
-pub fn step_sources(
+pub fn step_right_hand_side(
     motion: &Motion,
     trajectory: &Trajectory,
     control: &ControlSignal,
-) -> Result<Sources, StepError> {
+) -> Result<RightHandSide, StepError> {
     let at = |change: f64| -> Result<Defects, StepError> {
         let mut changed = *motion;
         changed.grid.step *= 1.0 + change;
@@ -40,7 +40,7 @@ pub fn step_sources(
             })
             .collect()
     };
-    Ok(Sources {
+    Ok(RightHandSide {
         linear: slope(|defects| &defects.linear, -1.0),
         angular: slope(|defects| &defects.angular, -1.0),
         terminal_linear: slope(|defects| &defects.terminal_linear, 1.0),

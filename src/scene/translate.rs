@@ -101,8 +101,8 @@ pub struct OptimalControl {
 impl OptimalControl {
     /// The same with a duration that is `factor` times that of the grid: its scene, read again, describes that grid.
     #[must_use]
-    pub fn stretched(&self, factor: f64) -> Self {
-        self.around(&self.posed().stretched(factor))
+    pub fn with_time_scale(&self, factor: f64) -> Self {
+        self.around(&self.posed().with_time_scale(factor))
     }
 
     /// The same around the problem of a solution, which may last longer or shorter: its scene, read again, describes that problem's grid.

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::examined::Examined;
 use super::solution::Solution;
 use super::step_kind::{MEANINGS, step_kind};
-use crate::control::{Bound, Hold, OptimalControlProblem, PathLimit, Posture, Shape, Tracking};
+use crate::control::{Bound, Hold, OptimalControlProblem, PathLimit, RodView, Shape, Tracking};
 use crate::mechanics::{BaseCondition, Rod, TimeGrid, Trajectory, Wrench};
 use crate::output::summary::SolveSummary;
 use crate::output::{
@@ -218,7 +218,7 @@ pub(super) fn obstacles(
             positions: positions.collect(),
             rotations: vec![Matrix3::identity(); rod.n_nodes()],
         };
-        let posture = Posture {
+        let rod_view = RodView {
             rod,
             radii,
             trajectory: &trajectory,
@@ -230,7 +230,7 @@ pub(super) fn obstacles(
         };
         for ((_, limit), clearance) in limits.iter().zip(&mut clearances) {
             let worst = (0..limit.n_items(rod))
-                .map(|item| limit.value(&posture, 0, item))
+                .map(|item| limit.value(&rod_view, 0, item))
                 .fold(f64::NEG_INFINITY, f64::max);
             clearance.push(-worst * limit.scale(rod));
         }

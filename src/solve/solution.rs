@@ -34,11 +34,13 @@ impl Solution {
     /// Of an attempt at a problem.
     #[must_use]
     pub fn of(problem: &Problem, settings: &SqpSettings, mut attempt: Attempt) -> Self {
-        let stretch = problem.discrete.stretch(&attempt.outcome.point.variables);
-        let problem = if stretch == 1.0 {
+        let time_scale = problem
+            .discrete
+            .time_scale(&attempt.outcome.point.variables);
+        let problem = if time_scale == 1.0 {
             problem.clone()
         } else {
-            problem.stretched(stretch)
+            problem.with_time_scale(time_scale)
         };
         let outcome = &mut attempt.outcome;
         if let Some(duration) = problem.discrete.duration_variable() {

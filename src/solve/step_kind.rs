@@ -38,7 +38,7 @@ pub(crate) fn step_kind(row: &IterationRecord) -> String {
         HessianKind::Convexified => 'c',
         HessianKind::Proximal => 'p',
     };
-    let states = if row.restored { 'r' } else { 'l' };
+    let states = if row.rolled_out { 'r' } else { 'l' };
     format!("{hessian}{states}{}", "+".repeat(row.corrections))
 }
 
@@ -96,7 +96,7 @@ mod tests {
             left: Leave::Step,
             hessian: HessianKind::GaussNewton,
             corrections: 2,
-            restored: false,
+            rolled_out: false,
             trust_radius: 1.0,
             elastic_weight: 1.0,
             slack: 0.0,
@@ -112,8 +112,8 @@ mod tests {
             HessianKind::Convexified,
             HessianKind::Proximal,
         ] {
-            for restored in [false, true] {
-                (row.hessian, row.restored) = (hessian, restored);
+            for rolled_out in [false, true] {
+                (row.hessian, row.rolled_out) = (hessian, rolled_out);
                 for letter in step_kind(&row).chars() {
                     assert_eq!(explained(&letter.to_string()), 1, "{letter}");
                 }

@@ -1,4 +1,4 @@
-//! Which steps are taken: a filter on (infeasibility, objective), lifted and restored trial points, second-order corrections, and
+//! Which steps are taken: a filter on (infeasibility, objective), lifted and simulated trial points, second-order corrections, and
 //! refits (Newton's method back to what a step promised, with derivatives of its own end). Who refuses a step shrinks the trust region.
 //!
 //! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
@@ -18,7 +18,7 @@ const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
 const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4, too wide for stiff rods
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
 /// A lifted step is tried when its turns are within what the charts allow, and kept when it is no less feasible than the point it
-/// leaves or than this: beyond, its defects are worse than what restored states cost.
+/// leaves or than this: beyond, its defects are worse than what simulated states cost.
 const LIFTED_INFEASIBILITY: f64 = 1.0;
 /// Part of the variables (at least of one) up to which a step is short.
 const SHORT: f64 = 0.1;
@@ -118,12 +118,12 @@ pub struct Accepted<P: LiftedProgram> {
     /// Its values.
     pub evaluation: Evaluation<P::Defects>,
     /// Whether the states were computed from the variables rather than moved linearly.
-    pub restored: bool,
+    pub rolled_out: bool,
     /// Second-order corrections it took, or refits.
     pub corrections: usize,
 }
 
-/// Values of a refused step's restored point. The point itself, as large as all else together, is not kept.
+/// Values of a refused step's simulated point. The point itself, as large as all else together, is not kept.
 pub struct Refused {
     /// Its constraints.
     pub constraints: Vec<f64>,
@@ -240,7 +240,7 @@ impl Filter {
     /// answer is not; of a short step of second order the other, which costs a third and leaves no defects.
     ///
     /// # Errors
-    /// When all are refused: the restored point's values, uncorrected, if it could be computed. Unless that point serves some other
+    /// When all are refused: the simulated point's values, uncorrected, if it could be computed. Unless that point serves some other
     /// measure, the trust region must shrink.
     pub fn accept<P: LiftedProgram>(
         &mut self,
@@ -258,7 +258,7 @@ impl Filter {
         if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
             return Ok(accepted);
         }
-        let refused = match self.try_restored(program, from, change, slope) {
+        let refused = match self.try_rollout(program, from, change, slope) {
             Ok(accepted) => return Ok(accepted),
             Err(refused) => refused,
         };
@@ -268,7 +268,7 @@ impl Filter {
         let refused = refused.ok_or(None)?;
         self.correct(program, from, subproblem, change, &refused, slope)
             .or_else(|| {
-                let trial = Self::restored(program, from.point, change, 0)?;
+                let trial = Self::rollout(program, from.point, change, 0)?;
                 self.refit(program, from, subproblem, change, trial, f64::INFINITY)
             })
             .ok_or(Some(refused))
@@ -281,7 +281,7 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
-        let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
+        let trial = Self::rollout(program, from.point, change, 0).ok_or(None)?;
         let refused = Refused::of(&trial.evaluation, from.measure(program, &trial.evaluation));
         let here = program.infeasibility(from.evaluation);
         let miss = CAREFUL_MISS.max(CAREFUL_MISS_PART * here);
@@ -316,7 +316,7 @@ impl Filter {
             if !(norm(&correction) <= subproblem.trust_radius) {
                 break;
             }
-            let next = Self::restored(program, &trial.point, &correction, count)?;
+            let next = Self::rollout(program, &trial.point, &correction, count)?;
             let left = promise.missed_by(&next.evaluation);
             if !(left < REFIT_PROGRESS * missed) {
                 break;
@@ -329,14 +329,14 @@ impl Filter {
         None
     }
 
-    fn try_restored<P: LiftedProgram>(
+    fn try_rollout<P: LiftedProgram>(
         &mut self,
         program: &P,
         from: &Departure<P>,
         change: &[f64],
         slope: Slope,
     ) -> Result<Accepted<P>, Option<Refused>> {
-        let trial = Self::restored(program, from.point, change, 0).ok_or(None)?;
+        let trial = Self::rollout(program, from.point, change, 0).ok_or(None)?;
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &trial.evaluation);
         if self.lets_pass(here, there, slope) {
@@ -346,18 +346,18 @@ impl Filter {
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
-    pub(super) fn restored<P: LiftedProgram>(
+    pub(super) fn rollout<P: LiftedProgram>(
         program: &P,
         from: &P::Point,
         change: &[f64],
         corrections: usize,
     ) -> Option<Accepted<P>> {
-        let point = program.restored_step(from, change).ok()?;
+        let point = program.rollout(from, change).ok()?;
         let evaluation = program.evaluate(&point).ok()?;
         Some(Accepted {
             point,
             evaluation,
-            restored: true,
+            rolled_out: true,
             corrections,
         })
     }
@@ -406,7 +406,7 @@ impl Filter {
         (self.lets_pass(here, there, slope)).then_some(Accepted {
             point: trial,
             evaluation: values,
-            restored: false,
+            rolled_out: false,
             corrections: 0,
         })
     }
@@ -462,7 +462,7 @@ impl Filter {
             };
             let corrected =
                 within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
-            let trial = Self::restored(program, from.point, &corrected, count)?;
+            let trial = Self::rollout(program, from.point, &corrected, count)?;
             let there = from.measure(program, &trial.evaluation);
             if self.lets_pass(here, there, slope) {
                 return Some(trial);

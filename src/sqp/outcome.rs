@@ -63,7 +63,7 @@ pub struct IterationRecord {
     /// Second-order corrections of the step, or refits of it.
     pub corrections: usize,
     /// Whether the step's states were computed from its variables rather than moved linearly.
-    pub restored: bool,
+    pub rolled_out: bool,
     /// Trust radius of the step.
     pub trust_radius: f64,
     /// Elastic weight of the subproblem.

@@ -468,7 +468,10 @@ impl<'a> Conditions<'a> {
         // No farther outside than rounding of the variables is, or Clarabel was.
         let rounding = SET_ROUNDING * infinity_norm(&there).max(1.0);
         let sets = (qp.sets.iter()).all(|set| {
-            set.violation(&there) <= set.violation(&self.before).max(rounding * set.steepness())
+            set.violation(&there)
+                <= set
+                    .violation(&self.before)
+                    .max(rounding * set.gradient_size())
         });
         signs && open && rows && sets
     }

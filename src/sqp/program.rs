@@ -59,7 +59,7 @@ impl ConvexSet {
 
 impl ConvexSet {
     /// How fast the [violation](Self::violation) grows along a variable, at most.
-    pub(crate) fn steepness(&self) -> f64 {
+    pub(crate) fn gradient_size(&self) -> f64 {
         let largest = |row: &[(usize, f64)]| row.iter().fold(0.0, |m: f64, (_, c)| m.max(c.abs()));
         match self {
             Self::Interval { .. } => 1.0,
@@ -249,7 +249,7 @@ impl Linearization {
     }
 
     /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
-    pub(crate) fn cost_unit(&self) -> f64 {
+    pub(crate) fn cost_scale(&self) -> f64 {
         self.least_curvature().max(infinity_norm(&self.gradient))
     }
 
@@ -318,7 +318,7 @@ pub trait LiftedProgram {
 
     /// How many of the variables, the first ones, the size of the Lagrangian's terms is taken from. The others stand for residuals:
     /// their terms are as large as the weights make them, and would hide what is left along the first.
-    fn n_measured(&self) -> usize {
+    fn n_controls(&self) -> usize {
         usize::MAX
     }
 
@@ -454,7 +454,7 @@ pub trait LiftedProgram {
     ///
     /// # Errors
     /// [`Failure`] when the states cannot be computed.
-    fn restored_step(&self, point: &Self::Point, change: &[f64]) -> Result<Self::Point, Failure>;
+    fn rollout(&self, point: &Self::Point, change: &[f64]) -> Result<Self::Point, Failure>;
 
     /// `Σ|c| + Σ max(h, 0) + defect`, the second sum over [groups](Self::group) of hard rows, of their largest: what the
     /// globalization drives to zero.

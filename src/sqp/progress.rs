@@ -100,7 +100,7 @@ mod tests {
             contraction: None,
             hessian: HessianKind::GaussNewton,
             corrections: 0,
-            restored: false,
+            rolled_out: false,
             trust_radius: 1.0,
             elastic_weight: 0.0,
             slack: 0.0,

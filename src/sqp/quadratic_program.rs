@@ -230,7 +230,7 @@ impl<'a> QuadraticProgram<'a> {
             },
             variables,
             sets,
-            elastic_weight: FIRST_ELASTIC_WEIGHT * linearization.cost_unit(),
+            elastic_weight: FIRST_ELASTIC_WEIGHT * linearization.cost_scale(),
             trust_radius: f64::INFINITY,
             row_tolerance: ROW_TOLERANCE,
             stop: None,

@@ -105,12 +105,12 @@ impl<'a> Promise<'a> {
         }));
         let size = norm(variables).max(1.0);
         let touched = (program.sets().iter())
-            .filter(|set| set.violation(variables) > -HELD * set.steepness() * size);
+            .filter(|set| set.violation(variables) > -HELD * set.gradient_size() * size);
         rows.extend(touched.map(|set| (outward(set, variables), 0.0)));
         let change = shortest(&rows, n)?;
         let change = change_into_balls(variables, &change, program.sets().iter());
         let end: Vec<f64> = variables.iter().zip(&change).map(|(v, d)| v + d).collect();
-        let is_inside = |set: &ConvexSet| set.violation(&end) <= HELD * set.steepness() * size;
+        let is_inside = |set: &ConvexSet| set.violation(&end) <= HELD * set.gradient_size() * size;
         program.sets().iter().all(is_inside).then_some(change)
     }
 }

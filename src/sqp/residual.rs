@@ -96,7 +96,7 @@ impl Multipliers {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
     /// `|∇J_v + (∇J_q + Jᵀy + Dᵀz) + Σ pulls of the sets|_∞`, relative to the largest entry of its terms, as bracketed, along the variables
-    /// that are [measured](LiftedProgram::n_measured): what the variables cost by themselves
+    /// that are [controls](LiftedProgram::n_controls): what the variables cost by themselves
     /// ([`own_gradient`](LiftedProgram::own_gradient), all of `∇J` where a program does not say), what comes through the states, and the
     /// pull of every set. The terms are those of the check in [`verify`](crate::verify), so that neither is stricter than the other.
     pub stationarity: f64,
@@ -111,12 +111,12 @@ pub struct KktResidual {
 struct Sum {
     gradient: Vec<f64>,
     largest: f64,
-    n_measured: usize,
+    n_controls: usize,
 }
 
 impl Sum {
     fn add(&mut self, index: usize, term: f64) {
-        if index < self.n_measured {
+        if index < self.n_controls {
             self.largest = self.largest.max(term.abs());
         }
         self.gradient[index] += term;
@@ -171,11 +171,11 @@ impl KktResidual {
         multipliers: &Multipliers,
     ) -> Self {
         let variables = program.variables(point);
-        let n_measured = program.n_measured().min(variables.len());
+        let n_controls = program.n_controls().min(variables.len());
         let mut sum = Sum {
             gradient: terms.own.clone(),
-            largest: infinity_norm(&terms.own[..n_measured]),
-            n_measured,
+            largest: infinity_norm(&terms.own[..n_controls]),
+            n_controls,
         };
         // Rows that nearly say the same may pull against each other, or against costs of the states, as hard as they like: together they
         // are one term.

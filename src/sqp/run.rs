@@ -88,7 +88,7 @@ pub(super) enum Derivatives<P: LiftedProgram> {
 /// What an iteration did.
 pub(super) enum Step {
     Taken,
-    Restored,
+    Restarted,
     Refused,
     Infeasible,
 }
@@ -157,7 +157,7 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// What the Lagrangian still falls by from a saddle that is not worth leaving.
     left_to_gain: Option<f64>,
     /// Whether states were computed anew for want of any other progress.
-    is_settled: bool,
+    has_rolled_out: bool,
     best: Best<P::Point>,
     history: Vec<IterationRecord>,
     phases: PhaseTimes,
@@ -258,7 +258,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             escapes: 0,
             saddle: None,
             left_to_gain: None,
-            is_settled: false,
+            has_rolled_out: false,
             history: Vec::new(),
             phases: PhaseTimes::default(),
             failed_subproblem: None,
@@ -378,7 +378,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             left: Leave::End,
             hessian: HessianKind::GaussNewton,
             corrections: 0,
-            restored: false,
+            rolled_out: false,
             trust_radius: self.trust_radius,
             elastic_weight: self.elastic_weight.unwrap_or(0.0),
             slack: 0.0,
@@ -460,7 +460,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 Err(_) if self.stopped().is_some() => return Ok(Step::Refused),
                 Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
                     Recovery::Smaller => continue,
-                    Recovery::Restored => return Ok(Step::Restored),
+                    Recovery::Restarted => return Ok(Step::Restarted),
                 },
                 Err(error) => return Err(error),
             };
@@ -515,7 +515,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 self.care = Care::GivenUp;
             }
             self.forget();
-            return Ok(Step::Restored);
+            return Ok(Step::Restarted);
         }
         Ok(Step::Refused)
     }
@@ -642,7 +642,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         // Lifted states are off by their own second order, which near feasibility is all there is to see. Steps of the
         // exact Hessian contract until rounding, or lead away from a saddle.
         let is_blind = promise.abs() <= noise
-            || (!accepted.restored
+            || (!accepted.rolled_out
                 && !model.kind.is_second_order()
                 && accepted.evaluation.defect > 0.0
                 && self.infeasibility() <= FEASIBLE
@@ -653,12 +653,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             contraction.is_some_and(|ratio| ratio < SLOW_CONTRACTION)
         } else {
             // Every lifted step leaves defects; farther out they say nothing about the radius.
-            !accepted.restored || delivered > GOOD_RATIO * promise
+            !accepted.rolled_out || delivered > GOOD_RATIO * promise
         };
         let is_poor = if is_blind {
             !is_good
         } else {
-            accepted.restored && !(delivered > POOR_RATIO * promise)
+            accepted.rolled_out && !(delivered > POOR_RATIO * promise)
         };
         if is_good && length > 0.5 * self.trust_radius {
             self.trust_radius *= GROW;
@@ -697,7 +697,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             };
             row.contraction = before.map(|before| length / before);
             row.corrections = accepted.corrections;
-            row.restored = accepted.restored;
+            row.rolled_out = accepted.rolled_out;
         }
     }
 
@@ -709,7 +709,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     fn arrive(&mut self, accepted: Accepted<P>) {
-        if accepted.restored {
+        if accepted.rolled_out {
             self.rounding = accepted.evaluation.defect;
         }
         self.point = Arc::new(accepted.point);
@@ -844,7 +844,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             Err(Some(refused)) => {
                 if self.passes_by_merit(linearization, model, solution, refused.measure)
                     && let Some(there) =
-                        Filter::restored(self.program, &self.point, &solution.change, 0)
+                        Filter::rollout(self.program, &self.point, &solution.change, 0)
                 {
                     self.merit_steps += 1;
                     self.filter = Filter::new(self.infeasibility());

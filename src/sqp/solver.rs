@@ -175,7 +175,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         };
         match step {
             Step::Taken => {}
-            Step::Restored => run.leave(Leave::Anew),
+            Step::Restarted => run.leave(Leave::Anew),
             Step::Refused | Step::Infeasible if run.turn_back() => run.leave(Leave::Back),
             Step::Refused => return or_converged(run, SqpStatus::StepTooSmall),
             Step::Infeasible => return Some(SqpStatus::LocallyInfeasible),
@@ -207,7 +207,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         }
         if may_go_on && run.escape() {
             Test::Left(Leave::Saddle)
-        } else if may_go_on && !is_exact && run.settle() {
+        } else if may_go_on && !is_exact && run.roll_out() {
             Test::Left(Leave::Settled)
         } else if is_exact || residual.feasibility <= stop {
             Test::Passed

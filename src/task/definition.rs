@@ -276,7 +276,7 @@ impl Task {
 
     /// The same task that lasts `factor` times as long, its points on the way at the same parts of it.
     #[must_use]
-    pub fn stretched(&self, factor: f64) -> Self {
+    pub fn with_time_scale(&self, factor: f64) -> Self {
         let mut out = self.clone();
         out.horizon *= factor;
         for target in &mut out.targets {

@@ -12,7 +12,7 @@ use super::tracking::default_weight;
 use crate::control::path::thinnest;
 use crate::control::{
     ActuatedNode, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Posture, Tracking,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
 };
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
@@ -490,15 +490,15 @@ impl Problem {
 
     /// The same problem that lasts `factor` times as long, on as many steps.
     #[must_use]
-    pub fn stretched(&self, factor: f64) -> Self {
+    pub fn with_time_scale(&self, factor: f64) -> Self {
         Self {
             arm: self.arm.clone(),
-            task: self.task.stretched(factor),
+            task: self.task.with_time_scale(factor),
             discretization: Discretization {
                 step: self.discretization.step.map(|step| step * factor),
                 ..self.discretization
             },
-            discrete: self.discrete.stretched(factor),
+            discrete: self.discrete.with_time_scale(factor),
         }
     }
 }
@@ -576,7 +576,7 @@ fn with_tolerances(
 fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
     let mut start = Trajectory::with_capacity(problem.rod.n_nodes(), 1);
     start.push(&problem.initial.configuration);
-    let posture = Posture {
+    let rod_view = RodView {
         rod: &problem.rod,
         radii: &problem.radii,
         trajectory: &start,
@@ -588,7 +588,7 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         }
         let limit = &constraint.limit;
         let worst = (0..limit.n_items(&problem.rod))
-            .map(|item| (limit.value(&posture, 0, item), item))
+            .map(|item| (limit.value(&rod_view, 0, item), item))
             .fold(
                 (0.0, 0),
                 |worst, row| if row.0 > worst.0 { row } else { worst },

@@ -53,13 +53,13 @@ pub(super) fn examine(
 /// Effort and rate, price of the duration, costs over states, goals, path, and bounds on rates.
 const N_TERMS: usize = 6;
 
-/// The terms of the Lagrangian with the solution's controls and multipliers over `stretch` times the duration.
+/// The terms of the Lagrangian with the solution's controls and multipliers over `time_scale` times the duration.
 fn terms(
     problem: &OptimalControlProblem,
     solution: &Solution,
-    stretch: f64,
+    time_scale: f64,
 ) -> Result<[f64; N_TERMS], CheckError> {
-    let problem = &problem.stretched(stretch);
+    let problem = &problem.with_time_scale(time_scale);
     let Motion { trajectory, end } = roll_out(problem, &problem.initial, solution.coefficients)?;
     let control = hold::signal(problem, 1, solution.coefficients);
     let path = problem.path_constraints();
@@ -74,7 +74,7 @@ fn terms(
     let goals = (residuals.iter().zip(multipliers.goals)).map(|(r, y)| r * y);
     let on_path = (multipliers.path.iter()).map(|row| row.multiplier * conditions.row_value(row));
     let (effort, _) = control_cost(problem, solution.coefficients);
-    let (_, states) = conditions.outcome(multipliers);
+    let (_, states) = conditions.functional(multipliers);
     Ok([
         effort,
         problem.duration_price(),

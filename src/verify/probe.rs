@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 
 use super::hold::{self, Spline};
 use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_back};
+use super::kkt::functional::AT_LIMIT;
 use super::kkt::motion::Conditions;
-use super::kkt::outcome::AT_LIMIT;
 use super::kkt::rest::RestBall;
 use super::limits::Pose;
 use super::{CheckError, ReplayKind, Solution, SolutionMultipliers, samples};
@@ -91,8 +91,8 @@ impl<'a> Probe<'a> {
             control: &control,
             path: &out.path,
         };
-        let (outcome, _) = conditions.outcome(&solution.multipliers);
-        let pulled = conditions.control_gradient(&outcome, solution.multipliers.goals);
+        let (functional, _) = conditions.functional(&solution.multipliers);
+        let pulled = conditions.control_gradient(&functional, solution.multipliers.goals);
         let controls = ControlConditions::of(
             problem,
             solution.coefficients,
@@ -212,12 +212,12 @@ impl<'a> Probe<'a> {
                 ..*row
             })
             .collect();
-        let (outcome, _) = conditions.outcome(&SolutionMultipliers {
+        let (functional, _) = conditions.functional(&SolutionMultipliers {
             goals: &goals,
             path: &path,
             rates: &[],
         });
-        let pulled = conditions.control_gradient(&outcome, &goals);
+        let pulled = conditions.control_gradient(&functional, &goals);
         problem.stop.check()?;
         let n = problem.actuators.len();
         let components = problem.actuated_components();
@@ -252,8 +252,8 @@ fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
     if conditions.row_value(row) <= AT_LIMIT {
         return None;
     }
-    let lasting = samples::of_path(constraint, conditions.problem.grid.step);
-    let (_, duration) = lasting.into_iter().find(|(k, _)| *k == row.time_node)?;
+    let durations = samples::of_path(constraint, conditions.problem.grid.step);
+    let (_, duration) = durations.into_iter().find(|(k, _)| *k == row.time_node)?;
     Some([linear * duration, quadratic * duration])
 }
 

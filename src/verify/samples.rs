@@ -54,7 +54,7 @@ mod tests {
             for ((k, a), (other, b)) in ours.iter().zip(&theirs) {
                 prop_assert!(k == other && (a - b).abs() <= 1e-14 * end);
             }
-            let sum: f64 = ours.iter().map(|(_, lasting)| lasting).sum();
+            let sum: f64 = ours.iter().map(|(_, durations)| durations).sum();
             prop_assert!((sum - end).abs() <= 1e-13 * end);
         }
     }

@@ -6,7 +6,7 @@ pub mod published;
 pub mod tasks;
 
 use nalgebra::{DMatrix, Vector3};
-use softarm::mechanics::linearization::{Sources, StateTangent};
+use softarm::mechanics::linearization::{RightHandSide, StateTangent};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
@@ -365,10 +365,10 @@ pub fn random_signal(
 }
 
 /// Any right-hand side of the equations of motion.
-pub fn random_sources(rod: &Rod, n_steps: usize, size: f64, dice: &mut Dice) -> Sources {
+pub fn random_sources(rod: &Rod, n_steps: usize, size: f64, dice: &mut Dice) -> RightHandSide {
     let n = rod.n_nodes();
     let mut vectors = |count: usize| (0..count).map(|_| dice.vector(size)).collect();
-    Sources {
+    RightHandSide {
         linear: vectors(n * n_steps),
         angular: vectors(n * n_steps),
         terminal_linear: vectors(n),

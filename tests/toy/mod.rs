@@ -442,7 +442,7 @@ impl LiftedProgram for Program {
         f64::INFINITY
     }
 
-    fn restored_step(&self, point: &Point, change: &[f64]) -> Result<Point, Failure> {
+    fn rollout(&self, point: &Point, change: &[f64]) -> Result<Point, Failure> {
         let v = point.v.iter().zip(change).map(|(v, d)| v + d).collect();
         self.restored(v, &point.q)
     }

@@ -128,8 +128,8 @@ fn derivatives_equal_differences() {
         let here = trajectory(&rod);
         let n = rod.n_nodes();
         let radii: Vec<f64> = (0..n).map(|q| 0.05 - 0.005 * q as f64).collect();
-        fn posture<'a>(rod: &'a Rod, radii: &'a [f64], trajectory: &'a Trajectory) -> Posture<'a> {
-            Posture {
+        fn rod_view<'a>(rod: &'a Rod, radii: &'a [f64], trajectory: &'a Trajectory) -> RodView<'a> {
+            RodView {
                 rod,
                 radii,
                 trajectory,
@@ -140,7 +140,7 @@ fn derivatives_equal_differences() {
                 },
             }
         }
-        let still = posture(&rod, &radii, &here);
+        let still = rod_view(&rod, &radii, &here);
         let h = 1e-5;
         for limit in limits(&rod) {
             for item in 0..limit.n_items(&rod) {
@@ -148,7 +148,7 @@ fn derivatives_equal_differences() {
                 let moved = [h, -h].map(|s| here.retract(&d, s));
                 let [ahead, behind] = moved
                     .each_ref()
-                    .map(|t| limit.value(&posture(&rod, &radii, t), 2, item));
+                    .map(|t| limit.value(&rod_view(&rod, &radii, t), 2, item));
                 let value = limit.value(&still, 2, item);
                 let gradient = limit.gradient(&still, 2, item);
                 let slope = along(&gradient, &d, n);

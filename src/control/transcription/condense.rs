@@ -9,7 +9,7 @@ use crate::control::cost::CostRow;
 use crate::control::path::{RowCurvature, RowGradient};
 use crate::mechanics::StateForm;
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
-use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, Sources};
+use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use crate::mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
 use crate::sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
 use crate::stop::{LARGE, StopSignal};
@@ -85,12 +85,15 @@ impl Transcription<'_> {
                 gradient[variable] -= y;
             }
         }
-        if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
-            gradient[at] += stretching.paired(costates);
-            let posture = self.posture(point);
+        if let (Some(at), Some(along_duration)) = (
+            self.duration_variable,
+            self.duration_right_hand_side(point)?,
+        ) {
+            gradient[at] += along_duration.paired(costates);
+            let rod_view = self.rod_view(point);
             for (row, z) in multipliers.inequalities.iter().enumerate() {
                 if *z != 0.0 {
-                    gradient[at] += z * self.path_slope(point, &posture, row);
+                    gradient[at] += z * self.path_slope(point, &rod_view, row);
                 }
             }
             for row in costs {
@@ -116,14 +119,14 @@ impl Transcription<'_> {
             control: acting.as_ref().map(|acting| &acting.signal),
             ..self.motion(&point.variables)
         };
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
         for row in &self.goal_rows {
             gathered.push(self.goal_gradient(&point.trajectory, row));
         }
         for &row in request.rows {
-            gathered.push(self.path_gradient(&posture, row));
+            gathered.push(self.path_gradient(&rod_view, row));
         }
         let costs = self.state_costs(point);
         for row in &costs {
@@ -157,8 +160,8 @@ impl Transcription<'_> {
         }
         let (forms, place) = gathered.sorted();
         let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
-        let mut sources = vec![Sources::against(&evaluation.defects)];
-        sources.extend(self.stretching(point)?);
+        let mut sources = vec![RightHandSide::against(&evaluation.defects)];
+        sources.extend(self.duration_right_hand_side(point)?);
         let mut found = sensitivities(
             &motion,
             &point.trajectory,
@@ -170,33 +173,33 @@ impl Transcription<'_> {
         )
         .map_err(describe)?;
         let values = gathered.rows_of(&found.forms, &place);
-        let answers = gathered.rows_of(&found.form_sources, &place);
+        let responses = gathered.rows_of(&found.form_sources, &place);
         add_curvature_across(
             &across,
             n_rows,
             &values,
-            &answers,
+            &responses,
             &mut found,
             &self.problem.stop,
         );
         for curvature in &along_controls {
-            curvature.add_to(first_bent, &values, &answers, &mut found);
+            curvature.add_to(first_bent, &values, &responses, &mut found);
             first_bent += curvature.forms.len();
         }
         self.problem
             .stop
             .check()
             .map_err(|stop| describe(stop.into()))?;
-        let rows = self.along_driven(point, request.rows, &costs, values, &answers);
+        let rows = self.along_driven(point, request.rows, &costs, values, &responses);
         let mut linearization = self.assemble(
-            point, evaluation, request, &costs, n_goals, &rows, &answers, found,
+            point, evaluation, request, &costs, n_goals, &rows, &responses, found,
         );
         self.problem
             .stop
             .check()
             .map_err(|stop| describe(stop.into()))?;
-        if let (Some(multipliers), Some(stretching)) = (request.multipliers, sources.get(1)) {
-            self.bend_duration(point, multipliers, stretching, &mut linearization)?;
+        if let (Some(multipliers), Some(along_duration)) = (request.multipliers, sources.get(1)) {
+            self.bend_duration(point, multipliers, along_duration, &mut linearization)?;
         }
         Ok(linearization)
     }
@@ -208,7 +211,7 @@ impl Transcription<'_> {
         costs: &[CostRow],
         multipliers: &Multipliers,
     ) -> Vec<StateForm> {
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let mut out = Vec::new();
         let mut add = |gradient: RowGradient, weight: f64| {
             out.extend(gradient.into_iter().map(|mut form| {
@@ -223,7 +226,7 @@ impl Transcription<'_> {
         }
         for (row, &z) in multipliers.inequalities.iter().enumerate() {
             if z != 0.0 {
-                add(self.path_gradient(&posture, row), z);
+                add(self.path_gradient(&rod_view, row), z);
             }
         }
         for row in costs {
@@ -243,7 +246,7 @@ impl Transcription<'_> {
         costs: &[CostRow],
         n_goals: usize,
         values: &Mat<f64>,
-        answers: &Mat<f64>,
+        responses: &Mat<f64>,
         found: Sensitivities,
     ) -> Linearization {
         let n = point.variables.len();
@@ -253,7 +256,7 @@ impl Transcription<'_> {
             None => 0.0,
         });
         let offset = (evaluation.constraints.iter().enumerate())
-            .map(|(i, c)| c + answers[(i, 0)])
+            .map(|(i, c)| c + responses[(i, 0)])
             .collect();
         let n_path = request.rows.len();
         let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
@@ -261,7 +264,7 @@ impl Transcription<'_> {
                 .map_or(0.0, |column| values[(n_goals + i, column)])
         });
         let inequality_offset = (request.rows.iter().enumerate())
-            .map(|(i, &row)| evaluation.inequalities[row] + answers[(n_goals + i, 0)])
+            .map(|(i, &row)| evaluation.inequalities[row] + responses[(n_goals + i, 0)])
             .collect();
         let (_, mut gradient) = self.control_cost.value(&point.variables);
         let mut gauss_newton = self.control_cost.gauss_newton(&point.variables);
@@ -288,7 +291,7 @@ impl Transcription<'_> {
                 }
             }
             for (i, cost) in costs.iter().enumerate() {
-                let answer = answers[(first_cost + i, 0)];
+                let answer = responses[(first_cost + i, 0)];
                 defect_slope += cost.residual * answer;
                 for &(j, column) in &driven {
                     gradient[j] += rows[(i, column)] * cost.residual;
@@ -336,7 +339,7 @@ fn add_curvature_across(
     bent: &[RowCurvature],
     first: usize,
     values: &Mat<f64>,
-    answers: &Mat<f64>,
+    responses: &Mat<f64>,
     found: &mut Sensitivities,
     stop: &StopSignal,
 ) {
@@ -355,7 +358,7 @@ fn add_curvature_across(
         let matrix = Mat::from_fn(m, m, |i, j| own.matrix[(i, j)]);
         let weighted = &matrix * rows;
         *curvature += rows.transpose() * &weighted;
-        *sources += weighted.transpose() * answers.subrows(first, m);
+        *sources += weighted.transpose() * responses.subrows(first, m);
         first += m;
     }
 }

@@ -10,11 +10,11 @@ use crate::control::acting::ActingAlong;
 use crate::control::control_cost::ControlCost;
 use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times};
 use crate::control::path::{
-    PathConstraint, PathLimit, PathMultiplier, Posture, RowCurvature, RowGradient, along, at,
+    PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient, along, at,
     vector_forms,
 };
 use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
-use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, Sources};
+use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
@@ -38,7 +38,7 @@ use self::sets::convex_sets;
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
 /// Largest change of a free duration in one step of the solver, over that of the grid.
-const LARGEST_STRETCH: f64 = 0.1;
+const LARGEST_TIME_SCALE_CHANGE: f64 = 0.1;
 /// Rotation of a node below which a step may stretch the rod, by the square of it.
 const SMALL_TURN: f64 = 1e-3;
 /// Products of a Gauss-Newton Hessian from which they take more than some hundredths of a second.
@@ -121,8 +121,8 @@ impl<'a> Transcription<'a> {
             path_starts.push(path_starts[path_starts.len() - 1] + rows);
         }
         let path_durations = (path.iter())
-            .map(|constraint| constraint.lasting(problem.grid.step))
-            .map(|lasting| lasting.into_iter().map(|(_, duration)| duration).collect())
+            .map(|constraint| constraint.node_durations(problem.grid.step))
+            .map(|nodes| nodes.into_iter().map(|(_, duration)| duration).collect())
             .collect();
         Self {
             sets: convex_sets(problem, &components, &goal_rows, &slack_variables),
@@ -243,7 +243,7 @@ impl<'a> Transcription<'a> {
     fn grid(&self, variables: &[f64]) -> TimeGrid {
         let grid = self.problem.grid;
         TimeGrid {
-            step: grid.step * self.problem.stretch(variables),
+            step: grid.step * self.problem.time_scale(variables),
             ..grid
         }
     }
@@ -256,8 +256,8 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    pub(crate) fn posture<'b>(&'b self, point: &'b LiftedPoint) -> Posture<'b> {
-        Posture {
+    pub(crate) fn rod_view<'b>(&'b self, point: &'b LiftedPoint) -> RodView<'b> {
+        RodView {
             rod: &self.problem.rod,
             radii: &self.problem.radii,
             trajectory: &point.trajectory,
@@ -343,16 +343,16 @@ impl<'a> Transcription<'a> {
 
     /// The residuals of the costs over states.
     fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         self.samples(point)
-            .flat_map(|(k, duration)| cost_rows(self.problem, &posture, k, duration))
+            .flat_map(|(k, duration)| cost_rows(self.problem, &rod_view, k, duration))
             .collect()
     }
 
     /// Time nodes at which costs over states are sampled, with what they stand for at a point, s.
     fn samples(&self, point: &LiftedPoint) -> impl Iterator<Item = (usize, f64)> {
-        let stretch = self.problem.stretch(&point.variables);
-        (self.samples.iter()).map(move |&(k, duration)| (k, duration * stretch))
+        let time_scale = self.problem.time_scale(&point.variables);
+        (self.samples.iter()).map(move |&(k, duration)| (k, duration * time_scale))
     }
 
     /// Residuals of the goals minus the variables that soft ones have for them.
@@ -365,12 +365,12 @@ impl<'a> Transcription<'a> {
 
     /// Values of all path rows.
     fn path_values(&self, point: &LiftedPoint) -> Vec<f64> {
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let mut values = Vec::with_capacity(self.n_path_rows());
         for constraint in &self.path {
             let n_items = constraint.limit.n_items(&self.problem.rod);
             for item in 0..n_items {
-                let value = |&k: &usize| constraint.limit.value(&posture, k, item);
+                let value = |&k: &usize| constraint.limit.value(&rod_view, k, item);
                 values.extend(constraint.time_nodes.iter().map(value));
             }
         }
@@ -407,29 +407,29 @@ impl<'a> Transcription<'a> {
             .collect()
     }
 
-    fn path_gradient(&self, posture: &Posture, row: usize) -> RowGradient {
+    fn path_gradient(&self, rod_view: &RodView, row: usize) -> RowGradient {
         let (constraint, k, item) = self.located(row);
-        constraint.limit.gradient(posture, k, item)
+        constraint.limit.gradient(rod_view, k, item)
     }
 
-    fn path_curvature(&self, posture: &Posture, row: usize) -> RowCurvature {
+    fn path_curvature(&self, rod_view: &RodView, row: usize) -> RowCurvature {
         let (constraint, k, item) = self.located(row);
-        constraint.limit.curvature(posture, k, item)
+        constraint.limit.curvature(rod_view, k, item)
     }
 
     /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
     fn own_curvature(&self, point: &LiftedPoint, multipliers: &Multipliers) -> Vec<RowCurvature> {
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let mut out = self.goal_curvature(&point.trajectory, &multipliers.constraints);
         for (row, &y) in multipliers.inequalities.iter().enumerate() {
             if y != 0.0 {
-                let mut curvature = self.path_curvature(&posture, row);
+                let mut curvature = self.path_curvature(&rod_view, row);
                 curvature.matrix *= y;
                 out.push(curvature);
             }
         }
         for (k, duration) in self.samples(point) {
-            out.extend(cost_curvature(self.problem, &posture, k, duration));
+            out.extend(cost_curvature(self.problem, &rod_view, k, duration));
         }
         out
     }
@@ -449,7 +449,7 @@ impl LiftedProgram for Transcription<'_> {
         &point.variables
     }
 
-    fn n_measured(&self) -> usize {
+    fn n_controls(&self) -> usize {
         self.n_controls
     }
 
@@ -487,10 +487,10 @@ impl LiftedProgram for Transcription<'_> {
                 "a free duration does not go with {conflict}"
             )));
         }
-        let stretch = self.problem.stretch(&point.variables);
-        if !(stretch > 0.0 && stretch.is_finite()) {
+        let time_scale = self.problem.time_scale(&point.variables);
+        if !(time_scale > 0.0 && time_scale.is_finite()) {
             return Err(Failure(format!(
-                "a duration of {stretch} times that of the grid"
+                "a duration of {time_scale} times that of the grid"
             )));
         }
         let control = self.signal(&point.variables);
@@ -612,7 +612,7 @@ impl LiftedProgram for Transcription<'_> {
             }
             row
         };
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         Ok(Some(StateLinearization {
             n_states: self.n_states().unwrap_or(0),
             equations: (motion.equations().into_iter())
@@ -630,7 +630,7 @@ impl LiftedProgram for Transcription<'_> {
                 })
                 .collect(),
             inequalities: (rows.iter())
-                .map(|&row| of_forms(self.path_gradient(&posture, row)))
+                .map(|&row| of_forms(self.path_gradient(&rod_view, row)))
                 .collect(),
             residuals: (self.state_costs(point).into_iter())
                 .map(|cost| of_forms(cost.gradient))
@@ -645,7 +645,7 @@ impl LiftedProgram for Transcription<'_> {
         evaluation: &Evaluation<Defects>,
         direction: &LiftedDirection,
     ) -> Result<Vec<f64>, Failure> {
-        let posture = self.posture(point);
+        let rod_view = self.rod_view(point);
         let n_nodes = self.problem.rod.n_nodes();
         let moved = |form: &StateForm| -> f64 {
             let at = |term: &FormTerm| {
@@ -661,7 +661,9 @@ impl LiftedProgram for Transcription<'_> {
         };
         let by_duration = |row: usize| {
             let change = self.duration_variable.map(|at| direction.variables[at]);
-            change.map_or(0.0, |change| change * self.path_slope(point, &posture, row))
+            change.map_or(0.0, |change| {
+                change * self.path_slope(point, &rod_view, row)
+            })
         };
         let furthest = (direction.trajectory.positions.iter())
             .map(Vector3::norm)
@@ -676,7 +678,7 @@ impl LiftedProgram for Transcription<'_> {
             if is_out_of_reach(row, h) {
                 return h;
             }
-            let gradient = self.path_gradient(&posture, row);
+            let gradient = self.path_gradient(&rod_view, row);
             h + gradient.iter().map(moved).sum::<f64>() + by_duration(row)
         };
         Ok((evaluation.inequalities.iter().enumerate())
@@ -695,9 +697,12 @@ impl LiftedProgram for Transcription<'_> {
         if let Some(acting) = &acting {
             control = acting.change(&control);
         }
-        let mut sources = Sources::against(defects);
-        if let (Some(at), Some(stretching)) = (self.duration_variable, self.stretching(point)?) {
-            sources.add(change[at], &stretching);
+        let mut sources = RightHandSide::against(defects);
+        if let (Some(at), Some(along_duration)) = (
+            self.duration_variable,
+            self.duration_right_hand_side(point)?,
+        ) {
+            sources.add(change[at], &along_duration);
         }
         let motion = Motion {
             control: acting.as_ref().map(|acting| &acting.signal),
@@ -743,11 +748,12 @@ impl LiftedProgram for Transcription<'_> {
 
     fn longest_step(&self, direction: &LiftedDirection) -> f64 {
         let by_turn = LARGEST_TURN / direction.trajectory.largest_rotation();
-        let stretching = (self.duration_variable).map_or(0.0, |at| direction.variables[at].abs());
-        by_turn.min(LARGEST_STRETCH / stretching)
+        let change_of_duration =
+            (self.duration_variable).map_or(0.0, |at| direction.variables[at].abs());
+        by_turn.min(LARGEST_TIME_SCALE_CHANGE / change_of_duration)
     }
 
-    fn restored_step(&self, point: &LiftedPoint, change: &[f64]) -> Result<LiftedPoint, Failure> {
+    fn rollout(&self, point: &LiftedPoint, change: &[f64]) -> Result<LiftedPoint, Failure> {
         let variables: Vec<f64> = point
             .variables
             .iter()

@@ -77,7 +77,7 @@ pub struct Defects {
 /// A right-hand side of the linearized equations of motion: a change of every row `r_k`, of the momenta at the end, and of the
 /// state at the start.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sources {
+pub struct RightHandSide {
     /// Linear rows, spatial, in the order of [`Defects::linear`]; without effect on fixed nodes.
     pub linear: Vec<Vector3<f64>>,
     /// Angular rows, body frame, in the same order.
@@ -91,7 +91,7 @@ pub struct Sources {
     pub start: Option<StateTangent>,
 }
 
-impl Sources {
+impl RightHandSide {
     /// Nothing but a deviation of the state at the start, over `n_steps` steps.
     #[must_use]
     pub fn at_start(deviation: StateTangent, n_steps: usize) -> Self {
@@ -149,7 +149,7 @@ impl Sources {
         }
     }
 
-    /// What an [outcome's adjoint](adjoint_sweep) says of these: the outcome's change.
+    /// What a [functional's adjoint](adjoint_sweep) says of these: the functional's change.
     #[must_use]
     pub fn paired(&self, sweep: &AdjointSweep) -> f64 {
         let rows = self.linear.len();

@@ -34,7 +34,7 @@ mod tangent;
 
 use self::step::stack;
 
-pub use self::defects::{Defects, Sources, defects};
+pub use self::defects::{Defects, RightHandSide, defects};
 pub use self::step::*;
 pub use self::sweeps::{AdjointSweep, adjoint_sweep, form_values, forward_sweep};
 pub use self::tangent::StateTangent;

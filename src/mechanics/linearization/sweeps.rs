@@ -8,7 +8,7 @@ use crate::mechanics::integrator::StepError;
 use crate::mechanics::load::Wrench;
 use crate::mechanics::signal::ControlSignal;
 
-use super::{Kick, Motion, Sources, StateTangent, StepLinearization};
+use super::{Kick, Motion, RightHandSide, StateTangent, StepLinearization};
 
 /// Solves the linearized equations of motion forward for one change of the control and of their right-hand side, the state at
 /// the start included. Returns the direction at every time node and `(δp, δπ)` at the end.
@@ -18,7 +18,7 @@ use super::{Kick, Motion, Sources, StateTangent, StepLinearization};
 pub fn forward_sweep(
     motion: &Motion,
     trajectory: &Trajectory,
-    sources: Option<&Sources>,
+    sources: Option<&RightHandSide>,
     control_change: &ControlSignal,
 ) -> Result<(TrajectoryTangent, StateTangent), StepError> {
     let size = motion.rod.n_nodes() * (motion.grid.n_steps + 1);
@@ -41,7 +41,7 @@ pub fn forward_sweep(
 pub fn form_values(
     motion: &Motion,
     trajectory: &Trajectory,
-    sources: Option<&Sources>,
+    sources: Option<&RightHandSide>,
     control_change: &ControlSignal,
     forms: &[StateForm],
 ) -> Result<Vec<f64>, StepError> {
@@ -56,7 +56,7 @@ pub fn form_values(
 fn sweep_tangents(
     motion: &Motion,
     trajectory: &Trajectory,
-    sources: Option<&Sources>,
+    sources: Option<&RightHandSide>,
     control_change: &ControlSignal,
     mut visit: impl FnMut(usize, &StateTangent),
 ) -> Result<StateTangent, StepError> {
@@ -134,7 +134,7 @@ impl AdjointSweep {
 }
 
 /// Pulls the sum of `forms` (in ascending order of time, weights multiplied in) back through the linearized equations of motion:
-/// their value on the answer to a control and [`Sources`] is the sum of [wrenches](AdjointSweep::wrench) times control, of
+/// their value on the answer to a control and [`RightHandSide`] is the sum of [wrenches](AdjointSweep::wrench) times control, of
 /// the rows times sources, and of the covector of the start times the deviation there.
 ///
 /// # Errors

@@ -41,7 +41,7 @@ use super::curvature::Multipliers;
 use super::forms::{NODE_COMPONENTS, StateForm};
 use super::implicit::IntervalWeights;
 use super::integrator::StepError;
-use super::linearization::{AdjointSweep, Motion, Sources, StateTangent};
+use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
 
 pub use self::repeated::RepeatedReverse;
@@ -85,7 +85,7 @@ pub struct Sensitivities {
     /// `n_forms × n_sources`: the forms' answers to the sources, with no change of control.
     pub form_sources: Mat<f64>,
     /// Second derivative of the Lagrangian along the columns, where multipliers were given: `n_columns × n_columns`,
-    /// symmetric; unit of the outcome per unit of both columns. See [`curvature`](super::curvature).
+    /// symmetric; unit of the functional per unit of both columns. See [`curvature`](super::curvature).
     pub curvature: Option<Mat<f64>>,
     /// The same form between every column and the answers to the sources, `n_columns × n_sources`: what defects add to the
     /// gradient of the model.
@@ -94,7 +94,7 @@ pub struct Sensitivities {
     pub source_curvature: Option<Mat<f64>>,
     /// Derivatives of the forms along the state at the start, `n_forms × 12 n_free`: `(δx, ζ, δp, δπ)` of every free node, node
     /// by node, momenta before the first kick. Given by the reverse route, which ends with them; the forward route answers to
-    /// [sources](Sources::start).
+    /// [sources](RightHandSide::start).
     pub start: Option<Mat<f64>>,
     /// The way that was taken.
     pub route: Route,
@@ -116,7 +116,7 @@ pub struct Sensitivities {
 pub fn sensitivities(
     motion: &Motion,
     trajectory: &Trajectory,
-    sources: &[&Sources],
+    sources: &[&RightHandSide],
     columns: &dyn ControlColumns,
     forms: &[StateForm],
     multipliers: Option<&Multipliers>,
@@ -190,7 +190,7 @@ pub fn adjoint(
 pub fn direction(
     motion: &Motion,
     trajectory: &Trajectory,
-    sources: Option<&Sources>,
+    sources: Option<&RightHandSide>,
     control_change: &ControlSignal,
     n_threads: usize,
 ) -> Result<(TrajectoryTangent, StateTangent), StepError> {
@@ -392,14 +392,14 @@ impl ControlColumns for OneColumn<'_> {
 struct Task<'a> {
     motion: &'a Motion<'a>,
     trajectory: &'a Trajectory,
-    sources: &'a [&'a Sources],
+    sources: &'a [&'a RightHandSide],
     columns: &'a dyn ControlColumns,
     forms: &'a [StateForm],
     n_threads: usize,
 }
 
 impl Task<'_> {
-    /// Sources come first, then the columns of the control.
+    /// Right-hand sides come first, then the columns of the control.
     fn n_all(&self) -> usize {
         self.sources.len() + self.columns.n_columns()
     }

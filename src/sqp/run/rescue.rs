@@ -64,7 +64,7 @@ fn peak(course: &[(f64, f64)]) -> f64 {
 /// What was done about a subproblem without a solution.
 pub(super) enum Recovery {
     Smaller,
-    Restored,
+    Restarted,
 }
 
 /// Whether steps must keep what they promise, which [careful](Filter::careful) ones do.
@@ -78,14 +78,14 @@ pub(super) enum Care {
 
 impl<P: LiftedProgram> Run<'_, P> {
     /// Computes the states from the variables, once; whether it did.
-    pub(in crate::sqp) fn settle(&mut self) -> bool {
-        if self.is_settled {
+    pub(in crate::sqp) fn roll_out(&mut self) -> bool {
+        if self.has_rolled_out {
             return false;
         }
-        self.is_settled = true;
+        self.has_rolled_out = true;
         let stay = vec![0.0; self.variables().len()];
-        Filter::restored(self.program, &self.point, &stay, 0)
-            .map(|settled| self.arrive(settled))
+        Filter::rollout(self.program, &self.point, &stay, 0)
+            .map(|there| self.arrive(there))
             .is_some()
     }
 
@@ -184,7 +184,7 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// The simulated point after a change of the variables, where it is near enough to the constraints.
     fn leads_out(&self, change: &[f64]) -> Option<Accepted<P>> {
-        let there = Filter::restored(self.program, &self.point, change, 0)?;
+        let there = Filter::rollout(self.program, &self.point, change, 0)?;
         let variables = self.program.variables(&there.point);
         let mut sets = self.program.sets().iter();
         let is_near = self.program.infeasibility(&there.evaluation) <= ESCAPE_INFEASIBILITY
@@ -249,12 +249,12 @@ impl<P: LiftedProgram> Run<'_, P> {
         }
         let still = vec![0.0; self.variables().len()];
         if self.evaluation.defect > self.settings.tolerance
-            && let Some(there) = Filter::restored(self.program, &self.point, &still, 0)
+            && let Some(there) = Filter::rollout(self.program, &self.point, &still, 0)
         {
             self.filter = self.fresh_filter(self.program.infeasibility(&there.evaluation));
             self.elastic_weight = None;
             self.arrive(there);
-            return Ok(Recovery::Restored);
+            return Ok(Recovery::Restarted);
         }
         self.trust_radius *= SHRINK;
         Ok(Recovery::Smaller)

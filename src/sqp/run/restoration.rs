@@ -60,11 +60,11 @@ impl<P: LiftedProgram> Run<'_, P> {
         let before = self.infeasibility();
         // What states that do not obey their equations promise or deny says nothing about constraints.
         if self.evaluation.defect > INFEASIBLE_PROGRESS * before
-            && let Some(settled) = Filter::restored(self.program, &self.point, &vec![0.0; n], 0)
+            && let Some(there) = Filter::rollout(self.program, &self.point, &vec![0.0; n], 0)
         {
-            phase.began_with = self.program.infeasibility(&settled.evaluation);
-            self.note_step(&settled, 0.0);
-            self.arrive(settled);
+            phase.began_with = self.program.infeasibility(&there.evaluation);
+            self.note_step(&there, 0.0);
+            self.arrive(there);
             self.restoration = Some(phase);
             return Ok(Step::Taken);
         }
@@ -81,7 +81,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                         phase.radius *= SHRINK;
                         continue;
                     }
-                    Recovery::Restored => return Ok(Step::Restored),
+                    Recovery::Restarted => return Ok(Step::Restarted),
                 },
                 Err(error) => return Err(error),
             };
@@ -100,7 +100,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 }
             }
             let clock = Instant::now();
-            let trial = Filter::restored(self.program, &self.point, &solution.change, 0);
+            let trial = Filter::rollout(self.program, &self.point, &solution.change, 0);
             self.phases.globalize += clock.elapsed().as_secs_f64();
             let Some(trial) = trial else {
                 phase.radius = SHRINK * length.min(phase.radius);

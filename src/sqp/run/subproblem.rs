@@ -102,7 +102,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         model: &ModelHessian,
         sets: &[ConvexSet],
     ) -> Result<QpSolution, QpError> {
-        let unit = linearization.cost_unit();
+        let unit = linearization.cost_scale();
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
         let mut solution = self.solve_once(linearization, model, sets, weight)?;
         // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.

@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::functional::Functional;
 use super::motion::{
     Conditions, Gradient, chord, energy_gradient, j_d, kick, momentum_after, momentum_before,
 };
-use super::outcome::Outcome;
 use super::stresses::StressLink;
 use crate::control::GoalPart;
 use crate::mechanics::differences;
@@ -14,11 +14,11 @@ use crate::mechanics::{RodModel, Wrench};
 use crate::verify::{acting, dual, interval};
 
 impl Conditions<'_> {
-    /// Adjoint equations backward in time: derivative of an outcome along the wrench on every actuated node at every time node,
+    /// Adjoint equations backward in time: derivative of a functional along the wrench on every actuated node at every time node,
     /// in the order of the signal. Multipliers of goals enter here only where they are about momenta.
     pub(in crate::verify) fn control_gradient(
         &self,
-        outcome: &Outcome,
+        functional: &Functional,
         goals: &[f64],
     ) -> Vec<Wrench> {
         let rod = self.rod();
@@ -49,8 +49,8 @@ impl Conditions<'_> {
             }
             let (decay, weight, impulse) = kick(rod, h, k, n);
             for q in first..count {
-                cx[q] += outcome.x[k * count + q];
-                ceta[q] += outcome.eta[k * count + q];
+                cx[q] += functional.x[k * count + q];
+                ceta[q] += functional.eta[k * count + q];
             }
             for (i, &node) in nodes.iter().enumerate() {
                 out[k * width + i] = Wrench {
@@ -288,7 +288,7 @@ impl Conditions<'_> {
         }
     }
 
-    /// Derivative of an outcome along the controls of actuators of one's own at time node `k`, in the places that they have among
+    /// Derivative of a functional along the controls of actuators of one's own at time node `k`, in the places that they have among
     /// the wrenches.
     fn add_own_controls(
         &self,

@@ -7,8 +7,8 @@
 
 mod adjoint;
 pub(super) mod controls;
+pub(super) mod functional;
 pub(super) mod motion;
-pub(super) mod outcome;
 pub(in crate::verify) mod rest;
 mod rows;
 mod stresses;
@@ -88,8 +88,8 @@ pub fn recompute(
         ..equalities.or(defects.worst).or(base).part("equalities")
     };
     let on_path = conditions.path_conditions(multipliers.path);
-    let (outcome, state_cost) = conditions.outcome(multipliers);
-    let pulled = conditions.control_gradient(&outcome, multipliers.goals);
+    let (functional, state_cost) = conditions.functional(multipliers);
+    let pulled = conditions.control_gradient(&functional, multipliers.goals);
 
     let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
     // As the solver: a problem whose terms all vanish is judged against one unit of effort.

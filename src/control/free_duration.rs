@@ -69,12 +69,12 @@ impl Vanishing {
     /// problem.
     pub(super) fn follow(
         &self,
-        releasing: &Releasing,
+        solver: &FreeDurationSolver,
         first: SqpOutcome<LiftedPoint>,
         before: &mut Vec<Abandoned>,
     ) -> SqpOutcome<LiftedPoint> {
         // None of these solves has another first point to give way to.
-        let observer = |row: &IterationRecord| releasing.journal.row(row);
+        let observer = |row: &IterationRecord| solver.journal.row(row);
         let mut leads = first.status == SqpStatus::Converged;
         let mut last = first;
         for (problem, part) in self.problems.iter().zip(VANISHING).skip(1) {
@@ -82,12 +82,12 @@ impl Vanishing {
                 continue;
             }
             before.push(counted("free duration", &last));
-            let stage = Releasing {
+            let stage = FreeDurationSolver {
                 problem,
-                settings: releasing.settings,
-                n_threads: releasing.n_threads,
+                settings: solver.settings,
+                n_threads: solver.n_threads,
                 observer: &observer,
-                journal: releasing.journal,
+                journal: solver.journal,
             };
             let program = Transcription::new(problem, stage.n_threads);
             let name = format!("controls and duration, effort {part} of the price");
@@ -104,7 +104,7 @@ impl Vanishing {
 }
 
 /// What a solve needs to know.
-pub(super) struct Releasing<'a> {
+pub(super) struct FreeDurationSolver<'a> {
     pub problem: &'a OptimalControlProblem,
     pub settings: &'a SqpSettings,
     pub n_threads: usize,
@@ -113,44 +113,44 @@ pub(super) struct Releasing<'a> {
 }
 
 /// A solution with a fixed duration.
-struct Held {
-    stretch: f64,
+struct FixedDuration {
+    time_scale: f64,
     outcome: SqpOutcome<LiftedPoint>,
-    /// Value with the price of the duration, and its derivative along the stretch.
+    /// Value with the price of the duration, and its derivative along the time scale.
     value: f64,
     slope: f64,
     /// What of the slope a limit of the duration holds: minus the limit's multiplier.
     held_slope: f64,
 }
 
-impl Held {
+impl FixedDuration {
     fn is_flat(&self) -> bool {
-        (self.slope - self.held_slope).abs() * self.stretch <= FLAT * self.value.abs()
+        (self.slope - self.held_slope).abs() * self.time_scale <= FLAT * self.value.abs()
     }
 
     /// As an outcome of the problem with a free duration, which it solves where it is flat.
     fn released(self) -> SqpOutcome<LiftedPoint> {
         let mut outcome = self.outcome;
         outcome.objective = self.value;
-        outcome.point.variables.push(self.stretch);
+        outcome.point.variables.push(self.time_scale);
         (outcome.multipliers.normals).insert(0, vec![-self.held_slope]);
         outcome
     }
 }
 
-impl Releasing<'_> {
-    /// From the outcome of the problem held at `stretch`; the solves before the last one are counted in `before`.
+impl FreeDurationSolver<'_> {
+    /// From the outcome of the problem held at `time_scale`; the solves before the last one are counted in `before`.
     ///
     /// The optimal value over the duration swings with the arm's waves and may have several minima. A minimum that is the only one has a
     /// value that rises away from it: where it falls instead, a [`BESIDE`] shorter or longer, or is lower, there is another, and the
     /// lower of both is kept.
-    pub(super) fn release(
+    pub(super) fn solve(
         &self,
-        stretch: f64,
+        time_scale: f64,
         held: SqpOutcome<LiftedPoint>,
         before: &mut Vec<Abandoned>,
     ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
-        let found = self.released(stretch, held, before)?;
+        let found = self.released(time_scale, held, before)?;
         Ok(self.lower(found, &[1.0 / BESIDE, BESIDE], before))
     }
 
@@ -182,20 +182,20 @@ impl Releasing<'_> {
         factor: f64,
         before: &mut Vec<Abandoned>,
     ) -> Option<SqpOutcome<LiftedPoint>> {
-        let here = self.problem.stretch(&best.point.variables);
+        let here = self.problem.time_scale(&best.point.variables);
         let [shortest, longest] = self.limits()?;
-        let stretch = (here * factor).clamp(shortest, longest);
-        if stretch == here {
+        let time_scale = (here * factor).clamp(shortest, longest);
+        if time_scale == here {
             return None;
         }
         let mut point = best.point.clone();
         point.variables.pop();
-        let side = self.hold(program, stretch, &point, before)?;
-        let falls = (side.slope - side.held_slope) * (stretch - here) < 0.0;
+        let side = self.hold(program, time_scale, &point, before)?;
+        let falls = (side.slope - side.held_slope) * (time_scale - here) < 0.0;
         if !(falls || side.value < best.objective) {
             return None;
         }
-        let both = self.solve_both(program, self.settings, side.stretch, &side.outcome);
+        let both = self.solve_both(program, self.settings, side.time_scale, &side.outcome);
         let both = both.ok()?;
         let better = |other: &SqpOutcome<LiftedPoint>| {
             other.status == SqpStatus::Converged
@@ -217,14 +217,17 @@ impl Releasing<'_> {
     fn hold(
         &self,
         program: &Transcription,
-        stretch: f64,
+        time_scale: f64,
         near: &LiftedPoint,
         before: &mut Vec<Abandoned>,
-    ) -> Option<Held> {
-        let problem = self.problem.stretched(stretch).held();
+    ) -> Option<FixedDuration> {
+        let problem = self
+            .problem
+            .with_time_scale(time_scale)
+            .with_fixed_duration();
         let held_program = Transcription::new(&problem, self.n_threads);
         let none = vec![0.0; near.variables.len()];
-        let start = held_program.restored_step(near, &none).ok()?;
+        let start = held_program.rollout(near, &none).ok()?;
         let settings = SqpSettings {
             max_iterations: self.settings.max_iterations.min(PATIENCE),
             ..self.settings.clone()
@@ -237,7 +240,7 @@ impl Releasing<'_> {
         );
         before.push(counted("held duration", &outcome));
         (outcome.status == SqpStatus::Converged)
-            .then(|| self.examine(program, stretch, outcome))
+            .then(|| self.examine(program, time_scale, outcome))
             .flatten()
     }
 
@@ -258,7 +261,7 @@ impl Releasing<'_> {
 
     fn released(
         &self,
-        stretch: f64,
+        time_scale: f64,
         held: SqpOutcome<LiftedPoint>,
         before: &mut Vec<Abandoned>,
     ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
@@ -266,14 +269,14 @@ impl Releasing<'_> {
         let is_solved = held.status == SqpStatus::Converged;
         before.push(counted("held duration", &held));
         if let Some(stop) = self.problem.stop.raised() {
-            return Ok(self.left_at(stretch, held, stop));
+            return Ok(self.left_at(time_scale, held, stop));
         }
         let mut settings = self.settings.clone();
         if is_solved {
             settings.max_iterations = settings.max_iterations.min(PATIENCE);
         }
-        let first = match self.solve_both(&program, &settings, stretch, &held) {
-            Err(StepError::Stopped(stop)) => return Ok(self.left_at(stretch, held, stop)),
+        let first = match self.solve_both(&program, &settings, time_scale, &held) {
+            Err(StepError::Stopped(stop)) => return Ok(self.left_at(time_scale, held, stop)),
             first => first?,
         };
         if let SqpStatus::Stopped(stop) = first.status
@@ -281,18 +284,18 @@ impl Releasing<'_> {
             && first.residual.feasibility > self.settings.tolerance
         {
             before.push(counted("free duration", &first));
-            return Ok(self.left_at(stretch, held, stop));
+            return Ok(self.left_at(time_scale, held, stop));
         }
         let finished = matches!(first.status, SqpStatus::Converged | SqpStatus::Stopped(_));
         let Some(held) = (!finished && is_solved)
-            .then(|| self.examine(&program, stretch, held))
+            .then(|| self.examine(&program, time_scale, held))
             .flatten()
         else {
             return Ok(first);
         };
         before.push(counted("free duration", &first));
         let lowest = self.descend(&program, held, before);
-        let both = self.solve_both(&program, self.settings, lowest.stretch, &lowest.outcome);
+        let both = self.solve_both(&program, self.settings, lowest.time_scale, &lowest.outcome);
         let both = match both {
             Err(StepError::Stopped(stop)) => {
                 let mut outcome = lowest.released();
@@ -312,13 +315,13 @@ impl Releasing<'_> {
     /// A solution or an attempt with a fixed duration, where the solve of both was stopped before it had a better one.
     fn left_at(
         &self,
-        stretch: f64,
+        time_scale: f64,
         mut held: SqpOutcome<LiftedPoint>,
         stop: Stop,
     ) -> SqpOutcome<LiftedPoint> {
         held.status = SqpStatus::Stopped(stop);
-        held.objective += self.problem.duration_price() * stretch;
-        held.point.variables.push(stretch);
+        held.objective += self.problem.duration_price() * time_scale;
+        held.point.variables.push(time_scale);
         held.multipliers.normals.insert(0, vec![0.0]);
         held
     }
@@ -334,13 +337,16 @@ impl Releasing<'_> {
         &self,
         program: &Transcription,
         settings: &SqpSettings,
-        stretch: f64,
+        time_scale: f64,
         held: &SqpOutcome<LiftedPoint>,
     ) -> Result<SqpOutcome<LiftedPoint>, StepError> {
-        let problem = self.problem.stretched(stretch).held();
+        let problem = self
+            .problem
+            .with_time_scale(time_scale)
+            .with_fixed_duration();
         let control = problem.signal(&problem.control, &problem.wrenches(&held.point.variables));
         let mut variables = held.point.variables.clone();
-        variables.push(stretch);
+        variables.push(time_scale);
         let point = LiftedPoint {
             variables,
             trajectory: simulate(&problem, problem.grid, &control)?,
@@ -353,12 +359,12 @@ impl Releasing<'_> {
     fn examine(
         &self,
         program: &Transcription,
-        stretch: f64,
+        time_scale: f64,
         outcome: SqpOutcome<LiftedPoint>,
-    ) -> Option<Held> {
+    ) -> Option<FixedDuration> {
         let at = self.problem.duration_variable()?;
         let mut point = outcome.point.clone();
-        point.variables.push(stretch);
+        point.variables.push(time_scale);
         // The duration's own limits are the first set of the free program.
         let mut multipliers = outcome.multipliers.clone();
         multipliers.normals.insert(0, vec![0.0]);
@@ -366,14 +372,14 @@ impl Releasing<'_> {
         let slope = gradient[at] + along_sets(program, &multipliers, at);
         let [shortest, longest] = self.limits()?;
         let is_held = if slope > 0.0 {
-            stretch <= shortest
+            time_scale <= shortest
         } else {
-            stretch >= longest
+            time_scale >= longest
         };
-        Some(Held {
+        Some(FixedDuration {
             held_slope: if is_held { slope } else { 0.0 },
-            value: outcome.objective + self.problem.duration_price() * stretch,
-            stretch,
+            value: outcome.objective + self.problem.duration_price() * time_scale,
+            time_scale,
             outcome,
             slope,
         })
@@ -383,9 +389,9 @@ impl Releasing<'_> {
     fn descend(
         &self,
         program: &Transcription,
-        mut here: Held,
+        mut here: FixedDuration,
         before: &mut Vec<Abandoned>,
-    ) -> Held {
+    ) -> FixedDuration {
         let Some(limits) = self.limits() else {
             return here;
         };
@@ -397,14 +403,17 @@ impl Releasing<'_> {
             let mut next = None;
             for _ in 0..MOST_ATTEMPTS {
                 let change = -length.copysign(here.slope);
-                let stretch = (here.stretch + change).clamp(limits[0], limits[1]);
-                if stretch == here.stretch {
+                let time_scale = (here.time_scale + change).clamp(limits[0], limits[1]);
+                if time_scale == here.time_scale {
                     break;
                 }
-                let problem = self.problem.stretched(stretch).held();
+                let problem = self
+                    .problem
+                    .with_time_scale(time_scale)
+                    .with_fixed_duration();
                 let held_program = Transcription::new(&problem, self.n_threads);
                 let none = vec![0.0; here.outcome.point.variables.len()];
-                let Ok(start) = held_program.restored_step(&here.outcome.point, &none) else {
+                let Ok(start) = held_program.rollout(&here.outcome.point, &none) else {
                     length *= SHORTER;
                     continue;
                 };
@@ -418,9 +427,9 @@ impl Releasing<'_> {
                 if matches!(outcome.status, SqpStatus::Stopped(_)) {
                     return here;
                 }
-                let promised = here.slope * (stretch - here.stretch);
+                let promised = here.slope * (time_scale - here.time_scale);
                 let found = (outcome.status == SqpStatus::Converged)
-                    .then(|| self.examine(program, stretch, outcome))
+                    .then(|| self.examine(program, time_scale, outcome))
                     .flatten()
                     .filter(|found| found.value <= here.value + SUFFICIENT * promised);
                 if found.is_some() {
@@ -432,7 +441,7 @@ impl Releasing<'_> {
             let Some(next) = next else {
                 break;
             };
-            let curvature = (next.slope - here.slope) / (next.stretch - here.stretch);
+            let curvature = (next.slope - here.slope) / (next.time_scale - here.time_scale);
             length *= 2.0;
             if curvature > 0.0 {
                 length = length.min(next.slope.abs() / curvature);

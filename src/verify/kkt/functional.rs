@@ -11,17 +11,20 @@ use crate::verify::limits::{Pose, add_state_cost, slope_at_zero};
 use crate::verify::samples;
 
 /// Covectors of a configuration at every time node: of positions and of body rotations, time-major.
-pub(in crate::verify) struct Outcome {
+pub(in crate::verify) struct Functional {
     pub(in crate::verify) x: Vec<Vector3<f64>>,
     pub(in crate::verify) eta: Vec<Vector3<f64>>,
 }
 
 impl Conditions<'_> {
     /// Covectors of `J + Σ y c + Σ z h` over the configurations at every time node, and the part of `J` over states.
-    pub(in crate::verify) fn outcome(&self, multipliers: &SolutionMultipliers) -> (Outcome, f64) {
+    pub(in crate::verify) fn functional(
+        &self,
+        multipliers: &SolutionMultipliers,
+    ) -> (Functional, f64) {
         let n = self.rod().n_nodes();
         let zeros = vec![Vector3::zeros(); n * self.trajectory.n_times()];
-        let mut out = Outcome {
+        let mut out = Functional {
             x: zeros.clone(),
             eta: zeros,
         };
@@ -106,8 +109,8 @@ impl Conditions<'_> {
         }
         for (index, constraint) in self.path.iter().enumerate() {
             let scale = constraint.limit.scale(self.rod());
-            let lasting = samples::of_path(constraint, self.problem.grid.step);
-            for (k, duration) in lasting {
+            let durations = samples::of_path(constraint, self.problem.grid.step);
+            for (k, duration) in durations {
                 if self.problem.stop.is_raised() {
                     break;
                 }
