@@ -1048,31 +1048,6 @@ fn neighbors_hold_what_is_their_own() {
     }
 }
 
-/// At x = 2, where the objective `½ (x - 8)²` leads in one step, the row `1 - (1 - y) exp(-x⁸) = 0` is flat: nothing promises to meet it. The way
-/// starts nearly feasible, though, so that the solve goes back instead of blaming the row, and ends where `|y| ≤ 1` leaves the largest x:
-/// `y = -1`, `x⁸ = ln 2`.
-#[test]
-fn astray_is_not_infeasible() {
-    let program = Program {
-        n_variables: 2,
-        constraints: Box::new(|x| {
-            let decay = (x[0].square().square().square() * -1.0).exp();
-            vec![(x[1].clone() - 1.0) * decay + 1.0]
-        }),
-        ..squares(
-            &[(0.5, 0, 8.0)],
-            |_| Vec::new(),
-            bounds(&[FREE, (-1.0, 1.0)]),
-        )
-    };
-    for hessian in [HessianChoice::Auto, HessianChoice::Exact] {
-        let outcome = go(&program, &[0.0, 1e-3], &settings(hessian));
-        assert_eq!(outcome.status, SqpStatus::Converged, "{hessian:?}");
-        let x = 2.0_f64.ln().powf(0.125);
-        near(&outcome.point.v, &[x, -1.0], 1e-6);
-    }
-}
-
 /// The smallest programs: one variable without any rows; sets that fix variables; a ball of radius zero.
 #[test]
 fn small_programs_are_solved() {

@@ -1,6 +1,5 @@
 //! From a problem to a solution: several first points, continuation from easier problems, and several starts.
 
-use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::sync::Mutex;
 
@@ -118,29 +117,14 @@ impl Attempt {
             .then(self.start.cmp(&other.start))
     }
 
-    /// Whether this attempt replaces an earlier one. An attempt that was proven infeasible is replaced by an unfinished one only if
-    /// the infeasibility of that is far smaller ([`NEARER`]).
+    /// Whether this attempt replaces an earlier one. One that was proven infeasible is not replaced by one that is unfinished.
     fn improves_on(&self, earlier: &Self) -> bool {
         let is_proven = |attempt: &Self| attempt.outcome.status == SqpStatus::LocallyInfeasible;
-        let [new, old] = [self, earlier].map(|attempt| attempt.outcome.residual.feasibility);
-        let far_nearer = new <= NEARER * old;
-        self.rank(earlier).is_lt() && (!is_proven(earlier) || is_proven(self) || far_nearer)
+        let is_unfinished = self.outcome.status != SqpStatus::Converged && !is_proven(self);
+        self.rank(earlier).is_lt() && !(is_proven(earlier) && is_unfinished)
     }
 }
 
-/// Iterations after which another first point is tried, if there is one left and the solve makes no progress ([`RECENT`]).
-const PATIENCE: usize = 50;
-/// The same if the infeasibility is below [`NEARLY_FEASIBLE`]: the solve then still has to lower the objective.
-const NEARLY_FEASIBLE: f64 = 1e-2;
-const PATIENCE_NEARLY_FEASIBLE: usize = 100;
-/// A solve makes progress if its least infeasibility falls to [`RECENT_GAIN`] of itself over so many iterations.
-const RECENT: usize = 25;
-const RECENT_GAIN: f64 = 0.9;
-/// Iterations after which an earlier solution as a first point is given up for another one. On another grid the fast waves of a light tip
-/// have other phases, so that the controls of the earlier solution may excite them.
-const NEXT_BY: usize = 25;
-/// An unfinished attempt replaces one that was proven infeasible below this part of its infeasibility.
-const NEARER: f64 = 0.5;
 /// Detours that are tried around obstacles before a single start gives up.
 const DETOURS: usize = 6;
 /// Distance of a detour from the middle of the way, in rod lengths, at most.
@@ -247,72 +231,12 @@ fn first_points<'a>(
     firsts.push(First::Guess(Guess::Rest));
     let is_obstacle = |limit: &PathLimit| matches!(limit, PathLimit::Clearance { .. });
     let around = problem.path.iter().any(|path| is_obstacle(&path.limit));
-    if around && search.starts <= 1 {
-        // On one side of an obstacle; the shapes straight on the way may lie in the middle of it.
-        firsts.extend((1..=DETOURS).map(First::Detour));
-    }
-    firsts.push(First::Guess(Guess::StaticPath));
-    if !around && search.starts <= 1 {
-        // An arm in line with its target does not see that it could bend.
-        firsts.push(First::Detour(1));
-    }
     if search.starts <= 1 {
-        firsts.push(First::Guess(Guess::Slow));
+        // On one side of an obstacle; and an arm in line with its target does not see that it could bend.
+        let detours = if around { DETOURS } else { 1 };
+        firsts.extend((1..=detours).map(First::Detour));
     }
     firsts
-}
-
-/// Iterations for the next solve after `used` of them: all together have as many as one may take, but each has its chance.
-fn share(settings: &SqpSettings, used: usize) -> usize {
-    let most = settings.max_iterations;
-    most.saturating_sub(used).max(most.min(2 * PATIENCE))
-}
-
-/// Gives a solve up for another first point once it does not get on.
-#[derive(Default)]
-struct Patience {
-    /// Whether the solve starts from an earlier solution, which leads to the next one soon or not at all.
-    from_previous: bool,
-    /// Least infeasibility up to every iteration of the present solve.
-    least: RefCell<Vec<f64>>,
-    is_lost: Cell<bool>,
-}
-
-impl Patience {
-    fn lasts(&self, iteration: usize, infeasibility: f64) -> ControlFlow<Stop> {
-        let mut least = self.least.borrow_mut();
-        if iteration == 0 {
-            least.clear();
-        }
-        let now = (least.last().copied().unwrap_or(f64::INFINITY)).min(infeasibility);
-        least.push(now);
-        let gets_on = if self.from_previous {
-            iteration < NEXT_BY
-        } else {
-            let then = least.iter().rev().nth(RECENT);
-            let falls = then.is_none_or(|then| now < RECENT_GAIN * then);
-            let patience = if now <= NEARLY_FEASIBLE {
-                PATIENCE_NEARLY_FEASIBLE
-            } else {
-                PATIENCE
-            };
-            iteration < patience || falls
-        };
-        if gets_on {
-            return ControlFlow::Continue(());
-        }
-        self.is_lost.set(true);
-        ControlFlow::Break(Stop::Interrupted)
-    }
-
-    /// Why it was lost.
-    fn words(&self) -> String {
-        if self.from_previous {
-            format!("given up: not solved within {NEXT_BY} iterations")
-        } else {
-            format!("given up: hardly nearer to feasibility in {RECENT} iterations")
-        }
-    }
 }
 
 /// One start, and its solves.
@@ -343,133 +267,82 @@ fn attempted(
     let firsts = first_points(problem, search, start);
     let mut best: Option<Attempt> = None;
     let mut tried_rest = false;
+    let mut failed = None;
     for (i, &first) in firsts.iter().enumerate() {
         if let (Some(best), Some(stop)) = (&mut best, problem.stop.raised()) {
             best.outcome.status = SqpStatus::Stopped(stop);
             break;
         }
-        let mut settings = settings.clone();
+        // All first points together have as many iterations as one may take.
         let used = best.as_ref().map_or(0, Attempt::iterations);
-        settings.max_iterations = share(&settings, used);
-        let is_static = matches!(first, First::Guess(Guess::StaticPath));
-        let may_give_up = i + 1 < firsts.len();
-        let patience = Patience {
-            from_previous: matches!(first, First::Previous(_)),
-            ..Patience::default()
+        let settings = SqpSettings {
+            max_iterations: settings.max_iterations.saturating_sub(used),
+            ..settings.clone()
         };
+        if i > 0 && settings.max_iterations == 0 {
+            break;
+        }
         let from = Start {
             first,
             tried_rest,
             journal,
             is_held: false,
         };
-        let staged = match staged(problem, &settings, search, from, n_threads, &|row| {
-            journal.row(row)?;
-            if may_give_up {
-                patience.lasts(row.iteration, row.infeasibility)?;
-            }
-            ControlFlow::Continue(())
+        let found = match staged(problem, &settings, search, from, n_threads, &|row| {
+            journal.row(row)
         }) {
             Ok(None) => continue,
-            Ok(Some(mut found)) => {
-                let stopped = found.outcome.status == SqpStatus::Stopped(Stop::Interrupted);
-                if stopped && patience.is_lost.get() {
-                    found.outcome.status = SqpStatus::IterationLimit;
-                    journal.end(patience.words());
-                }
-                found
-            }
+            Ok(Some(staged)) => Attempt {
+                start,
+                from: staged.from,
+                outcome: staged.outcome,
+                abandoned: staged.before,
+                solves: Vec::new(),
+                chosen: 0,
+            },
             Err(error) => match error.stopped() {
                 Some(stop) if best.is_none() => return unmoved(problem, start, stop),
-                None if best.is_none() && i + 1 == firsts.len() => return Err(error),
-                _ => continue,
+                _ => {
+                    failed = Some(error);
+                    continue;
+                }
             },
         };
-        tried_rest |= staged.from == Guess::Rest.name();
-        let found = Attempt {
-            start,
-            from: staged.from,
-            outcome: staged.outcome,
-            abandoned: staged.before,
-            solves: Vec::new(),
-            chosen: 0,
-        };
-        let ended = matches!(
-            found.outcome.status,
-            SqpStatus::Converged | SqpStatus::Stopped(_)
-        );
-        // All iterations together are used up.
-        let is_over = is_static
-            && found.outcome.status == SqpStatus::IterationLimit
-            && !patience.is_lost.get();
+        tried_rest |= found.from == Guess::Rest.name();
+        let status = found.outcome.status.clone();
         best = Some(match best {
             None => found,
-            Some(earlier) => {
-                let status = found.outcome.status.clone();
-                let is_solved = status == SqpStatus::Converged;
-                let (mut kept, dropped) = if is_solved || found.improves_on(&earlier) {
-                    (found, earlier)
-                } else {
-                    (earlier, found)
-                };
-                if matches!(status, SqpStatus::Stopped(_)) {
-                    kept.outcome.status = status;
-                }
-                kept.abandoned.extend(dropped.abandoned);
-                kept.abandoned.push(Abandoned {
-                    from: dropped.from,
-                    infeasible: dropped.outcome.status == SqpStatus::LocallyInfeasible,
-                    iterations: iterations(&dropped.outcome),
-                });
-                kept
-            }
+            Some(earlier) => better_of(earlier, found),
         });
-        if ended || is_over {
+        if matches!(status, SqpStatus::Converged | SqpStatus::Stopped(_)) {
             break;
         }
     }
-    if let (None, Some(stop)) = (&best, problem.stop.raised()) {
-        return unmoved(problem, start, stop);
+    match (best, problem.stop.raised(), failed) {
+        (Some(best), _, _) => Ok(best),
+        (None, None, Some(error)) => Err(error),
+        (None, stop, _) => unmoved(problem, start, stop.unwrap_or(Stop::Interrupted)),
     }
-    let Some(best) = best else {
-        unreachable!("the last first point is solved from, or its error returned")
+}
+
+/// The better of two attempts of a start, with the other one among those that were given up.
+fn better_of(earlier: Attempt, found: Attempt) -> Attempt {
+    let status = found.outcome.status.clone();
+    let (mut kept, dropped) = if found.improves_on(&earlier) {
+        (found, earlier)
+    } else {
+        (earlier, found)
     };
-    let cut = best.outcome.status == SqpStatus::IterationLimit
-        && iterations(&best.outcome) < settings.max_iterations;
-    if !cut || search.continuation.is_some() || problem.duration.is_some() {
-        return Ok(best);
+    if matches!(status, SqpStatus::Stopped(_)) {
+        kept.outcome.status = status;
     }
-    // Given up for first points that were no better: it goes on.
-    let settings = SqpSettings {
-        max_iterations: share(settings, best.iterations()),
-        ..settings.clone()
-    };
-    let program = Transcription::new(problem, n_threads);
-    let point = best.outcome.point.clone();
-    journal.begin(format!("{}, resumed where it was", best.from));
-    let outcome = solve(&program, point, &settings, &mut |row| journal.row(row));
-    journal.end_as(&outcome.status);
-    let mut resumed = Attempt {
-        start,
-        from: best.from,
-        outcome,
-        abandoned: best.abandoned.clone(),
-        solves: Vec::new(),
-        chosen: 0,
-    };
-    if !resumed.improves_on(&best) {
-        let mut best = best;
-        if matches!(resumed.outcome.status, SqpStatus::Stopped(_)) {
-            best.outcome.status = resumed.outcome.status;
-        }
-        return Ok(best);
-    }
-    resumed.abandoned.push(Abandoned {
-        from: best.from,
-        infeasible: false,
-        iterations: iterations(&best.outcome),
+    kept.abandoned.extend(dropped.abandoned);
+    kept.abandoned.push(Abandoned {
+        from: dropped.from,
+        infeasible: dropped.outcome.status == SqpStatus::LocallyInfeasible,
+        iterations: iterations(&dropped.outcome),
     });
-    Ok(resumed)
+    kept
 }
 
 /// What is left of a start that was stopped before it had a first point: the motion without any control.
@@ -697,52 +570,4 @@ fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f
 /// Starts are apart in the seed by an odd constant, so that no two share a sequence.
 fn random(seed: u64, start: usize) -> fastrand::Rng {
     fastrand::Rng::with_seed(seed ^ (start as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The iteration at which a solve with these infeasibilities is given up.
-    fn given_up(infeasibility: impl Fn(usize) -> f64) -> Option<usize> {
-        given_up_by(&Patience::default(), infeasibility)
-    }
-
-    fn given_up_by(patience: &Patience, infeasibility: impl Fn(usize) -> f64) -> Option<usize> {
-        let at = (0..300).find(|&k| patience.lasts(k, infeasibility(k)).is_break());
-        assert_eq!(patience.is_lost.get(), at.is_some());
-        at
-    }
-
-    /// A solve without progress is given up after `PATIENCE` iterations, and later if it is nearly feasible; one that stops making progress
-    /// a little after that; one whose infeasibility falls by more than a tenth in 25 iterations never, unless it began from an earlier solution.
-    #[test]
-    fn what_gets_on_is_not_given_up() {
-        let falling = |rate: f64| move |k: usize| rate.powf(k as f64 / RECENT as f64);
-        assert_eq!(given_up(|_| 1.0), Some(PATIENCE));
-        assert_eq!(given_up(falling(0.95)), Some(PATIENCE));
-        assert_eq!(given_up(falling(0.85)), None);
-        let nearly = |k: usize| 0.9 * NEARLY_FEASIBLE + (k % 2) as f64;
-        assert_eq!(given_up(nearly), Some(PATIENCE_NEARLY_FEASIBLE));
-        let following = Patience {
-            from_previous: true,
-            ..Patience::default()
-        };
-        assert_eq!(given_up_by(&following, falling(0.1)), Some(NEXT_BY));
-        let stopping = |k: usize| falling(0.5)(k.min(70));
-        let at = given_up(stopping).expect("it stands still");
-        assert!((70..=70 + RECENT).contains(&at), "{at}");
-    }
-
-    /// Every solve has the patience anew.
-    #[test]
-    fn patience_begins_with_a_solve() {
-        let patience = Patience::default();
-        for _ in 0..3 {
-            for k in 0..PATIENCE {
-                assert!(patience.lasts(k, 1.0).is_continue());
-            }
-        }
-        assert!(patience.lasts(PATIENCE, 1.0).is_break());
-    }
 }

@@ -15,16 +15,13 @@ const SWITCH_FACTOR: f64 = 1.0; // δ
 const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ
 const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
-const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4, too wide for stiff rods
+const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4: too wide where recursions amplify
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
 /// A lifted step is tried when its turns are within what the charts allow, and kept when it is no less feasible than the point it
 /// leaves or than this: beyond, its defects are worse than what simulated states cost.
 const LIFTED_INFEASIBILITY: f64 = 1.0;
 /// Part of the variables (at least of one) up to which a step is short.
 const SHORT: f64 = 0.1;
-/// Part of the variables up to which steps need no care: what simulated states are off by then is their rounding, which lifted ones are free
-/// of.
-const TINY: f64 = 1e-6;
 /// After a lifted step was refused, one of this part of its length is tried next: longer ones would be computed to be refused as well.
 const SHORTER: f64 = 0.5;
 /// Infeasibility at which only optimality is left to be gained.
@@ -39,10 +36,6 @@ const CORRECTION_PROGRESS: f64 = 0.99;
 /// Newton steps of a refit, at most, and what one must leave of what the promise is missed by, at most.
 const REFITS: usize = 6;
 const REFIT_PROGRESS: f64 = 0.7;
-/// A careful step misses its promise by no more than this, or by this part of the infeasibility that it leaves.
-pub(super) const CAREFUL_MISS: f64 = 1e-5;
-const CAREFUL_MISS_PART: f64 = 0.1;
-
 /// What the filter compares.
 #[derive(Clone, Copy, Debug)]
 pub struct Measure {
@@ -98,8 +91,6 @@ pub struct Filter {
     small: f64,
     /// Length of the step whose lifted point was refused last; infinite after one was not.
     refused_lift: f64,
-    /// Whether steps must keep what they promise, which lifted points cannot show.
-    is_careful: bool,
 }
 
 /// How a trial point passed.
@@ -153,33 +144,7 @@ impl Filter {
             largest: LARGEST_INFEASIBILITY * unit,
             small: SMALL_INFEASIBILITY * unit,
             refused_lift: f64::INFINITY,
-            is_careful: false,
         }
-    }
-
-    /// An empty filter that allows no larger infeasibility than this.
-    #[must_use]
-    pub fn within(largest: f64) -> Self {
-        Self {
-            largest,
-            ..Self::new(0.0)
-        }
-    }
-
-    /// That, for careful steps: the states of every point obey their equations, and a step keeps what it promises, by as many
-    /// refits as that takes.
-    #[must_use]
-    pub fn careful(largest: f64) -> Self {
-        Self {
-            is_careful: true,
-            ..Self::within(largest)
-        }
-    }
-
-    /// Whether it remembers any point.
-    #[must_use]
-    pub fn has_entries(&self) -> bool {
-        !self.entries.is_empty()
     }
 
     /// Whether a point is better than every remembered one in one of the two; an objective that is higher by no more than
@@ -250,9 +215,6 @@ impl Filter {
         change: &[f64],
     ) -> Result<Accepted<P>, Option<Refused>> {
         let length = norm(change) / norm(program.variables(from.point)).max(1.0);
-        if self.is_careful && length > TINY {
-            return self.careful_step(program, from, subproblem, change);
-        }
         let slope = from.first_order(program, change);
         let is_short = from.is_second_order && length <= SHORT;
         if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
@@ -271,21 +233,6 @@ impl Filter {
                 let trial = Self::rollout(program, from.point, change, 0)?;
                 self.refit(program, from, subproblem, change, trial, f64::INFINITY)
             })
-            .ok_or(Some(refused))
-    }
-
-    fn careful_step<P: LiftedProgram>(
-        &mut self,
-        program: &P,
-        from: &Departure<P>,
-        subproblem: &QuadraticProgram,
-        change: &[f64],
-    ) -> Result<Accepted<P>, Option<Refused>> {
-        let trial = Self::rollout(program, from.point, change, 0).ok_or(None)?;
-        let refused = Refused::of(&trial.evaluation, from.measure(program, &trial.evaluation));
-        let here = program.infeasibility(from.evaluation);
-        let miss = CAREFUL_MISS.max(CAREFUL_MISS_PART * here);
-        self.refit(program, from, subproblem, change, trial, miss)
             .ok_or(Some(refused))
     }
 
@@ -352,8 +299,9 @@ impl Filter {
         change: &[f64],
         corrections: usize,
     ) -> Option<Accepted<P>> {
-        let point = program.rollout(from, change).ok()?;
-        let evaluation = program.evaluate(&point).ok()?;
+        let mut point = program.rollout(from, change).ok()?;
+        let mut evaluation = program.evaluate(&point).ok()?;
+        program.reset_slacks(&mut point, &mut evaluation);
         Some(Accepted {
             point,
             evaluation,
@@ -396,8 +344,9 @@ impl Filter {
         if program.longest_step(&direction) < 1.0 {
             return None;
         }
-        let trial = program.retract(from.point, &direction, 1.0);
-        let values = program.evaluate(&trial).ok()?;
+        let mut trial = program.retract(from.point, &direction, 1.0);
+        let mut values = program.evaluate(&trial).ok()?;
+        program.reset_slacks(&mut trial, &mut values);
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &values);
         if there.infeasibility > LIFTED_INFEASIBILITY.max(here.infeasibility) {

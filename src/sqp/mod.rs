@@ -1,6 +1,7 @@
-//! Sequential quadratic programming for lifted programs. Knows no rod.
+//! Sequential quadratic programming for lifted programs: programs whose states obey recursions.
 
 mod balls;
+mod best_point;
 #[doc(hidden)]
 pub mod globalization;
 #[doc(hidden)]
@@ -23,6 +24,9 @@ mod run;
 mod settings;
 #[doc(hidden)]
 pub mod solver;
+mod trace;
+mod trust_region;
+mod working_set;
 
 pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;

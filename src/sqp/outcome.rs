@@ -80,6 +80,36 @@ pub struct IterationRecord {
     pub elapsed: f64,
 }
 
+impl IterationRecord {
+    /// The row of a point that has not been left.
+    pub(super) fn at(
+        iteration: usize,
+        objective: f64,
+        residual: KktResidual,
+        infeasibility: f64,
+    ) -> Self {
+        Self {
+            iteration,
+            objective,
+            residual,
+            infeasibility,
+            step_norm: 0.0,
+            contraction: None,
+            left: Leave::End,
+            hessian: HessianKind::GaussNewton,
+            corrections: 0,
+            rolled_out: false,
+            trust_radius: 0.0,
+            elastic_weight: 0.0,
+            slack: 0.0,
+            linearized_rows: 0,
+            working_rows: 0,
+            qp_iterations: 0,
+            elapsed: 0.0,
+        }
+    }
+}
+
 /// Seconds spent in each phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct PhaseTimes {

@@ -439,6 +439,10 @@ pub trait LiftedProgram {
         change: &[f64],
     ) -> Result<Self::Direction, Failure>;
 
+    /// Moves variables that do nothing but stand for a constraint's residual to where that constraint is violated least within
+    /// their sets, or on the face of a set that they are on: a slack reset (Gill, Murray and Saunders 2005), which makes a trial point no worse and leaves its states alone.
+    fn reset_slacks(&self, _point: &mut Self::Point, _evaluation: &mut Evaluation<Self::Defects>) {}
+
     /// The point `step_length` along a direction.
     fn retract(
         &self,

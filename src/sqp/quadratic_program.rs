@@ -152,11 +152,9 @@ struct Attempt {
 
 /// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
 /// from a solution beats none, and near one it would show.
-const LADDER: [Attempt; 4] = [
+const LADDER: [Attempt; 2] = [
     Attempt::condensed(0.0, 1e-11, 1e-7, 1e-8),
     Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-8),
-    Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-6),
-    Attempt::condensed(1e-5, 1e-8, 1e-5, 1e-7),
 ];
 /// With states: the factorization is far worse conditioned, by the square of the number of steps, and what regularization keeps it
 /// stable must be taken back by many refinements. Measured: costs over states need the second; less than the first is unstable.
@@ -197,8 +195,6 @@ const FEW_ROWS: usize = 32;
 const FIRST_PEAKS: usize = 8;
 /// Least of [`QuadraticProgram::row_tolerance`] that is worth asking for.
 pub(super) const ROW_TOLERANCE: f64 = 1e-9;
-/// After so many rounds everything that is violated joins, not only its peaks.
-const PEAK_ROUNDS: usize = 8;
 /// A multiplier this much smaller than the slack of its row, both scaled, is what the interior point is off by.
 const NEGLIGIBLE_MULTIPLIER: f64 = 1e-8;
 
@@ -253,7 +249,7 @@ impl<'a> QuadraticProgram<'a> {
         }
         let mut working = self.first_rows();
         let mut iterations = 0;
-        for round in 0.. {
+        loop {
             let mut solution = self.solve_with(&working)?;
             iterations += solution.iterations;
             let violated = self.violated(&solution, &working);
@@ -270,15 +266,9 @@ impl<'a> QuadraticProgram<'a> {
                     None => Ok(solution),
                 };
             }
-            let joining = if round < PEAK_ROUNDS {
-                peaks(&violated)
-            } else {
-                violated
-            };
-            working.extend(joining.into_iter().map(|(at, _)| at));
+            working.extend(peaks(&violated).into_iter().map(|(at, _)| at));
             working.sort_unstable();
         }
-        unreachable!("every round adds a row")
     }
 
     /// Down the ladder, until Clarabel is content; without the states if it is not with them.

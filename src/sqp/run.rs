@@ -1,7 +1,7 @@
 //! A solve in progress: what one iteration of the loop does, and what it remembers.
 
-mod rescue;
 mod restoration;
+mod saddle;
 mod subproblem;
 
 use std::sync::Arc;
@@ -9,13 +9,14 @@ use std::time::Instant;
 
 use faer::Mat;
 
-use self::rescue::{Care, Recovery};
 use self::restoration::Restoration;
+use self::saddle::Saddles;
 use self::subproblem::NO_SLACK;
-use super::globalization::{Accepted, CAREFUL_MISS, Departure, FEASIBLE, Filter, Measure, Refused};
+use super::best_point::Best;
+use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Refused};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::{QpRoute, StateLinearization};
-use super::outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
+use super::outcome::{Convergence, IterationRecord, Leave, SqpOutcome, SqpStatus};
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness, sum_of_largest,
@@ -26,6 +27,9 @@ use super::quadratic_program::{
 use super::residual::{KktResidual, Multipliers, norm};
 use super::settings::SqpSettings;
 use super::solver::WarmStart;
+use super::trace::Trace;
+use super::trust_region::TrustRegion;
+use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop};
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
@@ -33,50 +37,22 @@ const EXACT_BELOW: f64 = 0.3;
 /// It uses it below this infeasibility already where the last subproblem met its constraints, whose multipliers then are no mere
 /// limits: where constraints bend more than the objective, Gauss-Newton's steps do not contract.
 const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
-/// `Auto` goes back to Gauss-Newton for a few iterations when an exact step took this many shorter attempts.
-const EXACT_REFUSALS: usize = 3;
-const EXACT_PAUSE: usize = 3;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
-/// Iterations over which an infeasibility above this must fall to this part.
-const CRAWL: usize = 15;
-const CRAWL_INFEASIBILITY: f64 = 1e-4;
-const CRAWL_GAIN: f64 = 0.98;
-/// First trust radius, relative to the first variables (at least to one).
-const FIRST_TRUST_RADIUS: f64 = 2.0;
 /// A set may be violated by this much before the trust region makes room for the way back.
 const SET_TOLERANCE: f64 = 1e-9;
-const SHRINK: f64 = 0.3;
-const GROW: f64 = 2.5;
-/// Ratios of what a step delivered to what it promised, above which the trust region grows and below which it shrinks.
-const GOOD_RATIO: f64 = 0.5;
-const POOR_RATIO: f64 = 0.05;
-const POOR_SHRINK: f64 = 0.5;
 /// Rounding of the merit, relatively.
 const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
-/// A trust region is shrunk by poor steps to no less than this, relative to the variables (at least to one).
-const LEAST_TRUST_RADIUS: f64 = 1e-9;
-/// Steps that shrink by less than this no longer converge by themselves.
-const SLOW_CONTRACTION: f64 = 0.95;
 const SHRINKAGES: usize = 12;
-const REFUSALS_IN_A_ROW: usize = 4;
-const FILTER_RESETS: usize = 5;
 /// Refused trials of an iteration whose violated rows join the subproblem at the same trust radius.
 const TRIAL_JOINS: usize = 2;
-/// Part of the promise that a step refused by the filter must deliver, and how many such steps there may be.
-const MERIT_RATIO: f64 = 0.2;
-const MERIT_STEPS: usize = 40;
+/// Subproblems without a solution, in all, after which a solve gives up.
+const RESCUES: usize = 8;
 /// Restorations, at most.
 const RESTORATIONS: usize = 5;
 /// Models of an iteration that are made anew because a step leaves what they hold.
 const RELEASES: usize = 3;
-/// Steps shorter than this, relative to the variables (at least to one), go nowhere.
-const NO_STEP: f64 = 1e-9;
-/// So many of them in a row, and what they lead to is where the solve is. States that still come nearer to their equations have done so by
-/// then: their defects fall with the square.
-const NULL_STEPS: usize = 8;
-
 /// What the stopping test reads at a point.
 pub(super) enum Derivatives<P: LiftedProgram> {
     /// The linearization for a step of Gauss-Newton or of the restoration.
@@ -88,7 +64,6 @@ pub(super) enum Derivatives<P: LiftedProgram> {
 /// What an iteration did.
 pub(super) enum Step {
     Taken,
-    Restarted,
     Refused,
     Infeasible,
 }
@@ -106,80 +81,60 @@ pub(super) enum Breakdown {
 pub(super) struct Run<'a, P: LiftedProgram> {
     program: &'a P,
     settings: &'a SqpSettings,
-    started: Instant,
+    iterate: Iterate<P>,
+    working_set: WorkingSet,
+    /// Weight of infeasible rows in the subproblem; the first one is chosen by the first linearization.
+    elastic_weight: Option<f64>,
+    trust_region: TrustRegion,
+    filter: Filter,
+    hessian: HessianPolicy,
+    feasibility: Feasibility,
+    saddles: Saddles<P::Point>,
+    states: States,
+    best: Best<P::Point>,
+    trace: Trace,
+}
+
+/// Where the solve is.
+struct Iterate<P: LiftedProgram> {
     point: Arc<P::Point>,
     evaluation: Evaluation<P::Defects>,
     multipliers: Multipliers,
     /// Whether the first multipliers are those of another solve.
     has_multipliers: bool,
-    filter: Filter,
-    care: Care,
-    elastic_weight: Option<f64>,
-    trust_radius: f64,
     /// Distance of the variables from the sets; positive at most at the start.
     outside: f64,
-    /// Inequalities above minus this are linearized from the start.
-    screening_margin: f64,
-    /// Of the linearized inequalities.
-    softness: Vec<Softness>,
-    /// Group of every linearized inequality.
-    groups: Vec<usize>,
-    /// How subproblems are solved, and the linearization with its states where that needs it.
-    route: QpRoute,
-    kept: Option<StateLinearization>,
-    /// [Least curvature](Linearization::least_curvature) of the last linearization.
-    least_curvature: f64,
-    /// Inequalities of the last working set that mattered.
-    working: Vec<usize>,
-    stuck: usize,
-    /// Length of the history when the last restoration began.
-    restored_at: usize,
-    rescues: usize,
-    refused_in_a_row: usize,
-    /// Accepted steps in a row that go nowhere.
-    null_steps: usize,
-    filter_resets: usize,
-    merit_steps: usize,
-    exact_pause: usize,
-    /// Inequalities and sets that the steps of this iteration left behind.
-    rows_let_go: Vec<usize>,
-    sets_let_go: Vec<usize>,
-    restoration: Option<Restoration>,
-    restorations: usize,
-    returns: usize,
     /// Defects of the last states that were computed from their variables.
     rounding: f64,
+}
+
+/// What the Hessian of the next subproblem depends on besides the linearization.
+#[derive(Default)]
+struct HessianPolicy {
+    /// [Least curvature](Linearization::least_curvature) of the last linearization.
+    least_curvature: f64,
     /// Negative curvature of the last exact Hessian.
     descent: Option<NegativeCurvature>,
-    escapes: usize,
-    /// The best point before the last escape.
-    saddle: Option<Best<P::Point>>,
-    /// What the Lagrangian still falls by from a saddle that is not worth leaving.
-    left_to_gain: Option<f64>,
-    /// Whether states were computed anew for want of any other progress.
-    has_rolled_out: bool,
-    best: Best<P::Point>,
-    history: Vec<IterationRecord>,
-    phases: PhaseTimes,
-    failed_subproblem: Option<String>,
+    /// Inequalities and sets that the steps of this iteration left behind.
+    left_rows: Vec<usize>,
+    left_sets: Vec<usize>,
 }
 
-/// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
-#[derive(Clone)]
-struct Best<Point> {
-    point: Arc<Point>,
-    multipliers: Multipliers,
-    residual: KktResidual,
-    objective: f64,
-    infeasibility: f64,
-    trust_radius: f64,
+/// What is known about whether the constraints can be met.
+#[derive(Default)]
+struct Feasibility {
+    /// Subproblems in a row that could not promise a smaller infeasibility.
+    stuck: usize,
+    restorations: usize,
+    /// The restoration that is under way.
+    phase: Option<Restoration>,
 }
 
-const UNKNOWN_RESIDUAL: KktResidual = KktResidual {
-    stationarity: f64::INFINITY,
-    feasibility: f64::INFINITY,
-    complementarity: f64::INFINITY,
-};
+/// On the sparse route: the linearization with its states.
+struct States {
+    route: QpRoute,
+    linearization: Option<StateLinearization>,
+}
 
 impl<'a, P: LiftedProgram> Run<'a, P> {
     pub(super) fn begin(
@@ -203,96 +158,78 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Err(Box::new(SqpOutcome::without_start(point, status)));
             }
         };
-        let point = Arc::new(point);
         let multipliers = Multipliers::zeros(
             evaluation.constraints.len(),
             evaluation.inequalities.len(),
             program.sets(),
         );
+        let point = Arc::new(point);
+        let trust_region = TrustRegion::around(program.variables(&point));
         Ok(Self {
             program,
             settings,
-            started,
-            filter: Filter::new(program.infeasibility(&evaluation)),
-            care: Care::NotYet,
-            best: Best {
-                point: Arc::clone(&point),
-                multipliers: multipliers.clone(),
-                residual: UNKNOWN_RESIDUAL,
-                objective: program.total_objective(&evaluation),
-                infeasibility: f64::INFINITY,
-                trust_radius: first_trust_radius(program.variables(&point)),
-            },
-            trust_radius: first_trust_radius(program.variables(&point)),
-            outside,
-            screening_margin: program.screening_margin(),
-            softness: Vec::new(),
-            groups: Vec::new(),
-            route: match program.n_states() {
-                Some(_) => settings.qp,
-                None => QpRoute::Condensed,
-            },
-            kept: None,
-            least_curvature: 1.0,
-            working: Vec::new(),
-            point,
-            evaluation,
-            multipliers,
-            has_multipliers: false,
+            working_set: WorkingSet::new(program.screening_margin()),
             elastic_weight: None,
-            stuck: 0,
-            restored_at: 0,
-            rescues: 0,
-            refused_in_a_row: 0,
-            null_steps: 0,
-            filter_resets: 0,
-            merit_steps: 0,
-            exact_pause: 0,
-            rows_let_go: Vec::new(),
-            sets_let_go: Vec::new(),
-            restoration: None,
-            restorations: 0,
-            returns: 0,
-            rounding: 0.0,
-            descent: None,
-            escapes: 0,
-            saddle: None,
-            left_to_gain: None,
-            has_rolled_out: false,
-            history: Vec::new(),
-            phases: PhaseTimes::default(),
-            failed_subproblem: None,
+            filter: Filter::new(program.infeasibility(&evaluation)),
+            hessian: HessianPolicy {
+                least_curvature: 1.0,
+                ..HessianPolicy::default()
+            },
+            feasibility: Feasibility::default(),
+            saddles: Saddles::default(),
+            states: States {
+                route: match program.n_states() {
+                    Some(_) => settings.qp,
+                    None => QpRoute::Condensed,
+                },
+                linearization: None,
+            },
+            best: Best::none(
+                Arc::clone(&point),
+                multipliers.clone(),
+                program.total_objective(&evaluation),
+            ),
+            trust_region,
+            iterate: Iterate {
+                point,
+                evaluation,
+                multipliers,
+                has_multipliers: false,
+                outside,
+                rounding: 0.0,
+            },
+            trace: Trace::new(started),
         })
     }
 
     fn variables(&self) -> &[f64] {
-        self.program.variables(&self.point)
+        self.program.variables(&self.iterate.point)
     }
 
     fn infeasibility(&self) -> f64 {
-        self.program.infeasibility(&self.evaluation)
+        self.program.infeasibility(&self.iterate.evaluation)
     }
 
     /// Whether the exact Hessian is to be used at the present point.
     fn wants_curvature(&self) -> bool {
-        if self.restoration.is_some() {
+        if self.feasibility.phase.is_some() {
             return false;
         }
         match self.settings.hessian {
             HessianChoice::GaussNewton => false,
             // Without multipliers there is no Lagrangian yet.
-            HessianChoice::Exact => self.has_multipliers || !self.history.is_empty(),
-            HessianChoice::Auto if self.history.is_empty() => {
-                self.has_multipliers && self.infeasibility() < EXACT_BELOW_WITH_MULTIPLIERS
+            HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
+            HessianChoice::Auto if self.trace.history.is_empty() => {
+                self.iterate.has_multipliers && self.infeasibility() < EXACT_BELOW_WITH_MULTIPLIERS
             }
-            HessianChoice::Auto => self.history.last().is_some_and(|last| {
+            HessianChoice::Auto => self.trace.history.last().is_some_and(|last| {
                 let infeasibility = self.infeasibility();
                 let is_near =
                     last.residual.stationarity < EXACT_BELOW && infeasibility < EXACT_BELOW;
                 // What the elastic weight limits is no multiplier.
                 let has_multipliers =
                     last.slack < NO_SLACK && infeasibility < EXACT_BELOW_WITH_MULTIPLIERS;
-                self.exact_pause == 0 && (is_near || has_multipliers)
+                is_near || has_multipliers
             }),
         }
     }
@@ -304,9 +241,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return Ok(Derivatives::Linearized(Box::new(linearization)));
         }
         let clock = Instant::now();
-        let terms =
-            (self.program).lagrangian_terms(&self.point, &self.evaluation, &self.multipliers)?;
-        self.phases.linearize += clock.elapsed().as_secs_f64();
+        let terms = (self.program).lagrangian_terms(
+            &self.iterate.point,
+            &self.iterate.evaluation,
+            &self.iterate.multipliers,
+        )?;
+        self.trace.phases.linearize += clock.elapsed().as_secs_f64();
         Ok(Derivatives::Gradient(terms))
     }
 
@@ -317,26 +257,26 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) -> Result<Linearization, Failure> {
         let clock = Instant::now();
         let request = LinearizationRequest {
-            multipliers: terms.is_some().then_some(&self.multipliers),
+            multipliers: terms.is_some().then_some(&self.iterate.multipliers),
             rows: &self.candidates(),
         };
-        let (point, evaluation) = (&self.point, &self.evaluation);
+        let (point, evaluation) = (&self.iterate.point, &self.iterate.evaluation);
         let linearization = match terms.and_then(|terms| terms.costates) {
             Some(costates) => (self.program).linearize_with(point, evaluation, &request, costates),
             None => self.program.linearize(point, evaluation, &request),
         }?;
-        self.least_curvature = linearization.least_curvature();
+        self.hessian.least_curvature = linearization.least_curvature();
         self.note_rows(&linearization);
         self.keep_states(&linearization)?;
-        self.phases.linearize += clock.elapsed().as_secs_f64();
+        self.trace.phases.linearize += clock.elapsed().as_secs_f64();
         Ok(linearization)
     }
 
     /// On the sparse route: the linearization with its states.
     fn keep_states(&mut self, linearization: &Linearization) -> Result<(), Failure> {
-        if self.route == QpRoute::Sparse {
+        if self.states.route == QpRoute::Sparse {
             let rows = &linearization.rows;
-            self.kept = self.program.keep_states(&self.point, rows)?;
+            self.states.linearization = self.program.keep_states(&self.iterate.point, rows)?;
         }
         Ok(())
     }
@@ -346,11 +286,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             Derivatives::Linearized(linearization) => self.linearized_residual(linearization),
             Derivatives::Gradient(terms) => KktResidual::of_terms(
                 self.program,
-                &self.point,
-                &self.evaluation,
+                &self.iterate.point,
+                &self.iterate.evaluation,
                 terms,
-                self.least_curvature,
-                &self.multipliers,
+                self.hessian.least_curvature,
+                &self.iterate.multipliers,
             ),
         }
     }
@@ -358,52 +298,32 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     fn linearized_residual(&self, linearization: &Linearization) -> KktResidual {
         KktResidual::of(
             self.program,
-            &self.point,
-            &self.evaluation,
+            &self.iterate.point,
+            &self.iterate.evaluation,
             linearization,
-            &self.multipliers,
+            &self.iterate.multipliers,
         )
     }
 
     pub(super) fn record(&mut self, iteration: usize, residual: KktResidual) {
         let infeasibility = self.infeasibility();
-        let objective = self.program.total_objective(&self.evaluation);
-        self.history.push(IterationRecord {
-            iteration,
-            objective,
-            residual,
-            infeasibility,
-            step_norm: 0.0,
-            contraction: None,
-            left: Leave::End,
-            hessian: HessianKind::GaussNewton,
-            corrections: 0,
-            rolled_out: false,
-            trust_radius: self.trust_radius,
+        let objective = self.program.total_objective(&self.iterate.evaluation);
+        self.trace.history.push(IterationRecord {
+            trust_radius: self.trust_region.radius,
             elastic_weight: self.elastic_weight.unwrap_or(0.0),
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: self.started.elapsed().as_secs_f64(),
+            elapsed: self.trace.started.elapsed().as_secs_f64(),
+            ..IterationRecord::at(iteration, objective, residual, infeasibility)
         });
         // A point outside of the sets is none that could be used.
-        let infeasibility = infeasibility + self.outside;
-        let feasible = self.settings.tolerance;
-        let better = if infeasibility.max(self.best.infeasibility) <= feasible {
-            residual.max() <= self.best.residual.max()
-        } else {
-            infeasibility <= self.best.infeasibility
+        let here = Best {
+            point: Arc::clone(&self.iterate.point),
+            multipliers: self.iterate.multipliers.clone(),
+            residual,
+            objective,
+            infeasibility: infeasibility + self.iterate.outside,
         };
-        if better {
-            self.best = Best {
-                point: Arc::clone(&self.point),
-                multipliers: self.multipliers.clone(),
-                residual,
-                objective,
-                infeasibility,
-                trust_radius: self.trust_radius,
-            };
+        if here.is_no_worse_than(&self.best, self.settings.tolerance) {
+            self.best = here;
         }
     }
 
@@ -412,19 +332,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.best.residual
     }
 
-    /// KKT residual of the point before.
-    pub(super) fn last_residual(&self) -> Option<KktResidual> {
-        self.history.last().map(|row| row.residual)
-    }
-
     /// Defects of the states.
     pub(super) fn defect(&self) -> f64 {
-        self.evaluation.defect
+        self.iterate.evaluation.defect
     }
 
     /// Defects that rounding leaves; 0 as long as no states have been computed.
     pub(super) fn rounding(&self) -> f64 {
-        self.rounding
+        self.iterate.rounding
     }
 
     /// Why the solve is to end before it is done, if it is.
@@ -438,30 +353,29 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             Derivatives::Linearized(linearization) => *linearization,
             Derivatives::Gradient(terms) => self.linearize(Some(terms))?,
         };
-        if self.restoration.is_some() {
+        if self.feasibility.phase.is_some() {
             return self.restoration_step(linearization);
         }
         let clock = Instant::now();
-        self.rows_let_go.clear();
-        self.sets_let_go.clear();
-        self.take_care();
+        self.hessian.left_rows.clear();
+        self.hessian.left_sets.clear();
         let mut model = self.model_hessian(&linearization);
         match model.kind {
-            HessianKind::Exact => self.descent = None,
-            HessianKind::Convexified => self.descent = model.descent.clone(),
+            HessianKind::Exact => self.hessian.descent = None,
+            HessianKind::Convexified => self.hessian.descent = model.descent.clone(),
             _ => {}
         }
         let mut sets = self.subproblem_sets(&model);
-        self.phases.condense += clock.elapsed().as_secs_f64();
+        self.trace.phases.condense += clock.elapsed().as_secs_f64();
         let (mut refusals, mut joins, mut releases) = (0, 0, 0);
         while refusals <= SHRINKAGES {
             let solution = match self.solve_subproblem(&mut linearization, &model, &sets) {
                 Ok(solution) => solution,
                 Err(_) if self.stopped().is_some() => return Ok(Step::Refused),
-                Err(Breakdown::Subproblem(error)) => match self.recover(error)? {
-                    Recovery::Smaller => continue,
-                    Recovery::Restarted => return Ok(Step::Restarted),
-                },
+                Err(Breakdown::Subproblem(error)) => {
+                    self.shrink_after(error)?;
+                    continue;
+                }
                 Err(error) => return Err(error),
             };
             self.note_subproblem(model.kind, &linearization, &solution);
@@ -481,10 +395,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             };
             let clock = Instant::now();
             let found = self.search(&linearization, &model, &sets, &solution);
-            self.phases.globalize += clock.elapsed().as_secs_f64();
+            self.trace.phases.globalize += clock.elapsed().as_secs_f64();
             match found {
                 Ok(accepted) => {
-                    self.note_refusals(refusals);
                     self.take(accepted, &linearization, &model, &solution);
                     return Ok(Step::Taken);
                 }
@@ -496,7 +409,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     joins += 1;
                 }
                 Err(_) => {
-                    self.trust_radius = SHRINK * norm(&solution.change).min(self.trust_radius);
+                    self.trust_region.refuse(norm(&solution.change));
                     refusals += 1;
                 }
             }
@@ -504,25 +417,16 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Ok(Step::Refused);
             }
         }
-        if self.infeasibility() > self.settings.tolerance && self.restorations < RESTORATIONS {
+        if self.infeasibility() > self.settings.tolerance
+            && self.feasibility.restorations < RESTORATIONS
+        {
             return self.restore(linearization);
-        }
-        // Not even a short step: forget the past once more, before giving up.
-        let was_careful = self.care == Care::Taken;
-        if self.filter_resets < FILTER_RESETS && (self.filter.has_entries() || was_careful) {
-            self.filter_resets += 1;
-            if was_careful {
-                self.care = Care::GivenUp;
-            }
-            self.forget();
-            return Ok(Step::Restarted);
         }
         Ok(Step::Refused)
     }
 
     /// Hessian of this iteration's subproblems.
     fn model_hessian(&mut self, linearization: &Linearization) -> ModelHessian {
-        self.exact_pause = self.exact_pause.saturating_sub(1);
         if linearization.curvature.is_none() {
             return ModelHessian::gauss_newton(linearization);
         }
@@ -545,13 +449,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     fn active_set(&self, linearization: &Linearization) -> ActiveSet {
         let mut active = ActiveSet::of(
             linearization,
-            &self.softness,
+            &self.working_set.softness,
             self.program.sets(),
             self.variables(),
-            &self.multipliers,
+            &self.iterate.multipliers,
         );
-        (active.rows).retain(|&at| !self.rows_let_go.contains(&linearization.rows[at]));
-        (active.normals).retain(|held| !self.sets_let_go.contains(&held.set));
+        (active.rows).retain(|&at| !self.hessian.left_rows.contains(&linearization.rows[at]));
+        (active.normals).retain(|held| !self.hessian.left_sets.contains(&held.set));
         active
     }
 
@@ -570,29 +474,22 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let left = active.left_by(linearization, &solution.change, &solution.multipliers);
         let any = !(left.rows.is_empty() && left.normals.is_empty());
         let rows = left.rows.iter().map(|&at| linearization.rows[at]);
-        self.rows_let_go.extend(rows);
-        (self.sets_let_go).extend(left.normals.iter().map(|held| held.set));
+        self.hessian.left_rows.extend(rows);
+        (self.hessian.left_sets).extend(left.normals.iter().map(|held| held.set));
         any
     }
 
-    /// A filter that refuses the first trial again and again remembers a place that the iteration cannot get back to:
-    /// it is emptied (Wächter and Biegler 2006, section 3.4), at most a few times.
-    fn note_refusals(&mut self, refusals: usize) {
-        let last = self.history.last().map(|row| row.hessian);
-        if refusals >= EXACT_REFUSALS && last.is_some_and(HessianKind::is_second_order) {
-            self.exact_pause = EXACT_PAUSE;
+    /// After a subproblem that Clarabel could not solve: a smaller trust region, a few times.
+    fn shrink_after(&mut self, error: QpError) -> Result<(), QpError> {
+        if let QpError::Status { problem, .. } = &error {
+            self.trace.failed_subproblem.clone_from(problem);
         }
-        // Careful steps are as long as they can be.
-        self.refused_in_a_row = if refusals > 0 && self.care != Care::Taken {
-            self.refused_in_a_row + 1
-        } else {
-            0
-        };
-        if self.refused_in_a_row >= REFUSALS_IN_A_ROW && self.filter_resets < FILTER_RESETS {
-            self.filter_resets += 1;
-            self.refused_in_a_row = 0;
-            self.filter = Filter::new(self.infeasibility());
+        self.trace.failures += 1;
+        if self.trace.failures > RESCUES {
+            return Err(error);
         }
+        self.trust_region.refuse(f64::INFINITY);
+        Ok(())
     }
 
     fn note_subproblem(
@@ -601,8 +498,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         linearization: &Linearization,
         solution: &QpSolution,
     ) {
-        let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_radius);
-        if let Some(row) = self.history.last_mut() {
+        let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_region.radius);
+        if let Some(row) = self.trace.history.last_mut() {
             row.hessian = kind;
             row.slack = solution.slack;
             row.linearized_rows = linearization.rows.len();
@@ -622,21 +519,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         solution: &QpSolution,
     ) {
         let length = norm(&solution.change);
-        self.note_step(&accepted, length);
-        self.null_steps = if length <= self.negligible() {
-            self.null_steps + 1
-        } else {
-            0
-        };
-        let is_optimal = (self.history.last())
-            .is_some_and(|row| row.residual.stationarity <= self.settings.tolerance);
-        if model.holds && !is_optimal && length <= self.negligible() {
-            // What is left of the gradient is what the model holds without it being held.
-            self.exact_pause = EXACT_PAUSE;
-        }
+        self.trace.note_step(&accepted, length);
         let weight = self.merit_weight(solution);
         let promise = self.promise(linearization, model, solution, weight);
-        let before = self.merit(&self.evaluation, weight);
+        let before = self.merit(&self.iterate.evaluation, weight);
         let delivered = before - self.merit(&accepted.evaluation, weight);
         let noise = MERIT_ROUNDING * before.abs() + solution.multipliers.row_noise();
         // Lifted states are off by their own second order, which near feasibility is all there is to see. Steps of the
@@ -647,74 +533,32 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 && accepted.evaluation.defect > 0.0
                 && self.infeasibility() <= FEASIBLE
                 && self.program.infeasibility(&accepted.evaluation) <= FEASIBLE);
-        let contraction = (self.history.last()).and_then(|row| row.contraction);
-        let is_good = if is_blind {
-            // Steps that do not contract by themselves are made to.
-            contraction.is_some_and(|ratio| ratio < SLOW_CONTRACTION)
+        let size = norm(self.variables()).max(1.0);
+        if is_blind {
+            let contraction = (self.last()).and_then(|row| row.contraction);
+            self.trust_region.contract(contraction, length, size);
         } else {
-            // Every lifted step leaves defects; farther out they say nothing about the radius.
-            !accepted.rolled_out || delivered > GOOD_RATIO * promise
-        };
-        let is_poor = if is_blind {
-            !is_good
-        } else {
-            accepted.rolled_out && !(delivered > POOR_RATIO * promise)
-        };
-        if is_good && length > 0.5 * self.trust_radius {
-            self.trust_radius *= GROW;
-        } else if is_poor && length > self.negligible() {
-            let least = LEAST_TRUST_RADIUS * norm(self.variables()).max(1.0);
-            self.trust_radius = self.trust_radius.min((length * POOR_SHRINK).max(least));
+            // Every lifted step leaves defects; what it delivers says nothing about the radius.
+            let ratio = accepted.rolled_out.then_some(delivered / promise);
+            self.trust_region.adapt(ratio, length, size);
         }
-        self.multipliers = solution.multipliers.clone();
+        self.iterate.multipliers = solution.multipliers.clone();
         self.arrive(accepted);
-    }
-
-    /// Whether steps were accepted that go nowhere, one after the other; they are counted anew from here.
-    pub(super) fn stands_still(&mut self) -> bool {
-        let stands = self.null_steps >= NULL_STEPS;
-        if stands {
-            self.null_steps = 0;
-        }
-        stands
-    }
-
-    /// Length of a step that goes nowhere.
-    fn negligible(&self) -> f64 {
-        NO_STEP * norm(self.variables()).max(1.0)
-    }
-
-    fn note_step(&mut self, accepted: &Accepted<P>, length: f64) {
-        let before = (self.history.iter().rev())
-            .map(|row| row.step_norm)
-            .find(|&step| step > 0.0);
-        if let Some(row) = self.history.last_mut() {
-            row.step_norm = length;
-            row.left = if length > 0.0 {
-                Leave::Step
-            } else {
-                Leave::Settled
-            };
-            row.contraction = before.map(|before| length / before);
-            row.corrections = accepted.corrections;
-            row.rolled_out = accepted.rolled_out;
-        }
     }
 
     /// Says how the present point was left.
     pub(super) fn leave(&mut self, left: Leave) {
-        if let Some(row) = self.history.last_mut() {
-            row.left = left;
-        }
+        self.trace.leave(left);
     }
 
     fn arrive(&mut self, accepted: Accepted<P>) {
         if accepted.rolled_out {
-            self.rounding = accepted.evaluation.defect;
+            self.iterate.rounding = accepted.evaluation.defect;
         }
-        self.point = Arc::new(accepted.point);
-        self.evaluation = accepted.evaluation;
-        self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
+        self.iterate.point = Arc::new(accepted.point);
+        self.iterate.evaluation = accepted.evaluation;
+        self.iterate.outside =
+            distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
 
     /// Weight of infeasibility in the merit that sizes the trust region: above every multiplier.
@@ -739,23 +583,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             bending += change[i] * (held + 0.5 * bent);
         }
         let slope = self.departure(linearization, model, solution).slope(change);
-        let [now, then] = [self.infeasibility(), solution.slack].map(|at| self.counted(at));
-        weight * (now - then) - bending - slope
-    }
-
-    /// What of an infeasibility counts in the merit: what careful steps may miss is no loss.
-    fn counted(&self, infeasibility: f64) -> f64 {
-        if self.care == Care::Taken {
-            infeasibility.max(CAREFUL_MISS)
-        } else {
-            infeasibility
-        }
+        weight * (self.infeasibility() - solution.slack) - bending - slope
     }
 
     /// `J + weight · infeasibility`
     fn merit(&self, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
-        let infeasibility = self.counted(self.program.infeasibility(values));
-        self.program.total_objective(values) + weight * infeasibility
+        self.program.total_objective(values) + weight * self.program.infeasibility(values)
     }
 
     fn departure<'b>(
@@ -765,10 +598,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         solution: &'b QpSolution,
     ) -> Departure<'b, P> {
         Departure {
-            point: &self.point,
-            evaluation: &self.evaluation,
+            point: &self.iterate.point,
+            evaluation: &self.iterate.evaluation,
             linearization,
-            softness: &self.softness,
+            softness: &self.working_set.softness,
             multipliers: &solution.multipliers,
             is_second_order: model.kind.is_second_order(),
         }
@@ -787,8 +620,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             slack > self.settings.tolerance && violation - slack < INFEASIBLE_PROGRESS * violation
         };
         let hopeless = promises_nothing(solution.slack)
-            && self.evaluation.defect < INFEASIBLE_PROGRESS * violation
-            && (norm(&solution.change) < 0.5 * self.trust_radius || {
+            && self.iterate.evaluation.defect < INFEASIBLE_PROGRESS * violation
+            && (norm(&solution.change) < 0.5 * self.trust_region.radius || {
                 let weight = self.elastic_weight.unwrap_or(0.0);
                 let first = self.first_rows(linearization);
                 let free = QuadraticProgram {
@@ -797,25 +630,21 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 };
                 free.solve().is_ok_and(|free| promises_nothing(free.slack))
             });
-        self.stuck = if hopeless { self.stuck + 1 } else { 0 };
-        self.stuck >= INFEASIBLE_PATIENCE || self.crawls()
-    }
-
-    /// Whether the infeasibility hardly fell over many iterations: the restoration gets on, or proves that there is no way.
-    fn crawls(&self) -> bool {
-        let seen = &self.history[self.restored_at.min(self.history.len())..];
-        let Some(before) = (seen.len().checked_sub(CRAWL + 1)).map(|at| &seen[at..]) else {
-            return false;
+        self.feasibility.stuck = if hopeless {
+            self.feasibility.stuck + 1
+        } else {
+            0
         };
-        let least = (before.iter().map(|row| row.infeasibility)).fold(f64::INFINITY, f64::min);
-        self.restorations < RESTORATIONS
-            && least > CRAWL_INFEASIBILITY
-            && least > CRAWL_GAIN * before[0].infeasibility
+        self.feasibility.stuck >= INFEASIBLE_PATIENCE
     }
 
     /// Infeasibility that the linearization sees here: its slack without a step.
     fn linear_violation(&self, linearization: &Linearization) -> f64 {
-        let rows = self.softness.iter().zip(&self.groups);
+        let rows = self
+            .working_set
+            .softness
+            .iter()
+            .zip(&self.working_set.groups);
         let hard = (linearization.inequality_offset.iter().zip(rows))
             .filter(|(_, (softness, _))| **softness == Softness::Hard)
             .map(|(h, (_, group))| (*group, *h));
@@ -839,59 +668,22 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             &solution.change,
         );
         self.filter = filter;
-        match verdict {
-            Ok(accepted) => Ok(accepted),
-            Err(Some(refused)) => {
-                if self.passes_by_merit(linearization, model, solution, refused.measure)
-                    && let Some(there) =
-                        Filter::rollout(self.program, &self.point, &solution.change, 0)
-                {
-                    self.merit_steps += 1;
-                    self.filter = Filter::new(self.infeasibility());
-                    Ok(there)
-                } else {
-                    Err(Some(refused))
-                }
-            }
-            Err(None) => Err(None),
-        }
-    }
-
-    /// What the filter refuses may still be what the elastic subproblem set out to do: lower `J + γ · infeasibility`.
-    /// A point far below in infeasibility, visited and left for a better objective, must not block the way back for
-    /// ever; such a step empties the filter.
-    fn passes_by_merit(
-        &self,
-        linearization: &Linearization,
-        model: &ModelHessian,
-        solution: &QpSolution,
-        refused: Measure,
-    ) -> bool {
-        let Some(weight) = self.elastic_weight else {
-            return false;
-        };
-        let is_barred = self.merit_steps >= MERIT_STEPS || self.care == Care::Taken;
-        if is_barred || self.evaluation.defect > self.settings.tolerance {
-            return false;
-        }
-        let promise = self.promise(linearization, model, solution, weight);
-        let delivered = self.merit(&self.evaluation, weight) - refused.merit(weight);
-        promise > 0.0 && delivered >= MERIT_RATIO * promise
+        verdict
     }
 
     /// The row of the last iteration.
     pub(super) fn last(&self) -> Option<&IterationRecord> {
-        self.history.last()
+        self.trace.history.last()
     }
 
     /// Rows so far.
     pub(super) fn n_rows(&self) -> usize {
-        self.history.len()
+        self.trace.history.len()
     }
 
     /// Takes over what another solve knew, besides its point.
     pub(super) fn warm(&mut self, start: &WarmStart<P::Point>) -> Result<(), String> {
-        let (own, other) = (&self.multipliers, &start.multipliers);
+        let (own, other) = (&self.iterate.multipliers, &start.multipliers);
         let sizes = |m: &Multipliers| (m.constraints.len(), m.inequalities.len(), m.normals.len());
         if sizes(own) != sizes(other) {
             return Err(format!(
@@ -900,31 +692,30 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 sizes(own)
             ));
         }
-        self.multipliers = start.multipliers.clone();
+        self.iterate.multipliers = start.multipliers.clone();
         self.best.multipliers = start.multipliers.clone();
-        self.working.clone_from(&start.working_rows);
+        self.working_set.last.clone_from(&start.working_rows);
         self.elastic_weight = start.elastic_weight;
-        self.trust_radius = start.trust_radius;
-        self.best.trust_radius = start.trust_radius;
-        self.has_multipliers = true;
+        self.trust_region.radius = start.trust_radius;
+        self.iterate.has_multipliers = true;
         Ok(())
     }
 
     /// What another solve may take over.
     pub(super) fn warm_start(&self) -> WarmStart<P::Point> {
         WarmStart {
-            point: P::Point::clone(&self.point),
-            multipliers: self.multipliers.clone(),
-            working_rows: self.working.clone(),
+            point: P::Point::clone(&self.iterate.point),
+            multipliers: self.iterate.multipliers.clone(),
+            working_rows: self.working_set.last.clone(),
             elastic_weight: self.elastic_weight,
-            trust_radius: self.trust_radius,
+            trust_radius: self.trust_region.radius,
         }
     }
 
     /// What was found; where a saddle was left for nothing better, the saddle.
     pub(super) fn end(mut self, mut status: SqpStatus) -> SqpOutcome<P::Point> {
         if status != SqpStatus::Converged
-            && let Some(saddle) = self.saddle.take()
+            && let Some(saddle) = self.saddles.best_before.take()
         {
             self.best = saddle;
             if !matches!(status, SqpStatus::Stopped(_)) {
@@ -933,27 +724,24 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         let failed_subproblem = match status {
             SqpStatus::Converged => None,
-            _ => self.failed_subproblem,
+            _ => self.trace.failed_subproblem,
         };
-        drop((self.point, self.saddle));
+        // The best point is then the only one.
+        drop((self.iterate, self.saddles.best_before));
         SqpOutcome {
             status,
             point: Arc::unwrap_or_clone(self.best.point),
             multipliers: self.best.multipliers,
             residual: self.best.residual,
             objective: self.best.objective,
-            route: self.route,
-            convergence: Convergence::of(&self.history),
-            history: self.history,
-            phases: self.phases,
+            route: self.states.route,
+            convergence: Convergence::of(&self.trace.history),
+            history: self.trace.history,
+            phases: self.trace.phases,
             failed_subproblem,
-            left_to_gain: self.left_to_gain,
+            left_to_gain: self.saddles.left_to_gain,
         }
     }
-}
-
-fn first_trust_radius(variables: &[f64]) -> f64 {
-    FIRST_TRUST_RADIUS * norm(variables).max(1.0)
 }
 
 /// Whether variables are in all sets, but for rounding; those that are no numbers are not.

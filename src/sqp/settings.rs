@@ -64,8 +64,5 @@ pub(super) const DEFECT_PART: f64 = 1e-3;
 pub(super) const VIOLATION_PART: f64 = 1e-2;
 /// The sum of the defects of a long motion cannot be brought much below this: rounding.
 pub(super) const FEASIBILITY_FLOOR: f64 = 5e-10;
-/// What falls no faster than this and is below the next may be rounding.
-pub(super) const STALL: f64 = 0.9;
-pub(super) const FEASIBILITY_STALL: f64 = 1e-8;
 /// Nor below what it is for computed states, give or take; stiff equations leave more.
 pub(super) const ROUNDING_MARGIN: f64 = 3.0;

@@ -6,9 +6,7 @@ use super::outcome::{IterationRecord, Leave, SqpOutcome, SqpStatus};
 use super::program::LiftedProgram;
 use super::residual::{KktResidual, Multipliers};
 use super::run::{Run, Step};
-use super::settings::{
-    DEFECT_PART, FEASIBILITY_STALL, STALL, STOP_PART, SqpSettings, VIOLATION_PART,
-};
+use super::settings::{DEFECT_PART, STOP_PART, SqpSettings, VIOLATION_PART};
 use crate::stop::Stop;
 
 /// Where a solve goes on that another one ended: near its own solution a changed program is solved in a few iterations.
@@ -135,9 +133,8 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
             }
         };
         let residual = run.residual(&derivatives);
-        let before = run.last_residual();
         run.record(self.iteration, residual);
-        match self.test(&residual, before, may_go_on) {
+        match self.test(&residual, may_go_on) {
             Test::Passed => return Some(SqpStatus::Converged),
             Test::Left(left) => {
                 self.run.leave(left);
@@ -168,51 +165,31 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
             return or_converged(run, SqpStatus::Stopped(stop));
         }
         let step = match step {
-            // A step that goes nowhere, after others like it, is none.
-            Ok(Step::Taken) if run.stands_still() => Step::Refused,
             Ok(step) => step,
             Err(error) => return Some(SqpStatus::Failed(error.to_string())),
         };
         match step {
             Step::Taken => {}
-            Step::Restarted => run.leave(Leave::Anew),
-            Step::Refused | Step::Infeasible if run.turn_back() => run.leave(Leave::Back),
             Step::Refused => return or_converged(run, SqpStatus::StepTooSmall),
             Step::Infeasible => return Some(SqpStatus::LocallyInfeasible),
         }
         None
     }
 
-    /// Whether the present point is a solution; one that is a saddle, or feasible but for its states, may be left.
-    fn test(
-        &mut self,
-        residual: &KktResidual,
-        before: Option<KktResidual>,
-        may_go_on: bool,
-    ) -> Test {
+    /// Whether the present point is a solution; one that is a saddle may be left.
+    fn test(&mut self, residual: &KktResidual, may_go_on: bool) -> Test {
         let (run, settings) = (&mut self.run, self.settings);
         let stop = STOP_PART * settings.tolerance;
-        let is_optimal = |at: &KktResidual| at.optimality() <= stop;
-        // Two points in a row as good as this, the second no better: what is left is rounding, once states are computed anew.
-        let stagnates = before.is_some_and(|before| {
-            is_optimal(&before)
-                && before.feasibility <= stop.max(FEASIBILITY_STALL)
-                && residual.feasibility > STALL * before.feasibility
-        });
         let [defect, violation] = [DEFECT_PART, VIOLATION_PART]
             .map(|part| settings.feasibility_tolerance(part, run.rounding()));
         let is_exact = run.defect() <= defect && residual.feasibility <= violation;
-        if !(is_optimal(residual) && (is_exact || stagnates)) {
+        if !(residual.optimality() <= stop && is_exact) {
             return Test::Failed;
         }
         if may_go_on && run.escape() {
             Test::Left(Leave::Saddle)
-        } else if may_go_on && !is_exact && run.roll_out() {
-            Test::Left(Leave::Settled)
-        } else if is_exact || residual.feasibility <= stop {
-            Test::Passed
         } else {
-            Test::Failed
+            Test::Passed
         }
     }
 }

@@ -33,11 +33,13 @@ impl<P: LiftedProgram> Run<'_, P> {
     /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
     /// those with multipliers. What is missing joins when a step violates it.
     pub(super) fn candidates(&self) -> Vec<usize> {
-        let values = self.evaluation.inequalities.iter();
-        let near: Vec<(usize, f64)> = (values.zip(&self.multipliers.inequalities).enumerate())
-            .filter(|&(_, (&h, &z))| h > -self.screening_margin || z > 0.0)
-            .map(|(row, (&h, _))| (row, h))
-            .collect();
+        let values = self.iterate.evaluation.inequalities.iter();
+        let near: Vec<(usize, f64)> = (values
+            .zip(&self.iterate.multipliers.inequalities)
+            .enumerate())
+        .filter(|&(_, (&h, &z))| h > -self.working_set.screening_margin || z > 0.0)
+        .map(|(row, (&h, _))| (row, h))
+        .collect();
         let stride = near.len().div_ceil(MOST_CANDIDATES);
         let mut rows: Vec<usize> = near
             .iter()
@@ -46,7 +48,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             .collect();
         if stride > 1 {
             rows.extend(peaks(&near).iter().map(|row| row.0));
-            let held = self.multipliers.inequalities.iter().enumerate();
+            let held = self.iterate.multipliers.inequalities.iter().enumerate();
             rows.extend(held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row));
             rows.sort_unstable();
             rows.dedup();
@@ -56,7 +58,7 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// How much a subproblem may violate rows that it has not seen.
     pub(super) fn row_tolerance(&self) -> f64 {
-        let off = (self.history.last()).map_or(1.0, |row| {
+        let off = (self.trace.history.last()).map_or(1.0, |row| {
             row.residual.stationarity.max(row.residual.feasibility)
         });
         (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
@@ -64,8 +66,8 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     pub(super) fn note_rows(&mut self, linearization: &Linearization) {
         let rows = &linearization.rows;
-        self.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
-        self.groups = rows.iter().map(|&row| self.program.group(row)).collect();
+        self.working_set.softness = rows.iter().map(|&row| self.program.softness(row)).collect();
+        self.working_set.groups = rows.iter().map(|&row| self.program.group(row)).collect();
     }
 
     /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
@@ -87,7 +89,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         loop {
             let clock = Instant::now();
             let solution = self.solve_elastic(linearization, model, sets);
-            self.phases.qp += clock.elapsed().as_secs_f64();
+            self.trace.phases.qp += clock.elapsed().as_secs_f64();
             let solution = solution?;
             if !self.join_predicted(linearization, &solution)? {
                 return Ok(solution);
@@ -140,14 +142,14 @@ impl<P: LiftedProgram> Run<'_, P> {
     ) -> Result<QpSolution, QpError> {
         let first = self.first_rows(linearization);
         let rows = &linearization.rows;
-        let expected = self.multipliers.at_rows(rows);
+        let expected = self.iterate.multipliers.at_rows(rows);
         let mut solution = QuadraticProgram {
             expected: Some(&expected),
             ..self.subproblem(linearization, model, sets, weight, &first)
         }
         .solve()?;
-        self.working = solution.working.iter().map(|&at| rows[at]).collect();
-        let mut inequalities = vec![0.0; self.evaluation.inequalities.len()];
+        self.working_set.last = solution.working.iter().map(|&at| rows[at]).collect();
+        let mut inequalities = vec![0.0; self.iterate.evaluation.inequalities.len()];
         for (&row, z) in rows.iter().zip(&solution.multipliers.inequalities) {
             inequalities[row] = *z;
         }
@@ -157,7 +159,7 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// Places, among the linearized rows, of those that mattered last.
     pub(super) fn first_rows(&self, linearization: &Linearization) -> Vec<usize> {
-        (self.working.iter())
+        (self.working_set.last.iter())
             .filter_map(|row| linearization.rows.binary_search(row).ok())
             .collect()
     }
@@ -168,16 +170,23 @@ impl<P: LiftedProgram> Run<'_, P> {
         linearization: &mut Linearization,
         solution: &QpSolution,
     ) -> Result<bool, Breakdown> {
-        if linearization.rows.len() == self.evaluation.inequalities.len() {
+        if linearization.rows.len() == self.iterate.evaluation.inequalities.len() {
             return Ok(false);
         }
         let clock = Instant::now();
         let predicted = self
             .program
-            .expand(&self.point, &self.evaluation.defects, &solution.change)
+            .expand(
+                &self.iterate.point,
+                &self.iterate.evaluation.defects,
+                &solution.change,
+            )
             .and_then(|direction| {
-                self.program
-                    .predict_inequalities(&self.point, &self.evaluation, &direction)
+                self.program.predict_inequalities(
+                    &self.iterate.point,
+                    &self.iterate.evaluation,
+                    &direction,
+                )
             })?;
         // What the slack of its group covers is known already.
         let beyond = |(row, h): (usize, f64)| match self.program.softness(row) {
@@ -188,7 +197,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             Softness::Soft { .. } => h,
         };
         let predicted: Vec<f64> = predicted.into_iter().enumerate().map(beyond).collect();
-        self.phases.linearize += clock.elapsed().as_secs_f64();
+        self.trace.phases.linearize += clock.elapsed().as_secs_f64();
         self.join(linearization, &predicted)
     }
 
@@ -213,18 +222,18 @@ impl<P: LiftedProgram> Run<'_, P> {
         if missing.is_empty() {
             return Ok(false);
         }
-        self.screening_margin *= MARGIN_GROWTH;
+        self.working_set.screening_margin *= MARGIN_GROWTH;
         let request = LinearizationRequest {
             multipliers: None,
             rows: &missing,
         };
-        let more = self
-            .program
-            .linearize(&self.point, &self.evaluation, &request)?;
+        let more =
+            self.program
+                .linearize(&self.iterate.point, &self.iterate.evaluation, &request)?;
         linearization.join_rows(&more);
         self.note_rows(linearization);
         self.keep_states(linearization)?;
-        self.phases.linearize += clock.elapsed().as_secs_f64();
+        self.trace.phases.linearize += clock.elapsed().as_secs_f64();
         Ok(true)
     }
 
@@ -254,8 +263,8 @@ impl<P: LiftedProgram> Run<'_, P> {
             linearization,
             self.variables(),
             sets,
-            &self.softness,
-            &self.groups,
+            &self.working_set.softness,
+            &self.working_set.groups,
         );
         QuadraticProgram {
             hessian: &model.matrix,
@@ -266,9 +275,12 @@ impl<P: LiftedProgram> Run<'_, P> {
             },
             elastic_weight,
             row_tolerance: self.row_tolerance(),
-            trust_radius: self.trust_radius.max(SET_ROOM * self.outside),
+            trust_radius: self
+                .trust_region
+                .radius
+                .max(SET_ROOM * self.iterate.outside),
             stop: Some(&self.settings.stop),
-            states: self.kept.as_ref().map(|kept| KeptStates {
+            states: self.states.linearization.as_ref().map(|kept| KeptStates {
                 linearization: kept,
                 replaces_hessian: model.kind == HessianKind::GaussNewton,
             }),

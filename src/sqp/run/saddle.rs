@@ -1,33 +1,17 @@
-//! What is done where plain steps do not lead on: careful steps, ways back, states computed anew, saddles left.
-
-use std::sync::Arc;
+//! Points that meet the conditions of first order and are no minima.
 
 use super::super::balls::change_into_balls;
 use super::super::globalization::{Accepted, Filter};
-use super::super::hessian::{HessianChoice, ModelHessian, NegativeCurvature};
+use super::super::hessian::{ModelHessian, NegativeCurvature};
 use super::super::program::{Evaluation, LiftedProgram};
-use super::super::quadratic_program::{QpError, QpSolution};
+use super::super::quadratic_program::QpSolution;
 use super::super::residual::norm;
-use super::{
-    Best, Run, SHRINK, SHRINKAGES, UNKNOWN_RESIDUAL, distance_from_sets, first_trust_radius,
-    is_within,
-};
+use std::sync::Arc;
 
-/// A solve that ends further from feasibility than it has been, by this factor, turns back, at most so many times, and stays within this
-/// infeasibility from then on.
-const ASTRAY: f64 = 1e2;
-const RETURNS: usize = 2;
-const RETURN_INFEASIBILITY: f64 = 0.1;
+use super::super::best_point::Best;
+use super::super::trust_region::{SHRINK, TrustRegion};
+use super::{Run, SHRINKAGES, is_within};
 
-/// Iterations after which a solve goes on carefully, once it is this near to feasibility.
-const CAREFUL_AFTER: usize = 30;
-const CAREFUL_BELOW: f64 = 1e-3;
-/// Infeasibility within which careful steps stay, or this many times the one that they begin with.
-const CAREFUL_INFEASIBILITY: f64 = 1e-2;
-const CAREFUL_ROOM: f64 = 10.0;
-
-/// Subproblems without a solution, in all, after which a solve gives up.
-const RESCUES: usize = 8;
 /// Infeasibility of a point beyond which its Lagrangian says nothing about what leaving a saddle gains.
 const ESCAPE_INFEASIBILITY: f64 = 0.3;
 /// How far a step past a saddle goes of the way that promises a worthwhile gain, and may go of the trust radius or of the variables (at
@@ -61,43 +45,35 @@ fn peak(course: &[(f64, f64)]) -> f64 {
     }
 }
 
-/// What was done about a subproblem without a solution.
-pub(super) enum Recovery {
-    Smaller,
-    Restarted,
+/// Saddles that were met.
+pub(super) struct Saddles<Point> {
+    pub(super) escapes: usize,
+    /// The best point before the last escape.
+    pub(super) best_before: Option<Best<Point>>,
+    /// What the Lagrangian still falls by from a saddle that is not worth leaving.
+    pub(super) left_to_gain: Option<f64>,
 }
 
-/// Whether steps must keep what they promise, which [careful](Filter::careful) ones do.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Care {
-    NotYet,
-    Taken,
-    /// There was no such step any more.
-    GivenUp,
+impl<Point> Default for Saddles<Point> {
+    fn default() -> Self {
+        Self {
+            escapes: 0,
+            best_before: None,
+            left_to_gain: None,
+        }
+    }
 }
 
 impl<P: LiftedProgram> Run<'_, P> {
-    /// Computes the states from the variables, once; whether it did.
-    pub(in crate::sqp) fn roll_out(&mut self) -> bool {
-        if self.has_rolled_out {
-            return false;
-        }
-        self.has_rolled_out = true;
-        let stay = vec![0.0; self.variables().len()];
-        Filter::rollout(self.program, &self.point, &stay, 0)
-            .map(|there| self.arrive(there))
-            .is_some()
-    }
-
     /// Leaves a point that meets the conditions of first order along the most negative curvature of the Lagrangian on what constraints
     /// leave free (Moré & Sorensen 1979; Goldfarb 1980), where that gains more than the part of the objective that
     /// [`saddle_gain`](super::super::SqpSettings::saddle_gain) asks for; whether it did. What is left to gain at a saddle that is not
     /// worth leaving is remembered.
     pub(in crate::sqp) fn escape(&mut self) -> bool {
-        if self.escapes >= self.settings.saddle_escapes {
+        if self.saddles.escapes >= self.settings.saddle_escapes {
             return false;
         }
-        let Some(curvature) = self.descent.take() else {
+        let Some(curvature) = self.hessian.descent.take() else {
             return false;
         };
         let Some(WayOut {
@@ -109,35 +85,34 @@ impl<P: LiftedProgram> Run<'_, P> {
             return false;
         };
         if gain < self.worthwhile() {
-            self.left_to_gain = Some(gain);
+            self.saddles.left_to_gain = Some(gain);
             return false;
         }
-        self.left_to_gain = None;
-        self.escapes += 1;
+        self.saddles.left_to_gain = None;
+        self.saddles.escapes += 1;
         self.arrive(there);
-        let fresh = Best {
-            residual: UNKNOWN_RESIDUAL,
-            infeasibility: f64::INFINITY,
-            ..self.best.clone()
-        };
-        self.saddle = Some(std::mem::replace(&mut self.best, fresh));
-        self.care = Care::NotYet;
-        self.forget();
-        self.trust_radius = length;
+        let fresh = Best::none(
+            Arc::clone(&self.best.point),
+            self.best.multipliers.clone(),
+            self.best.objective,
+        );
+        self.saddles.best_before = Some(std::mem::replace(&mut self.best, fresh));
+        self.filter = Filter::new(self.infeasibility());
+        self.trust_region.radius = length;
         true
     }
 
     /// What leaving a saddle must gain.
     fn worthwhile(&self) -> f64 {
-        self.settings.saddle_gain * self.evaluation.objective.abs()
+        self.settings.saddle_gain * self.iterate.evaluation.objective.abs()
     }
 
     /// Where the Lagrangian is least along a direction of negative curvature, in both ways: simulated points, the first where the
     /// curvature alone promises a worthwhile gain, then further by [`ESCAPE_GROWTH`] for as long as it falls, or nearer where it does not yet.
     fn way_out(&self, curvature: &NegativeCurvature) -> Option<WayOut<P>> {
-        let here = self.lagrangian(&self.evaluation);
+        let here = self.lagrangian(&self.iterate.evaluation);
         let first = (2.0 * self.worthwhile() / -curvature.value).sqrt();
-        let farthest = first_trust_radius(self.variables());
+        let farthest = TrustRegion::around(self.variables()).radius;
         let mut best: Option<WayOut<P>> = None;
         // A limit without a multiplier stands in one of the two ways.
         for way in [1.0, -1.0] {
@@ -184,7 +159,7 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// The simulated point after a change of the variables, where it is near enough to the constraints.
     fn leads_out(&self, change: &[f64]) -> Option<Accepted<P>> {
-        let there = Filter::rollout(self.program, &self.point, change, 0)?;
+        let there = Filter::rollout(self.program, &self.iterate.point, change, 0)?;
         let variables = self.program.variables(&there.point);
         let mut sets = self.program.sets().iter();
         let is_near = self.program.infeasibility(&there.evaluation) <= ESCAPE_INFEASIBILITY
@@ -196,68 +171,10 @@ impl<P: LiftedProgram> Run<'_, P> {
     fn lagrangian(&self, evaluation: &Evaluation<P::Defects>) -> f64 {
         let rows = evaluation.inequalities.iter().copied().enumerate();
         let work = self
+            .iterate
             .multipliers
             .work(self.program, &evaluation.constraints, rows);
         self.program.total_objective(evaluation) + work
-    }
-
-    /// Goes back to the best point where that was far nearer to feasibility, to go on from it more carefully; whether it did. What could not be
-    /// met here could be met there.
-    pub(in crate::sqp) fn turn_back(&mut self) -> bool {
-        let is_astray = self.infeasibility()
-            > self
-                .settings
-                .tolerance
-                .max(ASTRAY * self.best.infeasibility);
-        if !is_astray || self.returns >= RETURNS {
-            return false;
-        }
-        let Ok(evaluation) = self.program.evaluate(&self.best.point) else {
-            return false;
-        };
-        self.returns += 1;
-        self.point = Arc::clone(&self.best.point);
-        self.evaluation = evaluation;
-        self.outside = distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
-        self.multipliers = self.best.multipliers.clone();
-        self.trust_radius = self.best.trust_radius;
-        let largest = RETURN_INFEASIBILITY.max(ASTRAY * self.best.infeasibility);
-        if self.may_take_care() {
-            self.care = Care::Taken;
-        }
-        self.filter = if self.care == Care::Taken {
-            Filter::careful(largest)
-        } else {
-            Filter::within(largest)
-        };
-        self.elastic_weight = None;
-        self.restoration = None;
-        self.restored_at = self.history.len();
-        self.stuck = 0;
-        true
-    }
-
-    /// After a subproblem that Clarabel could not solve: put the states back onto their equations (large defects make
-    /// badly scaled subproblems), or else shrink the trust region.
-    pub(super) fn recover(&mut self, error: QpError) -> Result<Recovery, QpError> {
-        if let QpError::Status { problem, .. } = &error {
-            self.failed_subproblem.clone_from(problem);
-        }
-        self.rescues += 1;
-        if self.rescues > RESCUES {
-            return Err(error);
-        }
-        let still = vec![0.0; self.variables().len()];
-        if self.evaluation.defect > self.settings.tolerance
-            && let Some(there) = Filter::rollout(self.program, &self.point, &still, 0)
-        {
-            self.filter = self.fresh_filter(self.program.infeasibility(&there.evaluation));
-            self.elastic_weight = None;
-            self.arrive(there);
-            return Ok(Recovery::Restarted);
-        }
-        self.trust_radius *= SHRINK;
-        Ok(Recovery::Smaller)
     }
 
     /// The step, longer along the most negative curvature where it hardly goes that way and a worthwhile gain is within reach. Near a
@@ -270,7 +187,10 @@ impl<P: LiftedProgram> Run<'_, P> {
             return solution;
         }
         let worthwhile = (2.0 * self.worthwhile() / -value).sqrt();
-        let reach = self.trust_radius.min(norm(self.variables()).max(1.0));
+        let reach = self
+            .trust_region
+            .radius
+            .min(norm(self.variables()).max(1.0));
         if worthwhile > reach {
             return solution;
         }
@@ -294,39 +214,5 @@ impl<P: LiftedProgram> Run<'_, P> {
             solution.change = change;
         }
         solution
-    }
-
-    /// A solve that is long and nearly feasible goes on carefully: it stays near, where long lifted steps lead astray. Only with the exact
-    /// Hessian, whose short steps contract; Gauss-Newton's do so lifted, if at all.
-    pub(super) fn take_care(&mut self) {
-        let infeasibility = self.infeasibility();
-        let is_long = self.history.len() > CAREFUL_AFTER;
-        if self.may_take_care() && is_long && infeasibility < CAREFUL_BELOW {
-            self.care = Care::Taken;
-            self.filter = self.fresh_filter(infeasibility);
-        }
-    }
-
-    fn may_take_care(&self) -> bool {
-        let has_exact = matches!(
-            self.settings.hessian,
-            HessianChoice::Auto | HessianChoice::Exact
-        );
-        self.care == Care::NotYet && has_exact
-    }
-
-    /// An empty filter for a point of this infeasibility.
-    pub(super) fn fresh_filter(&self, infeasibility: f64) -> Filter {
-        if self.care == Care::Taken {
-            Filter::careful(CAREFUL_INFEASIBILITY.max(CAREFUL_ROOM * infeasibility))
-        } else {
-            Filter::new(infeasibility)
-        }
-    }
-
-    /// Begins anew from here, with an empty filter and the first trust region.
-    pub(super) fn forget(&mut self) {
-        self.filter = self.fresh_filter(self.infeasibility());
-        self.trust_radius = first_trust_radius(self.variables());
     }
 }

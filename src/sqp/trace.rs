@@ -1,0 +1,54 @@
+//! What a solve has done so far.
+
+use std::time::Instant;
+
+use super::globalization::Accepted;
+use super::outcome::{IterationRecord, Leave, PhaseTimes};
+use super::program::LiftedProgram;
+
+/// Rows of the iterations, times of the phases, failures of subproblems.
+pub(super) struct Trace {
+    pub(super) started: Instant,
+    pub(super) history: Vec<IterationRecord>,
+    pub(super) phases: PhaseTimes,
+    /// Subproblems without a solution, and the last of them as Clarabel's own JSON.
+    pub(super) failures: usize,
+    pub(super) failed_subproblem: Option<String>,
+}
+
+impl Trace {
+    pub(super) fn new(started: Instant) -> Self {
+        Self {
+            started,
+            history: Vec::new(),
+            phases: PhaseTimes::default(),
+            failures: 0,
+            failed_subproblem: None,
+        }
+    }
+
+    /// Writes an accepted step of this length into the present row.
+    pub(super) fn note_step<P: LiftedProgram>(&mut self, accepted: &Accepted<P>, length: f64) {
+        let before = (self.history.iter().rev())
+            .map(|row| row.step_norm)
+            .find(|&step| step > 0.0);
+        self.leave(if length > 0.0 {
+            Leave::Step
+        } else {
+            Leave::Settled
+        });
+        if let Some(row) = self.history.last_mut() {
+            row.step_norm = length;
+            row.contraction = before.map(|before| length / before);
+            row.corrections = accepted.corrections;
+            row.rolled_out = accepted.rolled_out;
+        }
+    }
+
+    /// Says how the present point was left.
+    pub(super) fn leave(&mut self, left: Leave) {
+        if let Some(row) = self.history.last_mut() {
+            row.left = left;
+        }
+    }
+}
