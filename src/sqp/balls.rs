@@ -3,8 +3,8 @@
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
+use super::kkt::norm;
 use super::program::{ConvexSet, along};
-use super::residual::norm;
 
 /// Balls that share variables are visited this often at most.
 const SWEEPS: usize = 20;

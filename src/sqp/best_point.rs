@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::residual::{KktResidual, Multipliers};
+use super::kkt::{KktResidual, Multipliers};
 
 /// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
 #[derive(Clone)]

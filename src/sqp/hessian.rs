@@ -3,8 +3,8 @@
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
+use super::kkt::{Multipliers, norm};
 use super::program::{ConvexSet, Linearization, Softness, along};
-use super::residual::{Multipliers, norm};
 
 /// The second derivatives that the quadratic model uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

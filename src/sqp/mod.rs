@@ -2,12 +2,15 @@
 
 mod balls;
 mod best_point;
+mod correction;
 #[doc(hidden)]
-pub mod globalization;
+pub mod filter;
 #[doc(hidden)]
 pub mod hessian;
 #[doc(hidden)]
 pub mod kept_states;
+#[doc(hidden)]
+pub mod kkt;
 #[doc(hidden)]
 pub mod outcome;
 mod polish;
@@ -18,13 +21,12 @@ pub mod progress;
 #[doc(hidden)]
 pub mod quadratic_program;
 mod refit;
-#[doc(hidden)]
-pub mod residual;
 mod run;
 mod settings;
 #[doc(hidden)]
 pub mod solver;
 mod trace;
+mod trial;
 mod trust_region;
 mod working_set;
 
@@ -32,14 +34,15 @@ pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
+pub use kkt::{KktResidual, Multipliers};
 pub use outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
 pub use program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness,
 };
 pub use progress::{Progress, Trend};
-pub use residual::{KktResidual, Multipliers};
+pub use run::WarmStart;
 pub use settings::{SADDLE_GAIN, SqpSettings};
-pub use solver::{Iteration, Solver, WarmStart, solve, solve_warm};
+pub use solver::{Iteration, Solver, solve, solve_warm};
 
 pub use crate::stop::{Stop, StopSignal};

@@ -2,7 +2,7 @@
 
 use super::hessian::HessianKind;
 use super::kept_states::QpRoute;
-use super::residual::{KktResidual, Multipliers};
+use super::kkt::{KktResidual, Multipliers};
 use crate::stop::Stop;
 
 /// How a solve ended. Only the residual check can say `Converged`.

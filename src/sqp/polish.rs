@@ -12,9 +12,9 @@ use std::collections::BTreeMap;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
+use super::kkt::{Multipliers, infinity_norm, norm};
 use super::program::{ConvexSet, Softness, along};
 use super::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
-use super::residual::{Multipliers, infinity_norm, norm};
 
 /// Part of the trust radius that a step must leave: beyond, its cone is active as well.
 const INSIDE: f64 = 0.999;

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use faer::Mat;
 
 use super::kept_states::StateLinearization;
-use super::residual::{Multipliers, infinity_norm, norm};
+use super::kkt::{Multipliers, infinity_norm, norm};
 
 /// A convex set on some of the variables.
 #[derive(Clone, Debug, PartialEq)]

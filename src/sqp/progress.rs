@@ -83,8 +83,8 @@ impl Progress {
 mod tests {
     use super::*;
     use crate::sqp::hessian::HessianKind;
+    use crate::sqp::kkt::KktResidual;
     use crate::sqp::outcome::Leave;
-    use crate::sqp::residual::KktResidual;
 
     fn row(infeasibility: f64, stationarity: f64) -> IterationRecord {
         IterationRecord {

@@ -13,11 +13,11 @@
 use faer::Mat;
 
 use super::balls::change_into_balls;
+use super::kkt::norm;
 use super::program::{
     ConvexSet, Evaluation, LiftedProgram, Linearization, LinearizationRequest, Softness, along,
 };
 use super::quadratic_program::peaks;
-use super::residual::norm;
 
 /// A row, or a set, that is nearer to its limit than this is held.
 const HELD: f64 = 1e-8;

@@ -3,6 +3,7 @@
 mod restoration;
 mod saddle;
 mod subproblem;
+mod warm_start;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -12,10 +13,12 @@ use faer::Mat;
 use self::restoration::Restoration;
 use self::saddle::Saddles;
 use self::subproblem::NO_SLACK;
+pub use self::warm_start::WarmStart;
 use super::best_point::Best;
-use super::globalization::{Accepted, Departure, FEASIBLE, Filter, Refused};
+use super::filter::{FEASIBLE, Filter};
 use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
 use super::kept_states::{QpRoute, StateLinearization};
+use super::kkt::{KktResidual, Multipliers, norm};
 use super::outcome::{Convergence, IterationRecord, Leave, SqpOutcome, SqpStatus};
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
@@ -24,10 +27,9 @@ use super::program::{
 use super::quadratic_program::{
     LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
 };
-use super::residual::{KktResidual, Multipliers, norm};
 use super::settings::SqpSettings;
-use super::solver::WarmStart;
 use super::trace::Trace;
+use super::trial::{Accepted, Departure, Refused};
 use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop};
@@ -679,37 +681,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     /// Rows so far.
     pub(super) fn n_rows(&self) -> usize {
         self.trace.history.len()
-    }
-
-    /// Takes over what another solve knew, besides its point.
-    pub(super) fn warm(&mut self, start: &WarmStart<P::Point>) -> Result<(), String> {
-        let (own, other) = (&self.iterate.multipliers, &start.multipliers);
-        let sizes = |m: &Multipliers| (m.constraints.len(), m.inequalities.len(), m.normals.len());
-        if sizes(own) != sizes(other) {
-            return Err(format!(
-                "a warm start with {:?} constraints, inequalities and sets for a program with {:?}",
-                sizes(other),
-                sizes(own)
-            ));
-        }
-        self.iterate.multipliers = start.multipliers.clone();
-        self.best.multipliers = start.multipliers.clone();
-        self.working_set.last.clone_from(&start.working_rows);
-        self.elastic_weight = start.elastic_weight;
-        self.trust_region.radius = start.trust_radius;
-        self.iterate.has_multipliers = true;
-        Ok(())
-    }
-
-    /// What another solve may take over.
-    pub(super) fn warm_start(&self) -> WarmStart<P::Point> {
-        WarmStart {
-            point: P::Point::clone(&self.iterate.point),
-            multipliers: self.iterate.multipliers.clone(),
-            working_rows: self.working_set.last.clone(),
-            elastic_weight: self.elastic_weight,
-            trust_radius: self.trust_region.radius,
-        }
     }
 
     /// What was found; where a saddle was left for nothing better, the saddle.

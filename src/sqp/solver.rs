@@ -2,27 +2,12 @@
 
 use std::ops::ControlFlow;
 
+use super::kkt::KktResidual;
 use super::outcome::{IterationRecord, Leave, SqpOutcome, SqpStatus};
 use super::program::LiftedProgram;
-use super::residual::{KktResidual, Multipliers};
-use super::run::{Run, Step};
+use super::run::{Run, Step, WarmStart};
 use super::settings::{DEFECT_PART, STOP_PART, SqpSettings, VIOLATION_PART};
 use crate::stop::Stop;
-
-/// Where a solve goes on that another one ended: near its own solution a changed program is solved in a few iterations.
-#[derive(Clone, Debug)]
-pub struct WarmStart<P> {
-    /// The point.
-    pub point: P,
-    /// Multipliers there, of a program of the same size; with them the curvature of the Lagrangian is known from the first iteration on.
-    pub multipliers: Multipliers,
-    /// Inequalities that mattered.
-    pub working_rows: Vec<usize>,
-    /// Weight of infeasible rows in the subproblem.
-    pub elastic_weight: Option<f64>,
-    /// Trust radius.
-    pub trust_radius: f64,
-}
 
 /// What one iteration did.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use super::globalization::Accepted;
 use super::outcome::{IterationRecord, Leave, PhaseTimes};
 use super::program::LiftedProgram;
+use super::trial::Accepted;
 
 /// Rows of the iterations, times of the phases, failures of subproblems.
 pub(super) struct Trace {

@@ -2,7 +2,7 @@
 //!
 //! After Nocedal and Wright (2006), chapter 4: the ratio of what a step delivered to what its model promised decides.
 
-use super::residual::norm;
+use super::kkt::norm;
 
 /// First radius, relative to the variables (at least to one).
 const FIRST: f64 = 2.0;

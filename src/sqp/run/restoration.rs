@@ -6,11 +6,11 @@ use std::time::Instant;
 use faer::Mat;
 
 use super::super::best_point::Best;
-use super::super::globalization::{Filter, Measure};
+use super::super::filter::{Filter, Measure};
 use super::super::hessian::{HessianKind, ModelHessian};
+use super::super::kkt::{Multipliers, norm};
 use super::super::program::{ConvexSet, LiftedProgram, Linearization, Softness};
 use super::super::quadratic_program::QpSolution;
-use super::super::residual::{Multipliers, norm};
 use super::super::trust_region::{GOOD_RATIO, TrustRegion};
 use super::{Breakdown, INFEASIBLE_PROGRESS, Run, SHRINKAGES, Step};
 

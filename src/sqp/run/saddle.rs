@@ -1,11 +1,12 @@
 //! Points that meet the conditions of first order and are no minima.
 
 use super::super::balls::change_into_balls;
-use super::super::globalization::{Accepted, Filter};
+use super::super::filter::Filter;
 use super::super::hessian::{ModelHessian, NegativeCurvature};
+use super::super::kkt::norm;
 use super::super::program::{Evaluation, LiftedProgram};
 use super::super::quadratic_program::QpSolution;
-use super::super::residual::norm;
+use super::super::trial::Accepted;
 use std::sync::Arc;
 
 use super::super::best_point::Best;

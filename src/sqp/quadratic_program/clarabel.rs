@@ -1,0 +1,587 @@
+//! The subproblem in Clarabel's form: one sparse matrix of rows and their cones, and the multipliers back in ours.
+
+use std::collections::BTreeMap;
+use std::io::{Read as _, Seek as _};
+
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{
+    DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT,
+    SolverJSONReadWrite as _, SolverStatus, SupportedConeT, ZeroConeT,
+};
+use faer::Mat;
+
+use super::super::kept_states::StateRow;
+use super::super::kkt::{Multipliers, infinity_norm};
+use super::super::program::{ConvexSet, Softness, along};
+use super::{NEGLIGIBLE_MULTIPLIER, QpError, QpSolution, QuadraticProgram};
+
+/// How Clarabel is run. What it cannot solve is tried again with the next of [`LADDER`].
+#[derive(Clone, Copy, Debug)]
+struct Attempt {
+    /// Added to the diagonal of the Hessian, relative to its largest entry (Levenberg-Marquardt).
+    shift: f64,
+    tolerance: f64,
+    /// What it must have reached when it stops early.
+    reduced: f64,
+    /// Static regularization of the factorization; Clarabel's default is 1e-8.
+    regularization: f64,
+    /// Corrections of a linear solve, at most, and by what factor each must help.
+    refinements: u32,
+    refinement_gain: f64,
+}
+
+/// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
+/// from a solution beats none, and near one it would show.
+const LADDER: [Attempt; 2] = [
+    Attempt::condensed(0.0, 1e-11, 1e-7, 1e-8),
+    Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-8),
+];
+/// With states: the factorization is far worse conditioned, by the square of the number of steps, and what regularization keeps it
+/// stable must be taken back by many refinements. Measured: costs over states need the second; less than the first is unstable.
+const STATES_LADDER: [Attempt; 3] = [
+    Attempt::with_states(1e-8),
+    Attempt::with_states(1e-7),
+    Attempt::with_states(1e-6),
+];
+
+impl Attempt {
+    /// With Clarabel's own refinement.
+    const fn condensed(shift: f64, tolerance: f64, reduced: f64, regularization: f64) -> Self {
+        Self {
+            shift,
+            tolerance,
+            reduced,
+            regularization,
+            refinements: 10,
+            refinement_gain: 5.0,
+        }
+    }
+
+    const fn with_states(regularization: f64) -> Self {
+        Self {
+            shift: 0.0,
+            tolerance: 1e-11,
+            reduced: 1e-9,
+            regularization,
+            refinements: 60,
+            refinement_gain: 1.2,
+        }
+    }
+}
+
+impl QuadraticProgram<'_> {
+    /// Down the ladder, until Clarabel is content; without the states if it is not with them.
+    pub(super) fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
+        if self.states.is_some() {
+            let found = (STATES_LADDER.iter())
+                .find_map(|attempt| self.attempt(working, attempt, false).ok());
+            if let Some(solution) = found {
+                return Ok(solution);
+            }
+            return self.condensed().solve_with(working);
+        }
+        let mut last = None;
+        for (at, attempt) in LADDER.iter().enumerate() {
+            match self.attempt(working, attempt, at + 1 == LADDER.len()) {
+                Ok(solution) => return Ok(solution),
+                Err(error) => last = Some(error),
+            }
+        }
+        Err(last.unwrap_or(QpError::NotFinite("ladder")))
+    }
+
+    fn attempt(
+        &self,
+        working: &[usize],
+        attempt: &Attempt,
+        is_last: bool,
+    ) -> Result<QpSolution, QpError> {
+        if let Some(stop) = self.stopped() {
+            return Err(QpError::Stopped(stop));
+        }
+        let n = self.gradient.len();
+        let m = self.offset.len();
+        // An objective of order one, whatever the weights.
+        let scale = 1.0
+            / infinity_norm(self.gradient)
+                .max(self.elastic_weight * 1e-3)
+                .max(f64::MIN_POSITIVE);
+        let slacks = Slacks::of(self, working);
+        let rows = Assembly::of(self, working, &slacks);
+        let (p, q) = self.objective(&slacks, scale, attempt.shift);
+        let Assembly {
+            matrix,
+            right,
+            cones,
+            places,
+            inequalities,
+        } = rows;
+        let settings = DefaultSettingsBuilder::default()
+            .verbose(false)
+            .presolve_enable(false)
+            .max_threads(1)
+            .tol_gap_abs(attempt.tolerance)
+            .tol_gap_rel(attempt.tolerance)
+            .tol_feas(attempt.tolerance)
+            .reduced_tol_gap_abs(attempt.reduced)
+            .reduced_tol_gap_rel(attempt.reduced)
+            .reduced_tol_feas(attempt.reduced)
+            .static_regularization_constant(attempt.regularization)
+            .iterative_refinement_max_iter(attempt.refinements)
+            .iterative_refinement_stop_ratio(attempt.refinement_gain)
+            .build()
+            .map_err(|error| QpError::refused(error.to_string()))?;
+        let stop = self.stop.cloned().unwrap_or_default();
+        let signal = stop.clone();
+        // It looks at the signal between its iterations; one of them, and its setting up, may take long where rows or states are many.
+        let solver = stop.unless_raised(p.n, move || {
+            let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
+                .map_err(|error| QpError::refused(error.to_string()))?;
+            if signal.is_possible() {
+                solver.set_termination_callback(move |_| signal.is_raised());
+            }
+            solver.solve();
+            Ok::<_, QpError>(solver)
+        })??;
+        stop.check()?;
+        let solution = &solver.solution;
+        let info = &solver.info;
+        let usable = match solution.status {
+            SolverStatus::Solved | SolverStatus::AlmostSolved => true,
+            // It stops a step after its best point, whose residuals may well be good enough.
+            SolverStatus::InsufficientProgress => {
+                info.res_primal <= attempt.reduced
+                    && info.res_dual <= attempt.reduced
+                    && info.gap_rel.min(info.gap_abs) <= attempt.reduced
+            }
+            _ => false,
+        };
+        let finite = solution.x.iter().chain(&solution.z).all(|x| x.is_finite());
+        if !(usable && finite) {
+            return Err(QpError::Status {
+                status: format!(
+                    "{} (primal residual {:.1e}, dual residual {:.1e}, relative gap {:.1e})",
+                    solution.status, info.res_primal, info.res_dual, info.gap_rel
+                ),
+                problem: is_last.then(|| saved(&solver)).flatten(),
+            });
+        }
+        let (of_constraints, of_rows) = solution.x[n..].split_at(2 * m);
+        let of_rows = &of_rows[..slacks.prices.len()];
+        let hard = (of_rows.iter().zip(&slacks.is_hard)).filter(|(_, hard)| **hard);
+        let violation = (of_constraints.iter()).chain(hard.map(|(slack, _)| slack));
+        let mut multipliers = Multipliers {
+            constraints: solution.z[..m].iter().map(|y| y / scale).collect(),
+            inequalities: vec![0.0; self.inequalities.offset.len()],
+            normals: (self.sets.iter().zip(&places))
+                .map(|(set, &place)| normal(set, place, &solution.z, scale))
+                .collect(),
+        };
+        for (at, row) in working.iter().zip(inequalities..) {
+            let (z, s) = (solution.z[row], solution.s[row]);
+            if z > NEGLIGIBLE_MULTIPLIER * s {
+                multipliers.inequalities[*at] = z / scale;
+            }
+        }
+        Ok(QpSolution {
+            change: solution.x[..n].to_vec(),
+            multipliers,
+            slack: violation.map(|s| s.max(0.0)).sum(),
+            iterations: solution.iterations,
+            working: Vec::new(),
+            slacks: (slacks.shared.iter())
+                .map(|(group, at)| (*group, of_rows[*at].max(0.0)))
+                .collect(),
+        })
+    }
+
+    /// Clarabel's `P` and `q`.
+    fn objective(&self, slacks: &Slacks, scale: f64, shift: f64) -> (CscMatrix<f64>, Vec<f64>) {
+        let (n, m) = (self.gradient.len(), self.offset.len());
+        let diagonal = (0..n)
+            .map(|i| self.hessian[(i, i)].abs())
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let split = (self.states.as_ref()).filter(|kept| kept.replaces_hessian);
+        let hessian = split.map_or(self.hessian, |kept| &kept.linearization.hessian);
+        let mut q = self.gradient.to_vec();
+        q.resize(n + 2 * m, self.elastic_weight);
+        q.extend(slacks.prices.iter().map(|p| p.0));
+        let first_state = q.len();
+        if let Some(kept) = &self.states {
+            q.resize(first_state + kept.linearization.n_states, 0.0);
+        }
+        q.iter_mut().for_each(|q| *q *= scale);
+        let mut p = UpperTriangle::new(q.len(), scale);
+        p.dense(hessian, shift * diagonal);
+        for (i, &(_, quadratic)) in slacks.prices.iter().enumerate() {
+            p.square(&[(n + 2 * m + i, quadratic.sqrt())]);
+        }
+        for row in split.iter().flat_map(|kept| &kept.linearization.residuals) {
+            p.square(&row.columns(first_state));
+        }
+        (p.finish(), q)
+    }
+}
+
+impl StateRow {
+    /// Columns of the subproblem with their coefficients, ascending; the states begin at `first_state`, after the variables.
+    fn columns(&self, first_state: usize) -> Vec<(usize, f64)> {
+        let states = self.states.iter().map(|&(at, c)| (first_state + at, c));
+        merged(self.variables.iter().copied().chain(states).collect())
+    }
+}
+
+/// Entries in the order of their places, those of the same place added.
+fn merged(mut entries: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
+    entries.sort_by_key(|entry| entry.0);
+    entries.dedup_by(|later, first| {
+        let same = later.0 == first.0;
+        if same {
+            first.1 += later.1;
+        }
+        same
+    });
+    entries
+}
+
+/// The problem as Clarabel writes it.
+fn saved(solver: &DefaultSolver<f64>) -> Option<String> {
+    let mut file = tempfile::tempfile().ok()?;
+    let mut text = String::new();
+    solver.save_to_file(&mut file).ok()?;
+    file.rewind().ok()?;
+    file.read_to_string(&mut text).ok()?;
+    Some(text)
+}
+
+/// Where a set's rows are in Clarabel's `A`, and whether they are equations.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    row: usize,
+    is_equation: bool,
+}
+
+impl ConvexSet {
+    /// Without interior: no interior-point method could begin.
+    fn is_equation(&self) -> bool {
+        match self {
+            Self::Interval { lower, upper, .. } => lower == upper,
+            Self::HalfSpace { .. } => false,
+            Self::Ball { radius, .. } => *radius == 0.0,
+        }
+    }
+}
+
+/// Clarabel's `z` in our order and units: `P x + q + Aᵀ z = 0`.
+fn normal(set: &ConvexSet, place: Place, z: &[f64], scale: f64) -> Vec<f64> {
+    let z = &z[place.row..];
+    match set {
+        ConvexSet::Interval { .. } if place.is_equation => vec![z[0] / scale],
+        ConvexSet::Interval { .. } => vec![(z[0] - z[1]) / scale],
+        ConvexSet::HalfSpace { .. } => vec![z[0] / scale],
+        ConvexSet::Ball { rows, .. } if place.is_equation => {
+            z[..rows.len()].iter().map(|z| z / scale).collect()
+        }
+        // Rows (radius; M (v + δ)) with A = (0; -M): the normal is minus the cone's vector part.
+        ConvexSet::Ball { rows, .. } => z[1..=rows.len()].iter().map(|z| -z / scale).collect(),
+    }
+}
+
+/// `A`, `b` and the cones.
+struct Assembly {
+    matrix: CscMatrix<f64>,
+    right: Vec<f64>,
+    cones: Vec<SupportedConeT<f64>>,
+    /// One per set.
+    places: Vec<Place>,
+    /// First row of the inequalities.
+    inequalities: usize,
+}
+
+/// Slacks of the working set: one per group of hard rows, one per soft row.
+struct Slacks {
+    /// Which one every row of the working set has.
+    of_row: Vec<usize>,
+    /// Linear and quadratic price.
+    prices: Vec<(f64, f64)>,
+    is_hard: Vec<bool>,
+    /// Slack of every group.
+    shared: BTreeMap<usize, usize>,
+}
+
+impl Slacks {
+    fn of(qp: &QuadraticProgram, working: &[usize]) -> Self {
+        let mut out = Self {
+            shared: BTreeMap::new(),
+            of_row: Vec::with_capacity(working.len()),
+            prices: Vec::new(),
+            is_hard: Vec::new(),
+        };
+        for &at in working {
+            let next = out.prices.len();
+            let (price, is_hard) = match qp.inequalities.softness[at] {
+                Softness::Hard => {
+                    let group = qp.inequalities.groups[at];
+                    let slack = *out.shared.entry(group).or_insert(next);
+                    if slack < next {
+                        out.of_row.push(slack);
+                        continue;
+                    }
+                    ((qp.elastic_weight, 0.0), true)
+                }
+                Softness::Soft { linear, quadratic } => ((linear, quadratic), false),
+            };
+            out.of_row.push(next);
+            out.prices.push(price);
+            out.is_hard.push(is_hard);
+        }
+        out
+    }
+}
+
+impl Assembly {
+    /// Columns: `δ`, `s⁺`, `s⁻`, `t` of the working set; then, where they are kept, the states.
+    fn of(qp: &QuadraticProgram, working: &[usize], slacks: &Slacks) -> Self {
+        let (n, m) = (qp.gradient.len(), qp.offset.len());
+        let n_slacks = 2 * m + slacks.prices.len();
+        let first_state = n + n_slacks;
+        let n_kept = (qp.states.as_ref()).map_or(0, |kept| kept.linearization.n_states);
+        let mut rows = Rows::new(first_state + n_kept);
+        let mut places = vec![
+            Place {
+                row: 0,
+                is_equation: false
+            };
+            qp.sets.len()
+        ];
+        let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
+        for i in 0..m {
+            rows.put(n + i, -1.0);
+            rows.put(n + m + i, 1.0);
+            match &qp.states {
+                None => rows.dense(qp.jacobian, i),
+                Some(kept) => rows.with_states(&kept.linearization.constraints[i], first_state),
+            }
+            rows.end(-qp.offset[i]);
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            if set.is_equation() {
+                *place = Place {
+                    row: rows.count(),
+                    is_equation: true,
+                };
+                rows.equations(set, qp.variables);
+            }
+        }
+        if let Some(kept) = &qp.states {
+            for row in &kept.linearization.equations {
+                rows.with_states(row, first_state);
+                rows.end(0.0);
+            }
+        }
+        let n_equations = rows.count();
+        if n_equations > 0 {
+            cones.push(ZeroConeT(n_equations));
+        }
+        for i in 0..n_slacks {
+            rows.put(n + i, -1.0);
+            rows.end(0.0);
+        }
+        let inequalities = rows.count();
+        for (&at, slack) in working.iter().zip(&slacks.of_row) {
+            rows.put(n + 2 * m + slack, -1.0);
+            match &qp.states {
+                None => rows.dense(qp.inequalities.jacobian, at),
+                Some(kept) => rows.with_states(&kept.linearization.inequalities[at], first_state),
+            }
+            rows.end(-qp.inequalities.offset[at]);
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            let row = rows.count();
+            match set {
+                _ if place.is_equation => continue,
+                ConvexSet::Interval {
+                    index,
+                    lower,
+                    upper,
+                } => {
+                    rows.put(*index, 1.0);
+                    rows.end(upper - qp.variables[*index]);
+                    rows.put(*index, -1.0);
+                    rows.end(qp.variables[*index] - lower);
+                }
+                ConvexSet::HalfSpace { direction, limit } => {
+                    rows.sparse(direction, 1.0);
+                    rows.end(limit - along(direction, qp.variables));
+                }
+                ConvexSet::Ball { .. } => continue,
+            }
+            place.row = row;
+        }
+        if rows.count() > n_equations {
+            cones.push(NonnegativeConeT(rows.count() - n_equations));
+        }
+        for (set, place) in qp.sets.iter().zip(&mut places) {
+            if let ConvexSet::Ball {
+                rows: directions,
+                radius,
+            } = set
+                && !(place.is_equation || directions.is_empty())
+            {
+                place.row = rows.count();
+                rows.end(*radius);
+                for direction in directions {
+                    rows.sparse(direction, -1.0);
+                    rows.end(along(direction, qp.variables));
+                }
+                cones.push(SecondOrderConeT(directions.len() + 1));
+            }
+        }
+        if qp.trust_radius.is_finite() {
+            rows.end(qp.trust_radius);
+            for index in 0..n {
+                rows.put(index, -1.0);
+                rows.end(0.0);
+            }
+            cones.push(SecondOrderConeT(n + 1));
+        }
+        let (matrix, right) = rows.finish();
+        Self {
+            matrix,
+            right,
+            cones,
+            places,
+            inequalities,
+        }
+    }
+}
+
+/// A symmetric matrix by the columns of its upper triangle, times `scale`.
+struct UpperTriangle {
+    columns: Vec<Vec<(usize, f64)>>,
+    scale: f64,
+}
+
+impl UpperTriangle {
+    fn new(size: usize, scale: f64) -> Self {
+        Self {
+            columns: vec![Vec::new(); size],
+            scale,
+        }
+    }
+
+    /// Adds `h + shift I` at the beginning.
+    fn dense(&mut self, h: &Mat<f64>, shift: f64) {
+        for (j, column) in self.columns.iter_mut().take(h.ncols()).enumerate() {
+            for i in 0..=j {
+                let entry = 0.5 * (h[(i, j)] + h[(j, i)]) + if i == j { shift } else { 0.0 };
+                if entry != 0.0 {
+                    column.push((i, entry * self.scale));
+                }
+            }
+        }
+    }
+
+    /// Adds the matrix of `½ (row x)²`, for a row with ascending columns.
+    fn square(&mut self, row: &[(usize, f64)]) {
+        for (at, &(j, b)) in row.iter().enumerate() {
+            for &(i, a) in &row[..=at] {
+                if a * b != 0.0 {
+                    self.columns[j].push((i, a * b * self.scale));
+                }
+            }
+        }
+    }
+
+    fn finish(self) -> CscMatrix<f64> {
+        let size = self.columns.len();
+        compressed(size, self.columns.into_iter().map(merged))
+    }
+}
+
+/// The sparse matrix with these columns.
+fn compressed(
+    n_rows: usize,
+    columns: impl ExactSizeIterator<Item = Vec<(usize, f64)>>,
+) -> CscMatrix<f64> {
+    let n_columns = columns.len();
+    let (mut colptr, mut rowval, mut nzval) = (vec![0], Vec::new(), Vec::new());
+    for column in columns {
+        for (row, value) in column {
+            rowval.push(row);
+            nzval.push(value);
+        }
+        colptr.push(rowval.len());
+    }
+    CscMatrix::new(n_rows, n_columns, colptr, rowval, nzval)
+}
+
+/// A sparse matrix written row by row, with its right-hand side.
+struct Rows {
+    columns: Vec<Vec<(usize, f64)>>,
+    right: Vec<f64>,
+}
+
+impl Rows {
+    fn new(n_columns: usize) -> Self {
+        Self {
+            columns: vec![Vec::new(); n_columns],
+            right: Vec::new(),
+        }
+    }
+
+    fn count(&self) -> usize {
+        self.right.len()
+    }
+
+    fn put(&mut self, column: usize, value: f64) {
+        let row = self.count();
+        match self.columns[column].last_mut() {
+            Some(last) if last.0 == row => last.1 += value,
+            _ => self.columns[column].push((row, value)),
+        }
+    }
+
+    fn dense(&mut self, matrix: &Mat<f64>, row: usize) {
+        for j in 0..matrix.ncols() {
+            self.put(j, matrix[(row, j)]);
+        }
+    }
+
+    fn sparse(&mut self, direction: &[(usize, f64)], factor: f64) {
+        for &(index, component) in direction {
+            self.put(index, factor * component);
+        }
+    }
+
+    /// A row whose states begin at column `first_state`.
+    fn with_states(&mut self, row: &StateRow, first_state: usize) {
+        self.sparse(&row.columns(first_state), 1.0);
+    }
+
+    /// A set without interior.
+    fn equations(&mut self, set: &ConvexSet, variables: &[f64]) {
+        match set {
+            ConvexSet::Interval { index, upper, .. } => {
+                self.put(*index, 1.0);
+                self.end(upper - variables[*index]);
+            }
+            ConvexSet::HalfSpace { .. } => {}
+            ConvexSet::Ball { rows, .. } => {
+                for row in rows {
+                    self.sparse(row, 1.0);
+                    self.end(-along(row, variables));
+                }
+            }
+        }
+    }
+
+    fn end(&mut self, right: f64) {
+        self.right.push(right);
+    }
+
+    fn finish(self) -> (CscMatrix<f64>, Vec<f64>) {
+        let n_rows = self.right.len();
+        (compressed(n_rows, self.columns.into_iter()), self.right)
+    }
+}
