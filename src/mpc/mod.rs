@@ -9,6 +9,9 @@
 //! A [`Plant`] obeys commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
 //! carries to the model's nodes; hardware and other simulators implement the trait.
 //!
+//! Where the state cannot be measured, a [`Sensor`] gives [`Measurement`]s, late and with noise, and an [`Estimator`] makes of them an
+//! [`Estimate`] of the state and of what disturbs the arm: a [`BoundaryObserver`], or a [`KalmanFilter`] with its covariance.
+//!
 //! ```
 //! use nalgebra::Vector3;
 //! use softarm::mechanics::{Material, State, stable_step};
@@ -46,14 +49,23 @@
 
 mod controller;
 mod error;
+mod estimator;
 mod horizon;
 mod knots;
 mod plant;
+mod sensor;
+mod signal;
 mod subproblem;
 mod transfer;
 
 pub use controller::{Command, Controller, MpcSettings, SampleRecord};
 pub use error::MpcError;
+pub use estimator::{
+    BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,
+    KalmanFilter, KalmanSettings, ObserverSettings, Predictor, RandomWalk,
+};
 pub use plant::{Plant, RodPlant};
+pub use sensor::{Sensor, SensorPreset, SensorSettings};
+pub use signal::{Measurement, Reading, Signal};
 pub use subproblem::SubproblemEnd;
 pub use transfer::Transfer;

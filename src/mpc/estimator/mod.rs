@@ -1,0 +1,191 @@
+//! Estimators: the state of the model, and what disturbs it, from what sensors say.
+//!
+//! An estimator lives at the time of the last measurement that it has used. A sample of the loop goes
+//!
+//! ```text
+//! until the time at which the measurement was true:   advance(command, min(command.end, time))    for every command that acted since
+//!                                                     correct(measurement)
+//! until the instant at which the next command acts:   a Predictor, from the estimate, under the commands that were sent
+//! ```
+//!
+//! so that a measurement that is known late corrects the state at the time at which it was true.
+//!
+//! **Order.** A measurement must be of the time at which the estimator is. One that is older than what the estimator has used is refused with
+//! [`EstimateError::Late`], and one to whose time the estimator has not been advanced with [`EstimateError::Ahead`]; both leave the
+//! estimator as it was. Where several sensors have different ages, hold back what is known early until nothing older can arrive: an
+//! [`Inbox`] does that. Measurements of the same instant may be used one after the other.
+
+use nalgebra::Vector3;
+
+use super::controller::Command;
+use super::signal::Measurement;
+use crate::mechanics::{Rod, State, StepError, Wrench};
+
+mod inbox;
+mod kalman;
+mod observer;
+mod prediction;
+
+pub use self::inbox::Inbox;
+pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
+pub use self::observer::{BoundaryObserver, ObserverSettings};
+pub use self::prediction::Predictor;
+
+/// What acts on the arm, or is wrong with its model, beyond what the model knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disturbance {
+    /// At the tip: force (spatial, N) and moment (body frame, N m).
+    pub tip: Wrench,
+    /// Force per rest length all along the arm, spatial, N/m.
+    pub distributed: Vector3<f64>,
+    /// Factor on the model's elastic moduli; 1: those of the model.
+    pub stiffness: f64,
+}
+
+impl Disturbance {
+    /// An undisturbed arm that is as stiff as its model.
+    pub const NONE: Self = Self {
+        tip: Wrench {
+            force: Vector3::new(0.0, 0.0, 0.0),
+            moment: Vector3::new(0.0, 0.0, 0.0),
+        },
+        distributed: Vector3::new(0.0, 0.0, 0.0),
+        stiffness: 1.0,
+    };
+
+    /// Adds its wrenches to `wrenches`, one a node of the rod: that at the tip, and of the distributed force what acts on a node's halves of
+    /// the elements beside it.
+    pub fn add_to(&self, rod: &Rod, wrenches: &mut [Wrench]) {
+        for (q, element) in rod.elements.iter().enumerate() {
+            let share = self.distributed * (0.5 * element.length);
+            wrenches[q].force += share;
+            wrenches[q + 1].force += share;
+        }
+        let tip = &mut wrenches[rod.tip()];
+        tip.force += self.tip.force;
+        tip.moment += self.tip.moment;
+    }
+
+    /// Gives `rod`, a copy of `model`, the stiffness of the model times the factor.
+    pub fn stiffen(&self, model: &Rod, rod: &mut Rod) {
+        for (element, own) in rod.elements.iter_mut().zip(&model.elements) {
+            element.linear_stiffness = own.linear_stiffness * self.stiffness;
+            element.angular_stiffness = own.angular_stiffness * self.stiffness;
+        }
+    }
+}
+
+impl Default for Disturbance {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+/// What is known at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// The instant, s: that of the last measurement used, or where the estimator has been advanced to since.
+    pub time: f64,
+    /// On the nodes of the model.
+    pub state: State,
+    /// What disturbs the arm; [`Disturbance::NONE`] in what is not estimated.
+    pub disturbance: Disturbance,
+    /// Standard deviation of every component of the disturbance, in its unit; 0 in what is not estimated.
+    pub deviation: Disturbance,
+}
+
+/// How a measurement compared with what was expected.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Innovation {
+    /// Numbers that were used, three a signal.
+    pub n: usize,
+    /// Root of the mean square of measured minus expected, each over its own standard deviation; 0 where nothing was used.
+    pub rms: f64,
+    /// `eᵀ S⁻¹ e`, `S` the covariance that the estimator expects of the innovation `e`: distributed as chi-square with `n` degrees of freedom
+    /// where the estimator is consistent. `None` for an estimator without covariance.
+    pub normalized: Option<f64>,
+    /// Distance of the measured from the expected position nearest to the tip, m; `None` where no position was measured.
+    pub distance: Option<f64>,
+}
+
+/// Why an estimator refuses something; it is left as it was.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EstimateError {
+    /// A number that is not finite.
+    #[error("{what} is not finite; drop it and measure again")]
+    NotFinite {
+        /// What it is part of.
+        what: String,
+    },
+    /// A signal that cannot be.
+    #[error("signal {index}: {name} is {value}, not {expected}")]
+    Signal {
+        /// Its place among the signals of the measurement.
+        index: usize,
+        /// What of it.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        expected: &'static str,
+    },
+    /// A measurement older than what has been used.
+    #[error(
+        "a measurement of t = {time} s came after the estimate had gone to {estimate} s; hold back what is known early (Inbox) or drop it"
+    )]
+    Late {
+        /// When it was true, s.
+        time: f64,
+        /// Where the estimator is, s.
+        estimate: f64,
+    },
+    /// A measurement to whose time the estimator has not been advanced, or an end before the beginning.
+    #[error(
+        "t = {time} s is not where the estimate is, {estimate} s; advance it with the commands that were sent"
+    )]
+    Ahead {
+        /// When it was true, s.
+        time: f64,
+        /// Where the estimator is, s.
+        estimate: f64,
+    },
+    /// Signals of which the estimator can use none.
+    #[error("the estimator can use none of the signals: {expected}")]
+    Unusable {
+        /// What it can use.
+        expected: &'static str,
+    },
+    /// The model's motion breaks down.
+    #[error("the motion of the estimate breaks down: {0}")]
+    Motion(#[from] StepError),
+    /// The covariance of the innovation has no Cholesky factor.
+    #[error("the covariance of the innovation is not positive definite; restart the estimator")]
+    Singular,
+}
+
+/// Keeps an estimate of the arm's state, and of what disturbs it.
+///
+/// After an error the estimate is the one before the call.
+pub trait Estimator {
+    /// Goes on to `until` (s) under a command that acts from the estimate's time to then; a command is constant before its start and after its
+    /// end. Call it once for every command that acted. Nothing happens where the estimate is there already, to rounding.
+    ///
+    /// # Errors
+    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`] for a command that is not finite,
+    /// and [`EstimateError::Motion`].
+    fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError>;
+
+    /// Corrects the estimate by a measurement of its time.
+    ///
+    /// # Errors
+    /// [`EstimateError`] for a measurement that is not finite, of another time, or of no use.
+    fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError>;
+
+    /// The present estimate.
+    fn estimate(&self) -> &Estimate;
+
+    /// Forgets everything, and starts anew at `time` (s) from `state`, on the nodes of the model: what follows is the same as with a new
+    /// estimator.
+    fn restart(&mut self, time: f64, state: &State);
+}
