@@ -1,109 +1,20 @@
 //! The controller: real-time iterations over a moving horizon.
 
+mod bounds;
+mod settings;
+
 use std::time::Instant;
 
+pub use self::settings::MpcSettings;
 use super::error::MpcError;
+use super::estimator::Disturbance;
 use super::horizon::Horizon;
 use super::knots::Knots;
-use super::subproblem::{Set, Subproblem, SubproblemEnd};
-use crate::control::{Bound, Hold};
+use super::subproblem::{Subproblem, SubproblemEnd};
+use crate::control::Hold;
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
 use crate::task::{Arm, Discretization, Task};
-
-/// How a [`Controller`] works. Times in s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MpcSettings {
-    /// Time between two samples.
-    pub period: f64,
-    /// Length of the horizon, a multiple of the model's step to rounding.
-    pub horizon: f64,
-    /// Where the horizon ends at the latest, from which on it shrinks; `None`: it recedes for ever.
-    pub due: Option<f64>,
-    /// Length of a block of the control.
-    pub block: f64,
-    /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts when a sample begins, in scaled controls.
-    pub jump: f64,
-    /// Weight of the squared scaled residuals of targets, halved: targets are soft.
-    pub target_weight: f64,
-    /// Gauss-Newton iterations a sample, at least 1.
-    pub iterations: usize,
-    /// Most iterations of the subproblem.
-    pub subproblem_iterations: usize,
-    /// Duality gap of the subproblem, over the decrease that it promises without bounds.
-    pub subproblem_tolerance: f64,
-}
-
-impl MpcSettings {
-    /// A receding horizon of ten blocks, 100 samples a second.
-    #[must_use]
-    pub fn receding(horizon: f64) -> Self {
-        Self {
-            period: 0.01,
-            horizon,
-            due: None,
-            block: horizon / 10.0,
-            jump: 1.0,
-            target_weight: 1e4,
-            iterations: 1,
-            subproblem_iterations: 40,
-            subproblem_tolerance: 1e-6,
-        }
-    }
-
-    fn check(&self) -> Result<(), MpcError> {
-        let positive = |name, value: f64| {
-            if value.is_finite() && value > 0.0 {
-                Ok(())
-            } else {
-                let expected = "a positive number";
-                Err(MpcError::Setting {
-                    name,
-                    value,
-                    expected,
-                })
-            }
-        };
-        positive("period", self.period)?;
-        positive("horizon", self.horizon)?;
-        positive("block", self.block)?;
-        positive("target_weight", self.target_weight)?;
-        positive("subproblem_tolerance", self.subproblem_tolerance)?;
-        for (name, value) in [("jump", self.jump), ("due", self.due.unwrap_or(0.0))] {
-            if !(value.is_finite() && value >= 0.0) {
-                let expected = "a number of at least 0";
-                return Err(MpcError::Setting {
-                    name,
-                    value,
-                    expected,
-                });
-            }
-        }
-        let counts = [
-            ("iterations", self.iterations),
-            ("subproblem_iterations", self.subproblem_iterations),
-        ];
-        for (name, count) in counts {
-            if count == 0 {
-                let (value, expected) = (0.0, "at least 1");
-                return Err(MpcError::Setting {
-                    name,
-                    value,
-                    expected,
-                });
-            }
-        }
-        if self.period > self.horizon {
-            let (value, expected) = (self.period, "at most the horizon");
-            return Err(MpcError::Setting {
-                name: "period",
-                value,
-                expected,
-            });
-        }
-        Ok(())
-    }
-}
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
 #[derive(Clone, Debug, PartialEq)]
@@ -121,6 +32,15 @@ pub struct Command {
 }
 
 impl Command {
+    /// Adds the wrenches at time `t` to those of all nodes.
+    pub(crate) fn add_at(&self, t: f64, all: &mut [Wrench]) {
+        let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
+        for (node, (from, to)) in self.nodes.iter().zip(self.from.iter().zip(&self.to)) {
+            all[*node].force += from.force * (1.0 - s) + to.force * s;
+            all[*node].moment += from.moment * (1.0 - s) + to.moment * s;
+        }
+    }
+
     /// The wrenches at time `t`, constant outside of `start` to `end`.
     pub fn at(&self, t: f64, out: &mut [Wrench]) {
         let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
@@ -165,6 +85,8 @@ pub struct Controller {
     weights: [f64; 2],
     /// Scaled control that acts when the sample begins.
     acting: Vec<f64>,
+    /// Scaled control that costs nothing: what cancels the disturbance.
+    free: Vec<f64>,
     deviation: StateTangent,
     gradient: Vec<f64>,
     offsets: Vec<f64>,
@@ -172,8 +94,10 @@ pub struct Controller {
     command: Command,
     state: State,
     prediction: Option<StepperMemory>,
+    /// Factor on the stiffness that its constants are for.
+    tuned: f64,
     steps_per_period: usize,
-    /// Of the two ends of a step.
+    /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
     /// Whether a command acts: before the first, nothing jumps.
     acts: bool,
@@ -225,7 +149,6 @@ impl Controller {
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let n_nodes = horizon.problem.rod.n_nodes();
         let nodes = horizon.problem.actuated_nodes();
-        let n_wrenches = nodes.len();
         let state = horizon.start.clone();
         let mut controller = Self {
             subproblem: Subproblem::new(n, 2 * n),
@@ -234,21 +157,23 @@ impl Controller {
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
+            free: vec![0.0; n_components],
             deviation: StateTangent::zeros(n_nodes),
             gradient: vec![0.0; n],
             offsets: vec![0.0; 2 * n],
             change: vec![0.0; n],
             command: Command {
-                start: 0.0,
-                end: settings.period,
+                start: settings.start,
+                end: settings.start + settings.period,
                 from: vec![Wrench::default(); nodes.len()],
                 to: vec![Wrench::default(); nodes.len()],
                 nodes,
             },
             prediction: Some(StepperMemory::new(&horizon.problem.rod, step)),
+            tuned: 1.0,
             state,
             steps_per_period,
-            wrenches: [(); 2].map(|()| vec![Wrench::default(); n_wrenches]),
+            wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             acts: false,
             record: SampleRecord {
                 feedback_s: 0.0,
@@ -263,18 +188,11 @@ impl Controller {
             settings: *settings,
             horizon,
         };
-        controller.horizon.place(0.0, settings.due);
+        controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
-            .place(0.0, controller.horizon.grid.time(0));
-        controller.model()?;
-        for _ in 0..Self::FIRST.0 {
-            controller.correct()?;
-            controller.model()?;
-            if controller.record.change < Self::FIRST.1 {
-                break;
-            }
-        }
+            .place(settings.start, controller.horizon.grid.time(0));
+        controller.settle()?;
         Ok(controller)
     }
 
@@ -306,6 +224,92 @@ impl Controller {
     pub fn prediction(&self, node: usize) -> impl Iterator<Item = (f64, [f64; 3])> {
         let grid = self.horizon.grid;
         (0..=grid.n_steps).map(move |k| (grid.time(k), self.horizon.position(k, node).into()))
+    }
+
+    /// What the model expects to disturb the arm from the next [preparation](Self::prepare) on: its wrenches are part of every predicted motion,
+    /// and its factor on the stiffness makes the model another one. Effort is then counted from the control that cancels the wrench at the
+    /// tip, as far as it is actuated, so that no offset remains for its sake.
+    ///
+    /// # Errors
+    /// [`MpcError::Setting`] for a number that is not finite, or a factor on the stiffness that is not positive; the model is then as it was.
+    pub fn disturb(&mut self, disturbance: &Disturbance) -> Result<(), MpcError> {
+        let stiffness = disturbance.stiffness;
+        if !(stiffness.is_finite() && stiffness > 0.0) {
+            return Err(MpcError::Setting {
+                name: "disturbance.stiffness",
+                value: stiffness,
+                expected: "a positive number",
+            });
+        }
+        let tip = &disturbance.tip;
+        let numbers = (tip.force.iter().chain(&tip.moment)).chain(&disturbance.distributed);
+        if let Some(value) = numbers.copied().find(|value| !value.is_finite()) {
+            return Err(MpcError::Setting {
+                name: "disturbance",
+                value,
+                expected: "a finite number",
+            });
+        }
+        self.horizon.disturb(disturbance);
+        let rod_tip = self.horizon.problem.rod.tip();
+        for ((free, component), scale) in
+            (self.free.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
+        {
+            let node = self.horizon.problem.actuators[component.actuator].node;
+            let value = match component.axis.checked_sub(3) {
+                None => tip.force[component.axis],
+                Some(axis) => tip.moment[axis],
+            };
+            *free = if node == rod_tip { -value / scale } else { 0.0 };
+        }
+        Ok(())
+    }
+
+    /// Where the tip should be at time `t` (s), by the first track of the tip or else its first target's position, m.
+    #[must_use]
+    pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
+        let goal = || (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?);
+        (track.map(|track| track.position(t)).or_else(goal)).map(Into::into)
+    }
+
+    /// Starts anew from a state at `start` (s): what follows is what a new controller would do that had the present disturbance.
+    ///
+    /// # Errors
+    /// [`MpcError::Measurement`] as [`feedback`](Self::feedback), and where the motion breaks down.
+    pub fn restart(&mut self, start: f64, state: &State) -> Result<(), MpcError> {
+        self.check(state)?;
+        self.horizon.start.clone_from(state);
+        self.plan.fill(0.0);
+        self.acting.fill(0.0);
+        self.acts = false;
+        self.horizon.place(start, self.settings.due);
+        self.before_knots.clone_from(&self.horizon.knots);
+        self.deviation.fill_zero();
+        self.settle()
+    }
+
+    /// Iterates until the plan does not change any more.
+    fn settle(&mut self) -> Result<(), MpcError> {
+        self.model()?;
+        for _ in 0..Self::FIRST.0 {
+            self.correct()?;
+            self.model()?;
+            if self.record.change < Self::FIRST.1 {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The plan as it is, as the command from the start of the sample on: for a sample without a usable measurement, whose state is taken to
+    /// be the expected one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
+    pub fn plan_alone(&mut self) -> &Command {
+        self.state.clone_from(&self.horizon.start);
+        self.issue();
+        &self.command
     }
 
     /// Both phases: the command for the measured state, then the preparation of the next sample.
@@ -448,55 +452,6 @@ impl Controller {
         if self.acts { self.settings.jump } else { 0.0 }
     }
 
-    /// Rows and sets of the bounds on coefficients, and on their rates.
-    fn constrain(&mut self) {
-        let Self {
-            subproblem,
-            horizon,
-            ..
-        } = self;
-        subproblem.rows.clear();
-        subproblem.sets.clear();
-        let n_components = horizon.components.len();
-        for coefficient in 0..horizon.knots.len() {
-            let mut c = 0;
-            while c < n_components {
-                let component = horizon.components[c];
-                let channel = horizon.problem.channel(&component);
-                let end = (c..n_components)
-                    .find(|&other| {
-                        let next = horizon.components[other];
-                        next.actuator != component.actuator || next.axis / 3 != component.axis / 3
-                    })
-                    .unwrap_or(n_components);
-                let scale = channel.scale;
-                let base = coefficient * n_components;
-                bounded(
-                    subproblem,
-                    horizon,
-                    c..end,
-                    channel.bound,
-                    1.0 / scale,
-                    |c| [(base + c, 1.0), (base + c, 0.0)],
-                );
-                if let Some(before) = coefficient.checked_sub(1) {
-                    let unit = horizon.knots.gap(before) / scale;
-                    let before = before * n_components;
-                    bounded(subproblem, horizon, c..end, channel.rate_bound, unit, |c| {
-                        [(base + c, 1.0), (before + c, -1.0)]
-                    });
-                } else if channel.rate_bound.is_some() && horizon.knots.hold() == Hold::Linear {
-                    // A course whose rate is bounded does not jump.
-                    let still = channel.rate_bound;
-                    bounded(subproblem, horizon, c..end, still, 0.0, |c| {
-                        [(base + c, 1.0), (base + c, 0.0)]
-                    });
-                }
-                c = end;
-            }
-        }
-    }
-
     /// Solves the subproblem at the present deviation and takes the full step.
     fn correct(&mut self) -> Result<(), MpcError> {
         let present = self.horizon.n_present();
@@ -508,16 +463,17 @@ impl Controller {
             let [own, next] = self.control_weights(coefficient);
             for c in 0..n_components {
                 let i = coefficient * n_components + c;
-                self.gradient[i] += own * self.plan[i];
+                let free = self.free[c];
+                self.gradient[i] += own * (self.plan[i] - free);
                 if next != 0.0 {
                     let j = i + n_components;
-                    self.gradient[i] += next * self.plan[j];
-                    self.gradient[j] += next * self.plan[i];
+                    self.gradient[i] += next * (self.plan[j] - free);
+                    self.gradient[j] += next * (self.plan[i] - free);
                 }
             }
         }
         for c in 0..n_components {
-            self.gradient[c] -= self.jump() * self.acting[c];
+            self.gradient[c] -= self.jump() * (self.acting[c] - self.free[c]);
         }
         for (i, row) in self.subproblem.rows.iter().enumerate() {
             self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
@@ -542,22 +498,6 @@ impl Controller {
         self.record.change = largest;
         self.record.subproblem = end;
         Ok(())
-    }
-
-    /// Rows that keep the first knot at the control that acts have it as their origin.
-    fn start_rows(&mut self) {
-        let mut start = 0;
-        for set in &mut self.subproblem.sets {
-            let len = match set {
-                Set::Interval { .. } | Set::Fixed => 1,
-                Set::Ball { n, .. } => *n,
-            };
-            if *set == Set::Fixed {
-                let (i, _) = self.subproblem.rows[start][0];
-                self.offsets[start] -= self.acting[i];
-            }
-            start += len;
-        }
     }
 
     /// The command of the present plan.
@@ -601,22 +541,30 @@ impl Controller {
         let rod = &self.horizon.problem.rod;
         let step = self.horizon.grid.step;
         let memory = self.prediction.take();
-        let memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
+        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
+        if self.tuned != self.horizon.stiffness() {
+            memory.retune(rod, step);
+            self.tuned = self.horizon.stiffness();
+        }
         let mut stepper = memory.begin(rod, self.command.start, &self.state);
         let n_steps = ((self.command.end - self.command.start) / step).round() as usize;
         let n_steps = n_steps.min(self.steps_per_period);
         let mut outcome = Ok(());
         let [now, next] = &mut self.wrenches;
+        let time = |k: usize| self.command.start + k as f64 * step;
+        let fill = |t: f64, wrenches: &mut [Wrench]| {
+            wrenches.copy_from_slice(self.horizon.disturbing());
+            self.command.add_at(t, wrenches);
+        };
+        fill(time(0), now);
         for k in 0..n_steps {
-            let at = |k: usize| self.command.start + k as f64 * step;
-            self.command.at(at(k), now);
-            self.command.at(at(k + 1), next);
-            let nodes = &self.command.nodes;
-            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+            fill(time(k + 1), next);
+            let of = |wrenches| NodeWrenches::on(&self.horizon.nodes, wrenches);
             outcome = stepper.advance([of(now), of(next)]);
             if outcome.is_err() {
                 break;
             }
+            std::mem::swap(now, next);
         }
         stepper.write_state(&mut self.horizon.start);
         self.prediction = Some(stepper.into_memory());
@@ -637,41 +585,6 @@ impl Controller {
                 self.plan[index * n_components + c] = (pair.iter())
                     .map(|(i, w)| w * self.before[i * n_components + c])
                     .sum();
-            }
-        }
-    }
-}
-
-/// One set, or one for each axis, of the rows of components in `range`.
-fn bounded(
-    subproblem: &mut Subproblem,
-    horizon: &Horizon,
-    range: std::ops::Range<usize>,
-    bound: Option<Bound>,
-    unit: f64,
-    row: impl Fn(usize) -> [(usize, f64); 2],
-) {
-    match bound {
-        None => {}
-        Some(Bound::Norm(limit)) if unit > 0.0 => {
-            let n = range.len();
-            subproblem.rows.extend(range.map(row));
-            let radius = limit * unit;
-            subproblem.sets.push(Set::Ball { n, radius });
-        }
-        Some(bound) => {
-            for c in range {
-                let limit = match bound {
-                    Bound::Norm(limit) => limit,
-                    Bound::PerAxis(limits) => limits[horizon.components[c].axis % 3],
-                };
-                let limit = if unit == 0.0 { 0.0 } else { limit * unit };
-                subproblem.rows.push(row(c));
-                subproblem.sets.push(if limit == 0.0 {
-                    Set::Fixed
-                } else {
-                    Set::Interval { limit }
-                });
             }
         }
     }

@@ -15,6 +15,7 @@ use faer::{Accum, Mat, Par};
 use nalgebra::Vector3;
 
 use super::error::MpcError;
+use super::estimator::Disturbance;
 use super::knots::Knots;
 use crate::control::{Component, OptimalControlProblem};
 use crate::mechanics::forms::NODE_COMPONENTS;
@@ -22,7 +23,7 @@ use crate::mechanics::linearization::{Motion, StateTangent};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
 use crate::mechanics::{
-    FormTerm, NodeWrenches, State, StateForm, StepperMemory, TimeGrid, Trajectory, Wrench,
+    FormTerm, NodeWrenches, Rod, State, StateForm, StepperMemory, TimeGrid, Trajectory, Wrench,
 };
 
 /// What a row of the residuals is.
@@ -77,8 +78,17 @@ pub(super) struct Horizon {
     form_nodes: Vec<usize>,
     /// First row of the present horizon.
     first_row: usize,
-    nodes: Vec<usize>,
+    /// All nodes.
+    pub nodes: Vec<usize>,
+    /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
+    /// The model without a factor on its stiffness.
+    model: Rod,
+    stiffness: f64,
+    /// Factor on the stiffness that the constants in `memory` are for.
+    tuned: f64,
+    /// What disturbs every node, constant in time.
+    disturbing: Vec<Wrench>,
     trajectory: Trajectory,
     /// State that the roll-out starts from, and the one that it ends in.
     pub start: State,
@@ -190,14 +200,17 @@ impl Horizon {
             };
             RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
         };
-        let nodes = problem.actuated_nodes();
         let n_states = NODE_COMPONENTS * (n_nodes - problem.rod.first_free_node());
         Ok(Self {
             memory: Some(StepperMemory::new(&problem.rod, grid.step)),
             form_nodes: forms.iter().map(|form| form.time_node).collect(),
             first_row: 0,
-            wrenches: [(); 2].map(|()| vec![Wrench::default(); nodes.len()]),
-            nodes,
+            wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
+            nodes: (0..n_nodes).collect(),
+            model: problem.rod.clone(),
+            stiffness: 1.0,
+            tuned: 1.0,
+            disturbing: vec![Wrench::default(); n_nodes],
             trajectory,
             end: start.clone(),
             start,
@@ -252,6 +265,26 @@ impl Horizon {
         true
     }
 
+    /// Takes a disturbance into the model.
+    pub fn disturb(&mut self, disturbance: &Disturbance) {
+        self.disturbing.fill(Wrench::default());
+        disturbance.add_to(&self.model, &mut self.disturbing);
+        if disturbance.stiffness != self.stiffness {
+            disturbance.stiffen(&self.model, &mut self.problem.rod);
+            self.stiffness = disturbance.stiffness;
+        }
+    }
+
+    /// Factor on the stiffness of the model.
+    pub fn stiffness(&self) -> f64 {
+        self.stiffness
+    }
+
+    /// What disturbs every node.
+    pub fn disturbing(&self) -> &[Wrench] {
+        &self.disturbing
+    }
+
     /// What the plan applies at time `t`, scaled, one of each component.
     pub fn control(&self, plan: &[f64], t: f64, out: &mut [f64]) {
         let n = self.components.len();
@@ -274,19 +307,17 @@ impl Horizon {
             grid,
             nodes,
             wrenches: [now, next],
+            disturbing,
             trajectory,
             ..
         } = self;
         let n = self.components.len();
         let fill = |k: usize, wrenches: &mut [Wrench]| {
-            wrenches.fill(Wrench::default());
+            wrenches.copy_from_slice(disturbing);
             for (coefficient, weight) in knots.at_node(grid, k) {
                 let own = &plan[coefficient * n..][..n];
                 for ((component, v), scale) in self.components.iter().zip(own).zip(&self.scales) {
-                    let node = problem.actuators[component.actuator].node;
-                    let Some(at) = nodes.iter().position(|other| *other == node) else {
-                        continue;
-                    };
+                    let at = problem.actuators[component.actuator].node;
                     let value = weight * v * scale;
                     match component.axis.checked_sub(3) {
                         None => wrenches[at].force[component.axis] += value,
@@ -299,7 +330,11 @@ impl Horizon {
         trajectory.rotations.clear();
         trajectory.push(&self.start.configuration);
         let memory = self.memory.take();
-        let memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
+        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
+        if self.tuned != self.stiffness {
+            memory.retune(&problem.rod, grid.step);
+            self.tuned = self.stiffness;
+        }
         let mut stepper = memory.begin(&problem.rod, grid.start, &self.start);
         fill(0, now);
         let mut outcome = Ok(());

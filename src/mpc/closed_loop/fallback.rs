@@ -1,0 +1,220 @@
+//! What is done where no command can be computed: the plan as it is, then damping at the tip, then a ramp to zero.
+
+use nalgebra::Vector3;
+
+use crate::mechanics::{Rod, State, Wrench};
+use crate::mpc::controller::{Command, Controller};
+use crate::mpc::error::MpcError;
+use crate::mpc::estimator::EstimateError;
+
+/// Why a sample has no command of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Cause {
+    /// Nothing has been measured for longer than the fall-back's patience.
+    NoMeasurement,
+    /// Nothing usable has been, and the last measurement was not finite or not of the expected kind.
+    BadMeasurement,
+    /// The estimate's motion broke down.
+    Estimate,
+    /// The predicted motion to the instant at which the command acts broke down.
+    Prediction,
+    /// The controller's predicted motion broke down.
+    Rollout,
+    /// The controller's subproblem has no solution that is finite.
+    Subproblem,
+}
+
+impl std::fmt::Display for Cause {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::NoMeasurement => "no-measurement",
+            Self::BadMeasurement => "bad-measurement",
+            Self::Estimate => "estimate",
+            Self::Prediction => "prediction",
+            Self::Rollout => "rollout",
+            Self::Subproblem => "subproblem",
+        })
+    }
+}
+
+impl Cause {
+    pub(super) fn of_estimate(error: &EstimateError) -> Self {
+        match error {
+            EstimateError::Motion(_) | EstimateError::Singular => Self::Estimate,
+            _ => Self::BadMeasurement,
+        }
+    }
+
+    pub(super) fn of_controller(error: &MpcError) -> Self {
+        match error {
+            MpcError::Measurement { .. } => Self::BadMeasurement,
+            MpcError::Rollout(_) => Self::Rollout,
+            _ => Self::Subproblem,
+        }
+    }
+}
+
+/// What was done instead of a command of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Action {
+    /// The rest of the plan, moved on.
+    Plan,
+    /// A force against the velocity of the tip.
+    Damping,
+    /// A ramp from the command before to zero.
+    Ramp,
+}
+
+impl std::fmt::Display for Action {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Plan => "plan",
+            Self::Damping => "damping",
+            Self::Ramp => "ramp",
+        })
+    }
+}
+
+/// How long each fall-back is trusted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FallbackSettings {
+    /// Age of an estimate that is still predicted from, s.
+    pub patience: f64,
+    /// Samples in a row that follow the plan as it is; the plan says less and less about an arm that nobody measures.
+    pub plan_samples: usize,
+    /// Samples in a row after these that damp the tip, where its velocity is known.
+    pub damping_samples: usize,
+    /// Time in which a ramp goes to zero, s.
+    pub ramp: f64,
+    /// Damping of the tip's force over the critical one of a cantilever's first mode.
+    pub damping: f64,
+}
+
+impl Default for FallbackSettings {
+    fn default() -> Self {
+        Self {
+            patience: 0.1,
+            plan_samples: 10,
+            damping_samples: 50,
+            ramp: 0.5,
+            damping: 0.5,
+        }
+    }
+}
+
+impl FallbackSettings {
+    pub(super) fn check(&self) -> Result<(), MpcError> {
+        for (name, value) in [
+            ("fallback.patience", self.patience),
+            ("fallback.ramp", self.ramp),
+            ("fallback.damping", self.damping),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected: "a positive number",
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The fall-backs, and for how many samples they have been needed.
+#[derive(Debug)]
+pub(super) struct Fallback {
+    settings: FallbackSettings,
+    in_a_row: usize,
+    /// `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, kg/s.
+    damping: f64,
+    /// What was sent last, from which a ramp begins.
+    before: Option<Command>,
+}
+
+impl Fallback {
+    pub(super) fn new(model: &Rod, settings: FallbackSettings) -> Self {
+        let length = model.scales.length;
+        let weakest = (model.elements.iter())
+            .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
+            .fold(f64::INFINITY, f64::min);
+        let stiffness = 3.0 * weakest / length.powi(3);
+        Self {
+            damping: 2.0 * settings.damping * (stiffness * 0.25 * model.mass()).sqrt(),
+            settings,
+            in_a_row: 0,
+            before: None,
+        }
+    }
+
+    /// A sample had a command of its own.
+    pub(super) fn succeed(&mut self) {
+        self.in_a_row = 0;
+        self.before = None;
+    }
+
+    /// A command from the time `start` on, within the bounds of the task.
+    pub(super) fn command(
+        &mut self,
+        controller: &mut Controller,
+        state: &State,
+        start: f64,
+        cause: Cause,
+    ) -> (Command, Action) {
+        self.in_a_row += 1;
+        let plan = self.settings.plan_samples;
+        let knows_velocity = !matches!(
+            cause,
+            Cause::NoMeasurement | Cause::BadMeasurement | Cause::Estimate
+        );
+        let (command, action) = if self.in_a_row <= plan {
+            (controller.plan_alone().clone(), Action::Plan)
+        } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
+            (self.damped(controller, state, start), Action::Damping)
+        } else {
+            (self.ramp(controller, start), Action::Ramp)
+        };
+        self.before = Some(command.clone());
+        (command, action)
+    }
+
+    fn damped(&self, controller: &Controller, state: &State, start: f64) -> Command {
+        let rod = controller.rod();
+        let tip = rod.tip();
+        let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;
+        let mut command = controller.still(start);
+        for (at, node) in command.nodes.iter().enumerate() {
+            if *node == tip && velocity.iter().all(|v| v.is_finite()) {
+                let force = -self.damping * velocity;
+                for wrench in [&mut command.from[at], &mut command.to[at]] {
+                    wrench.force = force;
+                }
+            }
+        }
+        controller.within_bounds(&mut command);
+        command
+    }
+
+    fn ramp(&self, controller: &Controller, start: f64) -> Command {
+        let mut command = controller.still(start);
+        let Some(before) = &self.before else {
+            return command;
+        };
+        let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
+        let shrink = |wrench: &Wrench| {
+            let one = |v: Vector3<f64>| if v.iter().all(|c| c.is_finite()) { v * left } else { Vector3::zeros() };
+            Wrench {
+                force: one(wrench.force),
+                moment: one(wrench.moment),
+            }
+        };
+        for (at, wrench) in before.to.iter().enumerate() {
+            command.from[at] = *wrench;
+            command.to[at] = shrink(wrench);
+        }
+        controller.within_bounds(&mut command);
+        command
+    }
+}

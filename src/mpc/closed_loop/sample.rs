@@ -1,0 +1,210 @@
+//! What a sample was, and what a run amounts to.
+
+use std::collections::BTreeMap;
+
+use super::fallback::{Action, Cause};
+use crate::mechanics::Wrench;
+use crate::mpc::controller::{Command, SampleRecord};
+use crate::mpc::estimator::{Disturbance, Innovation};
+use crate::mpc::subproblem::SubproblemEnd;
+
+/// One sample of a closed loop. Times of day are those of the loop, s; durations are those of this machine, s.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// When it began.
+    pub t: f64,
+    /// When its command began to act.
+    pub acts_from: f64,
+    /// Age of what the estimate rests on.
+    pub age: f64,
+    /// True position of the tip when it began, m.
+    pub tip: [f64; 3],
+    /// Where the tip should have been, m.
+    pub reference: Option<[f64; 3]>,
+    /// The last measurement beside what was expected.
+    pub innovation: Option<Innovation>,
+    /// `½ |r|²` of tracks and targets that the controller predicted.
+    pub predicted_cost: f64,
+    /// How the subproblem ended.
+    pub subproblem: SubproblemEnd,
+    /// First wrench of the command: force (spatial, N) and moment (body frame, N m) when it begins to act.
+    pub wrench: Wrench,
+    /// Seconds of estimation, of prediction over the delays, of the feedback, of the preparation of the next sample, and of all together.
+    pub estimate_s: f64,
+    /// See [`estimate_s`](Self::estimate_s).
+    pub predict_s: f64,
+    /// See [`estimate_s`](Self::estimate_s).
+    pub feedback_s: f64,
+    /// See [`estimate_s`](Self::estimate_s).
+    pub prepare_s: f64,
+    /// See [`estimate_s`](Self::estimate_s).
+    pub sample_s: f64,
+    /// Whether the whole took longer than the period.
+    pub is_overrun: bool,
+    /// Why no command could be computed, and what was done instead.
+    pub fallback: Option<(Cause, Action)>,
+    /// The estimated disturbance.
+    pub disturbance: Disturbance,
+    /// Its standard deviations.
+    pub deviation: Disturbance,
+}
+
+impl Sample {
+    pub(super) fn at(t: f64) -> Self {
+        Self {
+            t,
+            acts_from: t,
+            age: 0.0,
+            tip: [0.0; 3],
+            reference: None,
+            innovation: None,
+            predicted_cost: 0.0,
+            subproblem: SubproblemEnd {
+                iterations: 0,
+                converged: true,
+            },
+            wrench: Wrench::default(),
+            estimate_s: 0.0,
+            predict_s: 0.0,
+            feedback_s: 0.0,
+            prepare_s: 0.0,
+            sample_s: 0.0,
+            is_overrun: false,
+            fallback: None,
+            disturbance: Disturbance::NONE,
+            deviation: Disturbance::NONE,
+        }
+    }
+
+    pub(super) fn note_command(&mut self, command: &Command, record: &SampleRecord) {
+        self.wrench = command.from.first().copied().unwrap_or_default();
+        self.predicted_cost = record.predicted_cost;
+        self.subproblem = record.subproblem;
+    }
+
+    /// Distance of the tip from its reference when the sample began, m; NaN without a reference.
+    #[must_use]
+    pub fn tip_error(&self) -> f64 {
+        super::distance(self.tip, self.reference)
+    }
+}
+
+/// Percentiles of a set of numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Percentiles {
+    /// Half of them are no larger.
+    pub p50: f64,
+    /// 95 of 100 are no larger.
+    pub p95: f64,
+    /// 99 of 100 are no larger.
+    pub p99: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+impl Percentiles {
+    /// Of any numbers; all 0 of none.
+    #[must_use]
+    pub fn of(numbers: impl IntoIterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = numbers.into_iter().collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |part: f64| {
+            let last = sorted.len().saturating_sub(1) as f64;
+            sorted
+                .get((part * last).ceil() as usize)
+                .copied()
+                .unwrap_or(0.0)
+        };
+        Self {
+            p50: at(0.5),
+            p95: at(0.95),
+            p99: at(0.99),
+            max: at(1.0),
+        }
+    }
+}
+
+/// Distances of the tip from its reference, m.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct TipError {
+    /// At the last sample.
+    #[serde(rename = "final")]
+    pub last: f64,
+    /// Root mean square.
+    pub rms: f64,
+    /// 95 of 100 samples are no farther off.
+    pub p95: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl TipError {
+    /// Of the samples from `after` (s) on.
+    #[must_use]
+    pub fn of(samples: &[Sample], after: f64) -> Self {
+        let errors: Vec<f64> = (samples.iter().filter(|sample| sample.t >= after))
+            .map(Sample::tip_error)
+            .collect();
+        let squares: f64 = errors.iter().map(|e| e * e).sum();
+        let percentiles = Percentiles::of(errors.iter().copied());
+        Self {
+            last: errors.last().copied().unwrap_or(f64::NAN),
+            rms: (squares / errors.len() as f64).sqrt(),
+            p95: percentiles.p95,
+            max: errors.iter().copied().fold(0.0, f64::max),
+        }
+    }
+}
+
+/// What a run amounts to. The first sample is not among the times: it has no one before it.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Tally {
+    /// Samples.
+    pub samples: usize,
+    /// Whole samples that took longer than the period.
+    pub overruns: usize,
+    /// Seconds of whole samples.
+    pub sample_s: Percentiles,
+    /// Seconds of estimation and prediction.
+    pub estimate_s: Percentiles,
+    /// Seconds of the feedback.
+    pub feedback_s: Percentiles,
+    /// Seconds of the preparation.
+    pub prepare_s: Percentiles,
+    /// Seconds of the first sample.
+    pub first_s: f64,
+    /// Simulated seconds over computed seconds.
+    pub real_time_factor: f64,
+    /// Samples whose subproblem had active bounds.
+    pub bounded: usize,
+    /// Fall-backs by their cause.
+    pub fallbacks: BTreeMap<String, usize>,
+}
+
+impl Tally {
+    /// Of a run with this period, s.
+    #[must_use]
+    pub fn of(samples: &[Sample], period: f64) -> Self {
+        let timed = samples.get(1..).unwrap_or(&[]);
+        let of = |field: fn(&Sample) -> f64| Percentiles::of(timed.iter().map(field));
+        let mut fallbacks = BTreeMap::new();
+        for (cause, _) in samples.iter().filter_map(|sample| sample.fallback) {
+            *fallbacks.entry(cause.to_string()).or_insert(0) += 1;
+        }
+        let computed: f64 = samples.iter().map(|sample| sample.sample_s).sum();
+        Self {
+            samples: samples.len(),
+            overruns: samples.iter().filter(|sample| sample.is_overrun).count(),
+            sample_s: of(|sample| sample.sample_s),
+            estimate_s: of(|sample| sample.estimate_s + sample.predict_s),
+            feedback_s: of(|sample| sample.feedback_s),
+            prepare_s: of(|sample| sample.prepare_s),
+            first_s: samples.first().map_or(0.0, |sample| sample.sample_s),
+            real_time_factor: samples.len() as f64 * period / computed,
+            bounded: (samples.iter())
+                .filter(|sample| sample.subproblem.iterations > 0)
+                .count(),
+            fallbacks,
+        }
+    }
+}

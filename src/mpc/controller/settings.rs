@@ -1,0 +1,105 @@
+//! Settings of a controller.
+
+use super::super::error::MpcError;
+
+/// How a [`Controller`] works. Times in s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MpcSettings {
+    /// Time between two samples.
+    pub period: f64,
+    /// When the first command begins to act; the motion before it is none.
+    pub start: f64,
+    /// Length of the horizon, a multiple of the model's step to rounding.
+    pub horizon: f64,
+    /// Where the horizon ends at the latest, from which on it shrinks; `None`: it recedes for ever.
+    pub due: Option<f64>,
+    /// Length of a block of the control.
+    pub block: f64,
+    /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts when a sample begins, in scaled controls.
+    pub jump: f64,
+    /// Weight of the squared scaled residuals of targets, halved: targets are soft.
+    pub target_weight: f64,
+    /// Gauss-Newton iterations a sample, at least 1.
+    pub iterations: usize,
+    /// Most iterations of the subproblem.
+    pub subproblem_iterations: usize,
+    /// Duality gap of the subproblem, over the decrease that it promises without bounds.
+    pub subproblem_tolerance: f64,
+}
+
+impl MpcSettings {
+    /// A receding horizon of ten blocks, 100 samples a second.
+    #[must_use]
+    pub fn receding(horizon: f64) -> Self {
+        Self {
+            period: 0.01,
+            start: 0.0,
+            horizon,
+            due: None,
+            block: horizon / 10.0,
+            jump: 1.0,
+            target_weight: 1e4,
+            iterations: 1,
+            subproblem_iterations: 40,
+            subproblem_tolerance: 1e-6,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), MpcError> {
+        let positive = |name, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                let expected = "a positive number";
+                Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected,
+                })
+            }
+        };
+        positive("period", self.period)?;
+        positive("horizon", self.horizon)?;
+        positive("block", self.block)?;
+        positive("target_weight", self.target_weight)?;
+        positive("subproblem_tolerance", self.subproblem_tolerance)?;
+        let others = [
+            ("start", self.start),
+            ("jump", self.jump),
+            ("due", self.due.unwrap_or(0.0)),
+        ];
+        for (name, value) in others {
+            if !(value.is_finite() && value >= 0.0) {
+                let expected = "a number of at least 0";
+                return Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected,
+                });
+            }
+        }
+        let counts = [
+            ("iterations", self.iterations),
+            ("subproblem_iterations", self.subproblem_iterations),
+        ];
+        for (name, count) in counts {
+            if count == 0 {
+                let (value, expected) = (0.0, "at least 1");
+                return Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected,
+                });
+            }
+        }
+        if self.period > self.horizon {
+            let (value, expected) = (self.period, "at most the horizon");
+            return Err(MpcError::Setting {
+                name: "period",
+                value,
+                expected,
+            });
+        }
+        Ok(())
+    }
+}

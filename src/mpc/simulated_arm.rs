@@ -1,0 +1,279 @@
+//! A simulated arm as a plant: its own grid and step, and actuators that are late, slow and limited.
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+
+use super::controller::Command;
+use super::error::MpcError;
+use super::transfer::Transfer;
+use crate::mechanics::stability::automatic_step;
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
+use crate::task::{Arm, Discretization};
+
+/// What lies between a command and the wrench that acts. The default is an actuator that obeys at once and exactly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActuatorDynamics {
+    /// Time until a command has any effect, s.
+    pub delay: f64,
+    /// Time constant of a first-order lag, s.
+    pub lag: f64,
+    /// Largest force, N.
+    pub force_max: f64,
+    /// Largest moment, N m.
+    pub moment_max: f64,
+    /// Fastest change of the force, N/s.
+    pub force_rate_max: f64,
+    /// Fastest change of the moment, N m/s.
+    pub moment_rate_max: f64,
+}
+
+impl Default for ActuatorDynamics {
+    fn default() -> Self {
+        Self {
+            delay: 0.0,
+            lag: 0.0,
+            force_max: f64::INFINITY,
+            moment_max: f64::INFINITY,
+            force_rate_max: f64::INFINITY,
+            moment_rate_max: f64::INFINITY,
+        }
+    }
+}
+
+impl ActuatorDynamics {
+    fn check(&self) -> Result<(), MpcError> {
+        let refuse = |name, value, expected| {
+            Err(MpcError::Setting {
+                name,
+                value,
+                expected,
+            })
+        };
+        for (name, value) in [("delay", self.delay), ("lag", self.lag)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return refuse(name, value, "a finite number of at least 0");
+            }
+        }
+        for (name, value) in [
+            ("force_max", self.force_max),
+            ("moment_max", self.moment_max),
+            ("force_rate_max", self.force_rate_max),
+            ("moment_rate_max", self.moment_rate_max),
+        ] {
+            if !(value > 0.0) {
+                return refuse(name, value, "a positive number, or inf");
+            }
+        }
+        Ok(())
+    }
+
+    /// The wrench one step of length `h` after `from`, on the way to `to`.
+    fn follow(&self, from: &Wrench, to: &Wrench, h: f64) -> Wrench {
+        let part = if self.lag > 0.0 {
+            1.0 - (-h / self.lag).exp()
+        } else {
+            1.0
+        };
+        let one = |from: Vector3<f64>, to: Vector3<f64>, most: f64, rate: f64| {
+            let change = (to - from) * part;
+            let change = change * (rate * h / change.norm()).min(1.0);
+            // No change at all has no direction.
+            let next = if change.iter().all(|c| c.is_finite()) {
+                from + change
+            } else {
+                from
+            };
+            let size = next.norm();
+            if size > most {
+                next * (most / size)
+            } else {
+                next
+            }
+        };
+        Wrench {
+            force: one(from.force, to.force, self.force_max, self.force_rate_max),
+            moment: one(
+                from.moment,
+                to.moment,
+                self.moment_max,
+                self.moment_rate_max,
+            ),
+        }
+    }
+}
+
+/// A simulated arm with its own elements and step, that is told commands on the nodes of a controller's model.
+///
+/// Loads of its [`Arm`] that the model does not have are disturbances: pushes with a profile, a payload, a weight along the arm.
+#[derive(Debug)]
+pub struct SimulatedArm<'a> {
+    rod: &'a Rod,
+    stepper: Stepper<'a>,
+    step: f64,
+    n_steps: usize,
+    transfer: Transfer,
+    /// Of every node of the model, the nearest own one.
+    nearest: Vec<usize>,
+    actuators: ActuatorDynamics,
+    /// Commands that act or will act, the earliest first.
+    sent: VecDeque<Command>,
+    /// Own nodes on which commands act, and what acts there now.
+    nodes: Vec<usize>,
+    acting: Vec<Wrench>,
+    next: Vec<Wrench>,
+    wanted: Vec<Wrench>,
+}
+
+impl<'a> SimulatedArm<'a> {
+    /// An arm at time 0 in `initial`, a state on its own nodes. Its step is the automatic one, shortened so that it divides `period` (s);
+    /// `nodes` of `model` are those that commands act on.
+    ///
+    /// # Errors
+    /// [`MpcError::Setting`] for actuators out of range.
+    pub fn new(
+        rod: &'a Rod,
+        initial: State,
+        period: f64,
+        model: &Rod,
+        nodes: &[usize],
+        actuators: ActuatorDynamics,
+    ) -> Result<Self, MpcError> {
+        actuators.check()?;
+        let transfer = Transfer::new(rod, model);
+        let nearest = transfer.nearest();
+        let nodes: Vec<usize> = nodes.iter().map(|node| nearest[*node]).collect();
+        let n_steps = (period / automatic_step(rod) * (1.0 - 1e-9)).ceil().max(1.0);
+        let step = period / n_steps;
+        let still = vec![Wrench::default(); nodes.len()];
+        Ok(Self {
+            stepper: Stepper::new(rod, step, initial),
+            n_steps: 0,
+            rod,
+            step,
+            transfer,
+            nearest,
+            actuators,
+            sent: VecDeque::new(),
+            nodes,
+            acting: still.clone(),
+            next: still.clone(),
+            wanted: still,
+        })
+    }
+
+    /// The rod of an arm for [`new`](Self::new), and its state at rest where the task begins.
+    ///
+    /// # Errors
+    /// [`MpcError::Discretize`].
+    pub fn rod_of(arm: &Arm, discretization: &Discretization) -> Result<Rod, MpcError> {
+        arm.rod(discretization)
+            .map_err(|error| MpcError::Discretize(error.into()))
+    }
+
+    /// Its rod.
+    #[must_use]
+    pub fn rod(&self) -> &'a Rod {
+        self.rod
+    }
+
+    /// The present time, s.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.n_steps as f64 * self.step
+    }
+
+    /// Its step, s: events happen at the next of its multiples.
+    #[must_use]
+    pub fn step(&self) -> f64 {
+        self.step
+    }
+
+    /// The state on its own nodes.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.stepper.state()
+    }
+
+    /// The same on the nodes of the model.
+    #[must_use]
+    pub fn state_on_model(&self) -> State {
+        self.transfer.state(&self.stepper.state())
+    }
+
+    /// Position of the tip, m.
+    #[must_use]
+    pub fn tip(&self) -> Vector3<f64> {
+        self.stepper.position(self.rod.tip())
+    }
+
+    /// What acts on the nodes of the commands now.
+    #[must_use]
+    pub fn acting(&self) -> &[Wrench] {
+        &self.acting
+    }
+
+    /// How far the model's nodes are from describing the present shape, m.
+    #[must_use]
+    pub fn transfer_error(&self) -> f64 {
+        self.transfer.error(&self.stepper.state().configuration)
+    }
+
+    /// Takes a command that acts from its start on, later by the actuators' delay, in the place of any other that it overlaps; on nodes of
+    /// the model that the arm was made for.
+    pub fn send(&mut self, command: &Command) {
+        let start = command.start;
+        self.sent.retain(|other| other.start < start);
+        self.sent.push_back(command.clone());
+    }
+
+    /// Simulates until the time `until`, s.
+    ///
+    /// # Errors
+    /// [`StepError`] where the motion breaks down.
+    pub fn advance(&mut self, until: f64) -> Result<(), StepError> {
+        let last = (until / self.step - 1e-6).ceil().max(0.0) as usize;
+        while self.n_steps < last {
+            self.want(self.time() + self.step);
+            for (next, (acting, wanted)) in
+                (self.next.iter_mut()).zip(self.acting.iter().zip(&self.wanted))
+            {
+                *next = self.actuators.follow(acting, wanted, self.step);
+            }
+            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
+            self.stepper.advance([on(&self.acting), on(&self.next)])?;
+            std::mem::swap(&mut self.acting, &mut self.next);
+            self.n_steps += 1;
+        }
+        Ok(())
+    }
+
+    /// What the commands ask for at time `t`.
+    fn want(&mut self, t: f64) {
+        let told = t - self.actuators.delay;
+        let rounding = 1e-9 * self.step;
+        while (self.sent.get(1)).is_some_and(|next| next.start <= told + rounding) {
+            self.sent.pop_front();
+        }
+        self.wanted.fill(Wrench::default());
+        let Some(command) = self
+            .sent
+            .front()
+            .filter(|first| first.start <= told + rounding)
+        else {
+            return;
+        };
+        let s = ((told - command.start) / (command.end - command.start)).clamp(0.0, 1.0);
+        for (node, (from, to)) in command
+            .nodes
+            .iter()
+            .zip(command.from.iter().zip(&command.to))
+        {
+            let own = self.nearest[*node];
+            if let Some(at) = self.nodes.iter().position(|other| *other == own) {
+                self.wanted[at].force += from.force * (1.0 - s) + to.force * s;
+                self.wanted[at].moment += from.moment * (1.0 - s) + to.moment * s;
+            }
+        }
+    }
+}
