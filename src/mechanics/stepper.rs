@@ -26,6 +26,14 @@ impl StepperMemory {
         Stepper::new(rod, step, State::at_rest(rod.rest.clone())).into_memory()
     }
 
+    /// For steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the same factor.
+    pub fn retune(&mut self, rod: &Rod, step: f64) {
+        match self {
+            Self::Lanes(memory, _) => memory.retune(rod, step),
+            Self::Plain(clock) => clock.step = step,
+        }
+    }
+
     /// A motion of `rod`, which is the rod of the motion before, from `start` (s) and `initial` on; a driven base is where the state has it.
     pub fn begin<'a>(self, rod: &'a Rod, start: f64, initial: &State) -> Stepper<'a> {
         match self {

@@ -1,7 +1,12 @@
 //! Simulated sensors: what is measured of a plant, how often, how late and with what noise.
 
+use nalgebra::Vector3;
+
 use super::error::MpcError;
-use super::signal::Measurement;
+use super::estimator::{Disturbance, Kind, Reader};
+use super::signal::{Measurement, Reading, Signal};
+use super::transfer::node_places;
+use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 
 /// Kinds of sensors, with noise, rate and age as they are usual.
@@ -9,27 +14,97 @@ use crate::mechanics::{Rod, State};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorPreset {
-    /// The whole state without noise and at once, 1000 Hz.
+    /// The whole state on the nodes of the model, exact and at once, 1000 Hz.
     State,
-    /// Motion capture: poses at three places, the tip included; 0.2 mm, 0.2 degrees, 200 Hz, 5 ms.
+    /// Motion capture: poses at a third, two thirds and all of the length; 0.2 mm, 0.2 degrees, 200 Hz, 5 ms.
     Mocap,
     /// An electromagnetic tracker: pose of the tip; 0.7 mm, 0.4 degrees, 40 Hz, 15 ms.
     Em,
     /// A pair of cameras: position of the tip; 1 mm, 30 Hz, 30 ms.
     Camera,
-    /// A fiber with Bragg gratings: curvature at 12 stations; 2 % of the length in the tip's position after integration, 100 Hz, 10 ms.
+    /// A fiber with Bragg gratings: curvature and twist at 12 stations; 2 % of the length in the tip's position after integration, 100 Hz,
+    /// 10 ms.
     Fbg,
     /// A force-torque sensor under the clamp; 0.02 N, 0.5 mN m, 500 Hz, 2 ms.
     BaseWrench,
-    /// An inertial unit on the tip: rotation and angular velocity; 1 degree, 0.1 degrees/s, 200 Hz, 2 ms.
+    /// An inertial unit on the tip: rotation and angular velocity; 1 degree, 0.1 degrees/s, 200 Hz, 5 ms.
     Imu,
 }
 
+/// Stations of a fiber.
+const STATIONS: usize = 12;
+/// Error of the tip's position after the integration of a fiber's curvatures, over the length.
+const FIBER_ERROR: f64 = 0.02;
+
 impl SensorPreset {
-    /// Its settings for an arm; `model` is the rod whose nodes [`Self::State`] gives.
+    /// Its settings for an arm; `model` is the rod whose nodes [`Self::State`] gives, and whose length counts for [`Self::Fbg`].
+    ///
+    /// Independent curvatures of standard deviation `σ` at `n` stations `L/n` apart put the tip off by `σ L²/sqrt(3 n)` across, to first
+    /// order for a straight arm: that is 2 % of `L`.
     #[must_use]
     pub fn settings(self, model: &Rod) -> SensorSettings {
-        todo!("{model:?}")
+        let degrees = f64::to_radians;
+        let poses = |places: Vec<f64>, position: f64, rotation: f64| SensorSettings {
+            places,
+            position: Some(position),
+            rotation: Some(rotation),
+            ..SensorSettings::nothing()
+        };
+        let known = |settings: SensorSettings, rate_hz: f64, age_s: f64| SensorSettings {
+            rate_hz,
+            age_s,
+            ..settings
+        };
+        match self {
+            Self::State => {
+                let places = node_places(model).split_off(model.first_free_node());
+                let settings = SensorSettings {
+                    velocity: Some(0.0),
+                    angular_velocity: Some(0.0),
+                    ..poses(places, 0.0, 0.0)
+                };
+                known(settings, 1000.0, 0.0)
+            }
+            Self::Mocap => {
+                let places = vec![1.0 / 3.0, 2.0 / 3.0, 1.0];
+                known(poses(places, 2e-4, degrees(0.2)), 200.0, 0.005)
+            }
+            Self::Em => known(poses(vec![1.0], 7e-4, degrees(0.4)), 40.0, 0.015),
+            Self::Camera => {
+                let settings = SensorSettings {
+                    places: vec![1.0],
+                    position: Some(1e-3),
+                    ..SensorSettings::nothing()
+                };
+                known(settings, 30.0, 0.03)
+            }
+            Self::Fbg => {
+                let n = STATIONS as f64;
+                let settings = SensorSettings {
+                    places: (0..STATIONS).map(|i| (i as f64 + 0.5) / n).collect(),
+                    curvature: Some(FIBER_ERROR * (3.0 * n).sqrt() / model.scales.length),
+                    ..SensorSettings::nothing()
+                };
+                known(settings, 100.0, 0.01)
+            }
+            Self::BaseWrench => {
+                let settings = SensorSettings {
+                    base_force: Some(0.02),
+                    base_moment: Some(5e-4),
+                    ..SensorSettings::nothing()
+                };
+                known(settings, 500.0, 0.002)
+            }
+            Self::Imu => {
+                let settings = SensorSettings {
+                    places: vec![1.0],
+                    rotation: Some(degrees(1.0)),
+                    angular_velocity: Some(degrees(0.1)),
+                    ..SensorSettings::nothing()
+                };
+                known(settings, 200.0, 0.005)
+            }
+        }
     }
 }
 
@@ -60,19 +135,124 @@ pub struct SensorSettings {
     pub seed: u64,
 }
 
+impl SensorSettings {
+    /// Nothing, 100 times a second and at once; say what with `..`.
+    #[must_use]
+    pub fn nothing() -> Self {
+        Self {
+            places: Vec::new(),
+            position: None,
+            rotation: None,
+            velocity: None,
+            angular_velocity: None,
+            curvature: None,
+            base_force: None,
+            base_moment: None,
+            rate_hz: 100.0,
+            age_s: 0.0,
+            seed: 0,
+        }
+    }
+
+    /// What is measured at every place, and at the clamp, with the standard deviations.
+    fn kinds(&self) -> [[Option<(Kind, f64)>; 5]; 2] {
+        let with = |kind: Kind, sigma: Option<f64>| sigma.map(|sigma| (kind, sigma));
+        [
+            [
+                with(Kind::Position, self.position),
+                with(Kind::Rotation, self.rotation),
+                with(Kind::Velocity, self.velocity),
+                with(Kind::AngularVelocity, self.angular_velocity),
+                with(Kind::Curvature, self.curvature),
+            ],
+            [
+                with(Kind::BaseForce, self.base_force),
+                with(Kind::BaseMoment, self.base_moment),
+                None,
+                None,
+                None,
+            ],
+        ]
+    }
+
+    fn check(&self) -> Result<(), MpcError> {
+        let require = |name, value: f64, holds: bool, expected| {
+            if value.is_finite() && holds {
+                Ok(())
+            } else {
+                Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected,
+                })
+            }
+        };
+        for &place in &self.places {
+            let holds = (0.0..=1.0).contains(&place);
+            require("places", place, holds, "a part of the length, 0 to 1")?;
+        }
+        let sigmas = [
+            ("position", self.position),
+            ("rotation", self.rotation),
+            ("velocity", self.velocity),
+            ("angular_velocity", self.angular_velocity),
+            ("curvature", self.curvature),
+            ("base_force", self.base_force),
+            ("base_moment", self.base_moment),
+        ];
+        for (name, sigma) in sigmas {
+            let sigma = sigma.unwrap_or(0.0);
+            require(name, sigma, sigma >= 0.0, "a number of at least 0")?;
+        }
+        let rate = self.rate_hz;
+        require("rate_hz", rate, rate > 0.0, "a positive number")?;
+        let age = self.age_s;
+        require("age_s", age, age >= 0.0, "a number of at least 0")?;
+        let [at_places, at_clamp] = self.kinds();
+        let some = |kinds: &[Option<(Kind, f64)>]| kinds.iter().any(Option::is_some);
+        let n_places = self.places.len() as f64;
+        if some(&at_places) {
+            let expected = "at least one where something is measured at places";
+            require("number of places", n_places, n_places > 0.0, expected)
+        } else if some(&at_clamp) {
+            Ok(())
+        } else {
+            Err(MpcError::Unsupported(
+                "a sensor measures something; give at least one standard deviation",
+            ))
+        }
+    }
+}
+
+/// Part of a period by which a measurement may be early, for rounding.
+const EARLY: f64 = 1e-6;
+
 /// A simulated sensor on a plant.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     settings: SensorSettings,
+    rod: Rod,
+    reader: Reader,
+    dice: fastrand::Rng,
+    /// Number of the next measurement.
+    next: f64,
 }
 
 impl Sensor {
     /// A sensor on an arm with this rod; its first measurement is due at time 0.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a place, a standard deviation, a rate or an age out of range, and where nothing is measured.
+    /// [`MpcError::Setting`] for a place, a standard deviation, a rate or an age out of range, and [`MpcError::Unsupported`] where nothing is
+    /// measured.
     pub fn new(settings: &SensorSettings, plant: &Rod) -> Result<Self, MpcError> {
-        todo!("{settings:?} {plant:?}")
+        settings.check()?;
+        Ok(Self {
+            settings: settings.clone(),
+            rod: plant.clone(),
+            reader: Reader::new(plant),
+            dice: fastrand::Rng::with_seed(settings.seed),
+            next: 0.0,
+        })
     }
 
     /// What it was made of.
@@ -81,14 +261,20 @@ impl Sensor {
         &self.settings
     }
 
+    /// When the next measurement is due, s.
+    #[must_use]
+    pub fn next_due(&self) -> f64 {
+        self.next / self.settings.rate_hz
+    }
+
     /// Whether a measurement is due at time `t`, s.
     #[must_use]
     pub fn is_due(&self, t: f64) -> bool {
-        todo!("{t}")
+        t * self.settings.rate_hz >= self.next - EARLY
     }
 
-    /// Measures a plant that is at time `t` (s) in `state`, on its own nodes; the next measurement is due a period later on the sensor's own
-    /// lattice of times. It is known from `t` plus the [age](SensorSettings::age_s) on.
+    /// Measures a plant that is at time `t` (s) in `state`, on its own nodes; the next measurement is due at the next of the multiples of the
+    /// sensor's period. What is measured is known from `t` plus the [age](SensorSettings::age_s) on.
     ///
     /// # Errors
     /// [`MpcError::Measurement`] for a state of another size.
@@ -98,6 +284,88 @@ impl Sensor {
         state: &State,
         out: &mut Measurement,
     ) -> Result<(), MpcError> {
-        todo!("{t} {state:?} {out:?}")
+        state_fits(state, &self.rod)?;
+        out.time = t;
+        out.signals.clear();
+        let [at_places, at_clamp] = self.settings.kinds();
+        for i in 0..self.settings.places.len() {
+            let place = self.settings.places[i];
+            for (kind, sigma) in at_places.into_iter().flatten() {
+                let signal = self.signal(t, state, kind, place, sigma);
+                out.signals.push(signal);
+            }
+        }
+        for (kind, sigma) in at_clamp.into_iter().flatten() {
+            let signal = self.signal(t, state, kind, 0.0, sigma);
+            out.signals.push(signal);
+        }
+        self.next = (t * self.settings.rate_hz + EARLY).floor() + 1.0;
+        Ok(())
+    }
+
+    fn signal(&mut self, t: f64, state: &State, kind: Kind, place: f64, sigma: f64) -> Signal {
+        let true_reading = (self.reader).read(&self.rod, t, state, &Disturbance::NONE, kind, place);
+        let noise = Vector3::from_fn(|_, _| normal(&mut self.dice)) * sigma;
+        let reading = match true_reading {
+            Reading::Position(v) => Reading::Position(v + noise),
+            Reading::Rotation(r) => Reading::Rotation(r * exp(&noise)),
+            Reading::Velocity(v) => Reading::Velocity(v + noise),
+            Reading::AngularVelocity(v) => Reading::AngularVelocity(v + noise),
+            Reading::Curvature(v) => Reading::Curvature(v + noise),
+            Reading::BaseForce(v) => Reading::BaseForce(v + noise),
+            Reading::BaseMoment(v) => Reading::BaseMoment(v + noise),
+        };
+        Signal {
+            place,
+            reading,
+            sigma,
+        }
+    }
+}
+
+/// A number from the standard normal distribution, by Box and Muller's formula.
+fn normal(dice: &mut fastrand::Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - dice.f64()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * dice.f64()).cos()
+}
+
+/// Whether a state has one of everything for every node of a rod.
+pub(super) fn state_fits(state: &State, rod: &Rod) -> Result<(), MpcError> {
+    let n = rod.n_nodes();
+    let sizes = [
+        state.configuration.positions.len(),
+        state.configuration.rotations.len(),
+        state.linear_momentum.len(),
+        state.angular_momentum.len(),
+    ];
+    if sizes == [n; 4] {
+        return Ok(());
+    }
+    Err(MpcError::Measurement {
+        found: format!("{sizes:?} positions, rotations, linear and angular momenta"),
+        expected: format!("{n} of each, one a node of the rod"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Mean, variance and fourth moment of 10⁵ numbers are 0, 1 and 3 within four standard deviations of these sums.
+    #[test]
+    fn noise_is_normal() {
+        const N: usize = 100_000;
+        let mut dice = fastrand::Rng::with_seed(7);
+        let mut sums = [0.0; 3];
+        for _ in 0..N {
+            let x = normal(&mut dice);
+            for (sum, power) in sums.iter_mut().zip([1, 2, 4]) {
+                *sum += x.powi(power) / N as f64;
+            }
+        }
+        // The variances of x, x² and x⁴ are 1, 2 and 105 - 9 = 96.
+        for ((sum, mean), variance) in sums.iter().zip([0.0, 1.0, 3.0]).zip([1.0, 2.0, 96.0f64]) {
+            assert!((sum - mean).abs() < 4.0 * (variance / N as f64).sqrt());
+        }
     }
 }

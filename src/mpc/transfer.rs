@@ -84,7 +84,7 @@ fn carried(places: &[(usize, f64)], from: &Configuration) -> Configuration {
 }
 
 /// The pose at the fraction `s` of element `q`.
-fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
+pub(super) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
     if s == 0.0 {
         return (at.positions[q], at.rotations[q]);
     }
@@ -103,33 +103,37 @@ fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
 
 /// Of every node of `to`, the element of `from` that it is on and the fraction of it.
 fn places(from: &Rod, to: &Rod) -> Vec<(usize, f64)> {
-    let ends = |rod: &Rod| {
-        let mut sum = 0.0;
-        let mut ends = vec![0.0];
-        for element in &rod.elements {
-            sum += element.length;
-            ends.push(sum);
-        }
-        for end in &mut ends {
-            *end /= sum;
-        }
-        ends
-    };
-    let own = ends(from);
-    let last = from.n_elements() - 1;
-    (ends(to).into_iter())
-        .map(|part| {
-            // A node to rounding is that node.
-            const SAME: f64 = 1e-12;
-            let q = own
-                .partition_point(|end| *end <= part + SAME)
-                .clamp(1, last + 1)
-                - 1;
-            let s = (part - own[q]) / (own[q + 1] - own[q]);
-            let s = if s < 1e-9 { 0.0 } else { s };
-            (q, if s > 1.0 - 1e-9 { 1.0 } else { s })
-        })
+    let own = node_places(from);
+    (node_places(to).into_iter())
+        .map(|part| locate(&own, part))
         .collect()
+}
+
+/// Arc length of every node over the rod's length.
+pub(super) fn node_places(rod: &Rod) -> Vec<f64> {
+    let mut sum = 0.0;
+    let mut ends = vec![0.0];
+    for element in &rod.elements {
+        sum += element.length;
+        ends.push(sum);
+    }
+    for end in &mut ends {
+        *end /= sum;
+    }
+    ends
+}
+
+/// The element that a part of the length is on, and the fraction of it, for the [places of the nodes](node_places).
+pub(super) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
+    // A node to rounding is that node.
+    const SAME: f64 = 1e-12;
+    let q = nodes
+        .partition_point(|end| *end <= part + SAME)
+        .clamp(1, nodes.len() - 1)
+        - 1;
+    let s = (part - nodes[q]) / (nodes[q + 1] - nodes[q]);
+    let s = if s < 1e-9 { 0.0 } else { s };
+    (q, if s > 1.0 - 1e-9 { 1.0 } else { s })
 }
 
 #[cfg(test)]

@@ -104,6 +104,12 @@ impl LaneMemory {
         integrator.seat(initial, 0);
         integrator
     }
+
+    /// For steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the same factor.
+    pub fn retune(&mut self, rod: &Rod, time_step: f64) {
+        self.clock.step = time_step;
+        self.constants.rewrite(rod, self.slots, time_step);
+    }
 }
 
 /// The pose of a clamped or driven base.
@@ -732,45 +738,77 @@ fn is_possible(rod: &Rod, time_step: f64) -> bool {
 
 impl Constants {
     fn new(rod: &Rod, slots: Slots, time_step: f64) -> Self {
-        let standard = rod.model == RodModel::Standard;
-        let element_rows = if standard {
-            Standard::ROWS
-        } else {
-            Consistent::ROWS
-        };
         let mut nodes = Kinds::default();
         let mut elements = Kinds::default();
         let mut kinds = Vec::with_capacity(slots.n_blocks);
         for block in 0..slots.n_blocks {
             let mut node_block = vec![0.0; NODE_ROWS * slots.n_lanes];
-            let mut element_block = vec![0.0; element_rows * slots.n_lanes];
-            for lane in 0..slots.n_lanes {
-                let node = slots.node(Place { block, lane });
-                let rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
-                    held_constants(standard)
-                } else {
-                    node_constants(rod, node, time_step)
-                };
-                for (row, value) in rows.iter().enumerate() {
-                    node_block[row * slots.n_lanes + lane] = *value;
-                }
-                if node >= rod.n_elements() {
-                    continue;
-                }
-                let rows = match rod.strain_rule {
-                    StrainRule::Helical => Helical::constants(rod, node, time_step),
-                    StrainRule::Trapezoidal => Trapezoidal::constants(rod, node, time_step),
-                };
-                for (row, value) in rows[..element_rows].iter().enumerate() {
-                    element_block[row * slots.n_lanes + lane] = *value;
-                }
-            }
+            let mut element_block = vec![0.0; element_rows(rod) * slots.n_lanes];
+            write_block(
+                rod,
+                slots,
+                time_step,
+                block,
+                &mut node_block,
+                &mut element_block,
+            );
             kinds.push([nodes.of(node_block), elements.of(element_block)]);
         }
         Self {
             nodes: nodes.into_buffer(),
             elements: elements.into_buffer(),
             kinds,
+        }
+    }
+
+    /// Those of another step length, and of a rod whose elements are stiffer or softer, all of them by the same factor: what was equal
+    /// still is.
+    fn rewrite(&mut self, rod: &Rod, slots: Slots, time_step: f64) {
+        let node_size = NODE_ROWS * slots.n_lanes;
+        let element_size = element_rows(rod) * slots.n_lanes;
+        for (block, &[node, element]) in self.kinds.iter().enumerate() {
+            let nodes = &mut self.nodes[node * node_size..][..node_size];
+            let elements = &mut self.elements[element * element_size..][..element_size];
+            write_block(rod, slots, time_step, block, nodes, elements);
+        }
+    }
+}
+
+fn element_rows(rod: &Rod) -> usize {
+    match rod.model {
+        RodModel::Standard => Standard::ROWS,
+        RodModel::Dilatation | RodModel::Consistent => Consistent::ROWS,
+    }
+}
+
+/// Constants of the nodes of a block, and of the elements that begin there.
+fn write_block(
+    rod: &Rod,
+    slots: Slots,
+    time_step: f64,
+    block: usize,
+    nodes: &mut [f64],
+    elements: &mut [f64],
+) {
+    for lane in 0..slots.n_lanes {
+        let node = slots.node(Place { block, lane });
+        let rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
+            held_constants(rod.model == RodModel::Standard)
+        } else {
+            node_constants(rod, node, time_step)
+        };
+        for (row, value) in rows.iter().enumerate() {
+            nodes[row * slots.n_lanes + lane] = *value;
+        }
+        if node >= rod.n_elements() {
+            continue;
+        }
+        let rows = match rod.strain_rule {
+            StrainRule::Helical => Helical::constants(rod, node, time_step),
+            StrainRule::Trapezoidal => Trapezoidal::constants(rod, node, time_step),
+        };
+        for (row, value) in rows[..element_rows(rod)].iter().enumerate() {
+            elements[row * slots.n_lanes + lane] = *value;
         }
     }
 }

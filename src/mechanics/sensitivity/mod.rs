@@ -44,7 +44,7 @@ use super::integrator::StepError;
 use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
 
-pub use self::repeated::RepeatedReverse;
+pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.

@@ -1,13 +1,15 @@
-//! The reverse sweep over the same forms and columns again and again, as a controller needs it: the memory is its owner's, and no
-//! sweep after the first asks for more.
+//! Sweeps that are done again and again: the reverse one over the same forms and columns, as a controller needs it, and the forward one of
+//! all deviations of the state, as a filter does. The memory is its owner's, and no sweep after the first asks for more.
 
+use faer::Mat;
 use pulp::Arch;
 
 use super::conveyor::PIECE;
 use super::linearize::{Workspace, linearize_in};
 use super::packed::PackedStep;
 use super::reverse::ReverseTile;
-use super::{ControlColumns, TILE, Task};
+use super::tile::Tile;
+use super::{ConstantColumns, ControlColumns, InputVisitor, TILE, Task};
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm};
 use crate::mechanics::integrator::StepError;
@@ -90,6 +92,106 @@ impl RepeatedReverse {
     #[must_use]
     pub fn along_start(&self, form: usize, component: usize) -> f64 {
         self.tiles[form / TILE].component(self.first_row + component, form % TILE)
+    }
+}
+
+/// The linearized motion over a whole grid, as [`transition_by`](super::transition_by) gives it, on one thread.
+pub struct RepeatedForward {
+    lanes: Option<Workspace>,
+    steps: Vec<PackedStep>,
+    tiles: Vec<Tile<'static>>,
+    n_inputs: usize,
+    first_row: usize,
+    /// Components of the state.
+    size: usize,
+}
+
+impl RepeatedForward {
+    /// Memory for motions of this rod, over grids of any number of steps, and so many inputs.
+    #[must_use]
+    pub fn new(motion: &Motion, trajectory: &Trajectory, n_inputs: usize) -> Self {
+        let first = motion.rod.first_free_node();
+        let size = NODE_COMPONENTS * (motion.rod.n_nodes() - first);
+        let columns = ConstantColumns {
+            n_states: size,
+            n_inputs,
+            inputs: &|_, _| (),
+        };
+        let task = task(motion, trajectory, &columns, &[]);
+        let mut steps = Vec::new();
+        steps.resize_with(PIECE, PackedStep::default);
+        Self {
+            lanes: Workspace::of(Arch::new(), motion),
+            steps,
+            tiles: (0..(size + n_inputs).div_ceil(TILE))
+                .map(|index| Tile::new(&task, index * TILE, None))
+                .collect(),
+            n_inputs,
+            first_row: first * NODE_COMPONENTS,
+            size,
+        }
+    }
+
+    /// Linearizes the motion over its grid. `inputs` says what each of them does at a time node.
+    ///
+    /// # Errors
+    /// [`StepError`] where the trajectory cannot be linearized, or of the motion's stop signal.
+    pub fn sweep(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        inputs: &InputVisitor,
+    ) -> Result<(), StepError> {
+        let columns = ConstantColumns {
+            n_states: self.size,
+            n_inputs: self.n_inputs,
+            inputs,
+        };
+        let task = task(motion, trajectory, &columns, &[]);
+        let arch = Arch::new();
+        for (index, tile) in self.tiles.iter_mut().enumerate() {
+            tile.restart();
+            for column in (index * TILE..self.size).take(TILE) {
+                tile.set_unit(self.first_row + column, column % TILE);
+            }
+        }
+        let n_times = motion.grid.n_steps + 1;
+        for start in (0..n_times).step_by(PIECE) {
+            if let Some(stop) = motion.stop {
+                stop.check_at(start)?;
+            }
+            let range = start..n_times.min(start + PIECE);
+            let steps = &mut self.steps[..range.len()];
+            linearize_in(
+                &mut self.lanes,
+                arch,
+                motion,
+                trajectory,
+                None,
+                start,
+                steps,
+            )?;
+            for tile in &mut self.tiles {
+                for (step, k) in steps.iter().zip(range.clone()) {
+                    tile.advance(arch, step, k, &task);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes `∂s_end/∂s_start` and `∂s_end/∂u` of the last sweep to the first columns of matrices that have room for them.
+    pub fn write(&self, state: &mut Mat<f64>, input: &mut Mat<f64>) {
+        for column in 0..self.size + self.n_inputs {
+            let tile = &self.tiles[column / TILE];
+            let out = match column.checked_sub(self.size) {
+                None => state.col_as_slice_mut(column),
+                Some(index) => input.col_as_slice_mut(index),
+            };
+            for (row, out) in out.iter_mut().take(self.size).enumerate() {
+                *out = tile.component(self.first_row + row, column % TILE);
+            }
+        }
     }
 }
 

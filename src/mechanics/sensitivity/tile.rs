@@ -46,6 +46,15 @@ impl<'a> Tile<'a> {
         tile
     }
 
+    /// Starts anew without any deviation; the memory stays.
+    pub fn restart(&mut self) {
+        self.data.fill(0.0);
+        self.increments.fill(0.0);
+        self.values.fill(0.0);
+        self.reach = 0..0;
+        self.flops = 0;
+    }
+
     /// Lets one column begin as a deviation of the nodes from `first` on.
     fn set_start(&mut self, start: &StateTangent, first: usize, column: usize) {
         let n_nodes = start.positions.len();

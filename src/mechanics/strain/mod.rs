@@ -448,7 +448,7 @@ impl Element {
 ///
 /// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`.
 #[inline]
-pub(in crate::mechanics) fn tangent_derivative(
+pub(crate) fn tangent_derivative(
     psi: &Vector3<f64>,
     y: &Vector3<f64>,
     c: &InverseTangentCoefficients,

@@ -2,15 +2,19 @@
 
 use crate::mpc::signal::Measurement;
 
+/// Part of the lag by which a measurement may be early, for rounding.
+const EARLY: f64 = 1e-9;
+
 /// Holds back measurements until nothing older can arrive.
 ///
 /// A measurement of time `t` from a sensor of age `a` is known at `t + a`. With `lag` the largest age of all sensors, everything true until
-/// `now - lag` is known at `now`, and is handed out in the order of its time.
+/// `now - lag` is known at `now`, and is handed out in the order of its time; of the same instant, in the order of its arrival.
 #[derive(Clone, Debug)]
 pub struct Inbox {
     lag: f64,
-    waiting: Vec<Measurement>,
-    spare: Vec<Measurement>,
+    /// The first `n` of them wait, the oldest last; the others are memory.
+    store: Vec<Measurement>,
+    n: usize,
 }
 
 impl Inbox {
@@ -19,18 +23,88 @@ impl Inbox {
     pub fn new(lag: f64) -> Self {
         Self {
             lag,
-            waiting: Vec::new(),
-            spare: Vec::new(),
+            store: Vec::new(),
+            n: 0,
         }
     }
 
-    /// Takes a copy of a measurement that has just become known.
+    /// Takes a copy of a measurement that has just become known. One whose time is no number is dropped.
     pub fn put(&mut self, measurement: &Measurement) {
-        todo!("{measurement:?} {self:?}")
+        if measurement.time.is_nan() {
+            return;
+        }
+        if self.n == self.store.len() {
+            self.store.push(Measurement::default());
+        }
+        let own = &mut self.store[self.n];
+        own.time = measurement.time;
+        own.signals.clone_from(&measurement.signals);
+        let place = self.store[..self.n].partition_point(|other| other.time > measurement.time);
+        self.store[place..=self.n].rotate_right(1);
+        self.n += 1;
     }
 
     /// The oldest measurement that was true until `now - lag`; to be called until there is none.
     pub fn take(&mut self, now: f64) -> Option<&Measurement> {
-        todo!("{now}")
+        let oldest = self.n.checked_sub(1)?;
+        let rounding = EARLY * (1.0 + now.abs());
+        if self.store[oldest].time > now - self.lag + rounding {
+            return None;
+        }
+        self.n = oldest;
+        Some(&self.store[oldest])
+    }
+
+    /// Forgets all that waits.
+    pub fn clear(&mut self) {
+        self.n = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(time: f64) -> Measurement {
+        Measurement {
+            time,
+            signals: Vec::new(),
+        }
+    }
+
+    /// Whatever the order of arrival, measurements come out in the order of their time, none before all older ones can be known.
+    #[test]
+    fn measurements_come_in_their_order() {
+        let mut inbox = Inbox::new(0.03);
+        for time in [0.02, 0.0, 0.01, 0.025] {
+            inbox.put(&at(time));
+        }
+        assert_eq!(inbox.take(0.029), None);
+        let mut found = Vec::new();
+        for now in [0.035, 0.05, 0.055] {
+            while let Some(measurement) = inbox.take(now) {
+                assert!(measurement.time <= now - 0.03 + 1e-8);
+                found.push(measurement.time);
+            }
+        }
+        assert_eq!(found, [0.0, 0.01, 0.02, 0.025]);
+        inbox.put(&at(f64::NAN));
+        assert_eq!(inbox.take(1.0), None);
+    }
+
+    /// Of the same instant, what arrived first comes first.
+    #[test]
+    fn equal_times_keep_their_order() {
+        let mut inbox = Inbox::new(0.0);
+        let mut first = at(0.1);
+        first.signals.push(crate::mpc::signal::Signal {
+            place: 1.0,
+            reading: crate::mpc::signal::Reading::Position(nalgebra::Vector3::zeros()),
+            sigma: 1.0,
+        });
+        inbox.put(&first);
+        inbox.put(&at(0.1));
+        assert_eq!(inbox.take(0.1), Some(&first));
+        assert_eq!(inbox.take(0.1), Some(&at(0.1)));
     }
 }

@@ -18,18 +18,24 @@
 use nalgebra::Vector3;
 
 use super::controller::Command;
+use super::error::MpcError;
+use super::sensor::state_fits;
 use super::signal::Measurement;
 use crate::mechanics::{Rod, State, StepError, Wrench};
 
+mod comparison;
+mod covariance;
 mod inbox;
 mod kalman;
 mod observer;
 mod prediction;
+mod readings;
 
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
 pub use self::observer::{BoundaryObserver, ObserverSettings};
 pub use self::prediction::Predictor;
+pub(super) use self::readings::{Kind, Reader};
 
 /// What acts on the arm, or is wrong with its model, beyond what the model knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,6 +156,14 @@ pub enum EstimateError {
         /// Where the estimator is, s.
         estimate: f64,
     },
+    /// A command on a node that the model does not have.
+    #[error("the command acts on node {node}, and the model has nodes 0 to {}", n_nodes - 1)]
+    Node {
+        /// The node.
+        node: usize,
+        /// Nodes of the model.
+        n_nodes: usize,
+    },
     /// Signals of which the estimator can use none.
     #[error("the estimator can use none of the signals: {expected}")]
     Unusable {
@@ -172,8 +186,8 @@ pub trait Estimator {
     /// end. Call it once for every command that acted. Nothing happens where the estimate is there already, to rounding.
     ///
     /// # Errors
-    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`] for a command that is not finite,
-    /// and [`EstimateError::Motion`].
+    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`] for a command that is not finite
+    /// or ends before it starts, [`EstimateError::Node`], and [`EstimateError::Motion`].
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError>;
 
     /// Corrects the estimate by a measurement of its time.
@@ -187,5 +201,61 @@ pub trait Estimator {
 
     /// Forgets everything, and starts anew at `time` (s) from `state`, on the nodes of the model: what follows is the same as with a new
     /// estimator.
-    fn restart(&mut self, time: f64, state: &State);
+    ///
+    /// # Errors
+    /// [`MpcError::Measurement`] for a state that is not finite or of another size, and [`MpcError::Setting`] for such a time.
+    fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError>;
+}
+
+/// Part of a second by which times that are the same may differ.
+const SAME_TIME: f64 = 1e-9;
+
+/// Whether a measurement is of the time at which an estimate is.
+fn check_time(time: f64, estimate: f64) -> Result<(), EstimateError> {
+    let ahead = time - estimate;
+    if !ahead.is_finite() {
+        let what = "the time of the measurement".into();
+        Err(EstimateError::NotFinite { what })
+    } else if ahead.abs() <= SAME_TIME * (1.0 + estimate.abs()) {
+        Ok(())
+    } else if ahead < 0.0 {
+        Err(EstimateError::Late { time, estimate })
+    } else {
+        Err(EstimateError::Ahead { time, estimate })
+    }
+}
+
+/// Whether an estimate may start from a state.
+fn check_start(model: &Rod, time: f64, state: &State) -> Result<(), MpcError> {
+    setting("time", time, true, "a finite number")?;
+    state_fits(state, model)?;
+    let at = &state.configuration;
+    let vectors = (at.positions.iter())
+        .chain(&state.linear_momentum)
+        .chain(&state.angular_momentum)
+        .all(|v| v.iter().all(|c| c.is_finite()));
+    if vectors && (at.rotations.iter()).all(|r| r.iter().all(|c| c.is_finite())) {
+        return Ok(());
+    }
+    Err(MpcError::Measurement {
+        found: "a number that is not finite".into(),
+        expected: "finite positions, rotations and momenta".into(),
+    })
+}
+
+fn setting(
+    name: &'static str,
+    value: f64,
+    holds: bool,
+    expected: &'static str,
+) -> Result<(), MpcError> {
+    if value.is_finite() && holds {
+        Ok(())
+    } else {
+        Err(MpcError::Setting {
+            name,
+            value,
+            expected,
+        })
+    }
 }

@@ -1,11 +1,18 @@
 //! A boundary observer: the model, with a wrench at the tip that damps its deviation from what is measured there.
 
+use nalgebra::{Matrix3, Vector3};
+
+use crate::mechanics::rotation::{exp, log, orthonormalized};
+use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{Rod, State};
 use crate::mpc::controller::Command;
 use crate::mpc::error::MpcError;
-use crate::mpc::signal::Measurement;
+use crate::mpc::signal::{Measurement, Reading};
 
-use super::{Estimate, EstimateError, Estimator, Innovation};
+use super::comparison::Comparison;
+use super::prediction::Predictor;
+use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
+use super::{check_start, check_time, setting};
 
 /// Gains of a [`BoundaryObserver`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,12 +29,140 @@ pub struct ObserverSettings {
 }
 
 impl ObserverSettings {
-    /// What suits most arms.
+    /// A tenth of the matched impedance, and no disturbance.
     #[must_use]
     pub fn of(model: &Rod) -> Self {
-        todo!("{model:?}")
+        Self {
+            gain: 0.1,
+            follow_time: 0.1 * model.scales.time,
+            integral_time: None,
+            longest_step: automatic_step(model),
+        }
+    }
+
+    fn check(&self) -> Result<(), MpcError> {
+        for (name, value) in [
+            ("gain", self.gain),
+            ("follow_time", self.follow_time),
+            ("integral_time", self.integral_time.unwrap_or(1.0)),
+            ("longest_step", self.longest_step),
+        ] {
+            setting(name, value, value > 0.0, "a positive finite number")?;
+        }
+        Ok(())
     }
 }
+
+/// Gains on velocity and angular velocity in the body frame of the tip, kg/s and kg m²/s.
+#[derive(Clone, Copy, Debug)]
+struct Gains {
+    linear: Vector3<f64>,
+    angular: Vector3<f64>,
+    /// Gain on a pose over that on its rate, 1/s.
+    rate: f64,
+    /// Part of an injected wrench that becomes a disturbance, 1/s.
+    integral: f64,
+}
+
+impl Gains {
+    fn of(model: &Rod, settings: &ObserverSettings) -> Self {
+        let last = model.n_elements() - 1;
+        let element = &model.elements[last];
+        let [near, far] = &model.element_inertia[last];
+        let impedance = |per_length: Vector3<f64>, stiffness: &Vector3<f64>| {
+            per_length.component_mul(stiffness).map(f64::sqrt) * settings.gain
+        };
+        let mass = (near.mass + far.mass) / element.length;
+        let rotary = (near.rotary + far.rotary) / element.length;
+        Self {
+            linear: impedance(Vector3::repeat(mass), &element.linear_stiffness),
+            angular: impedance(rotary, &element.angular_stiffness),
+            rate: 1.0 / settings.follow_time,
+            integral: settings.integral_time.map_or(0.0, |time| 1.0 / time),
+        }
+    }
+}
+
+/// What is known of the tip at one instant.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tip {
+    time: f64,
+    position: Option<Vector3<f64>>,
+    rotation: Option<Matrix3<f64>>,
+    velocity: Option<Vector3<f64>>,
+    /// Body frame.
+    spin: Option<Vector3<f64>>,
+}
+
+/// Nearer to the tip than this part of the length is the tip.
+const AT_TIP: f64 = 1e-9;
+
+impl Tip {
+    fn of(measurement: &Measurement) -> Self {
+        let mut tip = Self {
+            time: measurement.time,
+            ..Self::default()
+        };
+        let at_tip = |signal: &&crate::mpc::signal::Signal| signal.place > 1.0 - AT_TIP;
+        for signal in measurement.signals.iter().filter(at_tip) {
+            match signal.reading {
+                Reading::Position(x) => tip.position = Some(x),
+                Reading::Rotation(r) => tip.rotation = Some(orthonormalized(&r)),
+                Reading::Velocity(v) => tip.velocity = Some(v),
+                Reading::AngularVelocity(w) => tip.spin = Some(w),
+                _ => {}
+            }
+        }
+        tip
+    }
+
+    /// With what another one knows besides.
+    fn or(self, other: &Self) -> Self {
+        Self {
+            time: self.time,
+            position: self.position.or(other.position),
+            rotation: self.rotation.or(other.rotation),
+            velocity: self.velocity.or(other.velocity),
+            spin: self.spin.or(other.spin),
+        }
+    }
+
+    /// Between the instant before and this one: poses move evenly, rates that were not measured follow from them.
+    fn between(&self, before: &Self, t: f64) -> Self {
+        let duration = self.time - before.time;
+        // From this instant on back.
+        let left = self.time - t;
+        let moved =
+            |from: Option<Vector3<f64>>, to: Option<Vector3<f64>>| Some((to? - from?) / duration);
+        let slope = moved(before.position, self.position);
+        let turning = before
+            .rotation
+            .zip(self.rotation)
+            .map(|(from, to)| log(&from.tr_mul(&to)) / duration);
+        let rate = |measured: Option<Vector3<f64>>, from: Option<Vector3<f64>>, slope| {
+            let change = moved(from, measured).unwrap_or_else(Vector3::zeros);
+            measured.map(|rate| rate - change * left).or(slope)
+        };
+        Self {
+            time: t,
+            position: (self.position).map(|x| x - slope.unwrap_or_else(Vector3::zeros) * left),
+            rotation: (self.rotation)
+                .map(|r| r * exp(&(turning.unwrap_or_else(Vector3::zeros) * -left))),
+            velocity: rate(self.velocity, before.velocity, slope),
+            spin: rate(self.spin, before.spin, turning),
+        }
+    }
+}
+
+/// A command, and the time at which it ceased to act.
+#[derive(Clone, Debug)]
+struct Piece {
+    command: Command,
+    until: f64,
+}
+
+/// Pieces between two measurements, at most: of a tip that was not seen for longer, the motion until then counts as known.
+const MOST_PIECES: usize = 64;
 
 /// The boundary observer of Zheng et al. (arXiv 2303.06130): a copy of the model with one more tip wrench, in the body frame of the tip
 ///
@@ -36,13 +171,28 @@ impl ObserverSettings {
 /// ```
 ///
 /// It damps the deviation from the true motion as a matched end of a line absorbs its waves; it has no covariance and is the same on every
-/// grid. It uses positions, rotations and velocities that were measured at the tip; what is not measured of a pose is left alone.
+/// grid. It uses positions, rotations and velocities that were measured at the tip; what is not measured of a pose is left alone, and rates
+/// that are not measured follow from the poses of two measurements.
 ///
-/// The wrench acts over the time between two measurements, towards the pose between them, so that the estimate at a measurement's time
-/// follows from all that was measured until then.
-#[derive(Clone, Debug)]
+/// The wrench acts over the time between two measurements, towards the pose between them: that time is simulated once more when it is known.
+/// After every step the tip's momenta take its impulse, implicitly: with `v_free` the tip's velocity without it and `m` the mass of the node,
+/// `v⁺ = v_free + h (Gv (v - v⁺) + Gp (x - x_hat - h (v⁺ - v_free)))/m`, so that no gain is too large for the step.
+///
+/// No call after the first of its kind asks for memory, where steps are explicit.
+#[derive(Debug)]
 pub struct BoundaryObserver {
+    settings: ObserverSettings,
+    gains: Gains,
     estimate: Estimate,
+    /// The corrected estimate at the last measurement, and what was known of the tip then.
+    anchor: Estimate,
+    tip: Option<Tip>,
+    /// Commands since; the first `n_pieces` of them.
+    pieces: Vec<Piece>,
+    n_pieces: usize,
+    predictor: Predictor,
+    comparison: Comparison,
+    next: State,
 }
 
 impl BoundaryObserver {
@@ -56,24 +206,218 @@ impl BoundaryObserver {
         state: &State,
         settings: &ObserverSettings,
     ) -> Result<Self, MpcError> {
-        todo!("{model:?} {time} {state:?} {settings:?}")
+        settings.check()?;
+        check_start(model, time, state)?;
+        let estimate = Estimate {
+            time,
+            state: state.clone(),
+            disturbance: Disturbance::NONE,
+            deviation: Disturbance {
+                stiffness: 0.0,
+                ..Disturbance::NONE
+            },
+        };
+        Ok(Self {
+            settings: *settings,
+            gains: Gains::of(model, settings),
+            anchor: estimate.clone(),
+            estimate,
+            tip: None,
+            pieces: Vec::new(),
+            n_pieces: 0,
+            predictor: Predictor::new(model, settings.longest_step),
+            comparison: Comparison::new(model),
+            next: state.clone(),
+        })
+    }
+
+    /// What it was made with.
+    #[must_use]
+    pub fn settings(&self) -> &ObserverSettings {
+        &self.settings
+    }
+
+    /// The present estimate is where the next correction starts.
+    fn drop_anchor(&mut self) {
+        self.anchor.time = self.estimate.time;
+        self.anchor.state.clone_from(&self.estimate.state);
+        self.anchor.disturbance = self.estimate.disturbance;
+        self.n_pieces = 0;
+    }
+
+    /// Remembers a command that acted.
+    fn remember(&mut self, command: &Command, until: f64) {
+        if self.n_pieces == self.pieces.len() {
+            self.pieces.push(Piece {
+                command: command.clone(),
+                until,
+            });
+        } else {
+            let piece = &mut self.pieces[self.n_pieces];
+            piece.until = until;
+            let own = &mut piece.command;
+            (own.start, own.end) = (command.start, command.end);
+            own.nodes.clone_from(&command.nodes);
+            own.from.clone_from(&command.from);
+            own.to.clone_from(&command.to);
+        }
+        self.n_pieces += 1;
+    }
+
+    /// Simulates the time since the anchor with the wrench that draws the tip to `target`; leaves the state in `next`.
+    fn replay(&mut self, target: &Tip) -> Result<Disturbance, EstimateError> {
+        let (gains, tip) = (self.gains, self.predictor.model().tip());
+        let (mass, rotary) = {
+            let node = &self.predictor.model().nodes[tip];
+            (node.mass, node.rotary)
+        };
+        let before = self.tip.unwrap_or_default();
+        let mut disturbance = self.anchor.disturbance;
+        let mut time = self.anchor.time;
+        self.next.clone_from(&self.anchor.state);
+        for piece in &self.pieces[..self.n_pieces] {
+            if let Some(steps) = self.predictor.steps(time, piece.until)? {
+                let step = steps.step;
+                self.predictor.roll_out_changing(
+                    &self.next,
+                    steps,
+                    &piece.command,
+                    &mut disturbance,
+                    |t, state, disturbance| {
+                        let to = target.between(&before, t);
+                        let [linear, angular] = gains.impulse(state, tip, mass, &rotary, &to, step);
+                        state.linear_momentum[tip] += linear;
+                        state.angular_momentum[tip] += angular;
+                        disturbance.tip.force += linear * gains.integral;
+                        disturbance.tip.moment += angular * gains.integral;
+                    },
+                )?;
+                self.next.clone_from(self.predictor.end());
+            }
+            time = piece.until;
+        }
+        Ok(disturbance)
+    }
+}
+
+impl Gains {
+    /// Impulses on the tip's momenta after a step of length `h`: linear (spatial) and angular (body frame).
+    fn impulse(
+        &self,
+        state: &State,
+        tip: usize,
+        mass: f64,
+        rotary: &Vector3<f64>,
+        to: &Tip,
+        h: f64,
+    ) -> [Vector3<f64>; 2] {
+        let rotation = &state.configuration.rotations[tip];
+        let position = &state.configuration.positions[tip];
+        let velocity = state.linear_momentum[tip] / mass;
+        let spin = state.angular_momentum[tip].component_div(rotary);
+        let zero = Vector3::zeros();
+        // What is not known does not pull, neither by its value nor through the denominator.
+        let pull = |gain: &Vector3<f64>,
+                    inertia: &Vector3<f64>,
+                    rate: Option<Vector3<f64>>,
+                    offset: Option<Vector3<f64>>| {
+            let stiff = if offset.is_some() { self.rate } else { 0.0 };
+            let damp = if rate.is_some() { 1.0 } else { 0.0 };
+            let force = rate.unwrap_or(zero) + offset.unwrap_or(zero) * self.rate;
+            Vector3::from_fn(|i, _| {
+                let implicit = 1.0 + h * gain[i] * (damp + h * stiff) / inertia[i];
+                h * gain[i] * force[i] / implicit
+            })
+        };
+        let linear = pull(
+            &self.linear,
+            &Vector3::repeat(mass),
+            to.velocity.map(|v| rotation.tr_mul(&(v - velocity))),
+            to.position.map(|x| rotation.tr_mul(&(x - position))),
+        );
+        let relative = to.rotation.map(|r| rotation.tr_mul(&r));
+        let angular = pull(
+            &self.angular,
+            rotary,
+            // An angular velocity is that of the measured body frame, where there is one.
+            to.spin
+                .map(|w| relative.map_or(w, |relative| relative * w) - spin),
+            relative.map(|relative| log(&relative)),
+        );
+        [rotation * linear, angular]
     }
 }
 
 impl Estimator for BoundaryObserver {
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError> {
-        todo!("{command:?} {until}")
+        self.predictor.check(command)?;
+        let Estimate {
+            time,
+            state,
+            disturbance,
+            ..
+        } = &mut self.estimate;
+        if let Some(steps) = self.predictor.steps(*time, until)? {
+            (self.predictor).roll_out(state, steps, command, disturbance, |_| ())?;
+            state.clone_from(self.predictor.end());
+            *time = until;
+            self.remember(command, until);
+            if self.n_pieces == MOST_PIECES {
+                self.drop_anchor();
+            }
+        }
+        self.estimate.time = until;
+        Ok(())
     }
 
     fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError> {
-        todo!("{measurement:?}")
+        check_time(measurement.time, self.estimate.time)?;
+        let stiffness = self.estimate.disturbance.stiffness;
+        let rod = self.predictor.stiffened(stiffness);
+        let known = |signal: &crate::mpc::signal::Signal| {
+            signal.place > 1.0 - AT_TIP
+                && matches!(
+                    signal.reading,
+                    Reading::Position(_)
+                        | Reading::Rotation(_)
+                        | Reading::Velocity(_)
+                        | Reading::AngularVelocity(_)
+                )
+        };
+        (self.comparison).compare(rod, &self.estimate, measurement, None, known)?;
+        let innovation = self.comparison.innovation();
+        if innovation.n == 0 && !measurement.signals.is_empty() {
+            return Err(EstimateError::Unusable {
+                expected: "it needs position, rotation or velocities at place 1, the tip",
+            });
+        }
+        let target = Tip::of(measurement);
+        if self.n_pieces == 0 {
+            // Of the same instant as the last one.
+            let before = self.tip.filter(|_| self.anchor.time == self.estimate.time);
+            self.tip = Some(before.map_or(target, |before| target.or(&before)));
+            self.drop_anchor();
+            return Ok(innovation);
+        }
+        let disturbance = self.replay(&target)?;
+        std::mem::swap(&mut self.estimate.state, &mut self.next);
+        self.estimate.disturbance = disturbance;
+        self.tip = Some(target);
+        self.drop_anchor();
+        Ok(innovation)
     }
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
 
-    fn restart(&mut self, time: f64, state: &State) {
-        todo!("{time} {state:?}")
+    fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError> {
+        check_start(self.predictor.model(), time, state)?;
+        self.estimate.time = time;
+        self.estimate.state.clone_from(state);
+        self.estimate.disturbance = Disturbance::NONE;
+        self.tip = None;
+        self.drop_anchor();
+        Ok(())
     }
 }

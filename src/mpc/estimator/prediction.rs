@@ -1,38 +1,240 @@
 //! Motions of the model from an estimate on.
 
-use crate::mechanics::{Rod, State, StepError};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, Wrench};
 use crate::mpc::controller::Command;
 
-use super::Disturbance;
+use super::{Disturbance, EstimateError};
 
 /// Moves a state of the model under commands and a disturbance. It asks for no memory after it is made, where steps are explicit.
 #[derive(Clone, Debug)]
 pub struct Predictor {
     model: Rod,
+    /// The model with a factor on its stiffness, and that factor.
+    rod: Rod,
+    stiffness: f64,
     longest_step: f64,
+    memory: Option<StepperMemory>,
+    /// Step length and factor on the stiffness that the memory is for.
+    tuned: (f64, f64),
+    nodes: Vec<usize>,
+    /// One a node, of the two ends of a step.
+    wrenches: [Vec<Wrench>; 2],
+    /// Where the last motion ended.
+    end: State,
+}
+
+/// Equal steps from a time on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Steps {
+    pub start: f64,
+    pub step: f64,
+    pub n: usize,
+}
+
+impl Steps {
+    /// At most `most` of them from step `first` on.
+    pub fn part(&self, first: usize, most: usize) -> Self {
+        Self {
+            start: self.start + first as f64 * self.step,
+            n: most.min(self.n - first),
+            ..*self
+        }
+    }
 }
 
 impl Predictor {
     /// For motions of `model` with steps of at most `longest_step` (s).
     #[must_use]
     pub fn new(model: &Rod, longest_step: f64) -> Self {
+        let n = model.n_nodes();
         Self {
+            memory: Some(StepperMemory::new(model, longest_step)),
+            tuned: (longest_step, 1.0),
+            rod: model.clone(),
+            stiffness: 1.0,
             model: model.clone(),
             longest_step,
+            nodes: (0..n).collect(),
+            wrenches: [(); 2].map(|()| vec![Wrench::default(); n]),
+            end: State::at_rest(model.rest.clone()),
         }
     }
 
     /// Moves `state` from `start` to `end` (s) in equal steps, under a command that acts all along and a constant disturbance.
     ///
     /// # Errors
-    /// [`StepError`] where the motion breaks down; `state` is then as it was.
+    /// [`EstimateError`] as [`Estimator::advance`](super::Estimator::advance); `state` is then as it was.
     pub fn advance(
         &mut self,
         state: &mut State,
         [start, end]: [f64; 2],
         command: &Command,
         disturbance: &Disturbance,
+    ) -> Result<(), EstimateError> {
+        if let Some(steps) = self.steps(start, end)? {
+            self.check(command)?;
+            self.roll_out(state, steps, command, disturbance, |_| ())?;
+            state.clone_from(&self.end);
+        }
+        Ok(())
+    }
+
+    /// The model.
+    pub(super) fn model(&self) -> &Rod {
+        &self.model
+    }
+
+    /// The model with a factor on its stiffness.
+    pub(super) fn stiffened(&mut self, stiffness: f64) -> &Rod {
+        if self.stiffness != stiffness {
+            let disturbance = Disturbance {
+                stiffness,
+                ..Disturbance::NONE
+            };
+            disturbance.stiffen(&self.model, &mut self.rod);
+            self.stiffness = stiffness;
+        }
+        &self.rod
+    }
+
+    /// The state in which the last motion ended.
+    pub(super) fn end(&self) -> &State {
+        &self.end
+    }
+
+    /// The steps from one time to another; none where these are the same to rounding.
+    pub(super) fn steps(&self, start: f64, end: f64) -> Result<Option<Steps>, EstimateError> {
+        /// Part of a step that is none.
+        const NOTHING: f64 = 1e-6;
+        let n = (end - start) / self.longest_step;
+        if n.abs() <= NOTHING {
+            return Ok(None);
+        }
+        if !n.is_finite() {
+            let what = "the time to advance to".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        if n < 0.0 {
+            return Err(EstimateError::Ahead {
+                time: end,
+                estimate: start,
+            });
+        }
+        let n = (n * (1.0 - 1e-9)).ceil().max(1.0);
+        Ok(Some(Steps {
+            start,
+            step: (end - start) / n,
+            n: n as usize,
+        }))
+    }
+
+    /// Whether a command is one for this model.
+    pub(super) fn check(&self, command: &Command) -> Result<(), EstimateError> {
+        let n_nodes = self.model.n_nodes();
+        if let Some(&node) = command.nodes.iter().find(|node| **node >= n_nodes) {
+            return Err(EstimateError::Node { node, n_nodes });
+        }
+        let finite = (command.from.iter().chain(&command.to)).all(|wrench| {
+            wrench.force.iter().all(|c| c.is_finite())
+                && wrench.moment.iter().all(|c| c.is_finite())
+        });
+        if finite && command.start < command.end {
+            return Ok(());
+        }
+        let what = if finite {
+            "the time that a command acts"
+        } else {
+            "a wrench of a command"
+        };
+        Err(EstimateError::NotFinite { what: what.into() })
+    }
+
+    /// Simulates steps from a state on, shows every time node after the first to `visit`, and leaves the last state in
+    /// [`end`](Self::end).
+    pub(super) fn roll_out(
+        &mut self,
+        from: &State,
+        steps: Steps,
+        command: &Command,
+        disturbance: &Disturbance,
+        mut visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
-        todo!("{state:?} {start} {end} {command:?} {disturbance:?} {self:?}")
+        let memory = self.memory_for(steps.step, disturbance.stiffness);
+        let mut stepper = memory.begin(&self.rod, steps.start, from);
+        let [now, next] = &mut self.wrenches;
+        let at = |k: usize| steps.start + k as f64 * steps.step;
+        write_wrenches(&self.rod, command, at(0), disturbance, now);
+        let mut outcome = Ok(());
+        for k in 0..steps.n {
+            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
+            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
+            outcome = stepper.advance([on(now), on(next)]);
+            if outcome.is_err() {
+                break;
+            }
+            visit(&stepper);
+            std::mem::swap(now, next);
+        }
+        stepper.write_state(&mut self.end);
+        self.memory = Some(stepper.into_memory());
+        outcome
+    }
+
+    /// Simulates steps from a state on, which `visit` may change after each of them: it is given the time and the length of the step before.
+    /// Leaves the last state in [`end`](Self::end).
+    pub(super) fn roll_out_changing(
+        &mut self,
+        from: &State,
+        steps: Steps,
+        command: &Command,
+        disturbance: &mut Disturbance,
+        mut visit: impl FnMut(f64, &mut State, &mut Disturbance),
+    ) -> Result<(), StepError> {
+        self.end.clone_from(from);
+        for k in 0..steps.n {
+            let memory = self.memory_for(steps.step, disturbance.stiffness);
+            let at = |k: usize| steps.start + k as f64 * steps.step;
+            let mut stepper = memory.begin(&self.rod, at(k), &self.end);
+            let [now, next] = &mut self.wrenches;
+            write_wrenches(&self.rod, command, at(k), disturbance, now);
+            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
+            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
+            let outcome = stepper.advance([on(now), on(next)]);
+            stepper.write_state(&mut self.end);
+            self.memory = Some(stepper.into_memory());
+            outcome?;
+            visit(at(k + 1), &mut self.end, disturbance);
+        }
+        Ok(())
+    }
+
+    /// Memory for steps of this length and the model with this factor on its stiffness.
+    fn memory_for(&mut self, step: f64, stiffness: f64) -> StepperMemory {
+        self.stiffened(stiffness);
+        let memory = self.memory.take();
+        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&self.rod, step));
+        if self.tuned != (step, stiffness) {
+            memory.retune(&self.rod, step);
+            self.tuned = (step, stiffness);
+        }
+        memory
+    }
+}
+
+/// What a command and a disturbance do at time `t`, one wrench a node.
+fn write_wrenches(
+    rod: &Rod,
+    command: &Command,
+    t: f64,
+    disturbance: &Disturbance,
+    out: &mut [Wrench],
+) {
+    out.fill(Wrench::default());
+    disturbance.add_to(rod, out);
+    let s = ((t - command.start) / (command.end - command.start)).clamp(0.0, 1.0);
+    let both = command.from.iter().zip(&command.to);
+    for (node, (from, to)) in command.nodes.iter().zip(both) {
+        out[*node].force += from.force * (1.0 - s) + to.force * s;
+        out[*node].moment += from.moment * (1.0 - s) + to.moment * s;
     }
 }

@@ -1,0 +1,157 @@
+//! A measurement against what is expected.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::mechanics::Rod;
+use crate::mechanics::rotation::{log, orthonormalized};
+use crate::mpc::signal::{Measurement, Reading, Signal};
+
+use super::covariance::{Row, Rows};
+use super::readings::{Kind, Layout, Reader};
+use super::{Estimate, EstimateError, Innovation};
+
+/// Standard deviation of what is told to be exact, over the arm's own scales of length, time and force.
+const EXACT: f64 = 1e-6;
+/// `|RᵀR - I|` of a measured rotation, at most; what is below is taken to the nearest rotation.
+const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
+
+/// Compares measurements with estimates, in memory that is kept.
+#[derive(Debug)]
+pub(super) struct Comparison {
+    reader: Reader,
+    /// What the last comparison found.
+    pub rows: Rows,
+    /// Place and size of the innovation of the position nearest to the tip.
+    nearest: Option<(f64, f64)>,
+}
+
+impl Comparison {
+    pub fn new(model: &Rod) -> Self {
+        Self {
+            reader: Reader::new(model),
+            rows: Rows::default(),
+            nearest: None,
+        }
+    }
+
+    /// Measured minus expected of every signal that `of_use` lets pass, with its derivatives where a layout is given. `rod` has the stiffness
+    /// of the estimate.
+    ///
+    /// # Errors
+    /// [`EstimateError::NotFinite`] and [`EstimateError::Signal`].
+    pub fn compare(
+        &mut self,
+        rod: &Rod,
+        estimate: &Estimate,
+        measurement: &Measurement,
+        layout: Option<&Layout>,
+        of_use: impl Fn(&Signal) -> bool,
+    ) -> Result<(), EstimateError> {
+        for (index, signal) in measurement.signals.iter().enumerate() {
+            check(index, signal)?;
+        }
+        self.rows.clear();
+        self.nearest = None;
+        for signal in measurement.signals.iter().filter(|signal| of_use(signal)) {
+            let (kind, place) = (Kind::of(&signal.reading), signal.place);
+            let Estimate {
+                time,
+                state,
+                disturbance,
+                ..
+            } = estimate;
+            let expected = (self.reader).read(rod, *time, state, disturbance, kind, place);
+            let residual = difference(&signal.reading, &expected);
+            if let Some(layout) = layout {
+                let of = (kind, place);
+                let terms = &mut self.rows.terms;
+                (self.reader).derive(rod, state, disturbance, of, layout, terms);
+            }
+            self.rows.signals.push(Row {
+                end: self.rows.terms.len(),
+                residual,
+                sigma: signal.sigma.max(EXACT * scale(kind, rod)),
+            });
+            if kind == Kind::Position && self.nearest.is_none_or(|(other, _)| other <= place) {
+                self.nearest = Some((place, residual.norm()));
+            }
+        }
+        Ok(())
+    }
+
+    /// The last comparison in numbers, without what needs a covariance.
+    pub fn innovation(&self) -> Innovation {
+        let signals = &self.rows.signals;
+        let n = 3 * signals.len();
+        let sum: f64 = (signals.iter())
+            .map(|row| (row.residual / row.sigma).norm_squared())
+            .sum();
+        Innovation {
+            n,
+            rms: if n > 0 { (sum / n as f64).sqrt() } else { 0.0 },
+            normalized: None,
+            distance: self.nearest.map(|(_, distance)| distance),
+        }
+    }
+}
+
+fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
+    if !signal.reading.is_finite() {
+        let what = format!("the value of signal {index}");
+        return Err(EstimateError::NotFinite { what });
+    }
+    let require = |name, value: f64, holds: bool, expected| {
+        if value.is_finite() && holds {
+            Ok(())
+        } else {
+            Err(EstimateError::Signal {
+                index,
+                name,
+                value,
+                expected,
+            })
+        }
+    };
+    let (place, sigma) = (signal.place, signal.sigma);
+    let is_place = (0.0..=1.0).contains(&place);
+    require("place", place, is_place, "a part of the length, 0 to 1")?;
+    require("sigma", sigma, sigma >= 0.0, "a number of at least 0")?;
+    if let Reading::Rotation(r) = &signal.reading {
+        let defect = (r.tr_mul(r) - Matrix3::identity()).norm();
+        let expected = "that of a rotation from body to space, below 1e-3";
+        let holds = defect < LARGEST_ROTATION_DEFECT && r.determinant() > 0.0;
+        require("|RᵀR - I| of its rotation", defect, holds, expected)?;
+    }
+    Ok(())
+}
+
+/// The unit of a kind of reading.
+fn scale(kind: Kind, rod: &Rod) -> f64 {
+    let scales = &rod.scales;
+    match kind {
+        Kind::Position => scales.length,
+        Kind::Rotation => 1.0,
+        Kind::Velocity => scales.length / scales.time,
+        Kind::AngularVelocity => 1.0 / scales.time,
+        Kind::Curvature => 1.0 / scales.length,
+        Kind::BaseForce => scales.force,
+        Kind::BaseMoment => scales.moment,
+    }
+}
+
+/// Measured minus expected; of rotations, the turn in the expected body frame that leads to the measured one. Zero for readings of different
+/// kinds, which nobody compares.
+fn difference(measured: &Reading, expected: &Reading) -> Vector3<f64> {
+    match (measured, expected) {
+        (Reading::Rotation(measured), Reading::Rotation(expected)) => {
+            log(&expected.tr_mul(&orthonormalized(measured)))
+        }
+        (Reading::Position(a), Reading::Position(b))
+        | (Reading::Velocity(a), Reading::Velocity(b))
+        | (Reading::AngularVelocity(a), Reading::AngularVelocity(b))
+        | (Reading::Curvature(a), Reading::Curvature(b))
+        | (Reading::BaseForce(a), Reading::BaseForce(b))
+        | (Reading::BaseMoment(a), Reading::BaseMoment(b)) => a - b,
+        _ => Vector3::zeros(),
+    }
+}

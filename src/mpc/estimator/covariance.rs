@@ -1,0 +1,332 @@
+//! The dense algebra of a Kalman filter, in memory that is kept.
+//!
+//! The error is a state and disturbances that change at random. With `A` and `B` the derivatives of a motion's end along its start and along
+//! the disturbances, and `Q` the covariance of what nobody knows, a motion takes `P` to `F P Fᵀ + Q`, `F = [A B; 0 I]`. A measurement with
+//! derivatives `H`, noise `R` and innovation `e` corrects by `K e`, `K = P Hᵀ S⁻¹`, `S = H P Hᵀ + R`, and leaves Joseph's form
+//! `(I - K H) P (I - K H)ᵀ + K R Kᵀ`, which stays positive semidefinite whatever `K` is rounded to.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{
+    LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
+};
+use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::linalg::triangular_solve::{
+    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
+};
+use faer::prelude::*;
+use faer::{Accum, Mat, Par, Spec};
+use nalgebra::{Matrix3, Vector3};
+
+use super::EstimateError;
+use super::readings::Terms;
+
+/// What signals say: three rows each.
+#[derive(Debug, Default)]
+pub(super) struct Rows {
+    /// Derivatives of all signals, one signal after the other.
+    pub terms: Terms,
+    pub signals: Vec<Row>,
+}
+
+/// One signal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row {
+    /// End of its terms.
+    pub end: usize,
+    /// Measured minus expected.
+    pub residual: Vector3<f64>,
+    /// Standard deviation of its noise.
+    pub sigma: f64,
+}
+
+impl Rows {
+    pub fn clear(&mut self) {
+        self.terms.clear();
+        self.signals.clear();
+    }
+
+    /// Every signal with its terms.
+    fn iter(&self) -> impl Iterator<Item = (&Row, &[(usize, Vector3<f64>)])> {
+        let mut start = 0;
+        self.signals.iter().map(move |row| {
+            let terms = &self.terms[start..row.end];
+            start = row.end;
+            (row, terms)
+        })
+    }
+}
+
+/// A covariance, and the memory to change it.
+pub(super) struct Covariance {
+    /// `P`, symmetric.
+    pub matrix: Mat<f64>,
+    n_state: usize,
+    /// What becomes of it.
+    next: Mat<f64>,
+    /// `[A B] P`
+    moved: Mat<f64>,
+    /// `P Hᵀ`, and the same of the covariance without its last correction.
+    cross: Mat<f64>,
+    /// `L⁻¹ H P`, and then `Kᵀ`.
+    solved: Mat<f64>,
+    /// `S`, and then its factor `L`.
+    inner: Mat<f64>,
+    scratch: MemBuffer,
+    /// `L⁻¹ e`
+    innovation: Mat<f64>,
+    /// `K e`
+    pub correction: Vec<f64>,
+}
+
+impl Covariance {
+    /// Of so many components, the first of them those of the state.
+    pub fn new(n: usize, n_state: usize) -> Self {
+        let mut out = Self {
+            matrix: Mat::zeros(n, n),
+            n_state,
+            next: Mat::zeros(n, n),
+            moved: Mat::zeros(n_state, n),
+            cross: Mat::zeros(0, 0),
+            solved: Mat::zeros(0, 0),
+            inner: Mat::zeros(0, 0),
+            scratch: MemBuffer::new(faer::dyn_stack::StackReq::empty()),
+            innovation: Mat::zeros(0, 1),
+            correction: vec![0.0; n],
+        };
+        out.make_room(3);
+        out
+    }
+
+    /// Writes `F P Fᵀ` to the next matrix, without the noise.
+    pub fn predict(&mut self, state: &Mat<f64>, input: &Mat<f64>) {
+        let (n, n_state) = (self.matrix.nrows(), self.n_state);
+        let n_input = n - n_state;
+        let p = self.matrix.as_ref();
+        let moved = &mut self.moved;
+        matmul(
+            moved.as_mut(),
+            Accum::Replace,
+            state,
+            p.subrows(0, n_state),
+            1.0,
+            Par::Seq,
+        );
+        if n_input > 0 {
+            matmul(
+                moved.as_mut(),
+                Accum::Add,
+                input,
+                p.subrows(n_state, n_input),
+                1.0,
+                Par::Seq,
+            );
+        }
+        let mut next = self.next.as_mut();
+        let own = next.rb_mut().submatrix_mut(0, 0, n_state, n_state);
+        lower_product(
+            own,
+            Accum::Replace,
+            moved.as_ref().subcols(0, n_state),
+            state.transpose(),
+            1.0,
+        );
+        if n_input > 0 {
+            let own = next.rb_mut().submatrix_mut(0, 0, n_state, n_state);
+            let with_input = moved.as_ref().subcols(n_state, n_input);
+            lower_product(own, Accum::Add, with_input, input.transpose(), 1.0);
+            (next.rb_mut().submatrix_mut(n_state, 0, n_input, n_state))
+                .copy_from(with_input.transpose());
+            (next
+                .rb_mut()
+                .submatrix_mut(n_state, n_state, n_input, n_input))
+            .copy_from(p.submatrix(n_state, n_state, n_input, n_input));
+        }
+        mirror(&mut self.next);
+    }
+
+    /// Adds noise to the next matrix: a variance for every component.
+    pub fn add_noise(&mut self, variance: impl Fn(usize) -> f64) {
+        for i in 0..self.next.nrows() {
+            self.next[(i, i)] += variance(i);
+        }
+    }
+
+    /// Writes the corrected covariance to the next matrix, and `K e` to [`correction`](Self::correction); returns `eᵀ S⁻¹ e`.
+    ///
+    /// # Errors
+    /// [`EstimateError::Singular`] where `S` has no factor.
+    pub fn correct(&mut self, rows: &Rows) -> Result<f64, EstimateError> {
+        let n = self.matrix.nrows();
+        let m = 3 * rows.signals.len();
+        self.make_room(m);
+        times_rows(&self.matrix, rows, &mut self.cross);
+        let mut inner = self.inner.as_mut().submatrix_mut(0, 0, m, m);
+        for column in 0..m {
+            let cross = self.cross.col_as_slice(column);
+            for (signal, (row, terms)) in rows.iter().enumerate() {
+                let mut sum = Vector3::zeros();
+                for (i, slope) in terms {
+                    sum += slope * cross[*i];
+                }
+                if column / 3 == signal {
+                    sum[column % 3] += row.sigma * row.sigma;
+                }
+                for axis in 0..3 {
+                    inner[(3 * signal + axis, column)] = sum[axis];
+                }
+            }
+        }
+        cholesky_in_place(
+            inner.rb_mut(),
+            LltRegularization::default(),
+            Par::Seq,
+            MemStack::new(&mut self.scratch),
+            Spec::default(),
+        )
+        .map_err(|_| EstimateError::Singular)?;
+        let factor = self.inner.as_ref().submatrix(0, 0, m, m);
+        let mut solved = self.solved.as_mut().subrows_mut(0, m);
+        solved.copy_from(self.cross.as_ref().subcols(0, m).transpose());
+        solve_lower_triangular_in_place(factor, solved.rb_mut(), Par::Seq);
+        let mut innovation = self.innovation.as_mut().subrows_mut(0, m);
+        for (signal, row) in rows.signals.iter().enumerate() {
+            for axis in 0..3 {
+                innovation[(3 * signal + axis, 0)] = row.residual[axis];
+            }
+        }
+        solve_lower_triangular_in_place(factor, innovation.rb_mut(), Par::Seq);
+        let mut normalized = 0.0;
+        self.correction.fill(0.0);
+        for i in 0..m {
+            normalized += innovation[(i, 0)] * innovation[(i, 0)];
+        }
+        for (j, correction) in self.correction.iter_mut().enumerate() {
+            *correction = (0..m).map(|i| solved[(i, j)] * innovation[(i, 0)]).sum();
+        }
+        // Without Joseph's last term, which is rounding.
+        self.next.copy_from(&self.matrix);
+        lower_product(
+            self.next.as_mut(),
+            Accum::Add,
+            solved.rb().transpose(),
+            solved.rb(),
+            -1.0,
+        );
+        mirror(&mut self.next);
+        solve_upper_triangular_in_place(factor.transpose(), solved.rb_mut(), Par::Seq);
+        times_rows(&self.next, rows, &mut self.cross);
+        for (signal, row) in rows.signals.iter().enumerate() {
+            for i in 3 * signal..3 * signal + 3 {
+                let column = self.cross.col_as_slice_mut(i);
+                for (j, value) in column[..n].iter_mut().enumerate() {
+                    *value -= row.sigma * row.sigma * solved[(i, j)];
+                }
+            }
+        }
+        matmul(
+            self.next.as_mut(),
+            Accum::Add,
+            self.cross.as_ref().subcols(0, m),
+            solved.rb(),
+            -1.0,
+            Par::Seq,
+        );
+        for j in 0..n {
+            for i in 0..j {
+                let mean = 0.5 * (self.next[(i, j)] + self.next[(j, i)]);
+                self.next[(i, j)] = mean;
+                self.next[(j, i)] = mean;
+            }
+        }
+        let sound = (0..n).all(|i| self.next[(i, i)] >= 0.0 && self.correction[i].is_finite());
+        if sound {
+            Ok(normalized)
+        } else {
+            Err(EstimateError::Singular)
+        }
+    }
+
+    /// Takes three components of the next matrix to `matrix` times themselves.
+    pub fn transform(&mut self, first: usize, matrix: &Matrix3<f64>) {
+        for j in 0..self.next.ncols() {
+            let column = &mut self.next.col_as_slice_mut(j)[first..first + 3];
+            let image = matrix * Vector3::from_column_slice(column);
+            column.copy_from_slice(image.as_slice());
+        }
+        for i in 0..self.next.nrows() {
+            let row = Vector3::from_fn(|axis, _| self.next[(i, first + axis)]);
+            let image = matrix * row;
+            for axis in 0..3 {
+                self.next[(i, first + axis)] = image[axis];
+            }
+        }
+    }
+
+    /// The next matrix becomes the present one.
+    pub fn commit(&mut self) {
+        std::mem::swap(&mut self.matrix, &mut self.next);
+    }
+
+    /// For so many rows, at least.
+    fn make_room(&mut self, m: usize) {
+        if m <= self.inner.nrows() {
+            return;
+        }
+        let n = self.matrix.nrows();
+        self.cross = Mat::zeros(n, m);
+        self.solved = Mat::zeros(m, n);
+        self.inner = Mat::zeros(m, m);
+        self.innovation = Mat::zeros(m, 1);
+        let need = cholesky_in_place_scratch::<f64>(m, Par::Seq, Spec::default());
+        self.scratch = MemBuffer::new(need);
+    }
+}
+
+/// `P Hᵀ` to the first columns of `out`.
+fn times_rows(p: &Mat<f64>, rows: &Rows, out: &mut Mat<f64>) {
+    for (signal, (_, terms)) in rows.iter().enumerate() {
+        for axis in 0..3 {
+            let out = out.col_as_slice_mut(3 * signal + axis);
+            out.fill(0.0);
+            for (j, slope) in terms {
+                let slope = slope[axis];
+                if slope != 0.0 {
+                    for (out, p) in out.iter_mut().zip(p.col_as_slice(*j)) {
+                        *out += slope * p;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The lower half of a product that is symmetric.
+fn lower_product(
+    out: faer::MatMut<f64>,
+    accum: Accum,
+    left: faer::MatRef<f64>,
+    right: faer::MatRef<f64>,
+    factor: f64,
+) {
+    triangular::matmul(
+        out,
+        BlockStructure::TriangularLower,
+        accum,
+        left,
+        BlockStructure::Rectangular,
+        right,
+        BlockStructure::Rectangular,
+        factor,
+        Par::Seq,
+    );
+}
+
+/// Copies the lower half to the upper one.
+fn mirror(matrix: &mut Mat<f64>) {
+    for j in 0..matrix.ncols() {
+        for i in 0..j {
+            matrix[(i, j)] = matrix[(j, i)];
+        }
+    }
+}
