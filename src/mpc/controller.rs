@@ -5,13 +5,15 @@ mod settings;
 
 use std::time::Instant;
 
+use nalgebra::Vector3;
+
 pub use self::settings::MpcSettings;
 use super::error::MpcError;
 use super::estimator::Disturbance;
 use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::Hold;
+use crate::control::{Bound, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
 use crate::task::{Arm, Discretization, Task};
@@ -265,13 +267,69 @@ impl Controller {
         Ok(())
     }
 
+    /// How it works.
+    #[must_use]
+    pub fn settings(&self) -> &MpcSettings {
+        &self.settings
+    }
+
+    /// The last command; before the first, none acts.
+    #[must_use]
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// State in which the task begins.
+    #[must_use]
+    pub fn initial(&self) -> &State {
+        &self.horizon.problem.initial
+    }
+
+    /// A command of no wrench from `start` (s) on, on the nodes of the task.
+    #[must_use]
+    pub fn still(&self, start: f64) -> Command {
+        let none = vec![Wrench::default(); self.command.nodes.len()];
+        Command {
+            start,
+            end: start + self.settings.period,
+            nodes: self.command.nodes.clone(),
+            from: none.clone(),
+            to: none,
+        }
+    }
+
+    /// Brings a command within the bounds of the task on forces and moments, by their length where the bound is on that; what is not actuated
+    /// is taken away.
+    pub fn within_bounds(&self, command: &mut Command) {
+        let problem = &self.horizon.problem;
+        for (at, node) in command.nodes.iter().enumerate() {
+            let Some(actuator) = problem.actuators.iter().find(|own| own.node == *node) else {
+                continue;
+            };
+            for wrench in [&mut command.from[at], &mut command.to[at]] {
+                limit(&actuator.force, &mut wrench.force);
+                limit(&actuator.moment, &mut wrench.moment);
+            }
+        }
+    }
+
+    /// Until when the reference changes, s.
+    pub(super) fn reference_end(&self) -> f64 {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
+        (track.and_then(|track| track.path.last())).map_or(0.0, |(t, _)| *t)
+    }
+
     /// Where the tip should be at time `t` (s), by the first track of the tip or else its first target's position, m.
     #[must_use]
     pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
         let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
-        let goal = || (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?);
+        let goal = || {
+            (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?)
+        };
         (track.map(|track| track.position(t)).or_else(goal)).map(Into::into)
     }
 
@@ -587,6 +645,18 @@ impl Controller {
                     .sum();
             }
         }
+    }
+}
+
+/// Brings a force or moment within its bound.
+fn limit(channel: &Channel, value: &mut Vector3<f64>) {
+    let length = value.norm();
+    match channel.bound {
+        Some(Bound::Norm(most)) if length > most => *value *= most / length,
+        Some(Bound::PerAxis(most)) => {
+            *value = value.zip_map(&most, |v, most| v.clamp(-most, most));
+        }
+        _ => {}
     }
 }
 

@@ -47,6 +47,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod closed_loop;
 mod controller;
 mod error;
 mod estimator;
@@ -55,9 +56,15 @@ mod knots;
 mod plant;
 mod sensor;
 mod signal;
+mod simulated_arm;
 mod subproblem;
 mod transfer;
 
+pub use closed_loop::{
+    Action, Cause, ClosedLoop, Computing, Contender, EstimatorChoice, Experiment, FallbackSettings,
+    Knowledge, Law, LoopSettings, Outcome, Percentiles, Sample, SampleObserver, Sensing,
+    SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
+};
 pub use controller::{Command, Controller, MpcSettings, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{
@@ -67,5 +74,6 @@ pub use estimator::{
 pub use plant::{Plant, RodPlant};
 pub use sensor::{Sensor, SensorPreset, SensorSettings};
 pub use signal::{Measurement, Reading, Signal};
+pub use simulated_arm::{ActuatorDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;
 pub use transfer::Transfer;

@@ -143,7 +143,9 @@ impl<'a> SimulatedArm<'a> {
         let transfer = Transfer::new(rod, model);
         let nearest = transfer.nearest();
         let nodes: Vec<usize> = nodes.iter().map(|node| nearest[*node]).collect();
-        let n_steps = (period / automatic_step(rod) * (1.0 - 1e-9)).ceil().max(1.0);
+        let n_steps = (period / automatic_step(rod) * (1.0 - 1e-9))
+            .ceil()
+            .max(1.0);
         let step = period / n_steps;
         let still = vec![Wrench::default(); nodes.len()];
         Ok(Self {

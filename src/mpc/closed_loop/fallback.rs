@@ -204,7 +204,13 @@ impl Fallback {
         };
         let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
         let shrink = |wrench: &Wrench| {
-            let one = |v: Vector3<f64>| if v.iter().all(|c| c.is_finite()) { v * left } else { Vector3::zeros() };
+            let one = |v: Vector3<f64>| {
+                if v.iter().all(|c| c.is_finite()) {
+                    v * left
+                } else {
+                    Vector3::zeros()
+                }
+            };
             Wrench {
                 force: one(wrench.force),
                 moment: one(wrench.moment),

@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::State;
+use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mpc::controller::{Command, Controller};
 use crate::mpc::error::MpcError;
 

@@ -10,10 +10,10 @@
 //! prepare    the next sample: disturbance, horizon, roll-out, linearization, Hessian
 //! ```
 //!
-//! Meanwhile the arm moves on under what was sent before. [`Comparison`] runs the same scene with other laws, and with the parts that may be
+//! Meanwhile the arm moves on under what was sent before. [`Experiment`] runs the same scene with other laws, and with the parts that may be
 //! wrong taken away one at a time.
 
-mod comparison;
+mod experiment;
 mod fallback;
 mod law;
 mod sample;
@@ -24,11 +24,14 @@ use std::time::Instant;
 
 use nalgebra::Vector3;
 
+pub use self::experiment::{
+    Contender, EstimatorChoice, Experiment, Outcome, SampleObserver, Sensing, SensorChoice,
+    Unknowns,
+};
 use self::fallback::Fallback;
-pub use self::comparison::{Comparison, Contender, Contest, Outcome};
 pub use self::fallback::{Action, Cause, FallbackSettings};
-pub use self::law::{Law, TipGains};
 use self::law::TipLaw;
+pub use self::law::{Law, TipGains};
 pub use self::sample::{Percentiles, Sample, Tally, TipError};
 use super::controller::{Command, Controller};
 use super::error::MpcError;
@@ -452,7 +455,9 @@ impl<'a> ClosedLoop<'a> {
                 let mut measurement = Measurement::default();
                 if sensor.measure(now, &state, &mut measurement).is_ok() {
                     let known = now + sensor.settings().age_s;
-                    let place = self.on_the_way.partition_point(|(other, _)| *other <= known);
+                    let place = self
+                        .on_the_way
+                        .partition_point(|(other, _)| *other <= known);
                     self.on_the_way.insert(place, (known, measurement));
                 }
             }

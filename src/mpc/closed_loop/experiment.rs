@@ -1,0 +1,358 @@
+//! One scene, several laws, and the parts that may be wrong taken away one at a time.
+
+use std::ops::ControlFlow;
+
+use super::{
+    ClosedLoop, Computing, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
+};
+use crate::mechanics::{Rod, StepError};
+use crate::mpc::controller::{Controller, MpcSettings};
+use crate::mpc::error::MpcError;
+use crate::mpc::estimator::{
+    BoundaryObserver, Estimator, KalmanFilter, KalmanSettings, ObserverSettings, RandomWalk,
+};
+use crate::mpc::sensor::{Sensor, SensorPreset, SensorSettings};
+use crate::mpc::simulated_arm::{ActuatorDynamics, SimulatedArm};
+use crate::task::{Arm, Discretization, Task};
+
+/// A closed loop to be: everything that it is made of, before anything is discretized.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// The arm as the controller knows it.
+    pub arm: Arm,
+    /// What it is to do.
+    pub task: Task,
+    /// Elements, step and hold of the controller's model.
+    pub discretization: Discretization,
+    /// The controller.
+    pub mpc: MpcSettings,
+    /// The arm as it is.
+    pub plant: Arm,
+    /// Elements and step of the arm as it is.
+    pub plant_discretization: Discretization,
+    /// What lies between commands and wrenches.
+    pub actuators: ActuatorDynamics,
+    /// What is measured.
+    pub sensing: Sensing,
+    /// The loop.
+    pub settings: LoopSettings,
+    /// How long it runs, s.
+    pub duration: f64,
+    /// From which time on errors count, s.
+    pub counted_from: f64,
+}
+
+/// How the state becomes known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Sensing {
+    /// It is known.
+    #[default]
+    Everything,
+    /// By an estimator.
+    Estimated {
+        /// The sensors.
+        sensors: Vec<SensorChoice>,
+        /// The estimator.
+        estimator: EstimatorChoice,
+        /// Seed of the noise; every sensor has its own from it.
+        seed: u64,
+    },
+}
+
+/// A sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SensorChoice {
+    /// As usual.
+    Preset(SensorPreset),
+    /// Of one's own.
+    Own(SensorSettings),
+}
+
+/// An estimator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum EstimatorChoice {
+    /// A boundary observer.
+    Observer {
+        /// Whether what it injects becomes a disturbance at the tip in time.
+        estimates_wrench: bool,
+    },
+    /// An extended Kalman filter.
+    Kalman(Unknowns),
+}
+
+/// What a Kalman filter estimates besides the state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unknowns {
+    /// A force at the tip.
+    pub tip_force: bool,
+    /// A moment at the tip.
+    pub tip_moment: bool,
+    /// A force all along the arm.
+    pub distributed: bool,
+    /// A factor on the stiffness.
+    pub stiffness: bool,
+}
+
+impl Unknowns {
+    /// All of them.
+    pub const ALL: Self = Self {
+        tip_force: true,
+        tip_moment: true,
+        distributed: true,
+        stiffness: true,
+    };
+}
+
+/// Deflection over the length that an unknown wrench is expected to cause, and its change within a second; and the same of the factor on
+/// the stiffness.
+const EXPECTED_DEFLECTION: f64 = 0.05;
+const CHANGE_OF_DEFLECTION: f64 = 0.02;
+const EXPECTED_STIFFNESS: [f64; 2] = [0.3, 0.1];
+/// Deflection over the length by what forces that nobody knows add within one second: what a coarse model has wrong about the faster waves
+/// of an arm must be less certain than what slow disturbances explain.
+const UNKNOWN_FORCES: f64 = 0.03;
+/// Time over the arm's own in which an observer's injection becomes a disturbance.
+const OBSERVER_INTEGRAL: f64 = 1.0;
+
+impl Unknowns {
+    /// Settings of a filter for this model.
+    #[must_use]
+    pub fn settings(self, model: &Rod) -> KalmanSettings {
+        let length = model.scales.length;
+        let bending = (model.elements.iter())
+            .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
+            .fold(f64::INFINITY, f64::min);
+        let walk = |is_unknown: bool, size: f64| {
+            is_unknown.then_some(RandomWalk {
+                initial: EXPECTED_DEFLECTION * size,
+                change: CHANGE_OF_DEFLECTION * size,
+            })
+        };
+        let [initial, change] = EXPECTED_STIFFNESS;
+        KalmanSettings {
+            change: UNKNOWN_FORCES * length,
+            tip_force: walk(self.tip_force, 3.0 * bending / (length * length)),
+            tip_moment: walk(self.tip_moment, 2.0 * bending / length),
+            distributed: walk(self.distributed, 8.0 * bending / length.powi(3)),
+            stiffness: self.stiffness.then_some(RandomWalk { initial, change }),
+            ..KalmanSettings::of(model)
+        }
+    }
+}
+
+/// What is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Contender {
+    /// The scene as it is.
+    Mpc,
+    /// The controller's plan without any measurement.
+    OpenLoop,
+    /// A spring and a damper at the tip, and what holds the model at the reference.
+    TipPd,
+    /// The controller on an arm that is its model, with the true state at once.
+    PlantIsModel,
+    /// The controller on the arm as it is, which waits for the commands: the true state, and no delay.
+    PlantWaits,
+}
+
+impl Contender {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Mpc,
+        Self::OpenLoop,
+        Self::TipPd,
+        Self::PlantIsModel,
+        Self::PlantWaits,
+    ];
+
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mpc => "mpc",
+            Self::OpenLoop => "open_loop",
+            Self::TipPd => "pd",
+            Self::PlantIsModel => "plant_is_model",
+            Self::PlantWaits => "plant_waits",
+        }
+    }
+}
+
+/// A run of a contender.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Who ran.
+    pub contender: Contender,
+    /// Its samples; fewer than asked where it was ended.
+    pub samples: Vec<Sample>,
+    /// Distances from the reference.
+    pub tip_error: TipError,
+    /// Times and fall-backs.
+    pub tally: Tally,
+    /// Where the arm's motion broke down, if it did.
+    pub broke_down: Option<StepError>,
+    /// How far the model's nodes were from describing the arm's shape at the end, m.
+    pub transfer_error: f64,
+}
+
+/// Sees a sample of a run, and may end it.
+pub type SampleObserver<'a> = dyn FnMut(&Sample, &ClosedLoop) -> ControlFlow<()> + 'a;
+
+impl Experiment {
+    /// A loop on the true state of an arm that is the model: change what is to be different.
+    #[must_use]
+    pub fn new(arm: Arm, task: Task, discretization: Discretization, mpc: MpcSettings) -> Self {
+        Self {
+            plant: arm.clone(),
+            plant_discretization: discretization,
+            duration: task.horizon,
+            arm,
+            task,
+            discretization,
+            mpc,
+            actuators: ActuatorDynamics::default(),
+            sensing: Sensing::Everything,
+            settings: LoopSettings::default(),
+            counted_from: 0.0,
+        }
+    }
+
+    /// Runs one contender; `observer` sees every sample and may end the run.
+    ///
+    /// # Errors
+    /// [`MpcError`] for what cannot be discretized, settings out of range, and what the controller does not know.
+    pub fn run(
+        &self,
+        contender: Contender,
+        observer: &mut SampleObserver,
+    ) -> Result<Outcome, MpcError> {
+        let mut own = self.clone();
+        match contender {
+            Contender::Mpc => own.settings.law = Law::Mpc,
+            Contender::OpenLoop => own.settings.law = Law::OpenLoop,
+            Contender::TipPd => own.settings.law = Law::Tip(TipGains::default()),
+            Contender::PlantIsModel => {
+                own.plant = self.arm.clone();
+                own.plant_discretization = self.discretization;
+                own.without_delay();
+            }
+            Contender::PlantWaits => own.without_delay(),
+        }
+        own.contend(contender, observer)
+    }
+
+    fn without_delay(&mut self) {
+        self.actuators = ActuatorDynamics::default();
+        self.sensing = Sensing::Everything;
+        self.settings = LoopSettings {
+            computing: Computing::Instant,
+            actuator_delay: 0.0,
+            law: Law::Mpc,
+            ..self.settings
+        };
+    }
+
+    /// The controller, whose first command acts as soon as the loop allows.
+    ///
+    /// # Errors
+    /// As [`Controller::new`].
+    pub fn controller(&self) -> Result<Controller, MpcError> {
+        let mpc = MpcSettings {
+            start: self.settings.lead(),
+            ..self.mpc
+        };
+        Controller::new(&self.arm, &self.task, &self.discretization, &mpc)
+    }
+
+    fn contend(
+        &self,
+        contender: Contender,
+        observer: &mut SampleObserver,
+    ) -> Result<Outcome, MpcError> {
+        let controller = self.controller()?;
+        let plant = self
+            .task
+            .discretize(&self.plant, &self.plant_discretization)?;
+        let (rod, start) = (plant.discrete.rod, plant.discrete.initial);
+        let knowledge = self.knowledge(&controller, &rod)?;
+        let period = self.mpc.period;
+        let arm = SimulatedArm::new(
+            &rod,
+            start,
+            period,
+            controller.rod(),
+            &controller.command().nodes,
+            self.actuators,
+        )?;
+        let mut closed = ClosedLoop::new(controller, arm, knowledge, self.settings)?;
+        let n = (self.duration / period).round().max(1.0) as usize;
+        let mut samples = Vec::with_capacity(n);
+        let mut broke_down = None;
+        for _ in 0..n {
+            match closed.sample() {
+                Ok(sample) => {
+                    let goes_on = observer(&sample, &closed);
+                    samples.push(sample);
+                    if goes_on.is_break() {
+                        break;
+                    }
+                }
+                Err(error) => {
+                    broke_down = Some(error);
+                    break;
+                }
+            }
+        }
+        Ok(Outcome {
+            contender,
+            tip_error: TipError::of(&samples, self.counted_from),
+            tally: Tally::of(&samples, period),
+            transfer_error: closed.arm().transfer_error(),
+            samples,
+            broke_down,
+        })
+    }
+
+    fn knowledge(&self, controller: &Controller, rod: &Rod) -> Result<Knowledge, MpcError> {
+        let Sensing::Estimated {
+            sensors,
+            estimator,
+            seed,
+        } = &self.sensing
+        else {
+            return Ok(Knowledge::Everything);
+        };
+        let model = controller.rod();
+        let mut own = Vec::with_capacity(sensors.len());
+        for (i, choice) in sensors.iter().enumerate() {
+            let mut settings = match choice {
+                SensorChoice::Preset(preset) => preset.settings(model),
+                SensorChoice::Own(settings) => settings.clone(),
+            };
+            settings.seed = seed.wrapping_mul(1000).wrapping_add(i as u64);
+            own.push(Sensor::new(&settings, rod)?);
+        }
+        let start = controller.initial();
+        let estimator: Box<dyn Estimator> = match estimator {
+            EstimatorChoice::Observer { estimates_wrench } => {
+                let settings = ObserverSettings {
+                    integral_time: estimates_wrench
+                        .then_some(OBSERVER_INTEGRAL * model.scales.time),
+                    ..ObserverSettings::of(model)
+                };
+                Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
+            }
+            EstimatorChoice::Kalman(unknowns) => Box::new(KalmanFilter::new(
+                model,
+                0.0,
+                start,
+                &unknowns.settings(model),
+            )?),
+        };
+        Ok(Knowledge::Sensors {
+            sensors: own,
+            estimator,
+        })
+    }
+}
