@@ -21,20 +21,17 @@ pub fn path(t: f64) -> Vector3<f64> {
     Vector3::new(x, 0.3 * x, 1.0 - 0.6 * x * x)
 }
 
-/// A controller of six elements for the arm, by a force of at most `largest_force` (N) and as much bending moment (N m) about each axis.
-pub fn controller(largest_force: f64, settings: &MpcSettings) -> Controller {
+/// The tip follows the path by a force of at most `largest_force` (N) and as much bending moment (N m) about each axis.
+pub fn task(largest_force: f64) -> Task {
     let corners = (0..=300).map(|i| (0.01 * f64::from(i), path(0.01 * f64::from(i))));
-    let task = Task {
+    let moment = Vector3::new(largest_force, largest_force, 0.0);
+    Task {
         targets: Vec::new(),
         actuators: vec![WrenchActuator {
             at: Place::Tip,
             force: ChannelLimits::at_most(largest_force),
             moment: ChannelLimits {
-                bound: Some(Bound::PerAxis(Vector3::new(
-                    largest_force,
-                    largest_force,
-                    0.0,
-                ))),
+                bound: Some(Bound::PerAxis(moment)),
                 rate_bound: None,
             },
         }],
@@ -48,11 +45,20 @@ pub fn controller(largest_force: f64, settings: &MpcSettings) -> Controller {
             ..Cost::default()
         },
         ..Task::reach(Vector3::new(0.0, 0.0, 1.0), 1.0, largest_force)
-    };
-    let discretization = Discretization {
+    }
+}
+
+/// Six elements, linear blocks.
+pub fn discretization() -> Discretization {
+    Discretization {
         hold: Hold::Linear,
         samples: 20,
         ..Discretization::with_elements(6)
-    };
-    Controller::new(&arm(1e6), &task, &discretization, settings).unwrap()
+    }
+}
+
+/// A controller of six elements for the arm and the task.
+#[allow(dead_code)]
+pub fn controller(largest_force: f64, settings: &MpcSettings) -> Controller {
+    Controller::new(&arm(1e6), &task(largest_force), &discretization(), settings).unwrap()
 }

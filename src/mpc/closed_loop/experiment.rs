@@ -30,6 +30,8 @@ pub struct Experiment {
     pub plant: Arm,
     /// Elements and step of the arm as it is.
     pub plant_discretization: Discretization,
+    /// Changes of the rod of the arm as it is that no [`Arm`] describes, such as one soft element.
+    pub adjust: Option<fn(&mut Rod)>,
     /// What lies between commands and wrenches.
     pub actuators: ActuatorDynamics,
     /// What is measured.
@@ -211,6 +213,7 @@ impl Experiment {
             task,
             discretization,
             mpc,
+            adjust: None,
             actuators: ActuatorDynamics::default(),
             sensing: Sensing::Everything,
             settings: LoopSettings::default(),
@@ -234,6 +237,7 @@ impl Experiment {
             Contender::TipPd => own.settings.law = Law::Tip(TipGains::default()),
             Contender::PlantIsModel => {
                 own.plant = self.arm.clone();
+                own.adjust = None;
                 own.plant_discretization = self.discretization;
                 own.without_delay();
             }
@@ -258,6 +262,7 @@ impl Experiment {
     /// # Errors
     /// As [`Controller::new`].
     pub fn controller(&self) -> Result<Controller, MpcError> {
+        self.settings.check()?;
         let mpc = MpcSettings {
             start: self.settings.lead(),
             ..self.mpc
@@ -274,7 +279,10 @@ impl Experiment {
         let plant = self
             .task
             .discretize(&self.plant, &self.plant_discretization)?;
-        let (rod, start) = (plant.discrete.rod, plant.discrete.initial);
+        let (mut rod, start) = (plant.discrete.rod, plant.discrete.initial);
+        if let Some(adjust) = self.adjust {
+            adjust(&mut rod);
+        }
         let knowledge = self.knowledge(&controller, &rod)?;
         let period = self.mpc.period;
         let arm = SimulatedArm::new(

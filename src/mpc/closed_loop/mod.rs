@@ -130,8 +130,9 @@ pub struct ClosedLoop<'a> {
     state: State,
     disturbance: Disturbance,
     deviation: Disturbance,
-    /// Where the state is known, s.
+    /// Time to which the estimate has come, s, and that of the last measurement that it has used.
     known_at: f64,
+    corrected_at: f64,
     index: usize,
     /// Time that the sample before took to its command, s.
     computing: f64,
@@ -203,6 +204,7 @@ impl<'a> ClosedLoop<'a> {
             disturbance: Disturbance::NONE,
             deviation: Disturbance::NONE,
             known_at: 0.0,
+            corrected_at: 0.0,
             index: 0,
             computing: 0.0,
             tamper: None,
@@ -348,13 +350,14 @@ impl<'a> ClosedLoop<'a> {
             match advanced.and_then(|()| estimator.correct(&self.measurement)) {
                 Ok(innovation) => {
                     n_used += 1;
+                    self.corrected_at = self.measurement.time;
                     sample.innovation = Some(innovation);
                 }
                 Err(error) => cause = Some(Cause::of_estimate(&error)),
             }
         }
         let estimate = estimator.estimate();
-        sample.age = t - estimate.time;
+        sample.age = t - self.corrected_at;
         self.known_at = estimate.time;
         self.state.clone_from(&estimate.state);
         self.disturbance = estimate.disturbance;
@@ -503,7 +506,7 @@ impl LoopSettings {
             }
     }
 
-    fn check(&self) -> Result<(), MpcError> {
+    pub(super) fn check(&self) -> Result<(), MpcError> {
         let lead = self.lead();
         if !(lead.is_finite() && lead >= 0.0) {
             return Err(MpcError::Setting {

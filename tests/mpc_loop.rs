@@ -1,0 +1,303 @@
+//! Closed loops on arms that are not the model: errors stay where the estimate explains them, time is told truly, and whatever happens to
+//! measurements, commands are within their bounds and every fall-back has its cause.
+
+#[path = "common/tracking.rs"]
+mod tracking;
+
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+use softarm::mechanics::Rod;
+use softarm::mpc::{
+    Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, EstimatorChoice, Experiment,
+    FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
+    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+};
+use softarm::task::{Discretization, Place, PointLoad};
+
+const FORCE: f64 = 3.0;
+
+/// The tracking task of the other tests on a model of six elements and an arm of twelve.
+fn scene() -> Experiment {
+    let settings = MpcSettings {
+        jump: 100.0,
+        ..MpcSettings::receding(0.3)
+    };
+    let mut scene = Experiment::new(
+        tracking::arm(1e6),
+        tracking::task(FORCE),
+        tracking::discretization(),
+        settings,
+    );
+    scene.plant_discretization = Discretization::with_elements(12);
+    scene.duration = 1.0;
+    scene.counted_from = 0.2;
+    scene
+}
+
+fn estimated(mut scene: Experiment, estimator: EstimatorChoice) -> Experiment {
+    scene.sensing = Sensing::Estimated {
+        sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
+        estimator,
+        seed: 3,
+    };
+    scene
+}
+
+const FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::ALL);
+
+fn run(scene: &Experiment, contender: Contender) -> Outcome {
+    let found = scene.run(contender, &mut |_, _| ControlFlow::Continue(()));
+    let found = found.unwrap();
+    assert_eq!(found.broke_down, None, "{contender:?}");
+    found
+}
+
+/// On an arm of a fifth less stiffness, with poses alone, noise and a period of delay, the filter that knows of unknown wrenches and stiffness
+/// keeps the tip nearer to its path than the one that takes its model for the truth, and finds the stiffness.
+#[test]
+fn disturbances_are_estimated() {
+    let mut soft = scene();
+    soft.plant = tracking::arm(0.8e6);
+    soft.task = tracking::task(20.0);
+    soft.duration = 2.0;
+    soft.counted_from = 1.0;
+    soft.settings.computing = Computing::Fixed(0.01);
+    let blind = run(
+        &estimated(soft.clone(), EstimatorChoice::Kalman(Unknowns::default())),
+        Contender::Mpc,
+    );
+    let seeing = run(&estimated(soft, FILTER), Contender::Mpc);
+    println!("{} {}", blind.tip_error.rms, seeing.tip_error.rms);
+    assert!(seeing.tip_error.rms < 0.8 * blind.tip_error.rms);
+    let last = seeing.samples.last().unwrap();
+    let off = last.disturbance.stiffness - 0.8;
+    assert!(
+        off.abs() < 4.0 * last.deviation.stiffness.max(0.03),
+        "{off}"
+    );
+}
+
+/// A delay of two periods costs little where it is predicted over and much where it is not; both loops are the same otherwise.
+#[test]
+fn delays_are_predicted() {
+    let late = |periods: f64, predicts: bool| {
+        let mut late = scene();
+        late.task = tracking::task(20.0);
+        late.duration = 2.0;
+        // The motion begins without a command for as long as the delay.
+        late.counted_from = 1.0;
+        late.settings.computing = Computing::Fixed(0.01 * periods);
+        late.settings.predicts = predicts;
+        run(&late, Contender::Mpc).tip_error.rms
+    };
+    let (none, predicted, blind) = (late(0.0, true), late(4.0, true), late(4.0, false));
+    println!("{none} {predicted} {blind}");
+    assert!(predicted < 1.3 * none, "{none} {predicted}");
+    assert!(blind > 2.0 * predicted, "{predicted} {blind}");
+}
+
+/// A loop with an actuator's delay that it knows of is the loop with as much delay of computing: commands act at the same instants.
+#[test]
+fn known_delays_are_alike() {
+    let mut computing = scene();
+    computing.settings.computing = Computing::Fixed(0.02);
+    let mut actuator = scene();
+    actuator.settings.actuator_delay = 0.02;
+    actuator.actuators.delay = 0.02;
+    let [a, b] = [computing, actuator].map(|scene| run(&scene, Contender::Mpc));
+    for (a, b) in a.samples.iter().zip(&b.samples) {
+        assert_eq!(a.acts_from, b.acts_from);
+        let gap = (Vector3::from(a.tip) - Vector3::from(b.tip)).norm();
+        assert!(gap < 1e-9, "{} {gap:e}", a.t);
+    }
+}
+
+/// Without mismatch the contenders that take one wrong thing away at a time are the loop itself.
+#[test]
+fn what_is_not_wrong_changes_nothing() {
+    let mut right = scene();
+    right.plant_discretization = right.discretization;
+    let found = [
+        Contender::Mpc,
+        Contender::PlantIsModel,
+        Contender::PlantWaits,
+    ]
+    .map(|contender| run(&right, contender));
+    for other in &found[1..] {
+        for (a, b) in found[0].samples.iter().zip(&other.samples) {
+            assert_eq!(
+                (a.tip, a.wrench),
+                (b.tip, b.wrench),
+                "{:?}",
+                other.contender
+            );
+        }
+    }
+}
+
+/// The same seed gives the same run, another seed another one.
+#[test]
+fn runs_are_reproducible() {
+    let tips = |seed: u64| -> Vec<[f64; 3]> {
+        let mut noisy = estimated(scene(), FILTER);
+        noisy.duration = 0.3;
+        if let Sensing::Estimated { seed: own, .. } = &mut noisy.sensing {
+            *own = seed;
+        }
+        let samples = run(&noisy, Contender::Mpc).samples;
+        samples.iter().map(|sample| sample.tip).collect()
+    };
+    assert_eq!(tips(1), tips(1));
+    assert_ne!(tips(1), tips(2));
+}
+
+/// A loop on this arm with a filter, whose measurements are changed by `tamper` before they are used.
+fn tampered<'a>(
+    scene: &Experiment,
+    rod: &'a Rod,
+    fallback: FallbackSettings,
+    tamper: softarm::mpc::Tamper,
+) -> Result<ClosedLoop<'a>, MpcError> {
+    let controller = scene.controller()?;
+    let model = controller.rod().clone();
+    let start = controller.initial().clone();
+    let estimator = KalmanFilter::new(&model, 0.0, &start, &Unknowns::ALL.settings(&model))?;
+    let sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), rod)?;
+    let own = softarm::mechanics::State::at_rest(rod.rest.clone());
+    let nodes = controller.command().nodes.clone();
+    let arm = SimulatedArm::new(
+        rod,
+        own,
+        scene.mpc.period,
+        &model,
+        &nodes,
+        ActuatorDynamics::default(),
+    )?;
+    let knowledge = Knowledge::Sensors {
+        sensors: vec![sensor],
+        estimator: Box::new(estimator),
+    };
+    let settings = LoopSettings {
+        fallback,
+        ..scene.settings
+    };
+    let mut closed = ClosedLoop::new(controller, arm, knowledge, settings)?;
+    closed.tamper(tamper);
+    Ok(closed)
+}
+
+/// Measurements that are lost, not finite, or absurd, at random and for long stretches, and pushes: no panic, forces within their bound at
+/// every sample, every fall-back with a cause, and the tip is back once measurements are.
+#[test]
+fn loops_survive_their_sensors() {
+    let mut struck = scene();
+    struck.plant.loads.push(PointLoad {
+        at: Place::Fraction(0.5),
+        force: Vector3::new(0.0, 5.0, 0.0),
+        profile: vec![(0.5, 0.0), (0.51, 1.0), (0.7, 1.0), (0.71, 0.0)],
+        ..PointLoad::default()
+    });
+    let rod = struck
+        .task
+        .discretize(&struck.plant, &struck.plant_discretization)
+        .unwrap()
+        .discrete
+        .rod;
+    let mut dice = fastrand::Rng::with_seed(11);
+    let tamper = move |measurement: &mut softarm::mpc::Measurement| {
+        let t = measurement.time;
+        if (1.0..2.0).contains(&t) {
+            return false;
+        }
+        let chance = dice.f64();
+        if (2.5..2.9).contains(&t) || chance < 0.1 {
+            for signal in &mut measurement.signals {
+                if let Reading::Position(x) = &mut signal.reading {
+                    x.x = f64::NAN;
+                }
+            }
+        }
+        chance < 0.8
+    };
+    let fallback = FallbackSettings {
+        patience: 0.03,
+        plan_samples: 5,
+        ..FallbackSettings::default()
+    };
+    let mut closed = tampered(&struck, &rod, fallback, Box::new(tamper)).unwrap();
+    let samples = closed
+        .run(600, &mut |_, _| ControlFlow::Continue(()))
+        .unwrap();
+    assert_eq!(samples.len(), 600);
+    let mut found = std::collections::BTreeSet::new();
+    for sample in &samples {
+        let force = sample.wrench.force.norm();
+        assert!(force <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
+        assert!(sample.tip.iter().all(|x| x.is_finite()));
+        if let Some((cause, action)) = sample.fallback {
+            found.insert((cause, format!("{action}")));
+        }
+    }
+    println!("{found:?}");
+    assert!(found.contains(&(Cause::NoMeasurement, Action::Plan.to_string())));
+    assert!(found.contains(&(Cause::NoMeasurement, Action::Ramp.to_string())));
+    assert!(found.contains(&(Cause::BadMeasurement, Action::Plan.to_string())));
+    let quiet = samples.iter().filter(|sample| sample.t > 4.5);
+    let worst = quiet.fold(0.0f64, |worst, sample| worst.max(sample.tip_error()));
+    assert!(worst < 0.03, "{worst}");
+}
+
+/// Settings out of range are refused with their name.
+#[test]
+fn settings_are_checked() {
+    let name = |scene: &Experiment| match scene
+        .run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()))
+    {
+        Err(error) => error.to_string(),
+        Ok(_) => String::new(),
+    };
+    let mut wrong = scene();
+    wrong.settings.computing = Computing::Fixed(-0.1);
+    assert!(name(&wrong).starts_with("computing and actuator delay"));
+    let mut wrong = scene();
+    wrong.actuators.lag = f64::NAN;
+    assert!(name(&wrong).starts_with("lag"));
+    let mut wrong = scene();
+    wrong.actuators.force_max = 0.0;
+    assert!(name(&wrong).starts_with("force_max"));
+    let mut wrong = scene();
+    wrong.settings.fallback.ramp = 0.0;
+    assert!(name(&wrong).starts_with("fallback.ramp"));
+}
+
+/// Actuators: a saturated, slow and late one never exceeds its limits, changes no faster than its rate, and does nothing before its delay.
+#[test]
+fn actuators_keep_their_limits() {
+    let mut limited = scene();
+    limited.actuators = ActuatorDynamics {
+        delay: 0.03,
+        lag: 0.01,
+        force_max: 0.5,
+        force_rate_max: 20.0,
+        ..ActuatorDynamics::default()
+    };
+    let mut before = 0.0f64;
+    let mut largest = 0.0f64;
+    let found = limited
+        .run(Contender::Mpc, &mut |sample, closed| {
+            let force = closed.arm().acting()[0].force.norm();
+            assert!(force <= 0.5 * (1.0 + 1e-12));
+            // Of a whole period.
+            assert!((force - before).abs() <= 20.0 * 0.01 * (1.0 + 1e-9));
+            if sample.t < 0.015 {
+                assert_eq!(force, 0.0);
+            }
+            before = force;
+            largest = largest.max(force);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    assert_eq!(found.broke_down, None);
+    assert!(largest > 0.3, "{largest}");
+}
