@@ -48,6 +48,168 @@ impl Helix {
     }
 }
 
+/// `(w, ψ)` of an element, linearized at its pose:
+///
+/// ```text
+/// δψ = Sᵀ ζ_b - S ζ_a,     δw = S (R_aᵀ (δx_b - δx_a) + y × ζ_a) + G δψ,     y = R_aᵀ (x_b - x_a),  G = ∂(S y)/∂ψ
+/// ```
+#[derive(Clone, Copy, Debug)]
+struct Chart {
+    rotation_a: Matrix3<f64>,
+    y: Vector3<f64>,
+    turn: Vector3<f64>,
+    /// `S`
+    tangent: Matrix3<f64>,
+    inverse: Matrix3<f64>,
+    bend: Matrix3<f64>,
+}
+
+/// Of a node: `δx` (spatial) and `ζ` (body frame).
+type Move = (Vector3<f64>, Vector3<f64>);
+
+impl Chart {
+    fn at(x_a: &Vector3<f64>, r_a: &Matrix3<f64>, x_b: &Vector3<f64>, r_b: &Matrix3<f64>) -> Self {
+        let turn = log(&r_a.tr_mul(r_b));
+        let c = InverseTangentCoefficients::at(turn.norm_squared());
+        let y = r_a.tr_mul(&(x_b - x_a));
+        Self {
+            rotation_a: *r_a,
+            y,
+            turn,
+            tangent: log_tangent(&turn, &c),
+            // The spatial tangent of the exponential.
+            inverse: exp_tangent(&-turn),
+            bend: tangent_derivative(&turn, &y, &c, -1.0),
+        }
+    }
+
+    /// `(w, ψ)`
+    fn helix(&self) -> Helix {
+        Helix {
+            translation: self.tangent * self.y,
+            turn: self.turn,
+        }
+    }
+
+    /// `(δw, δψ)` of a motion of both ends.
+    fn strain(&self, a: &Move, b: &Move) -> Helix {
+        let turn = self.tangent.tr_mul(&b.1) - self.tangent * a.1;
+        let shift = self.rotation_a.tr_mul(&(b.0 - a.0)) + self.y.cross(&a.1);
+        Helix {
+            translation: self.tangent * shift + self.bend * turn,
+            turn,
+        }
+    }
+
+    /// The motion of the far end that makes these with a motion of the near end.
+    fn far_end(&self, a: &Move, strain: &Helix) -> Move {
+        let shift = self.inverse * (strain.translation - self.bend * strain.turn);
+        (
+            a.0 + self.rotation_a * (shift - self.y.cross(&a.1)),
+            self.inverse.tr_mul(&(strain.turn + self.tangent * a.1)),
+        )
+    }
+}
+
+/// The shape that a tangent `(δx, ζ)` of every node leads to if it moves the base by `x + δx` and `R exp(ζ)`, and the strains of all elements
+/// linearly; written to a shape of the same size. To first order that of [`State::retract`](super::State::retract).
+pub fn retract_shape(
+    from: &Configuration,
+    positions: &[Vector3<f64>],
+    rotations: &[Vector3<f64>],
+    to: &mut Configuration,
+) {
+    let (x, r) = (&from.positions, &from.rotations);
+    to.positions[0] = x[0] + positions[0];
+    to.rotations[0] = r[0] * exp(&rotations[0]);
+    for a in 0..x.len() - 1 {
+        let b = a + 1;
+        let chart = Chart::at(&x[a], &r[a], &x[b], &r[b]);
+        let change = chart.strain(&(positions[a], rotations[a]), &(positions[b], rotations[b]));
+        let helix = chart.helix();
+        let helix = Helix {
+            translation: helix.translation + change.translation,
+            turn: helix.turn + change.turn,
+        };
+        (to.positions[b], to.rotations[b]) = helix.end(&to.positions[a], &to.rotations[a]);
+    }
+}
+
+/// The tangent at `from` that leads to `to`: the inverse of [`retract_shape`].
+pub fn shape_difference(
+    to: &Configuration,
+    from: &Configuration,
+    positions: &mut [Vector3<f64>],
+    rotations: &mut [Vector3<f64>],
+) {
+    let (x, r) = (&from.positions, &from.rotations);
+    positions[0] = to.positions[0] - x[0];
+    rotations[0] = log(&r[0].tr_mul(&to.rotations[0]));
+    for a in 0..x.len() - 1 {
+        let b = a + 1;
+        let chart = Chart::at(&x[a], &r[a], &x[b], &r[b]);
+        let here = chart.helix();
+        let there = Helix::through(
+            &to.positions[a],
+            &to.rotations[a],
+            &to.positions[b],
+            &to.rotations[b],
+        );
+        let change = Helix {
+            translation: there.translation - here.translation,
+            turn: there.turn - here.turn,
+        };
+        (positions[b], rotations[b]) = chart.far_end(&(positions[a], rotations[a]), &change);
+    }
+}
+
+/// Takes tangents at one shape to those at another that change the strains of the elements alike, and turn the base alike: the derivative
+/// of a change of the reference of [`shape_difference`].
+#[derive(Clone, Debug)]
+pub struct ShapeTransport {
+    charts: Vec<[Chart; 2]>,
+    base: Matrix3<f64>,
+}
+
+impl ShapeTransport {
+    /// Memory for shapes of the number of nodes of this one, which it takes nowhere.
+    #[must_use]
+    pub fn new(shape: &Configuration) -> Self {
+        let mut transport = Self {
+            charts: Vec::with_capacity(shape.positions.len()),
+            base: Matrix3::identity(),
+        };
+        transport.between(shape, shape);
+        transport
+    }
+
+    /// From one shape to another.
+    pub fn between(&mut self, from: &Configuration, to: &Configuration) {
+        self.charts.clear();
+        for a in 0..from.positions.len() - 1 {
+            self.charts.push([from, to].map(|shape| {
+                let (x, r) = (&shape.positions, &shape.rotations);
+                Chart::at(&x[a], &r[a], &x[a + 1], &r[a + 1])
+            }));
+        }
+        let turn = log(&from.rotations[0].tr_mul(&to.rotations[0]));
+        self.base = exp_tangent(&turn);
+    }
+
+    /// The motion of the base.
+    #[must_use]
+    pub fn base(&self, motion: Move) -> Move {
+        (motion.0, self.base * motion.1)
+    }
+
+    /// The motion of the far end of element `q`, from the motions of its near and its far end, and what became of the near end's.
+    #[must_use]
+    pub fn far_end(&self, q: usize, [a, b]: [&Move; 2], moved_a: &Move) -> Move {
+        let [here, there] = &self.charts[q];
+        there.far_end(moved_a, &here.strain(a, b))
+    }
+}
+
 /// The shape whose strains lie between those of two others, on the base of the first.
 #[must_use]
 pub fn between(from: &Configuration, to: &Configuration, fraction: f64) -> Configuration {
@@ -108,20 +270,17 @@ impl Trajectory {
         moved
     }
 
-    /// The element behind row `a`: `δψ = Sᵀ ζ_b - S ζ_a` and `δw = S (R_aᵀ δdx + y × ζ_a) + ∂(S y)/∂ψ δψ` with `y = R_aᵀ dx`.
+    /// The element behind row `a`.
     fn moved_element(&self, a: usize, direction: &TrajectoryTangent, step_length: f64) -> Helix {
         let (x, r) = (&self.positions, &self.rotations);
         let (dx, zeta) = (&direction.positions, &direction.rotations);
-        let turn = log(&r[a].tr_mul(&r[a + 1]));
-        let coefficients = InverseTangentCoefficients::at(turn.norm_squared());
-        let s = log_tangent(&turn, &coefficients);
-        let y = r[a].tr_mul(&(x[a + 1] - x[a]));
-        let turning = s.tr_mul(&zeta[a + 1]) - s * zeta[a];
-        let shift = r[a].tr_mul(&(dx[a + 1] - dx[a])) + y.cross(&zeta[a]);
-        let stretching = s * shift + tangent_derivative(&turn, &y, &coefficients, -1.0) * turning;
+        let b = a + 1;
+        let chart = Chart::at(&x[a], &r[a], &x[b], &r[b]);
+        let helix = chart.helix();
+        let change = chart.strain(&(dx[a], zeta[a]), &(dx[b], zeta[b]));
         Helix {
-            translation: s * y + stretching * step_length,
-            turn: turn + turning * step_length,
+            translation: helix.translation + change.translation * step_length,
+            turn: helix.turn + change.turn * step_length,
         }
     }
 }
@@ -171,6 +330,63 @@ mod tests {
                 })
             })
             .collect()
+    }
+
+    /// A tangent leads to a shape from which the difference is that tangent, and moves it as the plain retraction does to first order; a transport
+    /// from a shape to another is how that difference changes with the reference.
+    #[test]
+    fn differences_invert_retractions() {
+        let (trajectory, direction) = motion();
+        let (from, n) = (trajectory.configuration(0), 5);
+        let (dx, zeta) = (&direction.positions[..n], &direction.rotations[..n]);
+        let mut to = trajectory.configuration(1);
+        let there = |size: f64, to: &mut Configuration| {
+            let scaled = |v: &[Vector3<f64>]| v.iter().map(|v| v * size).collect::<Vec<_>>();
+            retract_shape(&from, &scaled(dx), &scaled(zeta), to);
+        };
+        let difference = |to: &Configuration, from: &Configuration| {
+            let zeros = vec![Vector3::zeros(); n];
+            let (mut x, mut r) = (zeros.clone(), zeros);
+            shape_difference(to, from, &mut x, &mut r);
+            x.into_iter().chain(r).collect::<Vec<_>>()
+        };
+        there(1.0, &mut to);
+        for (found, own) in difference(&to, &from).iter().zip(dx.iter().chain(zeta)) {
+            assert!((found - own).norm() < 1e-12);
+        }
+        const SMALL: f64 = 1e-6;
+        let mut near = from.clone();
+        there(SMALL, &mut near);
+        for q in 0..n {
+            let x = (near.positions[q] - from.positions[q]) / SMALL - dx[q];
+            let r = log(&from.rotations[q].tr_mul(&near.rotations[q])) / SMALL - zeta[q];
+            assert!(x.norm() < 1e-5 && r.norm() < 1e-5, "{q}");
+        }
+        // A small motion of `to`, seen from there and from `from`.
+        let mut beyond = to.clone();
+        let small = |v: &[Vector3<f64>]| v.iter().map(|v| v * SMALL).collect::<Vec<_>>();
+        let (dx, zeta) = (
+            &direction.positions[n..2 * n],
+            &direction.rotations[n..2 * n],
+        );
+        retract_shape(&to, &small(dx), &small(zeta), &mut beyond);
+        let (first, second) = (difference(&to, &from), difference(&beyond, &from));
+        let seen: Vec<_> = second
+            .iter()
+            .zip(&first)
+            .map(|(b, a)| (b - a) / SMALL)
+            .collect();
+        let mut transport = ShapeTransport::new(&from);
+        transport.between(&from, &to);
+        let mut moved = transport.base((seen[0], seen[n]));
+        for q in 0..n {
+            if q > 0 {
+                let ends = [&(seen[q - 1], seen[n + q - 1]), &(seen[q], seen[n + q])];
+                moved = transport.far_end(q - 1, ends, &moved);
+            }
+            let error = (moved.0 - dx[q]).norm() + (moved.1 - zeta[q]).norm();
+            assert!(error < 1e-5, "{q}: {error}");
+        }
     }
 
     /// Strains move along straight lines, on any number of threads; their slope is that of the configurations moved on their own.

@@ -34,6 +34,15 @@ impl Comparison {
         }
     }
 
+    /// Distance of the innovations from `expected`, over their standard deviations, at most; no number where one is none.
+    pub fn distance(&self, expected: &[Vector3<f64>]) -> f64 {
+        (self.rows.signals.iter().zip(expected)).fold(0.0, |most, (row, expected)| {
+            let distance = (row.residual - expected).norm() / row.sigma;
+            let is_more = distance > most || distance.is_nan();
+            if is_more { distance } else { most }
+        })
+    }
+
     /// Measured minus expected of every signal that `of_use` lets pass, with its derivatives where a layout is given. `rod` has the stiffness
     /// of the estimate.
     ///

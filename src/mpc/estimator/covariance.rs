@@ -2,8 +2,8 @@
 //!
 //! The error is a state and disturbances that change at random. With `A` and `B` the derivatives of a motion's end along its start and along
 //! the disturbances, and `Q` the covariance of what nobody knows, a motion takes `P` to `F P Fᵀ + Q`, `F = [A B; 0 I]`. A measurement with
-//! derivatives `H`, noise `R` and innovation `e` corrects by `K e`, `K = P Hᵀ S⁻¹`, `S = H P Hᵀ + R`, and leaves Joseph's form
-//! `(I - K H) P (I - K H)ᵀ + K R Kᵀ`, which stays positive semidefinite whatever `K` is rounded to.
+//! derivatives `H`, noise `R` and innovation `e` corrects an error of mean `ξ` to `ξ + K (e - H ξ)`, `K = P Hᵀ S⁻¹`, `S = H P Hᵀ + R`, and
+//! leaves Joseph's form `(I - K H) P (I - K H)ᵀ + K R Kᵀ`, which stays positive semidefinite whatever `K` is rounded to.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{
@@ -16,7 +16,7 @@ use faer::linalg::triangular_solve::{
 };
 use faer::prelude::*;
 use faer::{Accum, Mat, Par, Spec};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::EstimateError;
 use super::readings::Terms;
@@ -41,6 +41,15 @@ pub(super) struct Row {
 }
 
 impl Rows {
+    /// `H` times an error, of every signal.
+    pub fn times<'a>(&'a self, error: &'a [f64]) -> impl Iterator<Item = Vector3<f64>> + 'a {
+        self.iter().map(|(_, terms)| {
+            (terms.iter())
+                .map(|(i, slope)| slope * error[*i])
+                .sum::<Vector3<f64>>()
+        })
+    }
+
     pub fn clear(&mut self) {
         self.terms.clear();
         self.signals.clear();
@@ -61,6 +70,9 @@ impl Rows {
 pub(super) struct Covariance {
     /// `P`, symmetric.
     pub matrix: Mat<f64>,
+    /// The same in the tangent of another state, and the mean of the error there: what a correction starts from.
+    prior: Mat<f64>,
+    pub mean: Vec<f64>,
     n_state: usize,
     /// What becomes of it.
     next: Mat<f64>,
@@ -75,7 +87,7 @@ pub(super) struct Covariance {
     scratch: MemBuffer,
     /// `L⁻¹ e`
     innovation: Mat<f64>,
-    /// `K e`
+    /// `ξ + K (e - H ξ)`
     pub correction: Vec<f64>,
 }
 
@@ -84,6 +96,8 @@ impl Covariance {
     pub fn new(n: usize, n_state: usize) -> Self {
         let mut out = Self {
             matrix: Mat::zeros(n, n),
+            prior: Mat::zeros(n, n),
+            mean: vec![0.0; n],
             n_state,
             next: Mat::zeros(n, n),
             moved: Mat::zeros(n_state, n),
@@ -152,7 +166,20 @@ impl Covariance {
         }
     }
 
-    /// Writes the corrected covariance to the next matrix, and `K e` to [`correction`](Self::correction); returns `eᵀ S⁻¹ e`.
+    /// A correction starts from the present matrix, and from no error.
+    pub fn begin_correction(&mut self) {
+        self.prior.copy_from(&self.matrix);
+        self.mean.fill(0.0);
+    }
+
+    /// A correction starts from `J P Jᵀ`, and from what is written to [`mean`](Self::mean); `map` multiplies a column by `J` where it stands.
+    pub fn move_prior(&mut self, map: impl FnMut(&mut [f64])) {
+        self.prior.copy_from(&self.matrix);
+        congruence(&mut self.prior, map);
+    }
+
+    /// Writes the corrected covariance to the next matrix, and the corrected error to [`correction`](Self::correction); returns the square of
+    /// the innovation, `eᵀ S⁻¹ e` with `e - H ξ` for `e`.
     ///
     /// # Errors
     /// [`EstimateError::Singular`] where `S` has no factor.
@@ -160,7 +187,7 @@ impl Covariance {
         let n = self.matrix.nrows();
         let m = 3 * rows.signals.len();
         self.make_room(m);
-        times_rows(&self.matrix, rows, &mut self.cross);
+        times_rows(&self.prior, rows, &mut self.cross);
         let mut inner = self.inner.as_mut().submatrix_mut(0, 0, m, m);
         for column in 0..m {
             let cross = self.cross.col_as_slice(column);
@@ -190,22 +217,25 @@ impl Covariance {
         solved.copy_from(self.cross.as_ref().subcols(0, m).transpose());
         solve_lower_triangular_in_place(factor, solved.rb_mut(), Par::Seq);
         let mut innovation = self.innovation.as_mut().subrows_mut(0, m);
-        for (signal, row) in rows.signals.iter().enumerate() {
+        let expected = rows.times(&self.mean);
+        for (signal, (row, expected)) in rows.signals.iter().zip(expected).enumerate() {
             for axis in 0..3 {
-                innovation[(3 * signal + axis, 0)] = row.residual[axis];
+                innovation[(3 * signal + axis, 0)] = row.residual[axis] - expected[axis];
             }
         }
         solve_lower_triangular_in_place(factor, innovation.rb_mut(), Par::Seq);
         let mut normalized = 0.0;
-        self.correction.fill(0.0);
+        self.correction.copy_from_slice(&self.mean);
         for i in 0..m {
             normalized += innovation[(i, 0)] * innovation[(i, 0)];
         }
         for (j, correction) in self.correction.iter_mut().enumerate() {
-            *correction = (0..m).map(|i| solved[(i, j)] * innovation[(i, 0)]).sum();
+            *correction += (0..m)
+                .map(|i| solved[(i, j)] * innovation[(i, 0)])
+                .sum::<f64>();
         }
         // Without Joseph's last term, which is rounding.
-        self.next.copy_from(&self.matrix);
+        self.next.copy_from(&self.prior);
         lower_product(
             self.next.as_mut(),
             Accum::Add,
@@ -232,13 +262,7 @@ impl Covariance {
             -1.0,
             Par::Seq,
         );
-        for j in 0..n {
-            for i in 0..j {
-                let mean = 0.5 * (self.next[(i, j)] + self.next[(j, i)]);
-                self.next[(i, j)] = mean;
-                self.next[(j, i)] = mean;
-            }
-        }
+        make_symmetric(&mut self.next);
         let sound = (0..n).all(|i| self.next[(i, i)] >= 0.0 && self.correction[i].is_finite());
         if sound {
             Ok(normalized)
@@ -247,20 +271,9 @@ impl Covariance {
         }
     }
 
-    /// Takes three components of the next matrix to `matrix` times themselves.
-    pub fn transform(&mut self, first: usize, matrix: &Matrix3<f64>) {
-        for j in 0..self.next.ncols() {
-            let column = &mut self.next.col_as_slice_mut(j)[first..first + 3];
-            let image = matrix * Vector3::from_column_slice(column);
-            column.copy_from_slice(image.as_slice());
-        }
-        for i in 0..self.next.nrows() {
-            let row = Vector3::from_fn(|axis, _| self.next[(i, first + axis)]);
-            let image = matrix * row;
-            for axis in 0..3 {
-                self.next[(i, first + axis)] = image[axis];
-            }
-        }
+    /// Takes the next matrix `P` to `J P Jᵀ`; `map` multiplies a column by `J` where it stands.
+    pub fn transform(&mut self, map: impl FnMut(&mut [f64])) {
+        congruence(&mut self.next, map);
     }
 
     /// The next matrix becomes the present one.
@@ -320,6 +333,35 @@ fn lower_product(
         factor,
         Par::Seq,
     );
+}
+
+/// `J P Jᵀ` for `P`.
+fn congruence(matrix: &mut Mat<f64>, mut map: impl FnMut(&mut [f64])) {
+    let n = matrix.nrows();
+    for _ in 0..2 {
+        for j in 0..n {
+            map(matrix.col_as_slice_mut(j));
+        }
+        for j in 0..n {
+            for i in 0..j {
+                let value = matrix[(i, j)];
+                matrix[(i, j)] = matrix[(j, i)];
+                matrix[(j, i)] = value;
+            }
+        }
+    }
+    make_symmetric(matrix);
+}
+
+/// Takes off what rounding leaves.
+fn make_symmetric(matrix: &mut Mat<f64>) {
+    for j in 0..matrix.ncols() {
+        for i in 0..j {
+            let mean = 0.5 * (matrix[(i, j)] + matrix[(j, i)]);
+            matrix[(i, j)] = mean;
+            matrix[(j, i)] = mean;
+        }
+    }
 }
 
 /// Copies the lower half to the upper one.

@@ -1,13 +1,16 @@
 //! An extended Kalman filter on the full state, in the tangent of the integrator.
 
+use std::ops::Range;
+
 use faer::Mat;
 use nalgebra::Vector3;
 
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::rotation::{exp, exp_tangent, orthonormalized};
+use crate::mechanics::rotation::orthonormalized;
 use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
+use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
 use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory};
 use crate::mpc::controller::Command;
 use crate::mpc::error::MpcError;
@@ -50,13 +53,13 @@ pub struct KalmanSettings {
 }
 
 impl KalmanSettings {
-    /// Estimates the state only: the tip is within a twentieth of the length at the start, unknown forces take it off by a hundredth within a
-    /// second.
+    /// Estimates the state only: the tip is within a twentieth of the length at the start, and unknown forces take it off by 3 thousandths
+    /// within a second, which is as much as ten elements do not know of a swinging arm.
     #[must_use]
     pub fn of(model: &Rod) -> Self {
         Self {
             initial: 0.05 * model.scales.length,
-            change: 0.01 * model.scales.length,
+            change: 0.003 * model.scales.length,
             tip_force: None,
             tip_moment: None,
             distributed: None,
@@ -97,15 +100,25 @@ impl KalmanSettings {
 const STIFFNESS_RANGE: [f64; 2] = [0.1, 1.6];
 /// Relative change of the stiffness in the differences of two motions along it: their error is its square.
 const STIFFNESS_CHANGE: f64 = 1e-4;
+/// Linearizations of a measurement, at most.
+const MOST_ITERATIONS: usize = 10;
+/// Difference of an innovation from its linearization, over the standard deviation of the noise, below which that is good enough.
+const LINEAR: f64 = 0.5;
+/// Angle by which an element is bent or twisted by one linearization of a measurement, rad, at most.
+const FARTHEST_TURN: f64 = 0.5;
 /// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
 const MOST_STEPS: usize = 15;
 
-/// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, as the [difference](State::difference) of states has
-/// it, and that of the disturbances.
+/// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, and that of the disturbances.
+///
+/// To first order the error is the [difference](State::difference) of states. Corrections that are not small follow the strains: they move
+/// the strains of the elements linearly ([`retract_shape`]), so that an arm that is found bent is not found stretched, and take the covariance
+/// to the tangent of the corrected shape along with it. Deviations of stiff strains, which are known best, stay small that way. A correction
+/// after which the measurement is not where its linearization says is repeated from there (the iterated filter, Gauss and Newton's method for the
+/// most likely state; Bell and Cathey 1993), so that the arm is found from far as well.
 ///
 /// The error is carried by the exact linearization of the integrator's own steps, the one along the stiffness by differences of two
-/// motions. Every disturbance is a random walk. After a correction that turns nodes the covariance is carried to the tangent of the
-/// corrected state. Signals that are told to be exact count as good to a millionth of the arm's own scales.
+/// motions. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
 ///
 /// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {
@@ -121,8 +134,13 @@ pub struct KalmanFilter {
     /// Derivatives of the end of a motion along its start and along the disturbances.
     transition: [Mat<f64>; 2],
     comparison: Comparison,
-    /// Where the next state is made, and what one may have to go back to.
+    transport: ShapeTransport,
+    /// Where the measurement is linearized, and where the next state is made.
+    point: Estimate,
     next: State,
+    /// Innovations at the point, from the linearization at the point before.
+    expected: Vec<Vector3<f64>>,
+    /// What one may have to go back to.
     before: (Estimate, Mat<f64>),
     tangent: StateTangent,
 }
@@ -181,7 +199,10 @@ impl KalmanFilter {
             transition: [layout.n_state, layout.n_disturbances()]
                 .map(|columns| Mat::zeros(layout.n_state, columns)),
             comparison: Comparison::new(model),
+            transport: ShapeTransport::new(&state.configuration),
+            point: estimate.clone(),
             next: state.clone(),
+            expected: Vec::new(),
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),
             layout,
@@ -218,9 +239,8 @@ impl KalmanFilter {
                 sigma: 0.0,
             }],
         };
-        let rod = (self.predictor).stiffened(self.estimate.disturbance.stiffness);
-        let layout = Some(&self.layout);
-        (self.comparison).compare(rod, &self.estimate, &measurement, layout, |_| true)?;
+        self.point.clone_from(&self.estimate);
+        self.compare(&measurement)?;
         let mut out = Mat::zeros(3, self.layout.n);
         for (i, slope) in &self.comparison.rows.terms {
             for axis in 0..3 {
@@ -301,48 +321,136 @@ impl KalmanFilter {
         Ok(())
     }
 
-    /// Moves the estimate by the filter's correction.
-    fn apply_correction(&mut self) -> Result<(), EstimateError> {
-        let correction = &self.covariance.correction;
-        let vector = |at: usize| Vector3::from_column_slice(&correction[at..at + 3]);
+    /// Compares a measurement with the point.
+    fn compare(&mut self, measurement: &Measurement) -> Result<(), EstimateError> {
+        let rod = (self.predictor).stiffened(self.point.disturbance.stiffness);
+        let layout = Some(&self.layout);
+        (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)
+    }
+
+    /// The prior in the tangent of the point, which is not that of the estimate.
+    fn move_prior(&mut self) {
+        let (there, here) = (&self.estimate, &self.point);
+        let first = self.layout.first_free_node;
+        let tangent = &mut self.tangent;
+        there.state.difference_into(&here.state, tangent);
+        shape_difference(
+            &there.state.configuration,
+            &here.state.configuration,
+            &mut tangent.positions,
+            &mut tangent.rotations,
+        );
+        let mean = &mut self.covariance.mean;
+        for (mean, value) in mean.iter_mut().zip(tangent.components_from(first)) {
+            *mean = value;
+        }
+        let differences = [
+            (
+                self.layout.tip_force,
+                there.disturbance.tip.force - here.disturbance.tip.force,
+            ),
+            (
+                self.layout.tip_moment,
+                there.disturbance.tip.moment - here.disturbance.tip.moment,
+            ),
+            (
+                self.layout.distributed,
+                there.disturbance.distributed - here.disturbance.distributed,
+            ),
+        ];
+        for (at, value) in differences {
+            if let Some(at) = at {
+                mean[at..at + 3].copy_from_slice(value.as_slice());
+            }
+        }
+        if let Some(at) = self.layout.stiffness {
+            mean[at] = there.disturbance.stiffness - here.disturbance.stiffness;
+        }
+        let transport = &mut self.transport;
+        transport.between(&there.state.configuration, &here.state.configuration);
+        let nodes = first..here.state.linear_momentum.len();
+        (self.covariance).move_prior(|column| transported(transport, nodes.clone(), column));
+    }
+
+    /// Moves the point along the correction, by a part of it where it would turn elements far; the part, and what the innovations are then
+    /// to first order, go to `expected`. The point before is `next`.
+    fn move_point(&mut self) -> f64 {
+        let correction = &mut self.covariance.correction;
+        let first = self.layout.first_free_node;
+        let n_nodes = self.next.linear_momentum.len();
+        let vector = |of: &[f64], at: usize| Vector3::from_column_slice(&of[at..at + 3]);
+        let mut farthest = 0.0f64;
+        let mut before = Vector3::zeros();
+        for node in first..n_nodes {
+            let turn = vector(correction, NODE_COMPONENTS * (node - first) + 3);
+            if node > 0 {
+                farthest = farthest.max((turn - before).norm());
+            }
+            before = turn;
+        }
+        let part = if farthest > FARTHEST_TURN {
+            FARTHEST_TURN / farthest
+        } else {
+            1.0
+        };
+        correction.iter_mut().for_each(|value| *value *= part);
+        let correction = &*correction;
+        self.expected.clear();
+        let rows = &self.comparison.rows;
+        let innovations = (rows.signals.iter().zip(rows.times(correction)))
+            .map(|(row, change)| row.residual - change);
+        self.expected.extend(innovations);
+
+        let (next, tangent) = (&mut self.next, &mut self.tangent);
         let Estimate {
             state, disturbance, ..
-        } = &self.estimate;
-        self.next.clone_from(state);
-        let first = self.layout.first_free_node;
-        for (free, node) in (first..self.next.linear_momentum.len()).enumerate() {
+        } = &mut self.point;
+        next.clone_from(state);
+        tangent.fill_zero();
+        for (free, node) in (first..n_nodes).enumerate() {
             let at = NODE_COMPONENTS * free;
-            let configuration = &mut self.next.configuration;
-            configuration.positions[node] += vector(at);
-            let turned = configuration.rotations[node] * exp(&vector(at + 3));
-            configuration.rotations[node] = orthonormalized(&turned);
-            self.next.linear_momentum[node] += vector(at + 6);
-            self.next.angular_momentum[node] += vector(at + 9);
+            tangent.positions[node] = vector(correction, at);
+            tangent.rotations[node] = vector(correction, at + 3);
+            next.linear_momentum[node] += vector(correction, at + 6);
+            next.angular_momentum[node] += vector(correction, at + 9);
         }
-        let mut next = *disturbance;
+        let (positions, rotations) = (&tangent.positions, &tangent.rotations);
+        let (here, there) = (&state.configuration, &mut next.configuration);
+        retract_shape(here, positions, rotations, there);
+        for rotation in &mut there.rotations[first..] {
+            *rotation = orthonormalized(rotation);
+        }
+        // What is held is not moved by rounding either.
+        there.positions[..first].copy_from_slice(&here.positions[..first]);
+        there.rotations[..first].copy_from_slice(&here.rotations[..first]);
         let vectors = [
-            (self.layout.tip_force, &mut next.tip.force),
-            (self.layout.tip_moment, &mut next.tip.moment),
-            (self.layout.distributed, &mut next.distributed),
+            (self.layout.tip_force, &mut disturbance.tip.force),
+            (self.layout.tip_moment, &mut disturbance.tip.moment),
+            (self.layout.distributed, &mut disturbance.distributed),
         ];
         for (at, value) in vectors {
             if let Some(at) = at {
-                *value += vector(at);
+                *value += vector(correction, at);
             }
         }
         if let Some(at) = self.layout.stiffness {
             let [least, most] = STIFFNESS_RANGE;
-            next.stiffness = (next.stiffness + correction[at]).clamp(least, most);
+            disturbance.stiffness = (disturbance.stiffness + correction[at]).clamp(least, most);
         }
-        for free in 0..self.layout.n_state / NODE_COMPONENTS {
-            let at = NODE_COMPONENTS * free + 3;
-            let turn = Vector3::from_column_slice(&self.covariance.correction[at..at + 3]);
-            self.covariance.transform(at, &exp_tangent(&turn));
-        }
+        std::mem::swap(&mut self.point.state, &mut self.next);
+        part
+    }
+
+    /// The point becomes the estimate, and the covariance goes to its tangent from that of the point before.
+    fn accept_point(&mut self) {
+        let (here, there) = (&self.next.configuration, &self.point.state.configuration);
+        let transport = &mut self.transport;
+        transport.between(here, there);
+        let nodes = self.layout.first_free_node..there.positions.len();
+        (self.covariance).transform(|column| transported(transport, nodes.clone(), column));
         self.covariance.commit();
-        std::mem::swap(&mut self.estimate.state, &mut self.next);
-        self.estimate.disturbance = next;
-        Ok(())
+        std::mem::swap(&mut self.estimate.state, &mut self.point.state);
+        self.estimate.disturbance = self.point.disturbance;
     }
 
     /// Reads the deviations of the disturbances off the covariance.
@@ -390,24 +498,35 @@ impl Estimator for KalmanFilter {
 
     fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError> {
         check_time(measurement.time, self.estimate.time)?;
-        let estimate = &self.estimate;
-        let rod = self.predictor.stiffened(estimate.disturbance.stiffness);
-        let layout = Some(&self.layout);
-        (self.comparison).compare(rod, estimate, measurement, layout, |_| true)?;
-        let innovation = self.comparison.innovation();
+        self.point.time = self.estimate.time;
+        self.point.state.clone_from(&self.estimate.state);
+        self.point.disturbance = self.estimate.disturbance;
+        self.compare(measurement)?;
+        let mut innovation = self.comparison.innovation();
+        innovation.normalized = Some(0.0);
         if innovation.n == 0 {
-            return Ok(Innovation {
-                normalized: Some(0.0),
-                ..innovation
-            });
+            return Ok(innovation);
         }
-        let normalized = self.covariance.correct(&self.comparison.rows)?;
-        self.apply_correction()?;
+        self.covariance.begin_correction();
+        for iteration in 1..=MOST_ITERATIONS {
+            let normalized = self.covariance.correct(&self.comparison.rows)?;
+            if iteration == 1 {
+                innovation.normalized = Some(normalized);
+            }
+            let part = self.move_point();
+            self.compare(measurement)?;
+            let nonlinearity = self.comparison.distance(&self.expected);
+            if nonlinearity.is_nan() {
+                return Err(EstimateError::Singular);
+            }
+            if part == 1.0 && nonlinearity < LINEAR || iteration == MOST_ITERATIONS {
+                break;
+            }
+            self.move_prior();
+        }
+        self.accept_point();
         self.write_deviation();
-        Ok(Innovation {
-            normalized: Some(normalized),
-            ..innovation
-        })
+        Ok(innovation)
     }
 
     fn estimate(&self) -> &Estimate {
@@ -438,6 +557,25 @@ impl Estimator for KalmanFilter {
         }
         self.write_deviation();
         Ok(())
+    }
+}
+
+/// A deviation of the nodes in `free`, taken to the tangent of another shape; momenta and disturbances stay.
+fn transported(transport: &ShapeTransport, free: Range<usize>, column: &mut [f64]) {
+    let mut before = (Vector3::zeros(), Vector3::zeros());
+    let mut moved = before;
+    for node in free.clone() {
+        let at = NODE_COMPONENTS * (node - free.start);
+        let part = &mut column[at..at + 6];
+        let vector = |at: usize| Vector3::new(part[at], part[at + 1], part[at + 2]);
+        let own = (vector(0), vector(3));
+        moved = match node.checked_sub(1) {
+            Some(element) => transport.far_end(element, [&before, &own], &moved),
+            None => transport.base(own),
+        };
+        part[..3].copy_from_slice(moved.0.as_slice());
+        part[3..].copy_from_slice(moved.1.as_slice());
+        before = own;
     }
 }
 

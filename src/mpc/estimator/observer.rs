@@ -34,7 +34,7 @@ impl ObserverSettings {
     pub fn of(model: &Rod) -> Self {
         Self {
             gain: 0.1,
-            follow_time: 0.1 * model.scales.time,
+            follow_time: 0.2 * model.scales.time,
             integral_time: None,
             longest_step: automatic_step(model),
         }
