@@ -66,6 +66,7 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
         }],
         cost: Cost {
             effort: 1.0,
+            rate: 0.1,
             tracks: vec![Track {
                 at: Place::Tip,
                 path: times.map(|t| (t, path(t))).collect(),
@@ -83,10 +84,7 @@ fn scene(seconds: f64, elements: usize) -> Experiment {
         samples: 20,
         ..Discretization::with_elements(elements)
     };
-    let settings = MpcSettings {
-        jump: 100.0,
-        ..MpcSettings::receding(0.5)
-    };
+    let settings = MpcSettings::receding(0.5);
     let task = task(seconds, &|t| reference(t, TURN), 20.0);
     let mut scene = Experiment::new(arm(1e6), task, discretization, settings);
     scene.plant_discretization = Discretization::with_elements(40);

