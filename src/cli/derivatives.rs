@@ -22,10 +22,10 @@ struct DerivativesSummary {
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let report = if scene.task.is_some() || scene.control.is_some() {
-        check(&scene.optimal_control(&source)?.problem, global.seed)?
+        check(&scene.optimal_control(&source)?.problem, global.seed())?
     } else {
         let setup = scene.simulation(&source)?;
-        check_motion(&setup.rod, setup.grid, global.seed)?
+        check_motion(&setup.rod, setup.grid, global.seed())?
     };
     for note in &report.notes {
         console.say(note);
@@ -62,7 +62,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         schema_version: SCHEMA_VERSION,
         command: "derivatives",
         scene: scene_name(scene_argument),
-        seed: global.seed,
+        seed: global.seed(),
         report,
     });
     Ok(if verdict == Verdict::Wrong {

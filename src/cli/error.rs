@@ -5,6 +5,7 @@ use crate::control::GuessError;
 use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
+use crate::mpc::MpcError;
 use crate::output::OutputError;
 use crate::paper::PaperError;
 use crate::scene::SceneError;
@@ -41,6 +42,9 @@ pub(super) enum CliError {
     /// An experiment of the paper could not be run.
     #[error("{0}")]
     Paper(#[from] PaperError),
+    /// A closed loop that cannot begin.
+    #[error("error: the controller has no first plan: {0}")]
+    Mpc(#[from] MpcError),
     /// A result directory that does not hold what a verb needs.
     #[error("error: {0}")]
     Directory(String),
@@ -65,6 +69,7 @@ impl CliError {
             Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
             | Self::Guess(_)
+            | Self::Mpc(_)
             | Self::Check(_)
             | Self::SecondOpinion(SecondOpinionError::Start(_))
             | Self::Derivative(_)

@@ -6,6 +6,7 @@ mod derivatives;
 mod error;
 mod example;
 mod memory;
+mod mpc;
 mod paper;
 mod quantity;
 mod schema;
@@ -65,9 +66,10 @@ struct Global {
     /// Threads to compute with; changes the time, not the result [default: as many as the machine has cores]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Seed of everything random: the detours of several starts, the point where derivatives are checked
-    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
-    seed: u64,
+    /// Seed of everything random: the detours of several starts, the point where derivatives are checked, the noise of sensors
+    /// [default: 0, or mpc.seed]
+    #[arg(long, global = true, value_name = "N")]
+    seed: Option<u64>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -84,6 +86,8 @@ enum Command {
     },
     /// Optimal control: force and moment sequences, checked by forward simulation
     Solve(solve::SolveArguments),
+    /// Closed-loop model-predictive control in simulation
+    Mpc(mpc::MpcArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
     /// Check every analytic derivative of a scene, with a verdict
@@ -132,6 +136,10 @@ fn scene_name(scene: &str) -> String {
 }
 
 impl Global {
+    fn seed(&self) -> u64 {
+        self.seed.unwrap_or(0)
+    }
+
     fn n_threads(&self) -> usize {
         match self.threads {
             Some(threads) => usize::from(threads),
@@ -165,6 +173,7 @@ pub fn run() -> ExitCode {
             simulate::run(arguments, *resume, &cli.global, &console)
         }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
+        Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
         Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
         Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),

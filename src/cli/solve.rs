@@ -80,7 +80,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let plan = Search {
         previous,
         starts,
-        seed: global.seed,
+        seed: global.seed(),
         n_threads: global.n_threads(),
         ..described.search.clone()
     };

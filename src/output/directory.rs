@@ -21,11 +21,13 @@ pub enum ResultKind {
     Simulate,
     /// `softarm solve`
     Solve,
+    /// `softarm mpc`
+    Mpc,
 }
 
 impl ResultKind {
     /// Every kind.
-    pub const ALL: [Self; 2] = [Self::Simulate, Self::Solve];
+    pub const ALL: [Self; 3] = [Self::Simulate, Self::Solve, Self::Mpc];
 
     /// The word of the command line.
     #[must_use]
@@ -33,6 +35,7 @@ impl ResultKind {
         match self {
             Self::Simulate => "simulate",
             Self::Solve => "solve",
+            Self::Mpc => "mpc",
         }
     }
 
@@ -60,6 +63,14 @@ impl ResultKind {
                 "report.html",
                 SUMMARY,
             ],
+            Self::Mpc => &[
+                "scene.toml",
+                "trajectory.npz",
+                "samples.csv",
+                "controls.csv",
+                "report.html",
+                SUMMARY,
+            ],
         }
     }
 
@@ -68,6 +79,8 @@ impl ResultKind {
         match self {
             Self::Simulate => &["node_steps_per_s", "strain", "directory"],
             Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
+            // All of them name their tool.
+            Self::Mpc => &["tool"],
         }
     }
 
@@ -232,7 +245,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// A summary is softarm's if it has a version of its layout, one of the two commands, and the tool's name; or, where it names no
+    /// A summary is softarm's if it has a version of its layout, one of the commands, and the tool's name; or, where it names no
     /// tool, what only softarm wrote before it named itself.
     #[test]
     fn summaries_of_others_are_told_apart() {

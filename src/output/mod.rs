@@ -1,6 +1,8 @@
 //! The files of a result directory: reading and writing.
 
 mod checkpoint;
+#[doc(hidden)]
+pub mod closed_loop;
 mod controls;
 mod diagnostics;
 mod directory;

@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 13] = [
+const SCENES: [(&str, &str); 18] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -44,6 +44,26 @@ const SCENES: [(&str, &str); 13] = [
     (
         "paper-convergence",
         include_str!("../../examples/scenes/paper-convergence.toml"),
+    ),
+    (
+        "mpc-track-circle",
+        include_str!("../../examples/scenes/mpc-track-circle.toml"),
+    ),
+    (
+        "mpc-reach",
+        include_str!("../../examples/scenes/mpc-reach.toml"),
+    ),
+    (
+        "mpc-push",
+        include_str!("../../examples/scenes/mpc-push.toml"),
+    ),
+    (
+        "mpc-payload",
+        include_str!("../../examples/scenes/mpc-payload.toml"),
+    ),
+    (
+        "mpc-delay",
+        include_str!("../../examples/scenes/mpc-delay.toml"),
     ),
 ];
 

@@ -15,7 +15,7 @@ use crate::task::MOST_STEPS;
 pub(super) const MOST_ELEMENTS: usize = 5000;
 
 /// Blocks and iterations beyond this number are a typing error rather than a wish.
-const LARGEST_COUNT: usize = 1_000_000;
+pub(super) const LARGEST_COUNT: usize = 1_000_000;
 
 /// Stages of a continuation beyond this number are a typing error rather than a wish.
 const MOST_STAGES: usize = 1000;
@@ -34,7 +34,7 @@ impl Scene {
             keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
         }
         for (index, load) in self.load.iter().enumerate() {
-            keys.check_load(load, index, self.rod.elements)?;
+            keys.check_load("load", load, index, self.rod.elements)?;
         }
         for (index, load) in self.distributed_load.iter().enumerate() {
             keys.check_distributed_load(load, index)?;
@@ -61,7 +61,7 @@ impl Scene {
         if let Some(solver) = &self.solver {
             keys.check_solver(solver)?;
         }
-        Ok(())
+        keys.check_closed_loop(self)
     }
 }
 
@@ -71,7 +71,7 @@ impl Keys<'_> {
         match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
             (Some(material), Some(section), None, None) => {
                 self.check_material(material)?;
-                self.check_section(section)?;
+                self.check_section("rod.section", section)?;
                 if rod.display_radius_m.is_some() {
                     return Err(self.contradiction("rod.display_radius_m", "rod.section"));
                 }
@@ -140,8 +140,9 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_section(&self, section: &Section) -> Checked {
-        let key = |quantity: &str, place: &str| format!("rod.section.{quantity}_{place}m");
+    /// `name` is the section's key.
+    pub(super) fn check_section(&self, name: &str, section: &Section) -> Checked {
+        let key = |quantity: &str, place: &str| format!("{name}.{quantity}_{place}m");
         // The keys that are given: what they measure, and where.
         let given: Vec<(&str, &str)> = [
             ("radius", "", section.radius_m.is_some()),
@@ -165,7 +166,7 @@ impl Keys<'_> {
         match given[..] {
             [] => Err(self.missing(
                 &key("radius", ""),
-                "or else give rod.section.radius_base_m and rod.section.radius_tip_m, or diameters",
+                &format!("or else give {name}.radius_base_m and {name}.radius_tip_m, or diameters"),
             )),
             [(quantity, place)] if !place.is_empty() => {
                 let other = if place == "base_" { "tip_" } else { "base_" };
@@ -229,12 +230,20 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_load(&self, load: &Load, index: usize, elements: usize) -> Checked {
-        self.node(&format!("load.{index}.node"), load.node, elements)?;
-        self.finite(&format!("load.{index}.force_n"), &load.force_n)?;
-        self.finite(&format!("load.{index}.moment_n_m"), &load.moment_n_m)?;
+    /// `list` is the section's name.
+    pub(super) fn check_load(
+        &self,
+        list: &str,
+        load: &Load,
+        index: usize,
+        elements: usize,
+    ) -> Checked {
+        let key = |name: &str| format!("{list}.{index}.{name}");
+        self.node(&key("node"), load.node, elements)?;
+        self.finite(&key("force_n"), &load.force_n)?;
+        self.finite(&key("moment_n_m"), &load.moment_n_m)?;
         load.profile.as_ref().map_or(Ok(()), |profile| {
-            self.table(&format!("load.{index}.profile"), profile, "a constant load")
+            self.table(&key("profile"), profile, "a constant load")
         })
     }
 
@@ -687,7 +696,7 @@ impl Keys<'_> {
         for (index, track) in objective.track.iter().enumerate() {
             let key = |name: &str| format!("objective.track.{index}.{name}");
             self.node(&key("node"), track.node, scene.rod.elements)?;
-            self.table(&key("path_m"), &track.path_m, "no path")?;
+            self.check_path(&key, track)?;
         }
         let free = scene.task.as_ref().and_then(|task| task.free_duration);
         let has_price = free.is_some_and(|free| free.price.get() > 0.0);

@@ -143,6 +143,7 @@ impl Scene {
                     path_m: (track.path.iter())
                         .map(|&(t, x)| [t, x.x, x.y, x.z])
                         .collect(),
+                    circle: None,
                     weight: Some(known(discrete.weight)),
                 })
                 .collect(),
@@ -158,6 +159,11 @@ impl Scene {
                 ..Solver::default()
             }),
             output: None,
+            mpc: None,
+            plant: None,
+            sensor: Vec::new(),
+            estimator: None,
+            disturbance: Vec::new(),
         })
     }
 }

@@ -22,6 +22,8 @@
 
 pub mod builtin;
 mod check;
+mod check_closed_loop;
+mod closed_loop;
 mod describe;
 mod error;
 mod file;
@@ -29,22 +31,26 @@ mod keys;
 mod materials;
 mod model;
 mod overrides;
+mod path;
 mod reader;
 mod refusal;
 mod rows;
+mod section;
 mod source;
 #[doc(hidden)]
 pub mod translate;
 mod values;
 
+pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;
 pub use error::SceneError;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::{
-    Actuator, Base, BaseKind, Bound, Capsule, Continuation, Control, Cuboid, Damping, Feedback,
-    Gravity, Guess, HalfSpace, Inertia, Initial, Limit, Load, LoadNode, Material, Objective,
-    Obstacle, Output, Price, Reference, Rod, RotaryInertia, Scene, Section, Solver, Sphere,
-    Stiffness, Task, Time, TimeScheme, TimeStep, Track, Via,
+    Actuator, Base, BaseKind, Bound, Capsule, Circle, Computing, Continuation, Control, Cuboid,
+    Damping, Estimator, EstimatorKind, Fallback, Feedback, Gravity, Guess, HalfSpace, Inertia,
+    Initial, Limit, Load, LoadNode, Material, Mpc, Objective, Obstacle, Output, Plant,
+    PlantActuator, Price, Reference, Rod, RotaryInertia, Scene, Section, Sensor, Solver, Sphere,
+    Stiffness, Task, Time, TimeScheme, TimeStep, Track, Unknown, Via,
 };
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
@@ -52,9 +58,6 @@ pub use values::{Fraction, NonNegative, PoissonRatio, Positive};
 
 use overrides::Override;
 use std::path::Path;
-
-/// Features that scene files may come to describe, and this version does not have.
-const UNAVAILABLE_SECTIONS: [&str; 1] = ["mpc"];
 
 impl Scene {
     /// Reads the scene file at `name_or_path`, or the built-in scene of that name where there is no such file.
@@ -93,10 +96,10 @@ impl Scene {
         for text in overrides {
             Override::parse(text)?.apply(&mut table)?;
         }
-        for section in UNAVAILABLE_SECTIONS {
-            if table.contains_key(section) {
-                return Err(source.error_at(section, "not available in this version", None));
-            }
+        // Most loops have one sensor, which may be written as a section.
+        if let Some(sensor @ toml::Value::Table(_)) = table.get_mut("sensor") {
+            let only = sensor.clone();
+            *sensor = toml::Value::Array(vec![only]);
         }
         let table = toml::Value::Table(table);
         let scene: Scene = reader::read(&table).map_err(|misfit| {

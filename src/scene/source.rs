@@ -129,7 +129,11 @@ fn span_in_table(table: &DeTable<'_>, path: &[&str], mark: Mark) -> Option<Range
 
 fn span_in_value(value: &DeValue<'_>, path: &[&str], mark: Mark) -> Option<Range<usize>> {
     match value {
-        DeValue::Table(table) => span_in_table(table, path, mark),
+        // A section that stands for a list of one.
+        DeValue::Table(table) => span_in_table(table, path, mark).or_else(|| {
+            let (first, rest) = path.split_first()?;
+            (*first == "0" && !rest.is_empty()).then(|| span_in_table(table, rest, mark))?
+        }),
         DeValue::Array(array) => {
             let (first, rest) = path.split_first()?;
             let item = array.get(first.parse::<usize>().ok()?)?;

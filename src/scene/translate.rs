@@ -15,9 +15,8 @@ use crate::control::{
 };
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, Material, MotionCurve, NodeInertia,
-    Oscillation, Rod, RodError, RotaryInertia, Section, SectionProfile, State, TimeGrid,
-    TimeScheme,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, MotionCurve, NodeInertia, Oscillation,
+    Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
 };
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -427,6 +426,17 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when `[control]` is missing, or both `[task]` and `[[objective.track]]`.
     pub fn posed_task(&self, source: &SceneSource) -> Result<Task, SceneError> {
+        let end = self.time.end_s.get();
+        let end = (self.task.as_ref()).map_or(end, |task| task.instant(end));
+        self.posed_task_until(source, end)
+    }
+
+    /// The same, with paths that go on until `end`, s.
+    pub(super) fn posed_task_until(
+        &self,
+        source: &SceneSource,
+        end: f64,
+    ) -> Result<Task, SceneError> {
         let missing = |section: &str| {
             source.error_at(
                 section,
@@ -495,9 +505,7 @@ impl Scene {
                 tracks: (objective.track.iter())
                     .map(|track| Track {
                         at: track.node.place(elements),
-                        path: (track.path_m.iter())
-                            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-                            .collect(),
+                        path: track.path(end),
                         weight: track.weight.map(Number::get),
                     })
                     .collect(),
@@ -555,7 +563,7 @@ impl Scene {
     }
 
     /// This scene with material, integrator, rotary inertia and time step as they are.
-    fn resolved(&self, discretization: &Discretization) -> Scene {
+    pub(super) fn resolved(&self, discretization: &Discretization) -> Scene {
         let mut resolved = self.with_material_resolved();
         if let Some(step) = discretization.step {
             resolved.time.step_s = TimeStep::Seconds(step);
@@ -568,52 +576,11 @@ impl Scene {
         }
         resolved
     }
-
-    fn section_profile(&self, source: &SceneSource) -> Result<SectionProfile, SceneError> {
-        let incomplete = || {
-            source.error_at(
-                "rod",
-                "material and section, or stiffness and inertia, are incomplete",
-                None,
-            )
-        };
-        if let (Some(stiffness), Some(inertia)) = (&self.rod.stiffness, &self.rod.inertia) {
-            let (ga, ei) = (stiffness.ga_n.get(), stiffness.ei_n_m2.get());
-            return Ok(SectionProfile::Uniform(Section {
-                linear_stiffness: Vector3::new(ga, ga, stiffness.ea_n.get()),
-                angular_stiffness: Vector3::new(ei, ei, stiffness.gj_n_m2.get()),
-                mass: inertia.mass_kg_m.get(),
-                rotary: inertia.rotary_kg_m.map(Number::get).into(),
-            }));
-        }
-        let material = self.rod.material.as_ref().ok_or_else(incomplete)?;
-        let [base_radius, tip_radius] = self
-            .rod
-            .section
-            .as_ref()
-            .and_then(model::Section::radii)
-            .ok_or_else(incomplete)?;
-        let material = Material {
-            youngs_modulus: material.youngs_modulus().ok_or_else(incomplete)?,
-            shear_modulus: material.shear_modulus().ok_or_else(incomplete)?,
-            density: material.density().ok_or_else(incomplete)?,
-            shear_factor: material.shear_factor.get(),
-        };
-        Ok(if base_radius == tip_radius {
-            SectionProfile::Uniform(Section::circle(&material, base_radius))
-        } else {
-            SectionProfile::TaperedCircle {
-                material,
-                base_radius,
-                tip_radius,
-            }
-        })
-    }
 }
 
 impl LoadNode {
     /// The place of the node in an arm that is written with so many elements.
-    fn place(self, elements: usize) -> Place {
+    pub(super) fn place(self, elements: usize) -> Place {
         match self {
             Self::Tip => Place::Tip,
             Self::Base => Place::Base,
@@ -708,7 +675,7 @@ fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
     })
 }
 
-fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
+pub(super) fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
     let points = profile.iter().flatten();
     points.map(|&[t, factor]| (t, factor)).collect()
 }

@@ -279,6 +279,9 @@ quantities! {
     Part: "fraction", "";
     PriceOfTime: "price", "per second";
     PriceOfViolation: "price", "";
+    Deviation: "standard deviation", "";
+    ForceRate: "rate", "N/s";
+    MomentRate: "rate", "N m/s";
     LargestCurvature: "limit", "1/m";
     LargestSpeed: "limit", "m/s";
 }

@@ -233,6 +233,12 @@ impl<'a> ClosedLoop<'a> {
         &self.controller
     }
 
+    /// The command that was sent last, with the instants at which it begins to act and the next one should.
+    #[must_use]
+    pub fn sent(&self) -> &Command {
+        &self.sent[self.sent.len() - 1]
+    }
+
     /// Runs `n` samples; `observer` sees each and may end the run. Returns those that ran.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
 
 mod base;
+mod closed_loop;
 mod control;
 mod limit;
 mod load;
@@ -10,12 +11,15 @@ mod task;
 mod time;
 
 pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
+pub use self::closed_loop::{
+    Computing, Estimator, EstimatorKind, Fallback, Mpc, Plant, PlantActuator, Sensor, Unknown,
+};
 pub use self::control::{Actuator, Bound, Control, Feedback};
 pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
 pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
 pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
-pub use self::solver::{Continuation, Guess, Objective, Qp, Solver, Track};
+pub use self::solver::{Circle, Continuation, Guess, Objective, Qp, Solver, Track};
 pub use self::task::{FreeDuration, Task, Via};
 pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
 
@@ -74,4 +78,19 @@ pub struct Scene {
     /// What is written. Absent: every time step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub output: Option<Output>,
+    /// Closed-loop control in simulation. Absent: there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mpc: Option<Mpc>,
+    /// The arm as it is in the loop. Absent: it is the rod of the scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plant: Option<Plant>,
+    /// What is measured in the loop; goes with `estimator`. Absent: the true state is known at once.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensor: Vec<Sensor>,
+    /// How the state becomes known from sensors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimator: Option<Estimator>,
+    /// Forces and moments on the arm as it is in the loop, which the controller does not know; nodes are counted as in `[rod]`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub disturbance: Vec<Load>,
 }

@@ -1,0 +1,491 @@
+//! `softarm mpc SCENE [--out DIR] [--baselines]`: closed-loop model-predictive control in simulation.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::Instant;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::console::{Console, stop_signal};
+use super::error::CliError;
+use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::control::Hold;
+use crate::mechanics::{Energy, Rod, State, Wrench};
+use crate::mpc::{ClosedLoop, Contender, Outcome as Run, Percentiles, Sample, TipError};
+use crate::output::closed_loop::{BaselineSummary, MpcSummary, write_samples};
+use crate::output::summary::{SCHEMA_VERSION, TOOL};
+use crate::output::{
+    ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RowFiles, RunDirectory,
+    write_controls,
+};
+use crate::scene::{ClosedLoopSetup, Scene, SceneSource};
+use crate::stop::{Stop, StopSignal};
+
+#[derive(Debug, Args)]
+pub(super) struct MpcArguments {
+    #[command(flatten)]
+    scene: SceneAndOut,
+    /// Also run the plan without feedback, a spring and a damper at the tip, the controller on an arm that is its model, and on an arm
+    /// that waits for it; print one table
+    #[arg(long)]
+    baselines: bool,
+}
+
+/// What runs with `--baselines`.
+const BASELINES: [Contender; 4] = [
+    Contender::OpenLoop,
+    Contender::TipPd,
+    Contender::PlantIsModel,
+    Contender::PlantWaits,
+];
+
+/// Lines of progress in a run.
+const LINES: usize = 10;
+
+pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) -> Outcome {
+    let started = Instant::now();
+    console.catch_interrupts();
+    let (mut scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
+    let stop = stop_signal(scene.deadline(started));
+    let seed = u32::try_from(global.seed()).map_err(|_| {
+        CliError::Directory("--seed: a closed loop takes seeds up to 4294967295".into())
+    })?;
+    if let (Some(mpc), Some(_)) = (&mut scene.mpc, global.seed) {
+        mpc.seed = Some(seed);
+    }
+    let setup = (scene.closed_loop(&source, seed, &stop))
+        .map_err(|error| CliError::of_scene(error, &stop))?;
+    let target = arguments.scene.directory("mpc");
+    let directory = RunDirectory::open(&target, ResultKind::Mpc)?;
+    for warning in &setup.warnings {
+        console.warn(warning);
+    }
+    announce(&setup, console);
+
+    let outcome = computed(
+        arguments, &scene, &source, &setup, &directory, &stop, console,
+    );
+    let (recording, run, baselines) = match outcome {
+        Ok(found) => found,
+        Err(error) => {
+            directory.remove()?;
+            return Err(error);
+        }
+    };
+    let ended = stop.raised();
+    let mut summary = summarize(arguments, &setup, &run, baselines, ended, started, &target);
+    let resolved = setup.resolved.to_toml();
+    let recording = RefCell::new(recording);
+    let written = directory.publish_or_rescue(|result| {
+        let summary = MpcSummary {
+            directory: result.place().display().to_string(),
+            ..summary.clone()
+        };
+        let mut recording = recording.borrow_mut();
+        write(result, &resolved, &mut recording, &run.samples, &summary)
+    });
+    if let Err(OutputError::Elsewhere { place, .. }) = &written {
+        summary.directory = place.display().to_string();
+    }
+    conclude(&setup, &summary, console);
+    console.summary(&summary);
+    written?;
+    Ok(match (&run.broke_down, ended) {
+        (Some(error), _) => {
+            console.always(&format!("error: the arm's motion broke down: {error}"));
+            exit::NUMERICAL
+        }
+        (None, Some(stop)) => {
+            let n = run.samples.len();
+            console.always(&format!("{stop} after {n} samples; what ran is written"));
+            exit::STOPPED
+        }
+        (None, None) => exit::DONE,
+    })
+}
+
+fn announce(setup: &ClosedLoopSetup, console: &Console) {
+    let own = &setup.experiment;
+    console.say(&format!(
+        "model {} elements, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; {} sensors",
+        setup.model.n_elements(),
+        setup.plant.n_elements(),
+        (own.duration / own.mpc.period).round().max(1.0),
+        own.mpc.period,
+        own.mpc.horizon,
+        own.mpc.block,
+        setup.resolved.sensor.len(),
+    ));
+}
+
+type Computed = (Recording, Run, Vec<Run>);
+
+/// The loop, and then the others where they are asked for.
+fn computed(
+    arguments: &MpcArguments,
+    scene: &Scene,
+    source: &SceneSource,
+    setup: &ClosedLoopSetup,
+    directory: &RunDirectory,
+    stop: &StopSignal,
+    console: &Console,
+) -> Result<Computed, CliError> {
+    let refused = |error| match scene.mpc_error(source, &error) {
+        Some(error) => CliError::Scene(error),
+        None => CliError::Mpc(error),
+    };
+    let mut recording = Recording::begin(setup, &directory.path().join("trajectory"))?;
+    let mut progress = Progress::new(setup, console);
+    let mut unwritten = None;
+    let run = setup
+        .experiment
+        .run(Contender::Mpc, &mut |sample, closed| {
+            progress.see(sample);
+            if let Err(error) = recording.see(closed) {
+                unwritten = Some(error);
+                return ControlFlow::Break(());
+            }
+            or_stop(stop)
+        })
+        .map_err(refused)?;
+    progress.bar.finish_and_clear();
+    if let Some(error) = unwritten {
+        return Err(error.into());
+    }
+    let mut others = Vec::new();
+    for contender in BASELINES {
+        if !arguments.baselines || stop.is_raised() || run.broke_down.is_some() {
+            break;
+        }
+        console.say(&format!("running {}", label(contender)));
+        let other = setup.experiment.run(contender, &mut |_, _| or_stop(stop));
+        others.push(other.map_err(refused)?);
+    }
+    Ok((recording, run, others))
+}
+
+fn or_stop(stop: &StopSignal) -> ControlFlow<()> {
+    match stop.check() {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(_) => ControlFlow::Break(()),
+    }
+}
+
+/// What becomes of the arm, a row at the beginning and after every sample, and what is sent to it.
+struct Recording {
+    trajectory: RowFiles,
+    controls: Vec<ControlRow>,
+    hold: Hold,
+}
+
+impl Recording {
+    fn begin(setup: &ClosedLoopSetup, folder: &Path) -> Result<Self, OutputError> {
+        let layout = MotionRecord::empty(setup.plant.n_nodes());
+        let mut recording = Self {
+            trajectory: RowFiles::create(folder, &layout.arrays())?,
+            controls: Vec::new(),
+            hold: setup.experiment.discretization.hold,
+        };
+        recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
+        Ok(recording)
+    }
+
+    fn push(
+        &mut self,
+        rod: &Rod,
+        t: f64,
+        state: &State,
+        wrench: &Wrench,
+    ) -> Result<(), OutputError> {
+        let mut row = MotionRecord::empty(rod.n_nodes());
+        let energy = Energy::of(rod, state);
+        let dilatation = rod.dilatation(&state.configuration.positions);
+        row.push_state(t, state, wrench, &energy, &dilatation);
+        self.trajectory.push(&row.arrays())
+    }
+
+    fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
+        let (arm, command) = (closed.arm(), closed.sent());
+        let tip = closed.controller().rod().tip();
+        let acting = (command.nodes.iter().zip(arm.acting()))
+            .find_map(|(node, wrench)| (*node == tip).then_some(*wrench));
+        for (at, &node) in command.nodes.iter().enumerate() {
+            let row = |t_start, t_end, wrench: &Wrench| {
+                let [fx, fy, fz] = wrench.force.into();
+                let [mx, my, mz] = wrench.moment.into();
+                ControlRow {
+                    t_start,
+                    t_end,
+                    fx,
+                    fy,
+                    fz,
+                    mx,
+                    my,
+                    mz,
+                    node,
+                }
+            };
+            let (start, end) = (command.start, command.end);
+            if self.hold == Hold::Constant {
+                self.controls.push(row(start, end, &command.from[at]));
+            } else {
+                self.controls.push(row(start, start, &command.from[at]));
+                self.controls.push(row(end, end, &command.to[at]));
+            }
+        }
+        let state = arm.state();
+        self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
+    }
+}
+
+/// Running figures.
+struct Progress<'a> {
+    console: &'a Console,
+    bar: ProgressBar,
+    length: f64,
+    n_samples: usize,
+    counted_from: f64,
+    squares: f64,
+    n_counted: usize,
+    seconds: Vec<f64>,
+}
+
+impl<'a> Progress<'a> {
+    fn new(setup: &ClosedLoopSetup, console: &'a Console) -> Self {
+        let own = &setup.experiment;
+        let n_samples = (own.duration / own.mpc.period).round().max(1.0) as usize;
+        let bar = console.progress(n_samples as u64);
+        if let Ok(style) =
+            ProgressStyle::with_template("{bar:40} {percent:>3} %  {msg}  {eta} left")
+        {
+            bar.set_style(style);
+        }
+        Self {
+            console,
+            bar,
+            length: own.arm.length,
+            n_samples,
+            counted_from: own.counted_from,
+            squares: 0.0,
+            n_counted: 0,
+            seconds: Vec::new(),
+        }
+    }
+
+    fn see(&mut self, sample: &Sample) {
+        self.seconds.push(sample.sample_s);
+        if sample.t >= self.counted_from && sample.reference.is_some() {
+            self.squares += sample.tip_error().powi(2);
+            self.n_counted += 1;
+        }
+        let n = self.seconds.len();
+        self.bar.inc(1);
+        let every = (self.n_samples / LINES).max(1);
+        if !n.is_multiple_of(every) {
+            return;
+        }
+        let error = if self.n_counted > 0 {
+            let rms = (self.squares / self.n_counted as f64).sqrt();
+            format!(
+                "tip off by {:.3} % of the length (rms)",
+                100.0 * rms / self.length
+            )
+        } else {
+            "no error counted yet".into()
+        };
+        let times = Percentiles::of(self.seconds.iter().copied());
+        let line = format!(
+            "t = {:.3} s: {error}; a sample takes {:.2} ms (p99)",
+            sample.t,
+            1e3 * times.p99
+        );
+        self.bar.set_message(line.clone());
+        self.bar.suspend(|| self.console.say(&line));
+    }
+}
+
+fn write(
+    result: &ResultDirectory,
+    resolved: &str,
+    recording: &mut Recording,
+    samples: &[Sample],
+    summary: &MpcSummary,
+) -> Result<(), OutputError> {
+    let path = |name: &str| result.path().join(name);
+    recording.trajectory.write_npz(&path("trajectory.npz"))?;
+    write_samples(&path("samples.csv"), samples)?;
+    write_controls(&path("controls.csv"), &recording.controls)?;
+    result.write_text("scene.toml", resolved)?;
+    result.write_json("summary.json", summary)
+}
+
+/// Errors that count; not a number where none does.
+fn errors(run: &Run, counted_from: f64) -> TipError {
+    let counts = |sample: &Sample| sample.t >= counted_from && sample.reference.is_some();
+    if run.samples.iter().any(counts) {
+        return run.tip_error;
+    }
+    TipError {
+        last: f64::NAN,
+        rms: f64::NAN,
+        p95: f64::NAN,
+        max: f64::NAN,
+    }
+}
+
+fn over(error: TipError, length: f64) -> TipError {
+    TipError {
+        last: error.last / length,
+        rms: error.rms / length,
+        p95: error.p95 / length,
+        max: error.max / length,
+    }
+}
+
+fn status(run: &Run, n_samples: usize, ended: Option<Stop>) -> &'static str {
+    match ended {
+        _ if run.broke_down.is_some() => "failed",
+        Some(Stop::Interrupted) if run.samples.len() < n_samples => "interrupted",
+        Some(Stop::Deadline) if run.samples.len() < n_samples => "deadline",
+        _ => "completed",
+    }
+}
+
+fn summarize(
+    arguments: &MpcArguments,
+    setup: &ClosedLoopSetup,
+    run: &Run,
+    others: Vec<Run>,
+    ended: Option<Stop>,
+    started: Instant,
+    target: &Path,
+) -> MpcSummary {
+    let own = &setup.experiment;
+    let n_samples = (own.duration / own.mpc.period).round().max(1.0) as usize;
+    let length = own.arm.length;
+    let tally = &run.tally;
+    let tip_error = errors(run, own.counted_from);
+    let why = |run: &Run| run.broke_down.as_ref().map(ToString::to_string);
+    let baselines: BTreeMap<_, _> = others
+        .iter()
+        .map(|run| {
+            let tip_error = errors(run, own.counted_from);
+            let summary = BaselineSummary {
+                status: status(run, n_samples, ended),
+                error: why(run),
+                samples: run.samples.len(),
+                tip_error_m: tip_error,
+                tip_error_over_length: over(tip_error, length),
+            };
+            (run.contender.name(), summary)
+        })
+        .collect();
+    MpcSummary {
+        schema_version: SCHEMA_VERSION,
+        tool: TOOL,
+        command: "mpc",
+        scene: scene_name(&arguments.scene.scene),
+        status: status(run, n_samples, ended),
+        error: why(run),
+        samples: tally.samples,
+        period_s: own.mpc.period,
+        horizon_s: own.mpc.horizon,
+        elements: setup.model.n_elements(),
+        plant_elements: setup.plant.n_elements(),
+        overruns: tally.overruns,
+        sample_s: tally.sample_s,
+        estimate_s: tally.estimate_s,
+        feedback_s: tally.feedback_s,
+        prepare_s: tally.prepare_s,
+        first_sample_s: tally.first_s,
+        real_time_factor: tally.real_time_factor,
+        counted_from_s: own.counted_from,
+        tip_error_m: tip_error,
+        tip_error_over_length: over(tip_error, length),
+        baselines,
+        fallbacks: tally.fallbacks.clone(),
+        bounded: tally.bounded,
+        transfer_error_m: run.transfer_error,
+        seed: (setup.resolved.mpc.as_ref())
+            .and_then(|mpc| mpc.seed)
+            .unwrap_or_default(),
+        wall_s: started.elapsed().as_secs_f64(),
+        directory: target.display().to_string(),
+    }
+}
+
+fn label(contender: Contender) -> &'static str {
+    match contender {
+        Contender::OpenLoop => "open loop",
+        Contender::TipPd => "PD at the tip",
+        Contender::PlantIsModel => "MPC, plant = model",
+        Contender::PlantWaits => "MPC, plant waits",
+        _ => "MPC",
+    }
+}
+
+fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
+    let times = |name: &str, p: &Percentiles| {
+        console.say(&format!(
+            "  {name:9} {:8.3} {:8.3} {:8.3} {:8.3} ms",
+            1e3 * p.p50,
+            1e3 * p.p95,
+            1e3 * p.p99,
+            1e3 * p.max
+        ));
+    };
+    console.say(&format!(
+        "{} samples, {} overruns of {} ms, {:.1} times real time; a sample takes (p50, p95, p99, longest)",
+        summary.samples,
+        summary.overruns,
+        1e3 * summary.period_s,
+        summary.real_time_factor
+    ));
+    times("whole", &summary.sample_s);
+    times("estimate", &summary.estimate_s);
+    times("feedback", &summary.feedback_s);
+    times("prepare", &summary.prepare_s);
+    for (cause, n) in &summary.fallbacks {
+        console.say(&format!(
+            "  {n} samples without a command of their own: {cause}"
+        ));
+    }
+    console.say(&format!(
+        "distance of the tip from its reference, from {} s on, in % of the length",
+        summary.counted_from_s
+    ));
+    console.say("                          rms      95 %   largest      last");
+    let line = |name: &str, error: &TipError, status: &str| {
+        let percent = [error.rms, error.p95, error.max, error.last].map(|e| {
+            if e.is_finite() {
+                format!("{:9.4}", 100.0 * e)
+            } else {
+                format!("{:>9}", "-")
+            }
+        });
+        let ending = if status == "completed" { "" } else { status };
+        console.say(&format!("  {name:18} {} {ending}", percent.join(" ")));
+    };
+    for contender in BASELINES {
+        if let Some(found) = summary.baselines.get(contender.name()) {
+            line(label(contender), &found.tip_error_over_length, found.status);
+        }
+    }
+    line(
+        label(Contender::Mpc),
+        &summary.tip_error_over_length,
+        summary.status,
+    );
+    let needed = setup.experiment.mpc.period;
+    if summary.sample_s.p99 > needed {
+        console.warn(&format!(
+            "one sample in a hundred takes more than the period, {} ms here: fewer elements, a shorter mpc.horizon_s, longer blocks, or a \
+             longer mpc.period_s",
+            1e3 * needed
+        ));
+    }
+    console.say(&format!("results: {}", summary.directory));
+}

@@ -1,0 +1,249 @@
+//! The files of a closed loop: its summary, and a row a sample.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Write as _};
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::OutputError;
+use crate::mpc::{Disturbance, Percentiles, Sample, TipError};
+
+/// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
+#[derive(Clone, Debug, Serialize)]
+pub struct MpcSummary {
+    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+    pub schema_version: u32,
+    /// [`TOOL`](super::summary::TOOL)
+    pub tool: &'static str,
+    /// `mpc`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// `completed`, `interrupted`, `deadline` or `failed`.
+    pub status: &'static str,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// Samples that ran.
+    pub samples: usize,
+    /// Time between two samples, s.
+    pub period_s: f64,
+    /// Length of the horizon, s.
+    pub horizon_s: f64,
+    /// Elements of the controller's model.
+    pub elements: usize,
+    /// Elements of the arm as it is.
+    pub plant_elements: usize,
+    /// Samples that took longer than the period.
+    pub overruns: usize,
+    /// Seconds of a whole sample.
+    pub sample_s: Percentiles,
+    /// Seconds of estimation and prediction.
+    pub estimate_s: Percentiles,
+    /// Seconds of the feedback.
+    pub feedback_s: Percentiles,
+    /// Seconds of the preparation of the next sample.
+    pub prepare_s: Percentiles,
+    /// Seconds of the first sample.
+    pub first_sample_s: f64,
+    /// Simulated seconds over seconds of samples.
+    pub real_time_factor: f64,
+    /// From when on errors count, s.
+    pub counted_from_s: f64,
+    /// Distance of the tip from its reference, m.
+    pub tip_error_m: TipError,
+    /// The same over the length of the arm.
+    pub tip_error_over_length: TipError,
+    /// Other laws, and this one with parts taken away that may be wrong; empty without `--baselines`.
+    pub baselines: BTreeMap<&'static str, BaselineSummary>,
+    /// Samples without a command of their own, by the cause.
+    pub fallbacks: BTreeMap<String, usize>,
+    /// Samples with active bounds.
+    pub bounded: usize,
+    /// How far the model's nodes were from describing the arm's shape at the end, m.
+    pub transfer_error_m: f64,
+    /// Seed of the noise.
+    pub seed: u32,
+    /// Time of the whole command, s.
+    pub wall_s: f64,
+    /// Where the result is.
+    pub directory: String,
+}
+
+/// What another law did on the same arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct BaselineSummary {
+    /// As of the summary.
+    pub status: &'static str,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// Samples that ran.
+    pub samples: usize,
+    /// Distance of the tip from its reference, m.
+    pub tip_error_m: TipError,
+    /// The same over the length of the arm.
+    pub tip_error_over_length: TipError,
+}
+
+/// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
+const COLUMNS: [&str; 51] = [
+    "t",
+    "acts_from",
+    "age",
+    "tip_x",
+    "tip_y",
+    "tip_z",
+    "reference_x",
+    "reference_y",
+    "reference_z",
+    "error",
+    "innovation_n",
+    "innovation_rms",
+    "innovation_normalized",
+    "innovation_distance",
+    "predicted_cost",
+    "subproblem_iterations",
+    "subproblem_converged",
+    "fx",
+    "fy",
+    "fz",
+    "mx",
+    "my",
+    "mz",
+    "cause",
+    "action",
+    "estimated_tip_fx",
+    "estimated_tip_fy",
+    "estimated_tip_fz",
+    "estimated_tip_mx",
+    "estimated_tip_my",
+    "estimated_tip_mz",
+    "estimated_distributed_x",
+    "estimated_distributed_y",
+    "estimated_distributed_z",
+    "estimated_stiffness",
+    "deviation_tip_fx",
+    "deviation_tip_fy",
+    "deviation_tip_fz",
+    "deviation_tip_mx",
+    "deviation_tip_my",
+    "deviation_tip_mz",
+    "deviation_distributed_x",
+    "deviation_distributed_y",
+    "deviation_distributed_z",
+    "deviation_stiffness",
+    "estimate_ms",
+    "predict_ms",
+    "feedback_ms",
+    "prepare_ms",
+    "sample_ms",
+    "overrun",
+];
+
+/// Columns from which on two runs of one scene differ: times of this machine.
+pub const FIRST_TIMED_COLUMN: &str = "estimate_ms";
+
+/// Writes one row a sample, with a header; every number in the shortest form that reads back as the same `f64`, what there is not as
+/// nothing.
+///
+/// # Errors
+/// [`OutputError::Unwritten`].
+pub fn write_samples(path: &Path, samples: &[Sample]) -> Result<(), OutputError> {
+    let unwritten = || OutputError::unwritten(path, "cannot write");
+    let file = File::create(path).map_err(unwritten())?;
+    let mut writer = csv::Writer::from_writer(file);
+    let written = writer
+        .write_record(COLUMNS)
+        .and_then(|()| (samples.iter()).try_for_each(|sample| writer.write_record(row(sample))));
+    written.map_err(|error| unwritten()(io::Error::other(error)))?;
+    writer
+        .into_inner()
+        .map_err(csv::IntoInnerError::into_error)
+        .and_then(|mut file| file.flush())
+        .map_err(unwritten())
+}
+
+/// What stands under [`COLUMNS`].
+fn row(sample: &Sample) -> Vec<String> {
+    let mut row = Row(Vec::with_capacity(COLUMNS.len()));
+    row.numbers(&[sample.t, sample.acts_from, sample.age]);
+    row.numbers(&sample.tip);
+    match &sample.reference {
+        Some(reference) => {
+            row.numbers(reference);
+            row.numbers(&[sample.tip_error()]);
+        }
+        None => row.nothing(4),
+    }
+    match &sample.innovation {
+        Some(innovation) => {
+            row.0.push(innovation.n.to_string());
+            row.numbers(&[innovation.rms]);
+            row.optional(innovation.normalized);
+            row.optional(innovation.distance);
+        }
+        None => row.nothing(4),
+    }
+    row.numbers(&[sample.predicted_cost]);
+    row.0.push(sample.subproblem.iterations.to_string());
+    row.0.push(sample.subproblem.converged.to_string());
+    row.numbers(sample.wrench.force.as_slice());
+    row.numbers(sample.wrench.moment.as_slice());
+    match &sample.fallback {
+        Some((cause, action)) => row.0.extend([cause.to_string(), action.to_string()]),
+        None => row.nothing(2),
+    }
+    row.disturbance(&sample.disturbance);
+    row.disturbance(&sample.deviation);
+    let seconds = [
+        sample.estimate_s,
+        sample.predict_s,
+        sample.feedback_s,
+        sample.prepare_s,
+        sample.sample_s,
+    ];
+    row.numbers(&seconds.map(|s| 1e3 * s));
+    row.0.push(sample.is_overrun.to_string());
+    row.0
+}
+
+struct Row(Vec<String>);
+
+impl Row {
+    fn numbers(&mut self, numbers: &[f64]) {
+        self.0
+            .extend(numbers.iter().map(|number| format!("{number:?}")));
+    }
+
+    fn optional(&mut self, number: Option<f64>) {
+        match number {
+            Some(number) => self.numbers(&[number]),
+            None => self.nothing(1),
+        }
+    }
+
+    fn nothing(&mut self, n: usize) {
+        self.0.extend(std::iter::repeat_n(String::new(), n));
+    }
+
+    fn disturbance(&mut self, disturbance: &Disturbance) {
+        self.numbers(disturbance.tip.force.as_slice());
+        self.numbers(disturbance.tip.moment.as_slice());
+        self.numbers(disturbance.distributed.as_slice());
+        self.numbers(&[disturbance.stiffness]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No column has the name of another, and there are some that are timed.
+    #[test]
+    fn columns_have_names_of_their_own() {
+        let names: std::collections::BTreeSet<_> = COLUMNS.into_iter().collect();
+        assert_eq!(names.len(), COLUMNS.len());
+        assert!(names.contains(FIRST_TIMED_COLUMN));
+    }
+}

@@ -1,0 +1,189 @@
+//! Ranges and relations of the keys of a closed loop, and of circles.
+
+use super::check::{LARGEST_COUNT, MOST_ELEMENTS};
+use super::keys::{Checked, Keys};
+use super::model::{
+    Circle, Computing, Estimator, EstimatorKind, Mpc, Plant, Scene, Sensor, Track, Unknown,
+};
+use super::values::{Number, digits};
+
+impl Keys<'_> {
+    pub(super) fn check_closed_loop(&self, scene: &Scene) -> Checked {
+        if let Some(mpc) = &scene.mpc {
+            self.check_mpc(mpc, scene)?;
+        }
+        if let Some(plant) = &scene.plant {
+            self.check_plant(plant, scene)?;
+        }
+        for (index, sensor) in scene.sensor.iter().enumerate() {
+            self.check_sensor(sensor, index)?;
+        }
+        match (&scene.estimator, scene.sensor.is_empty()) {
+            (None, false) => {
+                let relation = "goes with sensor; kind = \"kalman\", \"observer\" or \"none\"";
+                return Err(self.missing("estimator", relation));
+            }
+            (Some(estimator), no_sensor) => self.check_estimator(estimator, no_sensor)?,
+            (None, true) => {}
+        }
+        for (index, load) in scene.disturbance.iter().enumerate() {
+            self.check_load("disturbance", load, index, scene.rod.elements)?;
+        }
+        Ok(())
+    }
+
+    fn check_mpc(&self, mpc: &Mpc, scene: &Scene) -> Checked {
+        self.count("mpc.iterations", mpc.iterations, LARGEST_COUNT)?;
+        let period = mpc.period_s.get();
+        if let Some(horizon) = mpc.horizon_s.map(Number::get)
+            && horizon < period
+        {
+            let message = format!("{} s is below the period", digits(horizon));
+            return Err(self
+                .source
+                .error_at("mpc.horizon_s", message, None)
+                .expecting(format!(
+                    "expected at least mpc.period_s, {}",
+                    digits(period)
+                )));
+        }
+        if mpc.computing_s.is_some() && mpc.computing != Computing::Fixed {
+            let message = "only a fixed time of computing is given";
+            let help = "set mpc.computing = \"fixed\", or leave computing_s out".to_string();
+            return Err(self.source.error_at("mpc.computing_s", message, Some(help)));
+        }
+        let duration = mpc.duration_s.map_or(scene.time.end_s.get(), Number::get);
+        if !(duration > 0.0) {
+            let message = "a loop cannot run for no time";
+            let error = self.source.error_at("time.end_s", message, None);
+            return Err(error.expecting("expected a positive duration, or mpc.duration_s"));
+        }
+        if duration / period > LARGEST_COUNT as f64 {
+            let message = format!("makes {} samples", digits((duration / period).ceil()));
+            return Err(self
+                .source
+                .error_at("mpc.period_s", message, None)
+                .expecting(format!("expected at most {LARGEST_COUNT} samples")));
+        }
+        Ok(())
+    }
+
+    fn check_plant(&self, plant: &Plant, scene: &Scene) -> Checked {
+        if let Some(elements) = plant.elements {
+            self.count("plant.elements", elements, MOST_ELEMENTS)?;
+        }
+        if let Some(curvature) = &plant.curvature_1_m {
+            self.finite("plant.curvature_1_m", curvature)?;
+        }
+        if let Some(section) = &plant.section {
+            if scene.rod.section.is_none() {
+                return Err(self.contradiction("plant.section", "rod.stiffness"));
+            }
+            self.check_section("plant.section", section)?;
+        }
+        Ok(())
+    }
+
+    fn check_sensor(&self, sensor: &Sensor, index: usize) -> Checked {
+        let key = |name: &str| format!("sensor.{index}.{name}");
+        for (at, place) in sensor.places.iter().flatten().enumerate() {
+            if !(0.0..=1.0).contains(place) {
+                let key = key(&format!("places.{at}"));
+                return Err(self.out_of_range(&key, *place, "fraction from 0 to 1", ""));
+            }
+        }
+        let at_places = [
+            sensor.position_sigma_m,
+            sensor.rotation_sigma_rad,
+            sensor.velocity_sigma_m_s,
+            sensor.angular_velocity_sigma_rad_s,
+            sensor.curvature_sigma_1_m,
+        ];
+        let at_base = [sensor.base_force_sigma_n, sensor.base_moment_sigma_n_m];
+        if sensor.preset.is_some() {
+            return match &sensor.places {
+                Some(places) if places.is_empty() => {
+                    Err(self.missing(&key("places.0"), "a sensor is somewhere"))
+                }
+                _ => Ok(()),
+            };
+        }
+        let is_somewhere = sensor
+            .places
+            .as_ref()
+            .is_some_and(|places| !places.is_empty());
+        match (at_places.iter().any(Option::is_some), is_somewhere) {
+            (true, false) => Err(self.missing(&key("places"), "as fractions of the arm's length")),
+            (false, true) => Err(self.missing(
+                &key("position_sigma_m"),
+                "or another standard deviation of what is measured at the places",
+            )),
+            (false, false) if !at_base.iter().any(Option::is_some) => Err(self.missing(
+                &key("preset"),
+                "or else give places and standard deviations",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn check_estimator(&self, estimator: &Estimator, no_sensor: bool) -> Checked {
+        if estimator.kind != EstimatorKind::None && no_sensor {
+            return Err(self.missing("sensor", "an estimator needs one; preset = \"mocap\""));
+        }
+        let named = &estimator.disturbances;
+        for (index, one) in named.iter().enumerate() {
+            if named[..index].contains(one) {
+                let key = format!("estimator.disturbances.{index}");
+                return Err(self.source.error_at(&key, "is named twice", None));
+            }
+        }
+        let wrench = [Unknown::TipForce, Unknown::TipMoment];
+        let is_known = match estimator.kind {
+            EstimatorKind::Kalman => true,
+            EstimatorKind::None => named.is_empty(),
+            EstimatorKind::Observer => {
+                named.is_empty()
+                    || named.len() == wrench.len() && named.iter().all(|one| wrench.contains(one))
+            }
+        };
+        if !is_known {
+            let message = match estimator.kind {
+                EstimatorKind::None => "without an estimator nothing is estimated",
+                _ => "an observer estimates both \"tip_force\" and \"tip_moment\", or nothing",
+            };
+            let help = "give estimator.kind = \"kalman\" for a choice of all four".to_string();
+            let key = "estimator.disturbances";
+            return Err(self.source.error_at(key, message, Some(help)));
+        }
+        Ok(())
+    }
+
+    /// Exactly one of a table of points and a circle; `key` makes a key of the section's.
+    pub(super) fn check_path(&self, key: &dyn Fn(&str) -> String, track: &Track) -> Checked {
+        let Some(circle) = &track.circle else {
+            if track.path_m.is_empty() {
+                let relation = "rows [t, x, y, z], or else give circle";
+                return Err(self.missing(&key("path_m"), relation));
+            }
+            return self.table(&key("path_m"), &track.path_m, "a circle");
+        };
+        if !track.path_m.is_empty() {
+            return Err(self.contradiction(&key("circle"), &key("path_m")));
+        }
+        let key = |name: &str| key(&format!("circle.{name}"));
+        let Circle {
+            center_m,
+            normal,
+            from_m,
+            ramp_s,
+            ..
+        } = circle;
+        self.finite(&key("center_m"), center_m)?;
+        self.nonzero(&key("normal"), normal)?;
+        match from_m {
+            Some(from) => self.finite(&key("from_m"), from),
+            None if ramp_s.is_some() => Err(self.missing(&key("from_m"), "goes with ramp_s")),
+            None => Ok(()),
+        }
+    }
+}

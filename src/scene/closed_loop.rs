@@ -1,0 +1,462 @@
+//! From a checked scene to a closed loop: controller, plant, sensors, estimator.
+
+use std::f64::consts::TAU;
+
+use super::error::SceneError;
+use super::model::{
+    self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
+    TimeStep, Unknown,
+};
+use super::section::circular;
+use super::source::SceneSource;
+use super::translate::load_profile;
+use super::values::{Number, known};
+use crate::mechanics::vibration::SmallMotions;
+use crate::mechanics::{NodeInertia, Rod, SectionProfile, State};
+use crate::mpc::{
+    ActuatorDynamics, Computing, EstimatorChoice, Experiment, FallbackSettings, LoopSettings,
+    MpcError, MpcSettings, Sensing, Sensor, SensorChoice, SensorSettings, Unknowns,
+};
+use crate::stop::StopSignal;
+use crate::task::{Arm, Discretization, PointLoad};
+
+/// A closed loop that a scene describes.
+#[derive(Clone, Debug)]
+pub struct ClosedLoopSetup {
+    /// The loop.
+    pub experiment: Experiment,
+    /// Rod of the controller's model.
+    pub model: Rod,
+    /// Rod of the arm as it is.
+    pub plant: Rod,
+    /// State of the arm as it is at time 0.
+    pub initial: State,
+    /// The scene with every default and derived value written out.
+    pub resolved: Scene,
+    /// Keys that play no part.
+    pub warnings: Vec<String>,
+}
+
+/// A horizon is this part of the first natural period, and at least so many samples.
+const PART_OF_PERIOD: f64 = 0.5;
+const FEWEST_SAMPLES: f64 = 10.0;
+const BLOCKS: f64 = 10.0;
+
+impl Scene {
+    /// The closed loop that the scene describes; `seed` is that of the noise where the scene has none, and `stop` ends the search for an
+    /// initial state.
+    ///
+    /// # Errors
+    /// [`SceneError`] where `[mpc]`, `[control]` or what there is to do is missing, for what a controller does not know (obstacles, limits,
+    /// points on the way, a free duration, energy, cubic blocks), and as [`Self::optimal_control`].
+    pub fn closed_loop(
+        &self,
+        source: &SceneSource,
+        seed: u32,
+        stop: &StopSignal,
+    ) -> Result<ClosedLoopSetup, SceneError> {
+        let Some(mpc) = &self.mpc else {
+            let help =
+                "softarm mpc needs it, be it empty; `softarm example mpc-track-circle` shows one";
+            return Err(source.error_at("mpc", "[mpc] is missing", Some(help.into())));
+        };
+        self.refuse_unknown_parts(source)?;
+        let arm = self.arm(source)?;
+        let duration = mpc.duration_s.map_or(self.time.end_s.get(), Number::get);
+        let period = mpc.period_s.get();
+        let refused = |error| self.discretize_error(source, error);
+
+        let asked = self.discretization();
+        let rod = arm.rod(&asked).map_err(|error| refused(error.into()))?;
+        let horizon = match mpc.horizon_s {
+            Some(horizon) => horizon.get(),
+            None => {
+                let start = (self.start().state(&rod, stop)).map_err(|e| refused(e.into()))?;
+                default_horizon(&rod, &start, period)
+            }
+        };
+        let mut task = self.posed_task_until(source, duration + horizon)?;
+        task.horizon = horizon;
+        let settings = MpcSettings {
+            period,
+            horizon,
+            due: mpc.due_s.map(Number::get),
+            block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
+            jump: mpc.jump.get(),
+            target_weight: mpc.target_weight.get(),
+            iterations: mpc.iterations,
+            ..MpcSettings::receding(horizon)
+        };
+        let blocks = (horizon / settings.block).round().max(1.0) as usize;
+        let posed = task
+            .discretize_until(&arm, &Discretization { blocks, ..asked }, stop)
+            .map_err(refused)?;
+        let discretization = Discretization {
+            step: asked.step,
+            ..posed.discretization
+        };
+        let model = posed.discrete.rod;
+
+        let (plant, plant_discretization) = self.plant(&arm, &discretization);
+        let found = task
+            .discretize_until(&plant, &plant_discretization, stop)
+            .map_err(|error| {
+                let help =
+                    "the arm as it is has the keys of [rod], and in their place those of [plant]";
+                source.error_at("plant", error.to_string(), Some(help.into()))
+            })?
+            .discrete;
+
+        let seed = mpc.seed.unwrap_or(seed);
+        let sensors = self.sensors(source, &model, &found.rod)?;
+        let actuators = self.actuators();
+        let loop_settings = loop_settings(mpc, actuators.delay);
+        let counted_from = mpc.counted_from_s.map_or(period, Number::get);
+
+        let mut resolved = self.resolved(&discretization);
+        resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
+        let mut objective = self.objective.clone().unwrap_or_default();
+        for (track, discrete) in
+            (objective.track.iter_mut()).zip(&posed.discrete.objective.tracking)
+        {
+            track.weight = Some(known(discrete.weight));
+        }
+        let tip = posed.discrete.actuators.first();
+        objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
+        objective.moment_scale_n_m = tip.map(|tip| known(tip.moment.scale));
+        resolved.objective = Some(objective);
+        resolved.mpc = Some(Mpc {
+            horizon_s: Some(known(horizon)),
+            block_s: Some(known(settings.block)),
+            duration_s: Some(known(duration)),
+            counted_from_s: Some(known(counted_from)),
+            computing_s: match loop_settings.computing {
+                Computing::Fixed(seconds) => Some(known(seconds)),
+                Computing::Instant | Computing::Measured => None,
+            },
+            actuator_delay_s: Some(known(loop_settings.actuator_delay)),
+            seed: Some(seed),
+            ..mpc.clone()
+        });
+        resolved.plant = Some(Plant {
+            elements: Some(plant_discretization.elements),
+            viscous_1_s: Some(known(plant.viscous_damping)),
+            internal_s: Some(known(plant.internal_damping)),
+            curvature_1_m: Some(plant.rest_curvature.into()),
+            ..self.plant.clone().unwrap_or_default()
+        });
+        resolved.sensor = sensors.iter().map(written).collect();
+
+        // The controller's problem and the one here have the same weights.
+        for (track, discrete) in
+            (task.cost.tracks.iter_mut()).zip(&posed.discrete.objective.tracking)
+        {
+            track.weight = Some(discrete.weight);
+        }
+        task.cost.force_scale = tip.map(|tip| tip.force.scale);
+        task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
+        let sensing = self.sensing(&sensors, seed);
+        Ok(ClosedLoopSetup {
+            experiment: Experiment {
+                plant,
+                plant_discretization,
+                actuators,
+                sensing,
+                settings: loop_settings,
+                duration,
+                counted_from,
+                ..Experiment::new(arm, task, discretization, settings)
+            },
+            model,
+            plant: found.rod,
+            initial: found.initial,
+            resolved,
+            warnings: self.idle_keys(),
+        })
+    }
+
+    /// What a closed loop refuses, by the key of the scene that says it; `None` for what happens within a run.
+    #[must_use]
+    pub fn mpc_error(&self, source: &SceneSource, error: &MpcError) -> Option<SceneError> {
+        let message = error.to_string();
+        match error {
+            MpcError::Discretize(error) => Some(self.discretize_error(source, error.clone())),
+            MpcError::Hold => Some(source.error_at("control.hold", message, None)),
+            MpcError::Unsupported(_) => Some(source.error_at("mpc", message, None)),
+            MpcError::Setting { name, .. } => {
+                let key = match *name {
+                    "period" => "mpc.period_s",
+                    "horizon" => "mpc.horizon_s",
+                    "block" => "mpc.block_s",
+                    "due" => "mpc.due_s",
+                    _ => "mpc",
+                };
+                Some(source.error_at(key, message, None))
+            }
+            MpcError::Measurement { .. } | MpcError::Rollout(_) | MpcError::Subproblem => None,
+        }
+    }
+
+    /// What no controller knows.
+    fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
+        let task = self.task.as_ref();
+        let energy = (self.objective.as_ref()).is_some_and(|o| o.energy.get() > 0.0);
+        let cubic = (self.control.as_ref())
+            .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
+        let refusals = [
+            (
+                "obstacle",
+                !self.obstacle.is_empty(),
+                "a closed loop knows no obstacles",
+                "leave them out",
+            ),
+            (
+                "limit",
+                !self.limit.is_empty(),
+                "a closed loop knows no limits but those of [control]",
+                "leave them out",
+            ),
+            (
+                "task.via",
+                task.is_some_and(|task| !task.via.is_empty()),
+                "a moving horizon has no points on the way",
+                "give an [[objective.track]] through them",
+            ),
+            (
+                "task.free_duration",
+                task.is_some_and(|task| task.free_duration.is_some()),
+                "a moving horizon has no free duration",
+                "leave it out; mpc.due_s says when the task is due",
+            ),
+            (
+                "objective.energy",
+                energy,
+                "a closed loop does not weigh elastic energy",
+                "set it to 0",
+            ),
+            (
+                "control.hold",
+                cubic,
+                "a moving horizon has no cubic blocks",
+                "give \"linear\" or \"constant\"",
+            ),
+        ];
+        match refusals.into_iter().find(|(_, is_there, _, _)| *is_there) {
+            Some((key, _, message, help)) => Err(source.error_at(key, message, Some(help.into()))),
+            None => Ok(()),
+        }
+    }
+
+    fn idle_keys(&self) -> Vec<String> {
+        let mut out = Vec::new();
+        let kind = self.estimator.as_ref().map(|estimator| estimator.kind);
+        if kind == Some(EstimatorKind::None) && !self.sensor.is_empty() {
+            out.push(
+                "estimator.kind is \"none\": the true state is known, and [[sensor]] plays no part"
+                    .into(),
+            );
+        }
+        if self.task.as_ref().is_some_and(|task| task.at_s.is_some()) {
+            out.push(
+                "task.at_s plays no part in a closed loop; mpc.due_s says when the task is due"
+                    .into(),
+            );
+        }
+        out
+    }
+
+    /// The arm as it is.
+    fn plant(&self, arm: &Arm, discretization: &Discretization) -> (Arm, Discretization) {
+        let keys = self.plant.clone().unwrap_or_default();
+        let mut plant = arm.clone();
+        let [stiffness, density] = [keys.stiffness_factor.get(), keys.density_factor.get()];
+        if let Some(radii) = keys.section.as_ref().and_then(model::Section::radii) {
+            plant.radii = Some(radii);
+            if let Some(material) = self.material() {
+                plant.section = circular(material, radii);
+            }
+        }
+        match &mut plant.section {
+            SectionProfile::Uniform(section) => {
+                section.linear_stiffness *= stiffness;
+                section.angular_stiffness *= stiffness;
+                section.mass *= density;
+                section.rotary *= density;
+            }
+            SectionProfile::TaperedCircle { material, .. } => {
+                material.youngs_modulus *= stiffness;
+                material.shear_modulus *= stiffness;
+                material.density *= density;
+            }
+        }
+        if let Some(rate) = keys.viscous_1_s {
+            plant.viscous_damping = rate.get();
+        }
+        if let Some(time) = keys.internal_s {
+            plant.internal_damping = time.get();
+        }
+        if let Some(curvature) = keys.curvature_1_m {
+            plant.rest_curvature = curvature.into();
+        }
+        if let Some(payload) = &keys.payload {
+            plant.payload = Some(NodeInertia {
+                mass: payload.mass_kg.get(),
+                rotary: payload.inertia_kg_m2.map(Number::get).into(),
+            });
+        }
+        let elements = self.rod.elements;
+        plant
+            .loads
+            .extend(self.disturbance.iter().map(|load| PointLoad {
+                at: load.node.place(elements),
+                force: load.force_n.into(),
+                moment: load.moment_n_m.into(),
+                frame: load.frame,
+                profile: load_profile(&load.profile),
+            }));
+        let own = Discretization {
+            elements: keys.elements.unwrap_or(elements),
+            step: None,
+            ..*discretization
+        };
+        (plant, own)
+    }
+
+    fn actuators(&self) -> ActuatorDynamics {
+        let keys = self
+            .plant
+            .as_ref()
+            .and_then(|plant| plant.actuator.as_ref());
+        let Some(keys) = keys else {
+            return ActuatorDynamics::default();
+        };
+        ActuatorDynamics {
+            delay: keys.delay_s.get(),
+            lag: keys.lag_s.get(),
+            force_max: keys.force_max_n.map_or(f64::INFINITY, Number::get),
+            moment_max: keys.moment_max_n_m.map_or(f64::INFINITY, Number::get),
+            force_rate_max: keys.force_rate_max_n_s.map_or(f64::INFINITY, Number::get),
+            moment_rate_max: keys
+                .moment_rate_max_n_m_s
+                .map_or(f64::INFINITY, Number::get),
+        }
+    }
+
+    /// Settings of the sensors on this model, which can be made on this plant.
+    fn sensors(
+        &self,
+        source: &SceneSource,
+        model: &Rod,
+        plant: &Rod,
+    ) -> Result<Vec<SensorSettings>, SceneError> {
+        let mut out = Vec::with_capacity(self.sensor.len());
+        for (index, keys) in self.sensor.iter().enumerate() {
+            let settings = settings(keys, model);
+            Sensor::new(&settings, plant).map_err(|error| {
+                source.error_at(&format!("sensor.{index}"), error.to_string(), None)
+            })?;
+            out.push(settings);
+        }
+        Ok(out)
+    }
+
+    fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
+        let Some(keys) = &self.estimator else {
+            return Sensing::Everything;
+        };
+        let has = |unknown| keys.disturbances.contains(&unknown);
+        let estimator = match keys.kind {
+            EstimatorKind::None => return Sensing::Everything,
+            EstimatorKind::Observer => EstimatorChoice::Observer {
+                estimates_wrench: has(Unknown::TipForce),
+            },
+            EstimatorKind::Kalman => EstimatorChoice::Kalman(Unknowns {
+                tip_force: has(Unknown::TipForce),
+                tip_moment: has(Unknown::TipMoment),
+                distributed: has(Unknown::Distributed),
+                stiffness: has(Unknown::Stiffness),
+            }),
+        };
+        Sensing::Estimated {
+            sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
+            estimator,
+            seed: seed.into(),
+        }
+    }
+}
+
+/// Half of the first natural period about the start, s, and at least ten samples; a whole number of samples.
+fn default_horizon(rod: &Rod, start: &State, period: f64) -> f64 {
+    let frequency = SmallMotions::about(rod, &start.configuration, 0.0).first_frequency();
+    let natural = frequency.map_or(rod.scales.time, |omega| TAU / omega);
+    (PART_OF_PERIOD * natural / period)
+        .round()
+        .max(FEWEST_SAMPLES)
+        * period
+}
+
+fn loop_settings(mpc: &Mpc, actuator_delay: f64) -> LoopSettings {
+    let fallback = mpc.fallback.clone().unwrap_or_default();
+    LoopSettings {
+        computing: match mpc.computing {
+            ComputingKey::None => Computing::Instant,
+            ComputingKey::Fixed => {
+                Computing::Fixed(mpc.computing_s.map_or(mpc.period_s.get(), Number::get))
+            }
+            ComputingKey::Measured => Computing::Measured,
+        },
+        predicts: mpc.predict,
+        compensates: mpc.compensate,
+        actuator_delay: mpc.actuator_delay_s.map_or(actuator_delay, Number::get),
+        fallback: FallbackSettings {
+            patience: fallback.patience_s.get(),
+            plan_samples: fallback.plan_samples,
+            damping_samples: fallback.damping_samples,
+            ramp: fallback.ramp_s.get(),
+            damping: fallback.damping.get(),
+        },
+        ..LoopSettings::default()
+    }
+}
+
+/// What a sensor measures of an arm with this model: its own numbers, and for the others those of its preset.
+fn settings(keys: &SensorKeys, model: &Rod) -> SensorSettings {
+    let mut out = keys
+        .preset
+        .map_or_else(SensorSettings::nothing, |preset| preset.settings(model));
+    let numbers = [
+        (&mut out.position, keys.position_sigma_m),
+        (&mut out.rotation, keys.rotation_sigma_rad),
+        (&mut out.velocity, keys.velocity_sigma_m_s),
+        (&mut out.angular_velocity, keys.angular_velocity_sigma_rad_s),
+        (&mut out.curvature, keys.curvature_sigma_1_m),
+        (&mut out.base_force, keys.base_force_sigma_n),
+        (&mut out.base_moment, keys.base_moment_sigma_n_m),
+    ];
+    for (own, key) in numbers {
+        *own = key.map(Number::get).or(*own);
+    }
+    if let Some(places) = &keys.places {
+        out.places.clone_from(places);
+    }
+    out.rate_hz = keys.rate_hz.map_or(out.rate_hz, Number::get);
+    out.age_s = keys.age_s.map_or(out.age_s, Number::get);
+    out
+}
+
+/// The keys of a sensor, all of them.
+fn written(settings: &SensorSettings) -> SensorKeys {
+    SensorKeys {
+        preset: None,
+        places: (!settings.places.is_empty()).then(|| settings.places.clone()),
+        position_sigma_m: settings.position.map(known),
+        rotation_sigma_rad: settings.rotation.map(known),
+        velocity_sigma_m_s: settings.velocity.map(known),
+        angular_velocity_sigma_rad_s: settings.angular_velocity.map(known),
+        curvature_sigma_1_m: settings.curvature.map(known),
+        base_force_sigma_n: settings.base_force.map(known),
+        base_moment_sigma_n_m: settings.base_moment.map(known),
+        rate_hz: Some(known(settings.rate_hz)),
+        age_s: Some(known(settings.age_s)),
+    }
+}
