@@ -28,26 +28,20 @@ fn circle(t: f64) -> Vector3<f64> {
 /// The tip follows a circle; a model of six elements and an arm of twelve.
 fn scene() -> Experiment {
     let mut task = tracking::task(FORCE);
-    let env = |n: &str, d: f64| {
-        std::env::var(n)
-            .ok()
-            .and_then(|v| v.parse().ok())
-            .unwrap_or(d)
-    };
-    task.cost.effort = env("EFFORT", 1.0);
-    task.cost.rate = env("RATE", 0.1);
-    task.actuators[0].force = softarm::task::ChannelLimits::at_most(env("FMAX", 5.0));
+    task.cost.effort = 1.0;
+    task.cost.rate = 0.1;
+    task.actuators[0].force = softarm::task::ChannelLimits::at_most(5.0);
     task.actuators[0].moment.bound = Some(softarm::control::Bound::PerAxis(
-        Vector3::new(1.0, 1.0, 0.0) * env("MMAX", 2.0),
+        Vector3::new(1.0, 1.0, 0.0) * 2.0,
     ));
     let track = &mut task.cost.tracks[0];
-    track.weight = Some(env("WEIGHT", 3e4));
+    track.weight = Some(3e4);
     track.path = (0..=1000)
         .map(|i| 0.01 * f64::from(i))
         .map(|t| (t, circle(t)))
         .collect();
     let settings = MpcSettings {
-        jump: env("JUMP", 100.0),
+        jump: 100.0,
         ..MpcSettings::receding(0.5)
     };
     let arm = tracking::arm(1e6);
@@ -102,7 +96,8 @@ fn disturbances_are_estimated() {
     );
 }
 
-/// A delay of two periods costs little where it is predicted over and much where it is not; both loops are the same otherwise.
+/// A delay of four periods costs less than half as much again where it is predicted over, and several times as much where it is not; both
+/// loops are the same otherwise.
 #[test]
 fn delays_are_predicted() {
     let late = |periods: f64, predicts: bool| {
@@ -116,9 +111,9 @@ fn delays_are_predicted() {
     };
     let (none, predicted, blind) = (late(0.0, true), late(4.0, true), late(4.0, false));
     println!("{none} {predicted} {blind}");
-    assert!(predicted < 1.3 * none, "{none} {predicted}");
+    assert!(predicted < 1.5 * none, "{none} {predicted}");
     // A loop that breaks down says NaN or a large number.
-    assert!(!(blind <= 2.0 * predicted), "{predicted} {blind}");
+    assert!(!(blind <= 5.0 * predicted), "{predicted} {blind}");
 }
 
 /// A loop with an actuator's delay that it knows of is the loop with as much delay of computing: commands act at the same instants.
@@ -263,19 +258,9 @@ fn loops_survive_their_sensors() {
             found.insert((cause, format!("{action}")));
         }
     }
-    println!("{found:?}");
     assert!(found.contains(&(Cause::NoMeasurement, Action::Plan.to_string())));
     assert!(found.contains(&(Cause::NoMeasurement, Action::Ramp.to_string())));
     assert!(found.contains(&(Cause::BadMeasurement, Action::Plan.to_string())));
-    for sample in samples.iter().step_by(25) {
-        println!(
-            "{:.2} {:.4} {:?} {:.3}",
-            sample.t,
-            sample.tip_error(),
-            sample.fallback,
-            sample.disturbance.stiffness
-        );
-    }
     let quiet = samples.iter().filter(|sample| sample.t > 6.0);
     let worst = quiet.fold(0.0f64, |worst, sample| worst.max(sample.tip_error()));
     assert!(worst < 0.03, "{worst}");
