@@ -630,17 +630,6 @@ error: solver.hessian: \"{other}\" is not one of the choices
     }
 }
 
-/// Features that this version does not have are named as such, not as unknown.
-#[test]
-fn unavailable_features() {
-    let error = error_of(&format!("{ROD}[mpc]\nhorizon_s = 1\n"));
-    assert!(
-        error.message().contains("not available in this version"),
-        "{error}"
-    );
-    assert!(error.line().is_some(), "{error}");
-}
-
 /// The automatic step of a stiff arm with implicit steps is far beyond the explicit limit, and a given one may be; with explicit
 /// steps it is refused.
 #[test]
@@ -752,7 +741,11 @@ fn overrides_that_fail() {
         ("rod.length_m=1 m", "rod.length_m", None),
         ("rod.length_m=1\nelements = 3", "rod.length_m", None),
         ("rod.stiffness.ea_n=1", "rod.stiffness.ga_n", None),
-        ("mpc.horizon_s=1", "mpc", None),
+        (
+            "mpc.horizont_s=1",
+            "mpc.horizont_s",
+            Some("did you mean `horizon_s`?"),
+        ),
     ] {
         let error = error_of_overrides("swing", &[setting]);
         assert_eq!(error.key(), Some(key), "{error}");
@@ -769,7 +762,8 @@ fn unknown_scene_names() {
 error: no file and no built-in scene of this name
   --> raech.toml
 help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, paper-arm, \
-swing, shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence";
+swing, shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
+mpc-track-circle, mpc-reach, mpc-push, mpc-payload, mpc-delay";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

@@ -19,9 +19,10 @@ use crate::output::closed_loop::{BaselineSummary, MpcSummary, write_samples};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RowFiles, RunDirectory,
-    write_controls,
+    ThinnedMotion, render_report, write_controls,
 };
 use crate::scene::{ClosedLoopSetup, Scene, SceneSource};
+use crate::solve::closed_loop_page;
 use crate::stop::{Stop, StopSignal};
 
 #[derive(Debug, Args)]
@@ -77,7 +78,6 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     };
     let ended = stop.raised();
     let mut summary = summarize(arguments, &setup, &run, baselines, ended, started, &target);
-    let resolved = setup.resolved.to_toml();
     let recording = RefCell::new(recording);
     let written = directory.publish_or_rescue(|result| {
         let summary = MpcSummary {
@@ -85,7 +85,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
             ..summary.clone()
         };
         let mut recording = recording.borrow_mut();
-        write(result, &resolved, &mut recording, &run.samples, &summary)
+        write(result, &setup, &mut recording, &run.samples, &summary)
     });
     if let Err(OutputError::Elsewhere { place, .. }) = &written {
         summary.directory = place.display().to_string();
@@ -110,7 +110,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
 fn announce(setup: &ClosedLoopSetup, console: &Console) {
     let own = &setup.experiment;
     console.say(&format!(
-        "model {} elements, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; {} sensors",
+        "model {} elements, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; sensors: {}",
         setup.model.n_elements(),
         setup.plant.n_elements(),
         (own.duration / own.mpc.period).round().max(1.0),
@@ -179,6 +179,9 @@ struct Recording {
     trajectory: RowFiles,
     controls: Vec<ControlRow>,
     hold: Hold,
+    /// For the picture, with the last row.
+    thinned: ThinnedMotion,
+    row: MotionRecord,
 }
 
 impl Recording {
@@ -188,6 +191,8 @@ impl Recording {
             trajectory: RowFiles::create(folder, &layout.arrays())?,
             controls: Vec::new(),
             hold: setup.experiment.discretization.hold,
+            thinned: ThinnedMotion::new(layout.n_nodes),
+            row: layout,
         };
         recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
         Ok(recording)
@@ -204,7 +209,10 @@ impl Recording {
         let energy = Energy::of(rod, state);
         let dilatation = rod.dilatation(&state.configuration.positions);
         row.push_state(t, state, wrench, &energy, &dilatation);
-        self.trajectory.push(&row.arrays())
+        self.trajectory.push(&row.arrays())?;
+        self.thinned.push(&row);
+        self.row = row;
+        Ok(())
     }
 
     fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
@@ -309,7 +317,7 @@ impl<'a> Progress<'a> {
 
 fn write(
     result: &ResultDirectory,
-    resolved: &str,
+    setup: &ClosedLoopSetup,
     recording: &mut Recording,
     samples: &[Sample],
     summary: &MpcSummary,
@@ -318,7 +326,10 @@ fn write(
     recording.trajectory.write_npz(&path("trajectory.npz"))?;
     write_samples(&path("samples.csv"), samples)?;
     write_controls(&path("controls.csv"), &recording.controls)?;
-    result.write_text("scene.toml", resolved)?;
+    result.write_text("scene.toml", &setup.resolved.to_toml())?;
+    let record = recording.thinned.clone().finish(&recording.row);
+    let page = closed_loop_page(setup, samples, &record, summary);
+    result.write_text("report.html", &render_report(&page))?;
     result.write_json("summary.json", summary)
 }
 
@@ -487,5 +498,6 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
             1e3 * needed
         ));
     }
-    console.say(&format!("results: {}", summary.directory));
+    let report = Path::new(&summary.directory).join("report.html");
+    console.say(&format!("report: {}", report.display()));
 }

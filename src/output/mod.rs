@@ -34,9 +34,10 @@ pub use multipliers::{MultiplierRecord, read_multipliers};
 pub use reading::read_text;
 #[doc(hidden)]
 pub use report::{
-    Bound, Hold, ReportArm, ReportAttempt, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
-    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict, render_report,
+    Bound, Hold, ReportArm, ReportAttempt, ReportChart, ReportCheck, ReportCommand, ReportControls,
+    ReportCurve, ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportObstacle,
+    ReportObstacles, ReportPath, ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
+    render_report,
 };
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};

@@ -32,6 +32,8 @@ pub struct ReportData {
     pub energy: Option<ReportEnergy>,
     /// Growth of perturbations; absent where it was not computed.
     pub sensitivity: Option<ReportSensitivity>,
+    /// More charts.
+    pub charts: Vec<ReportChart>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
     /// The solves that the iterations belong to.
@@ -281,6 +283,38 @@ impl ReportEnergy {
     }
 }
 
+/// Curves in one picture.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportChart {
+    /// What they show.
+    pub title: String,
+    /// Unit of their values; may be empty.
+    pub unit: String,
+    /// What they are over: "time" is the clock of the page.
+    pub x_name: String,
+    /// Its unit.
+    pub x_unit: String,
+    /// The curves.
+    pub series: Vec<ReportCurve>,
+}
+
+/// A curve.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportCurve {
+    /// Its name in the legend.
+    pub name: String,
+    /// Its color, by a name of the page's style sheet.
+    pub color: &'static str,
+    /// Where its values are; with `hold` the edges of steps, one more than values.
+    pub x: Vec<f64>,
+    /// Its values; what is not finite is a gap.
+    pub y: Vec<f64>,
+    /// Whether it consists of steps.
+    pub hold: bool,
+    /// Whether it is a thin line without a name.
+    pub thin: bool,
+}
+
 /// Largest growth of a perturbation of the initial state, in the norm of its energy.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportSensitivity {
@@ -400,6 +434,7 @@ mod tests {
             controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
             sensitivity: None,
+            charts: Vec::new(),
             iterations: vec![],
             attempts: vec![],
             kinds: vec![],

@@ -2,9 +2,7 @@
 
 use super::check::{LARGEST_COUNT, MOST_ELEMENTS};
 use super::keys::{Checked, Keys};
-use super::model::{
-    Circle, Computing, Estimator, EstimatorKind, Mpc, Plant, Scene, Sensor, Track, Unknown,
-};
+use super::model::{Circle, Estimator, EstimatorKind, Mpc, Plant, Scene, Sensor, Track, Unknown};
 use super::values::{Number, digits};
 
 impl Keys<'_> {
@@ -46,11 +44,6 @@ impl Keys<'_> {
                     "expected at least mpc.period_s, {}",
                     digits(period)
                 )));
-        }
-        if mpc.computing_s.is_some() && mpc.computing != Computing::Fixed {
-            let message = "only a fixed time of computing is given";
-            let help = "set mpc.computing = \"fixed\", or leave computing_s out".to_string();
-            return Err(self.source.error_at("mpc.computing_s", message, Some(help)));
         }
         let duration = mpc.duration_s.map_or(scene.time.end_s.get(), Number::get);
         if !(duration > 0.0) {

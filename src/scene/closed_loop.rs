@@ -77,10 +77,11 @@ impl Scene {
         };
         let mut task = self.posed_task_until(source, duration + horizon)?;
         task.horizon = horizon;
+        let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
         let settings = MpcSettings {
             period,
             horizon,
-            due: mpc.due_s.map(Number::get),
+            due: due.map(Number::get),
             block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
             jump: mpc.jump.get(),
             target_weight: mpc.target_weight.get(),
@@ -127,6 +128,7 @@ impl Scene {
         resolved.objective = Some(objective);
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),
+            due_s: due,
             block_s: Some(known(settings.block)),
             duration_s: Some(known(duration)),
             counted_from_s: Some(known(counted_from)),
@@ -256,11 +258,10 @@ impl Scene {
                     .into(),
             );
         }
-        if self.task.as_ref().is_some_and(|task| task.at_s.is_some()) {
-            out.push(
-                "task.at_s plays no part in a closed loop; mpc.due_s says when the task is due"
-                    .into(),
-            );
+        let mpc = self.mpc.as_ref();
+        if mpc.is_some_and(|mpc| mpc.computing_s.is_some() && mpc.computing != ComputingKey::Fixed)
+        {
+            out.push("mpc.computing_s plays no part: mpc.computing is not \"fixed\"".into());
         }
         out
     }

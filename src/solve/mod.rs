@@ -3,6 +3,8 @@
 mod causes;
 #[cfg(feature = "cli")]
 mod choice;
+#[cfg(feature = "cli")]
+mod closed_loop_page;
 mod constraints;
 #[cfg(feature = "cli")]
 mod diagnostics;
@@ -19,6 +21,7 @@ mod summary;
 pub(crate) use self::{
     causes::causes,
     choice::{Chosen, Examination, choose},
+    closed_loop_page::closed_loop_page,
     diagnostics::diagnostics,
     examined::Examined,
     files::write,

@@ -85,6 +85,7 @@ pub(super) fn solve_page(page: &SolvePage) -> ReportData {
                 open: feedback.open_loop.clone(),
                 closed: feedback.closed_loop.clone(),
             }),
+        charts: Vec::new(),
         iterations: (solves.iter().enumerate())
             .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)))
             .collect(),

@@ -68,6 +68,7 @@ pub(crate) fn simulation_page(
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ENERGY_ROWS)),
         sensitivity: None,
+        charts: Vec::new(),
         iterations: Vec::new(),
         attempts: Vec::new(),
         kinds: Vec::new(),

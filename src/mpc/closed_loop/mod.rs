@@ -284,7 +284,11 @@ impl<'a> ClosedLoop<'a> {
 
         let clock = Instant::now();
         let mut command = match (cause, self.settings.law) {
-            (_, Law::OpenLoop) => Ok(self.controller.plan_alone(acts_from).clone()),
+            (_, Law::OpenLoop) => {
+                // The plan goes on as if the model's own motion were measured.
+                self.state.clone_from(self.controller.expected());
+                self.controlled(acts_from)
+            }
             (None, Law::Mpc) => self.controlled(acts_from),
             (None, Law::Tip(_)) => match &self.tip_law {
                 Some(law) => Ok(law.command(&self.controller, &self.state, acts_from)),

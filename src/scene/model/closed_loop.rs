@@ -19,7 +19,8 @@ pub struct Mpc {
     /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, and at least ten periods.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<Positive<values::Duration>>,
-    /// When the task is due in s, positive: the horizon does not go beyond, and shrinks before. Absent: it recedes for ever.
+    /// When the task is due in s, positive: the horizon does not go beyond, and shrinks before. Absent: `task.at_s`; without that the horizon
+    /// recedes for ever.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub due_s: Option<Positive<values::Instant>>,
     /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
