@@ -1,8 +1,8 @@
 //! A free duration: one outer search over it, around solves that hold it.
 //!
 //! The optimal value `V(T)` of the problem whose duration is held at `T` has the derivative of its Lagrangian along `T`, while controls and
-//! multipliers stay (envelope theorem). It swings with the arm's elastic waves, so that a coarse scan first looks for valleys; in each that
-//! may be the lowest the derivative is brought to zero.
+//! multipliers stay (envelope theorem). It swings with the arm's elastic waves, so that a coarse scan first looks for valleys; in the lowest
+//! the derivative is brought to zero.
 //!
 //! Below some duration the task cannot be done at all. Where `V` still falls there, as always where the duration alone is paid for, the
 //! optimum is at that wall: the problem that holds the duration has no multipliers any more, or those of no single choice. The problem
@@ -65,13 +65,6 @@ struct Sample {
     /// Its derivative along the time scale.
     slope: f64,
     outcome: SqpOutcome<LiftedPoint>,
-}
-
-/// A duration between two others, and the best of an interpolation there.
-struct Valley {
-    from: f64,
-    to: f64,
-    estimate: f64,
 }
 
 /// A duration at which there is no solution near that of another.
@@ -218,18 +211,15 @@ impl<'a> DurationSearch<'a> {
             return Some(first);
         }
         for ratio in [1.0 / RUNG, RUNG] {
-            self.walk(first.time_scale, ratio, if scans { 3 } else { 1 });
+            self.walk(first.time_scale, ratio, if scans { 2 } else { 1 });
         }
-        let mut lowest: Option<Sample> = None;
-        for Valley { from, to, estimate } in self.valleys() {
-            let is_beaten = |lowest: &Sample| estimate >= lowest.value;
-            if self.stopped.is_some() || lowest.as_ref().is_some_and(is_beaten) {
-                continue;
+        for [from, to] in self.valleys() {
+            let found = self.descend(from, to);
+            if found.is_some() || self.stopped.is_some() {
+                return found;
             }
-            let all = [lowest, self.descend(from, to)];
-            lowest = (all.into_iter().flatten()).min_by(|a, b| a.value.total_cmp(&b.value));
         }
-        lowest
+        None
     }
 
     /// From a duration to ever shorter or longer ones, as long as that may lead to a lower value: not up `patience` rungs in a row.
@@ -258,41 +248,30 @@ impl<'a> DurationSearch<'a> {
         }
     }
 
-    /// Where the samples say that there are minima, the most promising first.
-    fn valleys(&self) -> Vec<Valley> {
+    /// Time scales between which the samples say that there are minima, those beside the lowest sample first.
+    fn valleys(&self) -> Vec<[f64; 2]> {
         let mut out = Vec::new();
-        let mut add = |from: f64, to: f64, estimate: f64| {
-            out.push(Valley { from, to, estimate });
-        };
         for pair in self.samples.windows(2) {
             let (a, b) = (&pair[0], &pair[1]);
             let has_minimum = (a.slope <= 0.0 && (b.slope >= 0.0 || b.value >= a.value))
                 || (b.slope >= 0.0 && a.value >= b.value);
             if has_minimum {
-                let at = cubic_minimum(a, b);
-                add(a.time_scale, b.time_scale, cubic(a, b, at));
+                out.push((a.value.min(b.value), [a.time_scale, b.time_scale]));
             }
         }
-        let nearest = |at: f64, up: bool| {
-            let walls = self.walls.iter().map(|wall| wall.time_scale);
-            let beyond = walls.filter(|wall| if up { *wall > at } else { *wall < at });
-            beyond.min_by(|a, b| (a - at).abs().total_cmp(&(b - at).abs()))
-        };
-        // How far it falls to a wall is known when it is seen.
+        let walls = || self.walls.iter().map(|wall| wall.time_scale);
         if let Some(a) = self.samples.first().filter(|a| a.slope > 0.0) {
-            match nearest(a.time_scale, false) {
-                Some(wall) => add(wall, a.time_scale, f64::NEG_INFINITY),
-                None => add(a.time_scale, a.time_scale, a.value),
-            }
+            let wall = walls().filter(|wall| *wall < a.time_scale);
+            let wall = wall.max_by(f64::total_cmp).unwrap_or(a.time_scale);
+            out.push((a.value, [wall, a.time_scale]));
         }
         if let Some(b) = self.samples.last().filter(|b| b.slope < 0.0) {
-            match nearest(b.time_scale, true) {
-                Some(wall) => add(b.time_scale, wall, f64::NEG_INFINITY),
-                None => add(b.time_scale, b.time_scale, b.value),
-            }
+            let wall = walls().filter(|wall| *wall > b.time_scale);
+            let wall = wall.min_by(f64::total_cmp).unwrap_or(b.time_scale);
+            out.push((b.value, [b.time_scale, wall]));
         }
-        out.sort_by(|a, b| a.estimate.total_cmp(&b.estimate));
-        out
+        out.sort_by(|a, b| a.0.total_cmp(&b.0));
+        out.into_iter().map(|(_, valley)| valley).collect()
     }
 
     /// The minimum between two durations, of which one may be a wall.
@@ -300,7 +279,7 @@ impl<'a> DurationSearch<'a> {
         let (mut from, mut to) = (from, to);
         let mut last: Option<Sample> = None;
         let mut wide = 0;
-        let mut tried_wall = false;
+        let mut room = NEAR;
         for _ in 0..MOST_SOLVES {
             let ends = [from, to].map(|at| self.at(at).cloned());
             let flat = ends.iter().flatten().filter(|end| self.is_flat(end));
@@ -317,13 +296,13 @@ impl<'a> DurationSearch<'a> {
             if from == to || self.stopped.is_some() {
                 break;
             }
-            if let ([None, Some(near)], false) = (&ends, tried_wall)
-                && to - from <= NEAR * to
+            if let [None, Some(near)] = &ends
+                && to - from <= room * to
             {
-                tried_wall = true;
                 if let Some(found) = self.at_wall(near, from) {
                     return Some(found);
                 }
+                room *= 0.25;
             }
             let width = to - from;
             let mut trial = 0.5 * (from + to);
@@ -686,17 +665,8 @@ fn secant(a: &Sample, b: &Sample) -> f64 {
     a.time_scale - a.slope * (b.time_scale - a.time_scale) / (b.slope - a.slope)
 }
 
-/// The cubic through values and slopes of two samples.
-fn cubic(a: &Sample, b: &Sample, at: f64) -> f64 {
-    let width = b.time_scale - a.time_scale;
-    let s = (at - a.time_scale) / width;
-    let r = 1.0 - s;
-    r * r * (1.0 + 2.0 * s) * a.value
-        + s * s * (1.0 + 2.0 * r) * b.value
-        + s * r * width * (r * a.slope - s * b.slope)
-}
-
-/// The minimum of that cubic between both (Nocedal and Wright 2006, equation 3.59), or their middle where it has none.
+/// The minimum between two samples of the cubic through their values and slopes (Nocedal and Wright 2006, equation 3.59), or the middle
+/// where it has none.
 fn cubic_minimum(a: &Sample, b: &Sample) -> f64 {
     let width = b.time_scale - a.time_scale;
     let d1 = a.slope + b.slope - 3.0 * (b.value - a.value) / width;

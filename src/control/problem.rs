@@ -263,9 +263,9 @@ pub struct OptimalControlProblem {
 /// Parts of a problem that a free duration does not allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DurationConflict {
-    /// A bound on the magnitude of a rate, which would be a cone of variable size.
+    /// A bound on the magnitude of a rate.
     Rate,
-    /// The price of a soft path constraint, an integral over time; its index.
+    /// A soft path constraint, whose price the check does not follow over the duration; its index.
     Path(usize),
     /// A driven base, whose motion is a function of time.
     Base,
