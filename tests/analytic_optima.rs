@@ -8,14 +8,14 @@ use common::soft_arm;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
     ActuatedNode, Bound, Channel, ControlGrid, Enforcement, FreeDuration, Goal, Guess, Hold,
-    LiftedPoint, Objective, OptimalControlProblem, Transcription, first_point,
+    LiftedPoint, Objective, OptimalControlProblem, Search, Transcription, first_point, search,
 };
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
     BaseCondition, Rod, RodParameters, Section, SectionProfile, State, StrainRule, TimeGrid, Wrench,
 };
-use softarm::sqp::{SqpOutcome, SqpSettings, SqpStatus, solve};
+use softarm::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
 use softarm::verify::momentum::MomentumBalance;
 
 const DURATION: f64 = 0.9;
@@ -89,6 +89,24 @@ fn solved(problem: &OptimalControlProblem) -> SqpOutcome<LiftedPoint> {
         outcome.residual
     );
     outcome
+}
+
+/// The best duration that the search finds, s, and the solution there.
+fn timed(problem: &OptimalControlProblem) -> (f64, SqpOutcome<LiftedPoint>) {
+    let settings = SqpSettings {
+        tolerance: 1e-8,
+        ..SqpSettings::default()
+    };
+    let on = |_: usize, _: &IterationRecord| ControlFlow::Continue(());
+    let attempt = search(problem, &settings, &Search::default(), &on)
+        .unwrap()
+        .swap_remove(0);
+    let (status, residual) = (&attempt.outcome.status, attempt.outcome.residual);
+    assert_eq!(*status, SqpStatus::Converged, "{residual:?}");
+    (
+        problem.grid.duration() * attempt.time_scale,
+        attempt.outcome,
+    )
 }
 
 /// Impulse of a unit coefficient at every time node: half a step's at the ends, as the discrete Legendre transforms have it.
@@ -476,8 +494,7 @@ fn priced_time_is_weighed_against_effort() {
     for best in [0.7_f64, 0.9, 1.1] {
         let price = 9.0 * (MASS * DISTANCE).powi(2) / best.powi(4);
         let problem = timed_push(Hold::Linear, 6, DISTANCE, price);
-        let outcome = solved(&problem);
-        let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
+        let (duration, outcome) = timed(&problem);
         let least = 3.0 * (MASS * DISTANCE).powi(2) / best.powi(3) + price * best;
         assert!(
             (duration / best - 1.0).abs() < 1e-4,
@@ -503,8 +520,7 @@ fn minimum_time_is_bang_bang() {
         let limits = Vector3::repeat(0.5 * FORCE);
         actuator.force.bound = Some(Bound::PerAxis(limits));
     }
-    let outcome = solved(&problem);
-    let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
+    let (duration, outcome) = timed(&problem);
     let best = 2.0 * (MASS * DISTANCE / FORCE).sqrt();
     assert!(
         (duration / best - 1.0).abs() < 1e-4,
@@ -525,8 +541,7 @@ fn minimum_time_is_bang_bang() {
 fn durations_end_at_their_limits() {
     for (price, at_longest) in [(0.0, true), (20.0, false)] {
         let problem = timed_push(Hold::Linear, 6, 0.3, price);
-        let outcome = solved(&problem);
-        let duration = problem.grid.duration() * problem.time_scale(&outcome.point.variables);
+        let (duration, _) = timed(&problem);
         let free = problem.duration.unwrap();
         let limit = if at_longest {
             free.longest

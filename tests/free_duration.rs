@@ -1,9 +1,8 @@
-//! Tasks whose duration may be chosen: derivatives, bounds that grow with time, the check, and scenes that do not go with it.
+//! Tasks whose duration may be chosen: bounds that grow with time, the check, limits, minimum time, and scenes that do not go with it.
 
 use std::ops::ControlFlow;
 
 use softarm::control::{LiftedPoint, Transcription, search, simulated};
-use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::Wrench;
 use softarm::output::MultiplierRecord;
 use softarm::scene::{OptimalControl, Scene};
@@ -108,20 +107,6 @@ fn solved(setup: &OptimalControl) -> Found {
     }
 }
 
-/// Gradients and exact Hessian along the duration, with everything that depends on the time step, against simulations.
-#[test]
-fn derivatives_along_the_duration_are_right() {
-    for hold in ["constant", "cubic"] {
-        let hold = format!("control.hold={hold}");
-        let setup = setup(&[&EVERYTHING[..], &[&hold]].concat());
-        for seed in 0..2 {
-            for block in &check(&setup.problem, seed).unwrap().blocks {
-                assert_eq!(block.verdict, Verdict::Ok, "{hold}, seed {seed}: {block:?}");
-            }
-        }
-    }
-}
-
 /// A price finds a duration between the limits, at which the check's motions over longer and shorter times agree; a little off they
 /// do not.
 #[test]
@@ -146,26 +131,29 @@ fn duration_is_certified_where_it_is_stationary() {
     }
 }
 
-/// The optimum over time is the least of the optima at fixed times around it, so near that solves from it do not find others.
+/// The optimum over time is the least of the optima at fixed times around it, so near that solves from it do not find others: also where
+/// bounds, costs and limits depend on the time step.
 #[test]
 fn fixed_durations_cost_more() {
-    let found = solved(&setup(&[]));
-    let at = |duration: f64| {
-        let fixed = found.setup.with_time_scale(duration / found.duration());
-        let problem = fixed.problem.with_fixed_duration();
-        let program = Transcription::new(&problem, 1);
-        let start = simulated(&problem, &found.coefficients).unwrap();
-        let on = |_: &IterationRecord| ControlFlow::Continue(());
-        let outcome = solve(&program, start, &fixed.settings, &mut { on });
-        assert_eq!(outcome.status, SqpStatus::Converged);
-        outcome.objective + 2.0 * duration
-    };
-    let best = found.outcome.objective;
-    let here = at(found.duration());
-    assert!((here / best - 1.0).abs() < 1e-9, "{here} and {best}");
-    for factor in [0.9995, 1.0005] {
-        let other = at(factor * found.duration());
-        assert!(other > best, "{other} at {factor}, {best} at the optimum");
+    for overrides in [&[][..], &EVERYTHING] {
+        let found = solved(&setup(overrides));
+        let at = |duration: f64| {
+            let fixed = found.setup.with_time_scale(duration / found.duration());
+            let problem = fixed.problem.with_fixed_duration();
+            let program = Transcription::new(&problem, 1);
+            let start = simulated(&problem, &found.coefficients).unwrap();
+            let on = |_: &IterationRecord| ControlFlow::Continue(());
+            let outcome = solve(&program, start, &fixed.settings, &mut { on });
+            assert_eq!(outcome.status, SqpStatus::Converged);
+            outcome.objective + 2.0 * duration
+        };
+        let best = found.outcome.objective;
+        let here = at(found.duration());
+        assert!((here / best - 1.0).abs() < 1e-9, "{here} and {best}");
+        for factor in [0.9995, 1.0005] {
+            let other = at(factor * found.duration());
+            assert!(other > best, "{other} at {factor}, {best} at the optimum");
+        }
     }
 }
 

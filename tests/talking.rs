@@ -38,7 +38,7 @@ fn read(folder: &TempDir, name: &str) -> String {
     std::fs::read_to_string(folder.path().join(name)).unwrap()
 }
 
-/// A scene whose duration is free: a solve at a held duration leads to the one that counts.
+/// A scene whose duration is free: solves that hold one lead to the one that counts.
 fn timed() -> String {
     SCENE.replace(
         "at_rest = false\n",
@@ -90,7 +90,7 @@ fn attempts_are_told_apart() {
     assert!(attempts.len() >= 2);
     let from = |attempt: &Value| attempt["from"].as_str().unwrap().to_string();
     assert!(from(&attempts[0]).contains("duration held at 0.3000 s"));
-    assert_eq!(from(&attempts[1]), "controls and duration");
+    assert!(from(&attempts[1]).starts_with("duration held at"));
     let results = attempts.iter().filter(|a| a["is_result"] == true);
     assert_eq!(results.count(), 1);
     for (number, attempt) in attempts.iter().enumerate().skip(1) {
@@ -119,7 +119,7 @@ fn attempts_are_told_apart() {
     let total: usize = rows.iter().map(|rows| rows - 1).sum();
     assert_eq!(summary["iterations"], total);
     let page = read(&folder, "run/report.html");
-    assert!(page.contains("controls and duration"));
+    assert!(page.contains(&from(&attempts[1])));
 }
 
 fn arrays(path: &Path) -> Vec<(String, Vec<f64>)> {

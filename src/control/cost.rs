@@ -16,8 +16,6 @@ pub struct CostRow {
     pub residual: f64,
     /// `δr`
     pub gradient: RowGradient,
-    /// By how much `r` falls per logarithm of the time step because the path moves on by the clock, the duration left out.
-    pub reference_drift: f64,
 }
 
 /// Time nodes at which costs over states are sampled, and the time that each stands for, s: the trapezoidal rule over a
@@ -63,10 +61,8 @@ pub fn cost_rows(
     for tracking in &problem.objective.tracking {
         let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
         let distance = rod_view.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
-        let velocity = tracking.velocity(t);
         rows.extend((0..3).map(|axis| CostRow {
             residual: factor * distance[axis],
-            reference_drift: factor * velocity[axis] * (t - rod_view.grid.start),
             gradient: at(
                 k,
                 along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
@@ -83,7 +79,6 @@ pub fn cost_rows(
             }
             CostRow {
                 residual: factor * cost.term.value(&view, item),
-                reference_drift: 0.0,
                 gradient: at(k, form),
             }
         }));
@@ -125,7 +120,6 @@ fn energy_rows(
             let w: SVector<f64, 9> = slope.row(from + axis).transpose() * factor;
             rows.push(CostRow {
                 residual: factor * strain[axis],
-                reference_drift: 0.0,
                 gradient: at(k, element_form(q, &w)),
             });
         }

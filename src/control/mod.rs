@@ -24,7 +24,6 @@ pub mod advice;
 mod control_cost;
 #[doc(hidden)]
 pub mod cost;
-mod duration;
 #[doc(hidden)]
 pub mod feedback;
 mod free_duration;

@@ -402,23 +402,6 @@ impl PathLimit {
             .curvature
     }
 
-    /// Derivative of [`Self::value`] along the logarithm of the time step, while the configurations stay.
-    #[must_use]
-    pub fn step_slope(&self, rod_view: &RodView, k: usize) -> f64 {
-        match self {
-            Self::Speed { node, .. } => {
-                -Self::velocity(rod_view, k, *node).norm() / self.scale(rod_view.rod)
-            }
-            Self::Clearance { .. }
-            | Self::Stretch { .. }
-            | Self::Curvature { .. }
-            | Self::Twist { .. }
-            | Self::Distance { .. }
-            | Self::Angle { .. }
-            | Self::Term(_) => 0.0,
-        }
-    }
-
     /// Scaled value of a row at time node `k`.
     #[must_use]
     pub fn value(&self, rod_view: &RodView, k: usize, item: usize) -> f64 {

@@ -193,19 +193,6 @@ impl Tracking {
     }
 }
 
-impl Tracking {
-    /// How fast that place moves at time `t`, m/s; zero outside the path.
-    #[must_use]
-    pub fn velocity(&self, t: f64) -> Vector3<f64> {
-        let next = self.path.partition_point(|&(time, _)| time <= t);
-        let around = next.checked_sub(1).and_then(|i| self.path.get(i..=next));
-        match around {
-            Some([(t0, x0), (t1, x1)]) => (x1 - x0) / (t1 - t0),
-            _ => Vector3::zeros(),
-        }
-    }
-}
-
 /// The objective.
 ///
 /// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals carry
@@ -228,7 +215,7 @@ pub struct Objective {
     pub samples: usize,
 }
 
-/// A duration that may be chosen: the number of steps stays, the time step is a variable.
+/// A duration that may be chosen: the number of steps stays, the time step changes.
 ///
 /// Everything that is given by time nodes (goals, blocks of the control, samples) stretches with it; what is given by times (loads, paths
 /// to follow) does not.
@@ -276,9 +263,9 @@ pub struct OptimalControlProblem {
 /// Parts of a problem that a free duration does not allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DurationConflict {
-    /// A bound on the magnitude of a rate, which would be a cone of variable size.
+    /// A bound on the magnitude of a rate.
     Rate,
-    /// The price of a soft path constraint, an integral over time; its index.
+    /// A soft path constraint, whose price the check does not follow over the duration; its index.
     Path(usize),
     /// A driven base, whose motion is a function of time.
     Base,
@@ -356,10 +343,10 @@ impl OptimalControlProblem {
     }
 
     /// Unknowns of the configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where
-    /// the duration is free or an actuator is one's own.
+    /// an actuator is one's own.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        if self.duration.is_some() || !self.acting.is_empty() {
+        if !self.acting.is_empty() {
             return None;
         }
         SparseMotion::unknowns_per_time_node(&self.motion())
@@ -613,23 +600,7 @@ impl OptimalControlProblem {
         None
     }
 
-    /// Which of the solver's variables is the duration, over that of the grid: the last, where there is one.
-    #[must_use]
-    pub fn duration_variable(&self) -> Option<usize> {
-        self.duration.map(|_| self.n_variables() - 1)
-    }
-
-    /// Duration over that of the grid, from the solver's variables.
-    #[must_use]
-    pub fn time_scale(&self, variables: &[f64]) -> f64 {
-        match self.duration {
-            Some(_) => variables.last().copied().unwrap_or(1.0),
-            None => 1.0,
-        }
-    }
-
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of rest within a tolerance, and
-    /// the duration where it is free.
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of rest within a tolerance.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
@@ -642,7 +613,6 @@ impl OptimalControlProblem {
             + (self.goal_rows().iter())
                 .filter(|row| self.has_slack(row))
                 .count()
-            + usize::from(self.duration.is_some())
     }
 
     /// Coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
@@ -668,7 +638,7 @@ impl OptimalControlProblem {
         out
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of goals are zero, and the duration is that of the grid.
+    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of goals are zero.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();
@@ -687,9 +657,6 @@ impl OptimalControlProblem {
             })
             .collect();
         variables.resize(self.n_variables(), 0.0);
-        if let Some(duration) = self.duration_variable() {
-            variables[duration] = 1.0;
-        }
         variables
     }
 

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use nalgebra::Vector3;
 
-use super::free_duration::{FreeDurationSolver, Vanishing};
+use super::free_duration::DurationSearch;
 use super::guess::{Guess, GuessError, first_point, simulated};
 use super::journal::{Journal, Listener, SearchEvent, SolveLog};
 use super::path::PathLimit;
@@ -62,10 +62,10 @@ impl Default for Search {
     }
 }
 
-/// A solve before the last one: given up for another first point, or one of those that lead to a free duration.
+/// A solve beside the one that counts: given up for another first point, or with another duration.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Abandoned {
-    /// Where it started, or `held duration` and `free duration`.
+    /// Where it started, or `held duration`.
     pub from: &'static str,
     /// Whether it ended at a point that is infeasible to first order.
     pub infeasible: bool,
@@ -80,8 +80,10 @@ pub struct Attempt {
     pub start: usize,
     /// Where it started: name of a guess, `detour`, or `previous`.
     pub from: &'static str,
-    /// The end of the solve.
+    /// The end of the solve; its objective has the price of a free duration.
     pub outcome: SqpOutcome<LiftedPoint>,
+    /// Duration of the outcome over that of the problem's grid; 1 where it is fixed.
+    pub time_scale: f64,
     /// The solves of the same start before it.
     pub abandoned: Vec<Abandoned>,
     /// All solves of this start in the order in which they were made, with their rows.
@@ -296,6 +298,7 @@ fn attempted(
                 start,
                 from: staged.from,
                 outcome: staged.outcome,
+                time_scale: staged.time_scale,
                 abandoned: staged.before,
                 solves: Vec::new(),
                 chosen: 0,
@@ -356,6 +359,7 @@ fn unmoved(
         start,
         from: guess.name(),
         outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
+        time_scale: 1.0,
         abandoned: Vec::new(),
         solves: Vec::new(),
         chosen: 0,
@@ -365,6 +369,7 @@ fn unmoved(
 /// A solve, and those that led to it.
 struct Staged {
     from: &'static str,
+    time_scale: f64,
     outcome: SqpOutcome<LiftedPoint>,
     before: Vec<Abandoned>,
 }
@@ -394,8 +399,8 @@ fn staged(
         journal,
         is_held,
     } = start;
-    if problem.duration.is_some() && !matches!(first, First::Previous(_)) {
-        return released(problem, settings, search, start, n_threads, observer);
+    if let Some(durations) = DurationSearch::new(problem, settings, n_threads, journal) {
+        return timed(problem, settings, search, start, n_threads, durations);
     }
     let stages = match search.continuation {
         Some(Continuation::Target { stages } | Continuation::Load { stages }) => stages.max(1),
@@ -443,6 +448,7 @@ fn staged(
         if let Some(stop) = problem.stop.raised() {
             return Ok(Some(Staged {
                 from,
+                time_scale: 1.0,
                 outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
                 before: Vec::new(),
             }));
@@ -467,6 +473,7 @@ fn staged(
         if stage == stages || stopped {
             return Ok(Some(Staged {
                 from,
+                time_scale: 1.0,
                 outcome,
                 before: Vec::new(),
             }));
@@ -478,47 +485,60 @@ fn staged(
     unreachable!("the last stage returns")
 }
 
-/// A solve with a free duration; several starts begin with several durations.
-fn released(
+/// A search over a free duration; several starts begin with several durations.
+fn timed(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
     search: &Search,
     start: Start,
     n_threads: usize,
-    observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
+    mut durations: DurationSearch,
 ) -> Result<Option<Staged>, GuessError> {
-    let vanishing = Vanishing::of(problem);
-    let whole = problem;
-    let problem = vanishing.as_ref().map_or(problem, Vanishing::first);
-    let time_scale = match (start.first, problem.duration) {
+    let is_previous = matches!(start.first, First::Previous(_));
+    let (first, scans) = match (start.first, problem.duration) {
         (First::Detour(number), Some(free)) if search.starts > 1 => {
             let part = random(search.seed, number).f64();
             let duration = free.shortest + part * (free.longest - free.shortest);
-            duration / problem.grid.duration()
+            (duration / problem.grid.duration(), false)
         }
-        _ => 1.0,
+        _ => (1.0, !is_previous),
     };
-    let held = problem.with_time_scale(time_scale).with_fixed_duration();
-    let start = Start {
-        is_held: true,
-        ..start
+    let solve_at = |durations: &DurationSearch, settings: &SqpSettings, time_scale: f64| {
+        let (held, price) = durations.posed(time_scale);
+        let observer = |row: &IterationRecord| {
+            start.journal.row(&IterationRecord {
+                objective: row.objective + price,
+                ..*row
+            })
+        };
+        let start = Start {
+            is_held: true,
+            ..start
+        };
+        staged(&held, settings, search, start, n_threads, &observer)
     };
-    let Some(mut found) = staged(&held, settings, search, start, n_threads, observer)? else {
-        return Ok(None);
-    };
-    let mut solver = FreeDurationSolver {
-        problem,
-        settings,
-        n_threads,
-        observer,
-        journal: start.journal,
-    };
-    found.outcome = solver.solve(time_scale, found.outcome, &mut found.before)?;
-    if let Some(vanishing) = &vanishing {
-        solver.problem = whole;
-        found.outcome = vanishing.follow(&solver, found.outcome, &mut found.before);
+    let mut earliest = None;
+    for time_scale in durations.beginnings(first, !is_previous) {
+        let Some(found) = solve_at(&durations, settings, time_scale)? else {
+            return Ok(None);
+        };
+        let is_begun = durations.search(time_scale, found.outcome.clone(), scans);
+        earliest.get_or_insert((found, time_scale));
+        if is_begun {
+            break;
+        }
     }
-    Ok(Some(found))
+    // The solutions of the scan lead from one to the next, and may all be worse than one that the first point leads to.
+    if let (true, Some((time_scale, settings))) = (scans, durations.doubtful())
+        && let Ok(Some(found)) = solve_at(&durations, settings, time_scale)
+    {
+        durations.search(time_scale, found.outcome, false);
+    }
+    Ok(earliest.map(|(mut first, time_scale)| {
+        (first.outcome, first.time_scale, first.before) =
+            durations.finish((first.outcome, time_scale));
+        first
+    }))
 }
 
 /// The problem at a fraction of the way from an easy one.

@@ -11,8 +11,8 @@ use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::path::RowGradient;
 use crate::control::{
-    ControlGrid, FreeDuration, LiftedPoint, Objective, OptimalControlProblem, PathLimit, RodView,
-    Shape, Transcription,
+    ControlGrid, LiftedPoint, Objective, OptimalControlProblem, PathLimit, RodView, Shape,
+    Transcription,
 };
 use crate::mechanics::actuator::flat;
 use crate::mechanics::rotation::exp;
@@ -49,12 +49,6 @@ pub(super) fn shortened(
     };
     short.control = control;
     short.grid.n_steps = n_steps;
-    let part = n_steps as f64 / all as f64;
-    short.duration = problem.duration.map(|free| FreeDuration {
-        shortest: free.shortest * part,
-        longest: free.longest * part,
-        ..free
-    });
     let moved = |k: usize| (k * n_steps).div_ceil(all);
     for goal in &mut short.goals {
         goal.time_node = moved(goal.time_node).max(1);
@@ -90,15 +84,13 @@ pub(super) fn blocks(
     Ok(out)
 }
 
-/// Kinds of variables that are moved together: forces, moments, residuals of soft goals, and the duration.
+/// Kinds of variables that are moved together: forces, moments, and residuals of soft goals.
 fn kinds(problem: &OptimalControlProblem) -> Vec<Vec<usize>> {
     let components = problem.actuated_components();
     let n_controls = problem.n_controls();
-    let mut kinds = vec![Vec::new(); 4];
+    let mut kinds = vec![Vec::new(); 3];
     for i in 0..problem.n_variables() {
-        let kind = if problem.duration_variable() == Some(i) {
-            3
-        } else if i >= n_controls {
+        let kind = if i >= n_controls {
             2
         } else {
             usize::from(components[i % components.len()].axis >= 3)
@@ -133,9 +125,6 @@ fn no_multipliers(program: &Transcription) -> Multipliers {
     )
 }
 
-/// Name of the block of the whole objective.
-const WHOLE: &str = "objective";
-
 /// Every term of the objective by itself: its gradient by the adjoint, and simulations.
 fn objective_blocks(
     problem: &OptimalControlProblem,
@@ -147,7 +136,7 @@ fn objective_blocks(
         samples: whole.samples,
         ..Objective::default()
     };
-    let mut terms = vec![(WHOLE.to_string(), whole.clone())];
+    let mut terms = vec![("objective".to_string(), whole.clone())];
     let mut add = |name: String, weight: f64, objective: Objective| {
         if weight > 0.0 {
             terms.push((name, objective));
@@ -189,14 +178,8 @@ fn objective_blocks(
     }
     let mut out = Vec::new();
     for (name, objective) in terms {
-        // The price of a free duration belongs to the whole: beside it, small terms would drown in rounding.
-        let duration = problem.duration.map(|free| FreeDuration {
-            price: if name == WHOLE { free.price } else { 0.0 },
-            ..free
-        });
         let problem = OptimalControlProblem {
             objective,
-            duration,
             ..problem.clone()
         };
         let program = Transcription::new(&problem, 1);

@@ -73,10 +73,6 @@ pub fn random_variables(
         .map(|_| 0.5 * number(rng))
         .collect();
     for _ in 0..60 {
-        // The duration of the grid, which is one that the integrator can take.
-        if let Some(duration) = problem.duration_variable() {
-            variables[duration] = 1.0;
-        }
         if sets.iter().all(|set| set.violation(&variables) <= 0.0) {
             break;
         }

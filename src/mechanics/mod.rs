@@ -78,7 +78,6 @@ pub mod sparse_motion;
 #[doc(hidden)]
 pub mod stability;
 #[doc(hidden)]
-pub mod step_derivative;
 mod step_error;
 #[doc(hidden)]
 pub mod stepper;

@@ -34,18 +34,12 @@ impl Solution {
     /// Of an attempt at a problem.
     #[must_use]
     pub fn of(problem: &Problem, settings: &SqpSettings, mut attempt: Attempt) -> Self {
-        let time_scale = problem
-            .discrete
-            .time_scale(&attempt.outcome.point.variables);
-        let problem = if time_scale == 1.0 {
+        let problem = if attempt.time_scale == 1.0 {
             problem.clone()
         } else {
-            problem.with_time_scale(time_scale)
+            problem.with_time_scale(attempt.time_scale)
         };
         let outcome = &mut attempt.outcome;
-        if let Some(duration) = problem.discrete.duration_variable() {
-            outcome.point.variables[duration] = 1.0;
-        }
         let program = Transcription::new(&problem.discrete, 1);
         let is_start =
             outcome.history.is_empty() && matches!(outcome.status, SqpStatus::Stopped(_));
@@ -54,7 +48,7 @@ impl Solution {
             .then(|| program.evaluate(&outcome.point).ok())
             .flatten();
         if let (true, Some(values)) = (is_start, &values) {
-            outcome.objective = program.total_objective(values);
+            outcome.objective = program.total_objective(values) + problem.discrete.duration_price();
             outcome.multipliers = Multipliers::zeros(
                 values.constraints.len(),
                 values.inequalities.len(),

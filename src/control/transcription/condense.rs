@@ -28,7 +28,7 @@ impl Transcription<'_> {
         let (_, own) = self.control_cost.value(&point.variables);
         let costs = self.state_costs(point);
         let costates = self.costates(point, &costs, multipliers)?;
-        let through_states = self.through_states(point, &costs, &costates, multipliers)?;
+        let through_states = self.through_states(point, &costates, multipliers);
         Ok((own.iter().zip(through_states))
             .map(|(own, rest)| own + rest)
             .collect())
@@ -49,24 +49,20 @@ impl Transcription<'_> {
         let own = (!self.problem.acting.is_empty()).then(|| self.signal(&point.variables));
         let motion = Motion {
             control: own.as_ref(),
-            ..self.motion(&point.variables)
+            ..self.problem.motion()
         };
         adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)
     }
 
     /// The derivative of `J + yᵀ c + zᵀ h` along the variables, without what they cost by themselves.
-    ///
-    /// # Errors
-    /// [`Failure`] where the trajectory cannot be linearized.
     pub(super) fn through_states(
         &self,
         point: &LiftedPoint,
-        costs: &[CostRow],
         costates: &AdjointSweep,
         multipliers: &Multipliers,
-    ) -> Result<Vec<f64>, Failure> {
+    ) -> Vec<f64> {
         let mut gradient = vec![0.0; point.variables.len()];
-        let motion = self.motion(&point.variables);
+        let motion = self.problem.motion();
         let acting = self.acting(point);
         let columns = Columns::new(self.problem, &self.components, acting.as_ref());
         for k in 0..=motion.grid.n_steps {
@@ -85,22 +81,11 @@ impl Transcription<'_> {
                 gradient[variable] -= y;
             }
         }
-        if let (Some(at), Some(along_duration)) = (
-            self.duration_variable,
-            self.duration_right_hand_side(point)?,
-        ) {
-            gradient[at] += along_duration.paired(costates);
-            let rod_view = self.rod_view(point);
-            for (row, z) in multipliers.inequalities.iter().enumerate() {
-                if *z != 0.0 {
-                    gradient[at] += z * self.path_slope(point, &rod_view, row);
-                }
-            }
-            for row in costs {
-                gradient[at] += row.residual * self.cost_slope(point, row);
-            }
+        if let (Some(relaxation), Some(along_shortfall)) = (&self.relaxation, gradient.last_mut()) {
+            *along_shortfall -= dot(&relaxation.constraints, &multipliers.constraints)
+                + dot(&relaxation.inequalities, &multipliers.inequalities);
         }
-        Ok(gradient)
+        gradient
     }
 
     /// The linearization; `costates` belong to the multipliers of the request, if it has any.
@@ -117,7 +102,7 @@ impl Transcription<'_> {
         let acting = self.acting(point);
         let motion = Motion {
             control: acting.as_ref().map(|acting| &acting.signal),
-            ..self.motion(&point.variables)
+            ..self.problem.motion()
         };
         let rod_view = self.rod_view(point);
         let n_goals = self.goal_rows.len();
@@ -160,12 +145,11 @@ impl Transcription<'_> {
         }
         let (forms, place) = gathered.sorted();
         let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
-        let mut sources = vec![RightHandSide::against(&evaluation.defects)];
-        sources.extend(self.duration_right_hand_side(point)?);
+        let sources = RightHandSide::against(&evaluation.defects);
         let mut found = sensitivities(
             &motion,
             &point.trajectory,
-            &sources.iter().collect::<Vec<_>>(),
+            &[&sources],
             &Columns::new(self.problem, &self.components, acting.as_ref()),
             &forms,
             second_order.as_ref(),
@@ -190,17 +174,13 @@ impl Transcription<'_> {
             .stop
             .check()
             .map_err(|stop| describe(stop.into()))?;
-        let rows = self.along_driven(point, request.rows, &costs, values, &responses);
-        let mut linearization = self.assemble(
-            point, evaluation, request, &costs, n_goals, &rows, &responses, found,
+        let linearization = self.assemble(
+            point, evaluation, request, &costs, n_goals, &values, &responses, found,
         );
         self.problem
             .stop
             .check()
             .map_err(|stop| describe(stop.into()))?;
-        if let (Some(multipliers), Some(along_duration)) = (request.multipliers, sources.get(1)) {
-            self.bend_duration(point, multipliers, along_duration, &mut linearization)?;
-        }
         Ok(linearization)
     }
 
@@ -249,29 +229,37 @@ impl Transcription<'_> {
         responses: &Mat<f64>,
         found: Sensitivities,
     ) -> Linearization {
-        let n = point.variables.len();
-        let jacobian = Mat::from_fn(n_goals, n, |i, j| match self.driven(j) {
-            Some(column) => values[(i, column)],
-            None if self.slack_variables[i] == Some(j) => -1.0,
-            None => 0.0,
+        let (n, n_controls) = (point.variables.len(), self.n_controls);
+        let shortfall = self.relaxation.as_ref().map(|_| n - 1);
+        let jacobian = Mat::from_fn(n_goals, n, |i, j| {
+            if j < n_controls {
+                values[(i, j)]
+            } else if shortfall == Some(j) {
+                self.relaxed_constraint(i)
+            } else if self.slack_variables[i] == Some(j) {
+                -1.0
+            } else {
+                0.0
+            }
         });
         let offset = (evaluation.constraints.iter().enumerate())
             .map(|(i, c)| c + responses[(i, 0)])
             .collect();
         let n_path = request.rows.len();
         let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
-            self.driven(j)
-                .map_or(0.0, |column| values[(n_goals + i, column)])
+            if j < n_controls {
+                values[(n_goals + i, j)]
+            } else if shortfall == Some(j) {
+                self.relaxed_inequality(request.rows[i])
+            } else {
+                0.0
+            }
         });
         let inequality_offset = (request.rows.iter().enumerate())
             .map(|(i, &row)| evaluation.inequalities[row] + responses[(n_goals + i, 0)])
             .collect();
         let (_, mut gradient) = self.control_cost.value(&point.variables);
-        let mut gauss_newton = self.control_cost.gauss_newton(&point.variables);
-        // Variables that move the states, with their columns.
-        let driven: Vec<(usize, usize)> = (0..n)
-            .filter_map(|j| self.driven(j).map(|column| (j, column)))
-            .collect();
+        let mut gauss_newton = self.control_cost.hessian().clone();
         let first_cost = n_goals + n_path;
         let mut defect_slope = 0.0;
         let mut model_extra = vec![0.0; n];
@@ -285,17 +273,17 @@ impl Transcription<'_> {
                 stop.unless_raised(LARGE, move || own.transpose() * &own)
                     .unwrap_or_else(|_| Mat::zeros(rows.ncols(), rows.ncols()))
             };
-            for &(j, from_j) in &driven {
-                for &(i, from_i) in &driven {
-                    gauss_newton[(i, j)] += square[(from_i, from_j)];
+            for j in 0..n_controls {
+                for i in 0..n_controls {
+                    gauss_newton[(i, j)] += square[(i, j)];
                 }
             }
             for (i, cost) in costs.iter().enumerate() {
                 let answer = responses[(first_cost + i, 0)];
                 defect_slope += cost.residual * answer;
-                for &(j, column) in &driven {
-                    gradient[j] += rows[(i, column)] * cost.residual;
-                    model_extra[j] += rows[(i, column)] * answer;
+                for j in 0..n_controls {
+                    gradient[j] += rows[(i, j)] * cost.residual;
+                    model_extra[j] += rows[(i, j)] * answer;
                 }
             }
         }
@@ -306,13 +294,13 @@ impl Transcription<'_> {
             .map(|(g, e)| g + e)
             .collect();
         if let Some(sources) = &found.curvature_sources {
-            for (j, g) in model_gradient.iter_mut().enumerate().take(self.n_controls) {
+            for (j, g) in model_gradient.iter_mut().enumerate().take(n_controls) {
                 *g += sources[(j, 0)];
             }
         }
         let curvature = found.curvature.map(|controls| {
             Mat::from_fn(n, n, |i, j| {
-                if i < self.n_controls && j < self.n_controls {
+                if i < n_controls && j < n_controls {
                     controls[(i, j)]
                 } else {
                     0.0
@@ -332,6 +320,10 @@ impl Transcription<'_> {
             inequality_offset,
         }
     }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Adds `Fᵀ C F` of the second derivatives whose forms are the rows from `first` on.

@@ -37,8 +37,6 @@ use self::sets::convex_sets;
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
-/// Largest change of a free duration in one step of the solver, over that of the grid.
-const LARGEST_TIME_SCALE_CHANGE: f64 = 0.1;
 /// Rotation of a node below which a step may stretch the rod, by the square of it.
 const SMALL_TURN: f64 = 1e-3;
 /// Products of a Gauss-Newton Hessian from which they take more than some hundredths of a second.
@@ -75,6 +73,21 @@ pub struct PathRow {
     pub item: usize,
 }
 
+/// A program whose rows need not hold: with one more variable `τ`, the last, constraints read `c = τ d` and inequalities `h ≤ τ d`, and
+/// `weight τ` is added to the objective.
+///
+/// At a solution `weight = dᵀ(y, z)`. Where the rows of a program can only just be met, its multipliers are not unique; those of the relaxed
+/// one are.
+#[derive(Clone, Debug)]
+pub(super) struct Relaxation {
+    /// Price of `τ`.
+    pub(super) weight: f64,
+    /// `d` of the constraints.
+    pub(super) constraints: Vec<f64>,
+    /// `d ≥ 0` of the inequalities.
+    pub(super) inequalities: Vec<f64>,
+}
+
 /// An optimal-control problem, transcribed.
 pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
@@ -92,8 +105,8 @@ pub struct Transcription<'a> {
     /// Time nodes at which costs over states are sampled, with durations, s.
     samples: Vec<(usize, f64)>,
     control_cost: ControlCost,
+    relaxation: Option<Relaxation>,
     pub(super) n_controls: usize,
-    pub(super) duration_variable: Option<usize>,
     pub(super) n_threads: usize,
 }
 
@@ -101,6 +114,23 @@ impl<'a> Transcription<'a> {
     /// Transcribes `problem`; sensitivities use `n_threads` threads, which changes nothing but the time.
     #[must_use]
     pub fn new(problem: &'a OptimalControlProblem, n_threads: usize) -> Self {
+        Self::of(problem, n_threads, None)
+    }
+
+    /// Transcribes `problem` and relaxes it.
+    pub(super) fn relaxed(
+        problem: &'a OptimalControlProblem,
+        n_threads: usize,
+        relaxation: Relaxation,
+    ) -> Self {
+        Self::of(problem, n_threads, Some(relaxation))
+    }
+
+    fn of(
+        problem: &'a OptimalControlProblem,
+        n_threads: usize,
+        relaxation: Option<Relaxation>,
+    ) -> Self {
         let components = problem.actuated_components();
         let goal_rows = problem.goal_rows();
         let n_controls = problem.n_controls();
@@ -126,7 +156,14 @@ impl<'a> Transcription<'a> {
             .collect();
         Self {
             sets: convex_sets(problem, &components, &goal_rows, &slack_variables),
-            control_cost: ControlCost::of(problem, components.len(), &goal_rows, &slack_variables),
+            control_cost: ControlCost::of(
+                problem,
+                components.len(),
+                &goal_rows,
+                &slack_variables,
+                relaxation.as_ref().map(|relaxation| relaxation.weight),
+            ),
+            relaxation,
             samples: sample_times(problem),
             problem,
             components,
@@ -136,7 +173,6 @@ impl<'a> Transcription<'a> {
             path_starts,
             path_durations,
             n_controls,
-            duration_variable: problem.duration_variable(),
             n_threads,
         }
     }
@@ -216,8 +252,7 @@ impl<'a> Transcription<'a> {
         let mut any = false;
         // The later coefficient of a difference says where it belongs.
         let mut add = |row: &[(usize, f64)], normal: f64| {
-            let controls = row.iter().filter(|(index, _)| *index < self.n_controls);
-            let Some(&(later, sign)) = controls.max_by_key(|(index, _)| index) else {
+            let Some(&(later, sign)) = row.iter().max_by_key(|(index, _)| index) else {
                 return;
             };
             let component = self.components[later % n_components];
@@ -239,29 +274,12 @@ impl<'a> Transcription<'a> {
         if any { out } else { Vec::new() }
     }
 
-    /// The time grid that belongs to a point's variables.
-    fn grid(&self, variables: &[f64]) -> TimeGrid {
-        let grid = self.problem.grid;
-        TimeGrid {
-            step: grid.step * self.problem.time_scale(variables),
-            ..grid
-        }
-    }
-
-    /// The motion on the grid that belongs to a point's variables.
-    pub(crate) fn motion(&self, variables: &[f64]) -> Motion<'_> {
-        Motion {
-            grid: self.grid(variables),
-            ..self.problem.motion()
-        }
-    }
-
     pub(crate) fn rod_view<'b>(&'b self, point: &'b LiftedPoint) -> RodView<'b> {
         RodView {
             rod: &self.problem.rod,
             radii: &self.problem.radii,
             trajectory: &point.trajectory,
-            grid: self.grid(&point.variables),
+            grid: self.problem.grid,
         }
     }
 
@@ -344,23 +362,36 @@ impl<'a> Transcription<'a> {
     /// The residuals of the costs over states.
     fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
         let rod_view = self.rod_view(point);
-        self.samples(point)
-            .flat_map(|(k, duration)| cost_rows(self.problem, &rod_view, k, duration))
+        (self.samples.iter())
+            .flat_map(|&(k, duration)| cost_rows(self.problem, &rod_view, k, duration))
             .collect()
-    }
-
-    /// Time nodes at which costs over states are sampled, with what they stand for at a point, s.
-    fn samples(&self, point: &LiftedPoint) -> impl Iterator<Item = (usize, f64)> {
-        let time_scale = self.problem.time_scale(&point.variables);
-        (self.samples.iter()).map(move |&(k, duration)| (k, duration * time_scale))
     }
 
     /// Residuals of the goals minus the variables that soft ones have for them.
     fn less_soft(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
-        for (r, variable) in residuals.iter_mut().zip(&self.slack_variables) {
+        for (row, (r, variable)) in residuals.iter_mut().zip(&self.slack_variables).enumerate() {
             *r -= variable.map_or(0.0, |variable| variables[variable]);
+            *r += self.relaxed_constraint(row) * self.shortfall(variables);
         }
         residuals
+    }
+
+    /// `τ` of a [`Relaxation`]; 0 without one.
+    fn shortfall(&self, variables: &[f64]) -> f64 {
+        match (&self.relaxation, variables.last()) {
+            (Some(_), Some(shortfall)) => *shortfall,
+            _ => 0.0,
+        }
+    }
+
+    /// Derivative of a constraint along `τ`.
+    fn relaxed_constraint(&self, row: usize) -> f64 {
+        (self.relaxation.as_ref()).map_or(0.0, |relaxation| -relaxation.constraints[row])
+    }
+
+    /// Derivative of an inequality along `τ`.
+    fn relaxed_inequality(&self, row: usize) -> f64 {
+        (self.relaxation.as_ref()).map_or(0.0, |relaxation| -relaxation.inequalities[row])
     }
 
     /// Values of all path rows.
@@ -372,6 +403,12 @@ impl<'a> Transcription<'a> {
             for item in 0..n_items {
                 let value = |&k: &usize| constraint.limit.value(&rod_view, k, item);
                 values.extend(constraint.time_nodes.iter().map(value));
+            }
+        }
+        if let Some(relaxation) = &self.relaxation {
+            let shortfall = self.shortfall(&point.variables);
+            for (h, d) in values.iter_mut().zip(&relaxation.inequalities) {
+                *h -= shortfall * d;
             }
         }
         values
@@ -428,7 +465,7 @@ impl<'a> Transcription<'a> {
                 out.push(curvature);
             }
         }
-        for (k, duration) in self.samples(point) {
+        for &(k, duration) in &self.samples {
             out.extend(cost_curvature(self.problem, &rod_view, k, duration));
         }
         out
@@ -456,7 +493,7 @@ impl LiftedProgram for Transcription<'_> {
         self.n_controls
     }
 
-    /// Of effort, rate, soft residuals and the price of the duration.
+    /// Of effort, rate and soft residuals.
     fn own_gradient(&self, point: &LiftedPoint) -> Option<Vec<f64>> {
         Some(self.control_cost.value(&point.variables).1)
     }
@@ -485,19 +522,8 @@ impl LiftedProgram for Transcription<'_> {
                 goal.name, goal.time_node
             )));
         }
-        if let Some((_, conflict)) = self.problem.duration_conflict() {
-            return Err(Failure(format!(
-                "a free duration does not go with {conflict}"
-            )));
-        }
-        let time_scale = self.problem.time_scale(&point.variables);
-        if !(time_scale > 0.0 && time_scale.is_finite()) {
-            return Err(Failure(format!(
-                "a duration of {time_scale} times that of the grid"
-            )));
-        }
         let control = self.signal(&point.variables);
-        let motion = self.motion(&point.variables);
+        let motion = self.problem.motion();
         let found = defects(&motion, &point.trajectory, &control).map_err(describe)?;
         let residuals = self.goal_residuals(&point.trajectory, &found);
         let (control_cost, _) = self.control_cost.value(&point.variables);
@@ -565,7 +591,7 @@ impl LiftedProgram for Transcription<'_> {
         let costates = self.costates(point, &costs, multipliers)?;
         Ok(LagrangianTerms {
             own: self.control_cost.value(&point.variables).1,
-            through_states: self.through_states(point, &costs, &costates, multipliers)?,
+            through_states: self.through_states(point, &costates, multipliers),
             least_curvature: None,
             costates: Some(costates),
         })
@@ -582,7 +608,8 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn n_states(&self) -> Option<usize> {
-        self.problem.n_states()
+        // The relaxed program has too few solves to keep their states.
+        self.relaxation.is_none().then(|| self.problem.n_states())?
     }
 
     fn keep_states(
@@ -591,10 +618,10 @@ impl LiftedProgram for Transcription<'_> {
         rows: &[usize],
     ) -> Result<Option<StateLinearization>, Failure> {
         let trajectory = &point.trajectory;
-        if self.problem.duration.is_some() || !self.problem.acting.is_empty() {
+        if !self.problem.acting.is_empty() || self.relaxation.is_some() {
             return Ok(None);
         }
-        let motion = self.motion(&point.variables);
+        let motion = self.problem.motion();
         let Some(motion) = SparseMotion::along(&motion, trajectory).map_err(describe)? else {
             return Ok(None);
         };
@@ -638,7 +665,7 @@ impl LiftedProgram for Transcription<'_> {
             residuals: (self.state_costs(point).into_iter())
                 .map(|cost| of_forms(cost.gradient))
                 .collect(),
-            hessian: self.control_cost.gauss_newton(&point.variables),
+            hessian: self.control_cost.hessian().clone(),
         }))
     }
 
@@ -662,12 +689,6 @@ impl LiftedProgram for Transcription<'_> {
             };
             form.terms.iter().map(at).sum()
         };
-        let by_duration = |row: usize| {
-            let change = self.duration_variable.map(|at| direction.variables[at]);
-            change.map_or(0.0, |change| {
-                change * self.path_slope(point, &rod_view, row)
-            })
-        };
         let furthest = (direction.trajectory.positions.iter())
             .map(Vector3::norm)
             .fold(0.0, f64::max);
@@ -677,12 +698,14 @@ impl LiftedProgram for Transcription<'_> {
             matches!(limit, PathLimit::Clearance { .. })
                 && h + furthest / limit.scale(&self.problem.rod) < 0.0
         };
+        let shortfall = self.shortfall(&direction.variables);
         let predict = |(row, &h): (usize, &f64)| {
+            let h = h + self.relaxed_inequality(row) * shortfall;
             if is_out_of_reach(row, h) {
                 return h;
             }
             let gradient = self.path_gradient(&rod_view, row);
-            h + gradient.iter().map(moved).sum::<f64>() + by_duration(row)
+            h + gradient.iter().map(moved).sum::<f64>()
         };
         Ok((evaluation.inequalities.iter().enumerate())
             .map(predict)
@@ -700,16 +723,10 @@ impl LiftedProgram for Transcription<'_> {
         if let Some(acting) = &acting {
             control = acting.change(&control);
         }
-        let mut sources = RightHandSide::against(defects);
-        if let (Some(at), Some(along_duration)) = (
-            self.duration_variable,
-            self.duration_right_hand_side(point)?,
-        ) {
-            sources.add(change[at], &along_duration);
-        }
+        let sources = RightHandSide::against(defects);
         let motion = Motion {
             control: acting.as_ref().map(|acting| &acting.signal),
-            ..self.motion(&point.variables)
+            ..self.problem.motion()
         };
         let (trajectory, _) = direction(
             &motion,
@@ -777,10 +794,7 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn longest_step(&self, direction: &LiftedDirection) -> f64 {
-        let by_turn = LARGEST_TURN / direction.trajectory.largest_rotation();
-        let change_of_duration =
-            (self.duration_variable).map_or(0.0, |at| direction.variables[at].abs());
-        by_turn.min(LARGEST_TIME_SCALE_CHANGE / change_of_duration)
+        LARGEST_TURN / direction.trajectory.largest_rotation()
     }
 
     fn rollout(&self, point: &LiftedPoint, change: &[f64]) -> Result<LiftedPoint, Failure> {
@@ -791,8 +805,7 @@ impl LiftedProgram for Transcription<'_> {
             .map(|(v, d)| v + d)
             .collect();
         let control = self.signal(&variables);
-        let grid = self.grid(&variables);
-        let trajectory = simulate(self.problem, grid, &control).map_err(describe)?;
+        let trajectory = simulate(self.problem, self.problem.grid, &control).map_err(describe)?;
         Ok(LiftedPoint {
             variables,
             trajectory,

@@ -1,4 +1,4 @@
-//! Bounds on coefficients and rates, the duration, and rest within a tolerance, as convex sets of the variables.
+//! Bounds on coefficients and rates, and rest within a tolerance, as convex sets of the variables.
 
 use crate::control::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
 use crate::sqp::ConvexSet;
@@ -36,13 +36,12 @@ impl<'a> ChannelVariables<'a> {
         out
     }
 
-    /// The set in which `rows`, one per axis, must stay; limits per axis grow with the variable `times`, if it is given.
+    /// The set in which `rows`, one per axis, must stay.
     fn push_sets(
         &self,
         bound: Option<Bound>,
         unit: f64,
         rows: Vec<Vec<(usize, f64)>>,
-        times: Option<usize>,
         sets: &mut Vec<ConvexSet>,
     ) {
         match bound {
@@ -62,16 +61,8 @@ impl<'a> ChannelVariables<'a> {
                         continue;
                     }
                     let opposite = row.iter().map(|&(index, c)| (index, -c)).collect();
-                    for mut direction in [row, opposite] {
-                        let mut constant = limit;
-                        if let Some(index) = times {
-                            direction.push((index, -limit));
-                            constant = 0.0;
-                        }
-                        sets.push(ConvexSet::HalfSpace {
-                            direction,
-                            limit: constant,
-                        });
+                    for direction in [row, opposite] {
+                        sets.push(ConvexSet::HalfSpace { direction, limit });
                     }
                 }
             }
@@ -80,7 +71,7 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, on their differences, on the duration, and on what rest within a tolerance leaves, in scaled variables.
+/// The bounds on coefficients, on their differences, and on what rest within a tolerance leaves, in scaled variables.
 pub(super) fn convex_sets(
     problem: &OptimalControlProblem,
     components: &[Component],
@@ -88,27 +79,19 @@ pub(super) fn convex_sets(
     slack_variables: &[Option<usize>],
 ) -> Vec<ConvexSet> {
     let mut sets = Vec::new();
-    let duration = problem.duration_variable();
-    if let (Some(free), Some(index)) = (problem.duration, duration) {
-        sets.push(ConvexSet::Interval {
-            index,
-            lower: free.shortest / problem.grid.duration(),
-            upper: free.longest / problem.grid.duration(),
-        });
-    }
     let gaps = problem.control.rate_gaps();
     for coefficient in 0..problem.control.n_coefficients() {
         for variables in ChannelVariables::all(problem, components, coefficient) {
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
-            variables.push_sets(channel.bound, 1.0 / channel.scale, own, None, &mut sets);
+            variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
                 let change = (variables.indices.iter())
                     .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
                     .collect();
                 let unit = gap / channel.scale;
-                variables.push_sets(channel.rate_bound, unit, change, duration, &mut sets);
+                variables.push_sets(channel.rate_bound, unit, change, &mut sets);
             }
         }
     }

@@ -10,7 +10,7 @@ use crate::mechanics::integrator::StepError;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::signal::ControlSignal;
 
-use super::{AdjointSweep, Kick, Motion, StateTangent};
+use super::{Kick, Motion, StateTangent};
 
 /// Half-step momenta of one interval, and the rotation that carries them.
 #[derive(Clone, Copy, Debug)]
@@ -119,48 +119,6 @@ impl RightHandSide {
             terminal_angular: zeros,
             start: None,
         }
-    }
-
-    fn parts(&self) -> [&Vec<Vector3<f64>>; 4] {
-        [
-            &self.linear,
-            &self.angular,
-            &self.terminal_linear,
-            &self.terminal_angular,
-        ]
-    }
-
-    /// Adds `factor` times others of the same size.
-    pub fn add(&mut self, factor: f64, other: &Self) {
-        let own = [
-            &mut self.linear,
-            &mut self.angular,
-            &mut self.terminal_linear,
-            &mut self.terminal_angular,
-        ];
-        for (own, other) in own.into_iter().zip(other.parts()) {
-            for (own, other) in own.iter_mut().zip(other) {
-                *own += factor * other;
-            }
-        }
-        if let Some(start) = &other.start {
-            let zeros = || StateTangent::zeros(start.positions.len());
-            (self.start.get_or_insert_with(zeros)).add(factor, start);
-        }
-    }
-
-    /// What a [functional's adjoint](adjoint_sweep) says of these: the functional's change.
-    #[must_use]
-    pub fn paired(&self, sweep: &AdjointSweep) -> f64 {
-        let rows = self.linear.len();
-        let dot = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 {
-            a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
-        };
-        dot(&self.linear, &sweep.linear)
-            + dot(&self.angular, &sweep.angular)
-            + dot(&self.terminal_linear, &sweep.linear[rows..])
-            + dot(&self.terminal_angular, &sweep.angular[rows..])
-            + (self.start.as_ref()).map_or(0.0, |start| start.dot(&sweep.start))
     }
 
     /// Change of the momenta of all `n` nodes after the kick at time node `k`.

@@ -60,15 +60,6 @@ impl StateTangent {
         ][part]
     }
 
-    /// Adds `factor` times another.
-    pub(super) fn add(&mut self, factor: f64, other: &Self) {
-        for part in 0..4 {
-            for (own, other) in self.part_mut(part).iter_mut().zip(other.part(part)) {
-                *own += factor * other;
-            }
-        }
-    }
-
     /// The zero direction, in the same memory.
     pub fn fill_zero(&mut self) {
         for part in 0..4 {
