@@ -20,7 +20,7 @@ use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
 use crate::mechanics::strain::log_second_derivative;
 use crate::mechanics::{
-    ControlSignal, FormTerm, StateForm, StepError, Stepper, TimeGrid, Trajectory, TrajectoryTangent,
+    ControlSignal, FormTerm, StateForm, TimeGrid, Trajectory, TrajectoryTangent,
 };
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
@@ -30,10 +30,13 @@ use crate::sqp::{
 mod condense;
 mod rows;
 mod sets;
+mod simulation;
+mod slacks;
 
 pub(super) use self::rows::describe;
 use self::rows::{Columns, WrenchColumn, goal_vector, rotation_error};
 use self::sets::convex_sets;
+pub use self::simulation::simulate;
 
 /// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
@@ -472,9 +475,6 @@ impl<'a> Transcription<'a> {
     }
 }
 
-/// A vector that is shorter than a radius by no more than this part is on the surface of its ball.
-const ON_SURFACE: f64 = 1e-6;
-
 impl LiftedProgram for Transcription<'_> {
     type Point = LiftedPoint;
     type Direction = LiftedDirection;
@@ -743,30 +743,7 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn reset_slacks(&self, point: &mut LiftedPoint, evaluation: &mut Evaluation<Defects>) {
-        let goals = (self.goal_rows.chunks(3).zip(self.slack_variables.chunks(3)))
-            .zip(evaluation.constraints.chunks_mut(3));
-        for ((rows, slacks), constraints) in goals {
-            let Some(radius) = self.problem.rest_radius(rows[0].goal, rows[0].part) else {
-                continue;
-            };
-            let slacks = || slacks.iter().flatten().copied();
-            let residuals = Vector3::from_iterator(
-                (slacks().zip(&*constraints)).map(|(slack, c)| c + point.variables[slack]),
-            );
-            // The nearest point of the ball, or of its surface where the step has put it there: in the residual's own direction, which so is
-            // that of its multiplier's normal.
-            let step = Vector3::from_iterator(slacks().map(|slack| point.variables[slack]));
-            let part = radius / residuals.norm();
-            let is_held = step.norm() >= (1.0 - ON_SURFACE) * radius;
-            let nearest = residuals * if is_held { part } else { part.min(1.0) };
-            if !nearest.iter().all(|r| r.is_finite()) {
-                continue;
-            }
-            for (axis, (slack, c)) in slacks().zip(constraints).enumerate() {
-                point.variables[slack] = nearest[axis];
-                *c = residuals[axis] - nearest[axis];
-            }
-        }
+        self.reset(point, &mut evaluation.constraints);
     }
 
     fn retract(
@@ -811,25 +788,4 @@ impl LiftedProgram for Transcription<'_> {
             trajectory,
         })
     }
-}
-
-/// Forward simulation of the problem's rod under the given wrenches.
-///
-/// # Errors
-/// [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
-pub fn simulate(
-    problem: &OptimalControlProblem,
-    grid: TimeGrid,
-    control: &ControlSignal,
-) -> Result<Trajectory, StepError> {
-    let rod = &problem.rod;
-    let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let mut stepper = Stepper::new(rod, grid, problem.initial.clone());
-    stepper.record(&mut trajectory);
-    for k in 0..grid.n_steps {
-        problem.stop.check_at(k)?;
-        stepper.advance([control.at(k), control.at(k + 1)])?;
-        stepper.record(&mut trajectory);
-    }
-    Ok(trajectory)
 }
