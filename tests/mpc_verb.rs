@@ -422,6 +422,31 @@ fn refusals_name_their_keys() {
     assert_eq!(error.line(), Some(line), "{error}");
 }
 
+/// What goes on after its task is due is warned of, and the result of a loop is none that `verify` certifies.
+#[test]
+fn what_is_not_meant_is_said() {
+    let desk = Desk::new();
+    let run = desk.run(&[
+        "mpc",
+        "loop.toml",
+        "--out",
+        "run",
+        "--set",
+        "time.end_s=0.2",
+        "--set",
+        "mpc.due_s=0.1",
+    ]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    assert!(
+        run.stderr.contains("nothing holds the arm"),
+        "{}",
+        run.stderr
+    );
+    let run = desk.run(&["verify", "run"]);
+    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert!(run.stderr.contains("of a closed loop"), "{}", run.stderr);
+}
+
 /// A circle is a path of points: on the circle to four parts in 100 000 of its radius, and from its beginning on to the end of the loop and
 /// of its last horizon.
 #[test]
