@@ -1,7 +1,7 @@
 //! `softarm mpc`: its files and their figures, results that repeat, runs that end early, and what is refused by its key.
 //!
-//! One loop serves for most claims: a soft arm of four elements as the controller knows it, eight elements and nine tenths of its stiffness as
-//! it is, motion capture, and a Kalman filter, for a second of simulated time.
+//! One loop serves for most claims: a soft arm of eight elements as the controller knows it, twelve elements and nine tenths of its stiffness
+//! as it is, motion capture, and a Kalman filter, for a second of simulated time.
 
 #![cfg(feature = "cli")]
 
@@ -21,7 +21,7 @@ use tool::{DONE, NUMERICAL, STOPPED, USAGE};
 const LOOP: &str = "\
 [rod]
 length_m = 1.0
-elements = 4
+elements = 8
 [rod.material]
 youngs_modulus_pa = 1e6
 poisson_ratio = 0.5
@@ -46,7 +46,7 @@ horizon_s = 0.4
 computing = \"fixed\"
 counted_from_s = 0.5
 [plant]
-elements = 8
+elements = 12
 stiffness_factor = 0.9
 [sensor]
 preset = \"mocap\"
@@ -181,11 +181,10 @@ fn files_agree() {
 
     // Rows of the motion are those of the beginnings of samples, and one at the end.
     let motion = MotionRecord::read_npz(&desk.path("run/trajectory.npz")).unwrap();
-    assert_eq!((motion.n_rows(), motion.n_nodes), (51, 9));
-    for (k, row) in rows.iter().enumerate() {
-        let _ = row;
+    assert_eq!((motion.n_rows(), motion.n_nodes), (51, 13));
+    for k in 0..rows.len() {
         let tip = ["tip_x", "tip_y", "tip_z"].map(|name| numbers(name)[k].unwrap());
-        let node = &motion.x[(k * 9 + 8) * 3..][..3];
+        let node = &motion.x[(k * 13 + 12) * 3..][..3];
         assert!(
             tip.iter().zip(node).all(|(a, b)| (a - b).abs() < 1e-12),
             "{k}"
@@ -271,7 +270,7 @@ fn open_loop_follows_on_its_own_model() {
     let desk = Desk::new();
     let text = LOOP
         .replace("stiffness_factor = 0.9\n", "")
-        .replace("elements = 8\n", "")
+        .replace("elements = 12\n", "")
         .replace("[sensor]\npreset = \"mocap\"\n", "");
     let text = &text[..text.find("[estimator]").unwrap()];
     fs::write(desk.path("exact.toml"), text).unwrap();
@@ -421,6 +420,31 @@ fn refusals_name_their_keys() {
         .unwrap()
         + 1;
     assert_eq!(error.line(), Some(line), "{error}");
+}
+
+/// What goes on after its task is due is warned of, and the result of a loop is none that `verify` certifies.
+#[test]
+fn what_is_not_meant_is_said() {
+    let desk = Desk::new();
+    let run = desk.run(&[
+        "mpc",
+        "loop.toml",
+        "--out",
+        "run",
+        "--set",
+        "time.end_s=0.2",
+        "--set",
+        "mpc.due_s=0.1",
+    ]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    assert!(
+        run.stderr.contains("nothing holds the arm"),
+        "{}",
+        run.stderr
+    );
+    let run = desk.run(&["verify", "run"]);
+    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert!(run.stderr.contains("of a closed loop"), "{}", run.stderr);
 }
 
 /// A circle is a path of points: on the circle to four parts in 100 000 of its radius, and from its beginning on to the end of the loop and

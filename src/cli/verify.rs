@@ -40,9 +40,16 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     console.catch_interrupts();
     let stop = stop_signal(None);
     let directory = arguments.directory.as_path();
-    if !directory.join("controls.csv").exists() {
+    let has = |name: &str| directory.join(name).exists();
+    let is_loop = has("samples.csv") && !has("multipliers.json");
+    if is_loop || !has("controls.csv") {
+        let why = if is_loop {
+            "samples.csv is of a closed loop"
+        } else {
+            "no controls.csv"
+        };
         return Err(CliError::Directory(format!(
-            "{}: not the result directory of a solve (no controls.csv); `softarm solve SCENE --out DIR` makes one",
+            "{}: not the result directory of a solve ({why}); `softarm solve SCENE --out DIR` makes one",
             directory.display()
         )));
     }

@@ -10,7 +10,7 @@ use super::model::{
 use super::section::circular;
 use super::source::SceneSource;
 use super::translate::load_profile;
-use super::values::{Number, known};
+use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{NodeInertia, Rod, SectionProfile, State};
 use crate::mpc::{
@@ -173,7 +173,7 @@ impl Scene {
             plant: found.rod,
             initial: found.initial,
             resolved,
-            warnings: self.idle_keys(),
+            warnings: self.concerns(due, duration),
         })
     }
 
@@ -249,7 +249,8 @@ impl Scene {
         }
     }
 
-    fn idle_keys(&self) -> Vec<String> {
+    /// Keys that play no part, and a loop that goes on after its task.
+    fn concerns(&self, due: Option<Positive<Instant>>, duration: f64) -> Vec<String> {
         let mut out = Vec::new();
         let kind = self.estimator.as_ref().map(|estimator| estimator.kind);
         if kind == Some(EstimatorKind::None) && !self.sensor.is_empty() {
@@ -262,6 +263,12 @@ impl Scene {
         if mpc.is_some_and(|mpc| mpc.computing_s.is_some() && mpc.computing != ComputingKey::Fixed)
         {
             out.push("mpc.computing_s plays no part: mpc.computing is not \"fixed\"".into());
+        }
+        if let Some(due) = due.map(Number::get).filter(|due| *due < duration) {
+            out.push(format!(
+                "the loop runs for {duration} s, and its task is due at {due} s: nothing holds the arm afterwards; leave mpc.due_s and task.at_s out, \
+                 or shorten mpc.duration_s"
+            ));
         }
         out
     }
