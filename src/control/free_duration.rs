@@ -25,7 +25,7 @@ const FLAT: f64 = 1e-6;
 /// Relative change of the duration in the differences of fourth order: they are good to 1e-8 for waves of which a hundred fit into the
 /// duration, and stay that far above the rounding of a motion.
 const CHANGE: f64 = 1e-4;
-/// Ratio of durations of the scan, a fourth root of two: a first mode that is as long as the motion swings no faster in it.
+/// Ratio of durations of the scan, at most a fourth root of two: a first mode that is as long as the motion swings no faster in it.
 const RUNG: f64 = 1.189_207_115_002_721;
 /// Iterations of a solve that begins near the solution of another: several times what they take.
 const PATIENCE: usize = 100;
@@ -210,8 +210,8 @@ impl<'a> DurationSearch<'a> {
         if !scans && self.is_flat(&first) {
             return Some(first);
         }
-        for ratio in [1.0 / RUNG, RUNG] {
-            self.walk(first.time_scale, ratio, if scans { 2 } else { 1 });
+        for limit in self.limits() {
+            self.walk(first.time_scale, limit, if scans { 2 } else { 1 });
         }
         for [from, to] in self.valleys() {
             let found = self.descend(from, to);
@@ -222,25 +222,24 @@ impl<'a> DurationSearch<'a> {
         None
     }
 
-    /// From a duration to ever shorter or longer ones, as long as that may lead to a lower value: not up `patience` rungs in a row.
-    fn walk(&mut self, from: f64, ratio: f64, patience: usize) {
-        let mut at = from;
-        let mut rising = 0;
+    /// From a duration by equal ratios towards a limit, as long as that may lead to a lower value: not up `patience` rungs in a row.
+    fn walk(&mut self, from: f64, limit: f64, patience: usize) {
+        let rungs = ((limit / from).ln().abs() / RUNG.ln()).ceil();
+        let (mut at, mut rung, mut rising) = (from, 0.0, 0);
         while let (None, Some(here)) = (self.stopped, self.at(at)) {
-            let rises = here.slope * (ratio - 1.0) > 0.0;
+            let rises = here.slope * (limit - from) > 0.0;
             rising = if rises { rising + 1 } else { 0 };
-            // The last rung before a limit is the limit.
-            let [next, beyond] = [ratio, ratio * ratio.sqrt()].map(|r| self.within_limits(at * r));
-            let next = if self.limits().contains(&beyond) {
-                beyond
+            rung += 1.0;
+            let next = if rung < rungs {
+                from * (limit / from).powf(rung / rungs)
             } else {
-                next
+                limit
             };
             // What else is paid for is not negative.
             let is_hopeless = self
                 .best()
                 .is_some_and(|best| self.price(next) > best.value);
-            if rising >= patience || next == at || is_hopeless {
+            if rising >= patience || rung > rungs || is_hopeless {
                 break;
             }
             self.solve_at(next);
@@ -282,8 +281,8 @@ impl<'a> DurationSearch<'a> {
         let mut room = NEAR;
         for _ in 0..MOST_SOLVES {
             let ends = [from, to].map(|at| self.at(at).cloned());
-            let flat = ends.iter().flatten().filter(|end| self.is_flat(end));
-            if let Some(found) = flat.min_by(|a, b| a.value.total_cmp(&b.value)) {
+            let lower = (ends.iter().flatten()).min_by(|a, b| a.value.total_cmp(&b.value));
+            if let Some(found) = lower.filter(|end| self.is_flat(end)) {
                 return if is_minimum_time(self.problem) {
                     // Nothing pulls at a limit.
                     let mut none = found.outcome.multipliers.clone();
