@@ -6,7 +6,7 @@
 //! `x_b = x_a + R_a S(ψ)⁻¹ w`. The stiff strains are linear in these coordinates, where those of positions and rotations
 //! moved on their own grow with the square of the turn.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
 use super::rotation::{InverseTangentCoefficients, exp, exp_tangent, log, log_tangent};
@@ -164,49 +164,58 @@ pub fn shape_difference(
 }
 
 /// Takes tangents at one shape to those at another that change the strains of the elements alike, and turn the base alike: the derivative
-/// of a change of the reference of [`shape_difference`].
+/// of [`shape_difference`] along its reference.
 #[derive(Clone, Debug)]
 pub struct ShapeTransport {
-    charts: Vec<[Chart; 2]>,
-    base: Matrix3<f64>,
+    /// Of the motion `(δx, ζ)` of the base.
+    pub base: Matrix6<f64>,
+    /// Of every element: what the motions of its near and of its far end, and what became of that of its near end, add to what becomes of that
+    /// of its far end.
+    pub links: Vec<[Matrix6<f64>; 3]>,
 }
 
 impl ShapeTransport {
-    /// Memory for shapes of the number of nodes of this one, which it takes nowhere.
+    /// Memory for shapes of so many nodes.
     #[must_use]
-    pub fn new(shape: &Configuration) -> Self {
-        let mut transport = Self {
-            charts: Vec::with_capacity(shape.positions.len()),
-            base: Matrix3::identity(),
-        };
-        transport.between(shape, shape);
-        transport
+    pub fn new(n_nodes: usize) -> Self {
+        Self {
+            base: Matrix6::identity(),
+            links: Vec::with_capacity(n_nodes - 1),
+        }
     }
 
     /// From one shape to another.
     pub fn between(&mut self, from: &Configuration, to: &Configuration) {
-        self.charts.clear();
+        let turn = log(&from.rotations[0].tr_mul(&to.rotations[0]));
+        self.base.fill_with_identity();
+        (self.base.fixed_view_mut::<3, 3>(3, 3)).copy_from(&exp_tangent(&turn));
+        self.links.clear();
         for a in 0..from.positions.len() - 1 {
-            self.charts.push([from, to].map(|shape| {
+            let [here, there] = [from, to].map(|shape| {
                 let (x, r) = (&shape.positions, &shape.rotations);
                 Chart::at(&x[a], &r[a], &x[a + 1], &r[a + 1])
-            }));
+            });
+            let still = (Vector3::zeros(), Vector3::zeros());
+            let columns = |of: &dyn Fn(&Move) -> Move| {
+                let mut matrix = Matrix6::zeros();
+                for i in 0..6 {
+                    let unit = Vector3::ith(i % 3, 1.0);
+                    let (x, r) = of(&if i < 3 {
+                        (unit, still.1)
+                    } else {
+                        (still.0, unit)
+                    });
+                    matrix.fixed_view_mut::<3, 1>(0, i).copy_from(&x);
+                    matrix.fixed_view_mut::<3, 1>(3, i).copy_from(&r);
+                }
+                matrix
+            };
+            self.links.push([
+                columns(&|near| there.far_end(&still, &here.strain(near, &still))),
+                columns(&|far| there.far_end(&still, &here.strain(&still, far))),
+                columns(&|moved| there.far_end(moved, &here.strain(&still, &still))),
+            ]);
         }
-        let turn = log(&from.rotations[0].tr_mul(&to.rotations[0]));
-        self.base = exp_tangent(&turn);
-    }
-
-    /// The motion of the base.
-    #[must_use]
-    pub fn base(&self, motion: Move) -> Move {
-        (motion.0, self.base * motion.1)
-    }
-
-    /// The motion of the far end of element `q`, from the motions of its near and its far end, and what became of the near end's.
-    #[must_use]
-    pub fn far_end(&self, q: usize, [a, b]: [&Move; 2], moved_a: &Move) -> Move {
-        let [here, there] = &self.charts[q];
-        there.far_end(moved_a, &here.strain(a, b))
     }
 }
 
@@ -288,6 +297,7 @@ impl Trajectory {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector6;
 
     /// A motion of five nodes, bent by up to 2 rad an element and stretched, and a direction of it.
     fn motion() -> (Trajectory, TrajectoryTangent) {
@@ -376,15 +386,19 @@ mod tests {
             .zip(&first)
             .map(|(b, a)| (b - a) / SMALL)
             .collect();
-        let mut transport = ShapeTransport::new(&from);
+        let mut transport = ShapeTransport::new(n);
         transport.between(&from, &to);
-        let mut moved = transport.base((seen[0], seen[n]));
+        let join =
+            |x: &Vector3<f64>, r: &Vector3<f64>| Vector6::from_iterator(x.iter().chain(r).copied());
+        let mut moved = transport.base * join(&seen[0], &seen[n]);
         for q in 0..n {
-            if q > 0 {
-                let ends = [&(seen[q - 1], seen[n + q - 1]), &(seen[q], seen[n + q])];
-                moved = transport.far_end(q - 1, ends, &moved);
+            if let Some(a) = q.checked_sub(1) {
+                let [near, far, before] = &transport.links[a];
+                moved = near * join(&seen[a], &seen[n + a])
+                    + far * join(&seen[q], &seen[n + q])
+                    + before * moved;
             }
-            let error = (moved.0 - dx[q]).norm() + (moved.1 - zeta[q]).norm();
+            let error = (moved - join(&dx[q], &zeta[q])).norm();
             assert!(error < 1e-5, "{q}: {error}");
         }
     }

@@ -15,8 +15,11 @@ use faer::linalg::triangular_solve::{
     solve_lower_triangular_in_place, solve_upper_triangular_in_place,
 };
 use faer::prelude::*;
-use faer::{Accum, Mat, Par, Spec};
-use nalgebra::Vector3;
+use faer::{Accum, Mat, MatRef, Par, Spec};
+use nalgebra::{Matrix6, Vector3};
+
+use crate::mechanics::forms::NODE_COMPONENTS;
+use crate::mechanics::strain_coordinates::ShapeTransport;
 
 use super::EstimateError;
 use super::readings::Terms;
@@ -78,6 +81,8 @@ pub(super) struct Covariance {
     next: Mat<f64>,
     /// `[A B] P`
     moved: Mat<f64>,
+    /// Six columns each, of a transport.
+    columns: [Mat<f64>; 2],
     /// `P Hᵀ`, and the same of the covariance without its last correction.
     cross: Mat<f64>,
     /// `L⁻¹ H P`, and then `Kᵀ`.
@@ -101,6 +106,7 @@ impl Covariance {
             n_state,
             next: Mat::zeros(n, n),
             moved: Mat::zeros(n_state, n),
+            columns: [(); 2].map(|()| Mat::zeros(n, NODE_COMPONENTS / 2)),
             cross: Mat::zeros(0, 0),
             solved: Mat::zeros(0, 0),
             inner: Mat::zeros(0, 0),
@@ -172,10 +178,11 @@ impl Covariance {
         self.mean.fill(0.0);
     }
 
-    /// A correction starts from `J P Jᵀ`, and from what is written to [`mean`](Self::mean); `map` multiplies a column by `J` where it stands.
-    pub fn move_prior(&mut self, map: impl FnMut(&mut [f64])) {
+    /// A correction starts from the present matrix, taken to another shape, and from what is written to [`mean`](Self::mean). The components of
+    /// the state are those of the nodes from `first` on.
+    pub fn move_prior(&mut self, transport: &ShapeTransport, first: usize) {
         self.prior.copy_from(&self.matrix);
-        congruence(&mut self.prior, map);
+        congruence(&mut self.prior, &mut self.columns, transport, first);
     }
 
     /// Writes the corrected covariance to the next matrix, and the corrected error to [`correction`](Self::correction); returns the square of
@@ -271,9 +278,9 @@ impl Covariance {
         }
     }
 
-    /// Takes the next matrix `P` to `J P Jᵀ`; `map` multiplies a column by `J` where it stands.
-    pub fn transform(&mut self, map: impl FnMut(&mut [f64])) {
-        congruence(&mut self.next, map);
+    /// Takes the next matrix to another shape.
+    pub fn transport(&mut self, transport: &ShapeTransport, first: usize) {
+        congruence(&mut self.next, &mut self.columns, transport, first);
     }
 
     /// The next matrix becomes the present one.
@@ -335,14 +342,16 @@ fn lower_product(
     );
 }
 
-/// `J P Jᵀ` for `P`.
-fn congruence(matrix: &mut Mat<f64>, mut map: impl FnMut(&mut [f64])) {
-    let n = matrix.nrows();
+/// `J P Jᵀ` for `P`, `J` the transport over the poses of the nodes from `first` on.
+fn congruence(
+    matrix: &mut Mat<f64>,
+    columns: &mut [Mat<f64>; 2],
+    transport: &ShapeTransport,
+    first: usize,
+) {
     for _ in 0..2 {
-        for j in 0..n {
-            map(matrix.col_as_slice_mut(j));
-        }
-        for j in 0..n {
+        times_transposed(matrix, columns, transport, first);
+        for j in 0..matrix.ncols() {
             for i in 0..j {
                 let value = matrix[(i, j)];
                 matrix[(i, j)] = matrix[(j, i)];
@@ -351,6 +360,37 @@ fn congruence(matrix: &mut Mat<f64>, mut map: impl FnMut(&mut [f64])) {
         }
     }
     make_symmetric(matrix);
+}
+
+/// `P Jᵀ` for `P`, six columns at a time.
+fn times_transposed(
+    matrix: &mut Mat<f64>,
+    [before, made]: &mut [Mat<f64>; 2],
+    transport: &ShapeTransport,
+    first: usize,
+) {
+    const POSE: usize = NODE_COMPONENTS / 2;
+    let add = |made: &mut Mat<f64>, own: MatRef<f64>, map: &Matrix6<f64>, accum: Accum| {
+        let map = MatRef::from_column_major_slice(map.as_slice(), POSE, POSE);
+        matmul(made.as_mut(), accum, own, map.transpose(), 1.0, Par::Seq);
+    };
+    for node in first..=transport.links.len() {
+        let at = NODE_COMPONENTS * (node - first);
+        let own = matrix.as_ref().subcols(at, POSE);
+        match node.checked_sub(1).map(|element| &transport.links[element]) {
+            None => add(made, own, &transport.base, Accum::Replace),
+            Some([near, far, moved]) => {
+                add(made, own, far, Accum::Replace);
+                if node > first {
+                    let near_end = matrix.as_ref().subcols(at - NODE_COMPONENTS, POSE);
+                    add(made, before.as_ref(), near, Accum::Add);
+                    add(made, near_end, moved, Accum::Add);
+                }
+            }
+        }
+        before.copy_from(own);
+        matrix.as_mut().subcols_mut(at, POSE).copy_from(&*made);
+    }
 }
 
 /// Takes off what rounding leaves.

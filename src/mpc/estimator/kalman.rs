@@ -1,7 +1,5 @@
 //! An extended Kalman filter on the full state, in the tangent of the integrator.
 
-use std::ops::Range;
-
 use faer::Mat;
 use nalgebra::Vector3;
 
@@ -20,6 +18,7 @@ use super::comparison::Comparison;
 use super::covariance::Covariance;
 use super::prediction::{Predictor, Steps};
 use super::readings::Layout;
+use super::slow::SlowPart;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
 use super::{check_start, check_time, setting};
 
@@ -118,7 +117,7 @@ const MOST_STEPS: usize = 15;
 /// most likely state; Bell and Cathey 1993), so that the arm is found from far as well.
 ///
 /// The error is carried by the exact linearization of the integrator's own steps, the one along the stiffness by differences of two
-/// motions. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
+/// motions, of which the slow part counts: what a wrong stiffness does to motions up to the third bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
 ///
 /// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {
@@ -135,6 +134,7 @@ pub struct KalmanFilter {
     transition: [Mat<f64>; 2],
     comparison: Comparison,
     transport: ShapeTransport,
+    slow: SlowPart,
     /// Where the measurement is linearized, and where the next state is made.
     point: Estimate,
     next: State,
@@ -192,6 +192,7 @@ impl KalmanFilter {
         let mut filter = Self {
             settings: *settings,
             covariance: Covariance::new(layout.n, layout.n_state),
+            slow: SlowPart::new(model, &at_rest),
             at_rest,
             predictor: Predictor::new(model, settings.longest_step),
             sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
@@ -199,7 +200,7 @@ impl KalmanFilter {
             transition: [layout.n_state, layout.n_disturbances()]
                 .map(|columns| Mat::zeros(layout.n_state, columns)),
             comparison: Comparison::new(model),
-            transport: ShapeTransport::new(&state.configuration),
+            transport: ShapeTransport::new(n_nodes),
             point: estimate.clone(),
             next: state.clone(),
             expected: Vec::new(),
@@ -318,6 +319,7 @@ impl KalmanFilter {
                 *out = if sign < 0.0 { slope } else { *out + slope };
             }
         }
+        self.slow.leave(&self.next.configuration, out);
         Ok(())
     }
 
@@ -368,8 +370,7 @@ impl KalmanFilter {
         }
         let transport = &mut self.transport;
         transport.between(&there.state.configuration, &here.state.configuration);
-        let nodes = first..here.state.linear_momentum.len();
-        (self.covariance).move_prior(|column| transported(transport, nodes.clone(), column));
+        self.covariance.move_prior(transport, first);
     }
 
     /// Moves the point along the correction, by a part of it where it would turn elements far; the part, and what the innovations are then
@@ -446,8 +447,7 @@ impl KalmanFilter {
         let (here, there) = (&self.next.configuration, &self.point.state.configuration);
         let transport = &mut self.transport;
         transport.between(here, there);
-        let nodes = self.layout.first_free_node..there.positions.len();
-        (self.covariance).transform(|column| transported(transport, nodes.clone(), column));
+        (self.covariance).transport(transport, self.layout.first_free_node);
         self.covariance.commit();
         std::mem::swap(&mut self.estimate.state, &mut self.point.state);
         self.estimate.disturbance = self.point.disturbance;
@@ -557,25 +557,6 @@ impl Estimator for KalmanFilter {
         }
         self.write_deviation();
         Ok(())
-    }
-}
-
-/// A deviation of the nodes in `free`, taken to the tangent of another shape; momenta and disturbances stay.
-fn transported(transport: &ShapeTransport, free: Range<usize>, column: &mut [f64]) {
-    let mut before = (Vector3::zeros(), Vector3::zeros());
-    let mut moved = before;
-    for node in free.clone() {
-        let at = NODE_COMPONENTS * (node - free.start);
-        let part = &mut column[at..at + 6];
-        let vector = |at: usize| Vector3::new(part[at], part[at + 1], part[at + 2]);
-        let own = (vector(0), vector(3));
-        moved = match node.checked_sub(1) {
-            Some(element) => transport.far_end(element, [&before, &own], &moved),
-            None => transport.base(own),
-        };
-        part[..3].copy_from_slice(moved.0.as_slice());
-        part[3..].copy_from_slice(moved.1.as_slice());
-        before = own;
     }
 }
 

@@ -30,6 +30,7 @@ mod kalman;
 mod observer;
 mod prediction;
 mod readings;
+mod slow;
 
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};

@@ -1,0 +1,100 @@
+//! The slow part of a change of the state.
+//!
+//! A wrong stiffness detunes all motions of an arm; the phases of the fast ones, which hardly anything damps, become unknown within a few of
+//! their periods. A filter that carries this to first order finds itself ever less certain of motions that do not matter, and disturbs them by
+//! its own corrections. What the stiffness does to slow motions is enough to find it: of a change `u` of the poses and `m` of the momenta
+//!
+//! ```text
+//! (M + θ K)⁻¹ M u     and     M (M + θ K)⁻¹ m,     θ = 1/ω²
+//! ```
+//!
+//! are left, that is of a motion of frequency `ν` the part `1/(1 + (ν/ω)²)`. `K` is the stiffness of the rod at rest, in the frames of the
+//! nodes, so that it turns with the arm; `ω` is the frequency of the third bending mode of a cantilever.
+
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+use nalgebra::Vector3;
+
+use crate::mechanics::forms::NODE_COMPONENTS;
+use crate::mechanics::{Configuration, Rod};
+
+/// `(β₃ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
+const THIRD_BENDING_MODE: f64 = 61.697_214;
+/// Components of a pose.
+const POSE: usize = 6;
+
+/// Leaves the slow part of changes of a rod's state.
+#[derive(Debug)]
+pub(super) struct SlowPart {
+    first_free_node: usize,
+    /// Transposes of the maps of poses and of momenta.
+    maps: [Mat<f64>; 2],
+    room: Vec<f64>,
+}
+
+impl SlowPart {
+    /// `at_rest` is the inverse of the Hessian of the energy over the components of the state, about the stress-free shape.
+    pub fn new(model: &Rod, at_rest: &Mat<f64>) -> Self {
+        let first = model.first_free_node();
+        let n = POSE * (model.n_nodes() - first);
+        let to_frames = Mat::from_fn(n, n, |i, j| {
+            let (node, a, b) = (i / POSE, i % POSE, j % POSE);
+            if node != j / POSE {
+                0.0
+            } else if a < 3 && b < 3 {
+                model.rest.rotations[first + node][(b, a)]
+            } else {
+                f64::from(u8::from(a == b))
+            }
+        });
+        let place = |i: usize| NODE_COMPONENTS * (i / POSE) + i % POSE;
+        let compliance = Mat::from_fn(n, n, |i, j| at_rest[(place(i), place(j))]);
+        let compliance = &to_frames * compliance * to_frames.transpose();
+        let inertia = |i: usize| {
+            let node = &model.nodes[first + i / POSE];
+            match i % POSE {
+                axis @ 0..3 => [node.mass; 3][axis],
+                axis => node.rotary[axis - 3],
+            }
+        };
+        // (M + θ K)⁻¹ M = (K⁻¹ M + θ)⁻¹ K⁻¹ M
+        let moved = Mat::from_fn(n, n, |i, j| compliance[(i, j)] * inertia(j));
+        let theta = (model.scales.time / THIRD_BENDING_MODE).powi(2);
+        let sum = Mat::from_fn(n, n, |i, j| {
+            moved[(i, j)] + if i == j { theta } else { 0.0 }
+        });
+        let poses = sum.partial_piv_lu().solve(&moved);
+        Self {
+            first_free_node: first,
+            maps: [poses.transpose().to_owned(), poses],
+            room: vec![0.0; n],
+        }
+    }
+
+    /// Leaves the slow part of a change `(δx, ζ, δp, δπ)` of every free node.
+    pub fn leave(&mut self, shape: &Configuration, change: &mut [f64]) {
+        let rotations = &shape.rotations[self.first_free_node..];
+        for (part, map) in self.maps.iter().enumerate() {
+            let part = POSE * part;
+            for (node, rotation) in rotations.iter().enumerate() {
+                let own = &change[NODE_COMPONENTS * node + part..][..POSE];
+                let room = &mut self.room[POSE * node..][..POSE];
+                let moved = rotation.tr_mul(&Vector3::from_column_slice(&own[..3]));
+                room[..3].copy_from_slice(moved.as_slice());
+                room[3..].copy_from_slice(&own[3..]);
+            }
+            for (node, rotation) in rotations.iter().enumerate() {
+                let row = |i: usize| -> f64 {
+                    let row = map.col_as_slice(POSE * node + i);
+                    row.iter().zip(&self.room).map(|(a, b)| a * b).sum()
+                };
+                let moved = rotation * Vector3::new(row(0), row(1), row(2));
+                let own = &mut change[NODE_COMPONENTS * node + part..][..POSE];
+                own[..3].copy_from_slice(moved.as_slice());
+                for (i, own) in own.iter_mut().enumerate().skip(3) {
+                    *own = row(i);
+                }
+            }
+        }
+    }
+}
