@@ -29,7 +29,7 @@ pub struct Mpc {
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of `objective.force_scale_n` and
     /// `moment_scale_n_m`; not negative, default 100.
     pub jump: NonNegative<values::Weight>,
-    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4: targets are soft in a loop.
+    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop.
     pub target_weight: Positive<values::Weight>,
     /// Gauss-Newton iterations a sample, at least 1, default 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
