@@ -68,8 +68,8 @@ fn run(scene: &Experiment, contender: Contender) -> Outcome {
     found.unwrap()
 }
 
-/// On an arm of a fifth less stiffness, with poses alone, noise and a period of delay, the filter that knows of unknown wrenches and stiffness
-/// keeps the tip nearer to its path than the one that takes its model for the truth, and finds the stiffness.
+/// On an arm of a fifth less stiffness, with poses alone, noise and a period of delay, the tip stays within half a percent of the length of its
+/// path, ten times nearer than the plan alone brings it, and the filter finds the stiffness.
 #[test]
 fn disturbances_are_estimated() {
     let mut soft = scene();
@@ -77,17 +77,10 @@ fn disturbances_are_estimated() {
     soft.duration = 4.0;
     soft.counted_from = 2.0;
     soft.settings.computing = Computing::Fixed(0.01);
-    let blind = run(
-        &estimated(soft.clone(), EstimatorChoice::Kalman(Unknowns::default())),
-        Contender::Mpc,
-    );
+    let open = run(&soft, Contender::OpenLoop);
     let seeing = run(&estimated(soft, FILTER), Contender::Mpc);
-    println!("{} {}", blind.tip_error.rms, seeing.tip_error.rms);
-    println!(
-        "{:?}",
-        seeing.samples.last().map(|s| (s.disturbance, s.deviation))
-    );
-    assert!(seeing.tip_error.rms < 0.8 * blind.tip_error.rms);
+    println!("{} {}", open.tip_error.rms, seeing.tip_error.rms);
+    assert!(seeing.tip_error.rms < 5e-3 && seeing.tip_error.rms < 0.1 * open.tip_error.rms);
     let last = seeing.samples.last().unwrap();
     let off = last.disturbance.stiffness - 0.8;
     assert!(

@@ -1,9 +1,12 @@
 //! Arms that estimators are tried on, and the truth that they are to find.
 
 use nalgebra::{Matrix3, Vector3};
+use softarm::mechanics::forms::NODE_COMPONENTS;
+use softarm::mechanics::linearization::StateTangent;
+use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::automatic_step;
-use softarm::mechanics::{Material, Rod, State, Wrench};
-use softarm::mpc::{Command, Disturbance, Predictor};
+use softarm::mechanics::{Material, Rod, State, TipSpring, Wrench, static_equilibrium};
+use softarm::mpc::{Command, Disturbance, KalmanSettings, Predictor, RandomWalk};
 use softarm::task::{Arm, Discretization};
 
 /// Weightless, upright, 1 m long, of a soft silicone, E = 1 MPa.
@@ -87,4 +90,74 @@ impl Truth {
 pub fn normal(dice: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - dice.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * dice.f64()).cos()
+}
+
+/// In equilibrium with its loads.
+pub fn at_rest(rod: &Rod) -> State {
+    State::at_rest(static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default()).unwrap())
+}
+
+/// A bent, twisted, sheared and moving state.
+pub fn moving(rod: &Rod, seed: u64) -> State {
+    let mut dice = fastrand::Rng::with_seed(seed);
+    let mut state = State::at_rest(rod.rest.clone());
+    let mut vector = |size: f64| Vector3::from_fn(|_, _| size * (2.0 * dice.f64() - 1.0));
+    let first = rod.first_free_node();
+    for q in first..rod.n_nodes() {
+        let at = &mut state.configuration;
+        let l = rod.elements[q - 1].length;
+        let turn = if q > 0 {
+            at.rotations[q - 1]
+        } else {
+            at.rotations[0]
+        };
+        at.rotations[q] = turn * exp(&vector(0.7));
+        at.positions[q] = at.positions[q - 1] + turn * (Vector3::z() + vector(0.2)) * l;
+        state.linear_momentum[q] = vector(1.0) * rod.nodes[q].mass;
+        state.angular_momentum[q] = vector(3.0).component_mul(&rod.nodes[q].rotary);
+    }
+    state
+}
+
+/// A unit of one component of the error.
+pub fn unit(rod: &Rod, component: usize, size: f64) -> StateTangent {
+    let mut out = StateTangent::zeros(rod.n_nodes());
+    let node = rod.first_free_node() + component / NODE_COMPONENTS;
+    let part = component % NODE_COMPONENTS;
+    let vector = Vector3::ith(part % 3, size);
+    match part / 3 {
+        0 => out.positions[node] = vector,
+        1 => out.rotations[node] = vector,
+        2 => out.linear[node] = vector,
+        _ => out.angular[node] = vector,
+    }
+    out
+}
+
+/// A size of each component at which a state changes by a fraction of it that differences can be taken over.
+pub fn scale(rod: &Rod, component: usize) -> f64 {
+    let node = &rod.nodes[rod.first_free_node() + component / NODE_COMPONENTS];
+    let scales = &rod.scales;
+    match component % NODE_COMPONENTS {
+        0..3 => rod.elements[0].length,
+        3..6 => 1.0,
+        6..9 => node.mass * scales.length / scales.time,
+        part => node.rotary[part - 9] / scales.time,
+    }
+}
+
+pub fn walk(initial: f64, change: f64) -> Option<RandomWalk> {
+    Some(RandomWalk { initial, change })
+}
+
+/// Estimates everything there is.
+pub fn all_disturbances(model: &Rod) -> KalmanSettings {
+    let force = model.scales.force;
+    KalmanSettings {
+        tip_force: walk(0.1 * force, 0.01 * force),
+        tip_moment: walk(0.02 * model.scales.moment, 0.0),
+        distributed: walk(0.1 * force / model.scales.length, 0.0),
+        stiffness: walk(0.1, 0.01),
+        ..KalmanSettings::of(model)
+    }
 }

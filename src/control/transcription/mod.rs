@@ -19,9 +19,7 @@ use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
 use crate::mechanics::strain::log_second_derivative;
-use crate::mechanics::{
-    ControlSignal, FormTerm, StateForm, TimeGrid, Trajectory, TrajectoryTangent,
-};
+use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, TrajectoryTangent};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Multipliers, Softness, StateLinearization, StateRow,

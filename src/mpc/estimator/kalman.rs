@@ -117,7 +117,7 @@ const MOST_STEPS: usize = 15;
 /// most likely state; Bell and Cathey 1993), so that the arm is found from far as well.
 ///
 /// The error is carried by the exact linearization of the integrator's own steps, the one along the stiffness by differences of two
-/// motions, of which the slow part counts: what a wrong stiffness does to motions up to the third bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
+/// motions, of which the slow part counts: what a wrong stiffness does to motions up to the fifth bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
 ///
 /// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {

@@ -120,7 +120,7 @@ pub struct Innovation {
 #[non_exhaustive]
 pub enum EstimateError {
     /// A number that is not finite.
-    #[error("{what} is not finite; drop it and measure again")]
+    #[error("{what} is not finite; leave it out")]
     NotFinite {
         /// What it is part of.
         what: String,
@@ -147,7 +147,7 @@ pub enum EstimateError {
         /// Where the estimator is, s.
         estimate: f64,
     },
-    /// A measurement to whose time the estimator has not been advanced, or an end before the beginning.
+    /// A measurement to whose time the estimator has not been advanced, or an advance that would go back.
     #[error(
         "t = {time} s is not where the estimate is, {estimate} s; advance it with the commands that were sent"
     )]
@@ -156,6 +156,14 @@ pub enum EstimateError {
         time: f64,
         /// Where the estimator is, s.
         estimate: f64,
+    },
+    /// A command that ends before it starts, or at once.
+    #[error("the command ends at {end} s, and that is not after its start at {start} s")]
+    Span {
+        /// Its start, s.
+        start: f64,
+        /// Its end, s.
+        end: f64,
     },
     /// A command on a node that the model does not have.
     #[error("the command acts on node {node}, and the model has nodes 0 to {}", n_nodes - 1)]
@@ -187,8 +195,8 @@ pub trait Estimator {
     /// end. Call it once for every command that acted. Nothing happens where the estimate is there already, to rounding.
     ///
     /// # Errors
-    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`] for a command that is not finite
-    /// or ends before it starts, [`EstimateError::Node`], and [`EstimateError::Motion`].
+    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`], [`EstimateError::Span`] and
+    /// [`EstimateError::Node`] for a command that is none, and [`EstimateError::Motion`].
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError>;
 
     /// Corrects the estimate by a measurement of its time.

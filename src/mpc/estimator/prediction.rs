@@ -138,15 +138,17 @@ impl Predictor {
             wrench.force.iter().all(|c| c.is_finite())
                 && wrench.moment.iter().all(|c| c.is_finite())
         });
-        if finite && command.start < command.end {
+        if !finite {
+            let what = "a wrench of the command".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        if command.start < command.end {
             return Ok(());
         }
-        let what = if finite {
-            "the time that a command acts"
-        } else {
-            "a wrench of a command"
-        };
-        Err(EstimateError::NotFinite { what: what.into() })
+        Err(EstimateError::Span {
+            start: command.start,
+            end: command.end,
+        })
     }
 
     /// Simulates steps from a state on, shows every time node after the first to `visit`, and leaves the last state in

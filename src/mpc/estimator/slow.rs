@@ -9,7 +9,7 @@
 //! ```
 //!
 //! are left, that is of a motion of frequency `ν` the part `1/(1 + (ν/ω)²)`. `K` is the stiffness of the rod at rest, in the frames of the
-//! nodes, so that it turns with the arm; `ω` is the frequency of the third bending mode of a cantilever.
+//! nodes, so that it turns with the arm; `ω` is the frequency of the fifth bending mode of a cantilever.
 
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
@@ -18,8 +18,8 @@ use nalgebra::Vector3;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
-/// `(β₃ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
-const THIRD_BENDING_MODE: f64 = 61.697_214;
+/// `(β₅ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
+const FIFTH_BENDING_MODE: f64 = 199.859_530;
 /// Components of a pose.
 const POSE: usize = 6;
 
@@ -59,7 +59,7 @@ impl SlowPart {
         };
         // (M + θ K)⁻¹ M = (K⁻¹ M + θ)⁻¹ K⁻¹ M
         let moved = Mat::from_fn(n, n, |i, j| compliance[(i, j)] * inertia(j));
-        let theta = (model.scales.time / THIRD_BENDING_MODE).powi(2);
+        let theta = (model.scales.time / FIFTH_BENDING_MODE).powi(2);
         let sum = Mat::from_fn(n, n, |i, j| {
             moved[(i, j)] + if i == j { theta } else { 0.0 }
         });
