@@ -2,7 +2,7 @@
 
 use super::super::error::MpcError;
 
-/// How a [`Controller`] works. Times in s.
+/// How a [`Controller`](super::Controller) works. Times in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MpcSettings {
     /// Time between two samples.
