@@ -1,7 +1,8 @@
 //! Constants of nodes and elements, in blocks.
 
-use super::element::{Consistent, Helical, Law, Rule, Standard, Trapezoidal};
+use super::element::{Consistent, Law, Standard};
 use super::place::{Place, Slots};
+use super::rule::{Helical, Rule, Trapezoidal};
 use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::constitutive::RodModel;

@@ -6,10 +6,13 @@
 
 mod base;
 mod constants;
+mod damped;
 mod element;
 mod failure;
 mod impulses;
+mod logarithm;
 mod place;
+mod rule;
 mod singly;
 mod sweep;
 pub(super) mod tangent;
@@ -23,20 +26,22 @@ use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::base::HeldBase;
 use self::constants::{Constants, HELD_INERTIA};
-use self::element::{Consistent, Dilatation, Helical, Law, Rule, Standard, Trapezoidal};
+use self::damped::{DampedRule, Damping};
+use self::element::{Consistent, Dilatation, Law, Standard};
 use self::place::{BASE, Place, Slots};
+use self::rule::{Helical, Rule, Trapezoidal};
 use self::singly::{SingleTurns, wxyz};
 use self::sweep::{
     ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, Part,
     ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
 };
+use super::base_motion::BaseState;
 use super::buffer::Buffer;
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
-use super::implicit::IntervalWeights;
 use super::inertia::InertiaRule;
-use super::integrator::{Clock, StepError, approach_base};
+use super::integrator::{Clock, StepError, TimeScheme, approach_base};
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{from_quaternion, quaternion};
@@ -64,6 +69,8 @@ pub struct LaneIntegrator<'a> {
     control: Vec<(usize, Wrench)>,
     /// Forces where a motion starts, on their way to the lanes.
     seating: NodalForces,
+    /// Present where elements damp.
+    damping: Option<Box<Damping>>,
 }
 
 /// What a [`LaneIntegrator`] is besides its rod: put away between two motions of the same rod with the same step, neither of
@@ -81,6 +88,7 @@ pub(crate) struct LaneMemory {
     base: Option<HeldBase>,
     control: Vec<(usize, Wrench)>,
     seating: NodalForces,
+    damping: Option<Box<Damping>>,
 }
 
 impl LaneMemory {
@@ -102,6 +110,7 @@ impl LaneMemory {
             base: self.base,
             control: self.control,
             seating: self.seating,
+            damping: self.damping,
         };
         integrator.seat(initial, 0);
         integrator
@@ -137,7 +146,7 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
-    /// integrator can do: implicit steps, internal damping, or steps near the smallest numbers there are.
+    /// integrator can do: implicit steps, or steps near the smallest numbers there are.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, clock, initial)
@@ -190,6 +199,7 @@ impl<'a> LaneIntegrator<'a> {
             base: None,
             control: Vec::new(),
             seating: NodalForces::zeros(rod.n_nodes()),
+            damping: Damping::new(rod, slots, clock.step).map(Box::new),
         }
     }
 
@@ -207,6 +217,7 @@ impl<'a> LaneIntegrator<'a> {
             base: self.base,
             control: self.control,
             seating: self.seating,
+            damping: self.damping,
         }
     }
 
@@ -295,6 +306,9 @@ impl<'a> LaneIntegrator<'a> {
                 turn: [1.0, 0.0, 0.0, 0.0],
             }
         });
+        if let Some(damping) = &mut self.damping {
+            damping.settle(self.arch, rod.strain_rule, &self.state);
+        }
     }
 
     /// `a = c h/2`
@@ -403,30 +417,36 @@ impl<'a> LaneIntegrator<'a> {
     /// [`StepError`] when a node would turn more than a quarter turn, when the base does, when an element collapses, or when
     /// something is not finite. The state is then no longer meaningful.
     pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
-        match self.rod.strain_rule {
-            StrainRule::Helical => self.advance_by::<Helical>(control),
-            StrainRule::Trapezoidal => self.advance_by::<Trapezoidal>(control),
-        }
-    }
-
-    fn advance_by<R: Rule>(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
-        match self.rod.model {
-            RodModel::Standard => self.advance_with::<R, Standard>(control),
-            RodModel::Dilatation => self.advance_with::<R, Dilatation>(control),
-            RodModel::Consistent => self.advance_with::<R, Consistent>(control),
-        }
-    }
-
-    fn advance_with<R: Rule, L: Law>(
-        &mut self,
-        control: [NodeWrenches; 2],
-    ) -> Result<(), StepError> {
         let base = match &self.rod.base {
             BaseCondition::Driven(_) => {
                 approach_base(self.rod, &self.rotation(0), self.step, self.clock)?
             }
             BaseCondition::Clamped | BaseCondition::Free => None,
         };
+        match self.rod.strain_rule {
+            StrainRule::Helical => self.advance_by::<Helical>(control, base),
+            StrainRule::Trapezoidal => self.advance_by::<Trapezoidal>(control, base),
+        }
+    }
+
+    fn advance_by<R: DampedRule>(
+        &mut self,
+        control: [NodeWrenches; 2],
+        base: Option<(BaseState, Vector3<f64>)>,
+    ) -> Result<(), StepError> {
+        match self.rod.model {
+            RodModel::Standard if self.damping.is_some() => self.advance_damped::<R>(control, base),
+            RodModel::Standard => self.advance_with::<R, Standard>(control, base),
+            RodModel::Dilatation => self.advance_with::<R, Dilatation>(control, base),
+            RodModel::Consistent => self.advance_with::<R, Consistent>(control, base),
+        }
+    }
+
+    fn advance_with<R: Rule, L: Law>(
+        &mut self,
+        control: [NodeWrenches; 2],
+        base: Option<(BaseState, Vector3<f64>)>,
+    ) -> Result<(), StepError> {
         self.add_control(control[0]);
         self.share_jumps();
         if let Some((base, turn)) = &base {
@@ -478,7 +498,13 @@ impl<'a> LaneIntegrator<'a> {
         if !finite || !sound || failure.is_some() {
             self.find_error(inertia_rule, failure, finite)?;
         }
-        if let Some((base, _)) = &base {
+        self.arrive(control[1], base.map(|(base, _)| base));
+        Ok(())
+    }
+
+    /// What acts just before the time node that a step has come to.
+    fn arrive(&mut self, control: NodeWrenches, base: Option<BaseState>) {
+        if let Some(base) = &base {
             self.set_base_momenta(base);
         }
         // A clamped base without spin does not move anyway; its momenta are not looked at.
@@ -487,19 +513,17 @@ impl<'a> LaneIntegrator<'a> {
         }
         self.step += 1;
         let first = self.rod.first_free_node();
-        let acting = control[1].iter().filter(|(node, _)| *node >= first);
+        let acting = control.iter().filter(|(node, _)| *node >= first);
         self.control
             .extend(acting.map(|(node, wrench)| (node, *wrench)));
         self.add_loads();
-        Ok(())
     }
 }
 
 /// Explicit steps, and numbers that do not overflow where the plain integrator's do not.
 fn is_possible(rod: &Rod, time_step: f64) -> bool {
     let finite = |rotary: f64| (4.0 * rotary.max(1.0) / time_step).is_finite();
-    IntervalWeights::of(rod, time_step).is_none()
-        && rod.nodes.iter().all(|node| finite(node.rotary.max()))
+    rod.scheme == TimeScheme::Explicit && rod.nodes.iter().all(|node| finite(node.rotary.max()))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
-use super::element::{Logarithm, logarithm};
+use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Lanes, Mat3, Quaternion, Row, Vec3};
 use crate::mechanics::strain::Element;
 
@@ -103,7 +103,7 @@ pub struct TrapezoidalTangent;
 
 /// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`: its derivative along `ψ`.
 #[inline(always)]
-fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) -> Mat3<S> {
+pub fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) -> Mat3<S> {
     let psi = log.psi;
     let along = psi.dot(y);
     let double_cross = psi * along - y * log.angle_squared;
