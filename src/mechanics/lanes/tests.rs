@@ -92,6 +92,35 @@ fn wider() -> Vec<Arch> {
     wider
 }
 
+/// The same over steps that damped ones are extrapolated from, through jumps of the control, new factors and normalizations.
+#[test]
+fn damped_motions_have_the_same_bits_for_long() {
+    for rule in [StrainRule::Trapezoidal, StrainRule::Helical] {
+        for n_elements in [1, 6, 16] {
+            let rod = rod(rule, (RodModel::Standard, 3e-3), n_elements, 1.3);
+            let h = 0.4 * stable_step(&rod);
+            let run = |arch: Arch| {
+                let start = State::at_rest(rod.rest.clone());
+                let mut integrator = LaneIntegrator::on(arch, &rod, h, &start).unwrap();
+                let nodes = [rod.tip()];
+                for step in 0..90 {
+                    let force = if step / 30 % 2 == 0 { 0.4 } else { -0.3 };
+                    let wrenches = [Wrench::from_array([force, 0.1, 0.2, 0.02, -0.01, 0.03])];
+                    let control = NodeWrenches::on(&nodes, &wrenches);
+                    integrator.advance([control; 2]).unwrap();
+                }
+                let work = integrator.corrections();
+                assert!(work[0] >= 90 && work[1] >= 1);
+                (bits(&integrator), work)
+            };
+            let one = run(Arch::Scalar);
+            for arch in wider() {
+                assert_eq!(one, run(arch), "{rule:?} {n_elements} {arch:?}");
+            }
+        }
+    }
+}
+
 /// Every vector length and instruction set gives the same bits: small and large turns, those the lanes leave to the
 /// scalar solver, near and far logarithms side by side.
 #[test]

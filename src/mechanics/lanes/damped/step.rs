@@ -368,11 +368,14 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             let stress = interval_stress::<S, R>(constants, &before, &strained, *rate);
             let pull = R::pull(&before, [&frame_a, &frame_b], &stress);
             let trial = &mut trial[i];
-            let r = Vec3::load(simd, trial, RESIDUAL) + (force - pull.force) * self.weight;
-            let s = Vec3::load(simd, trial, RESIDUAL + 3) + (moment + pull.moment_a) * self.weight;
+            // In the order in which the first block gets them, whose element to the left comes last.
+            let r =
+                Vec3::load(simd, trial, RESIDUAL) - pull.force * self.weight + force * self.weight;
+            let s = Vec3::load(simd, trial, RESIDUAL + 3)
+                + pull.moment_a * self.weight
+                + moment * self.weight;
             (force, moment) = (pull.force, pull.moment_b);
             if i == 0 {
-                // The element to its left comes last.
                 r.store(trial, RESIDUAL);
                 s.store(trial, RESIDUAL + 3);
                 continue;
@@ -587,8 +590,10 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             let weight = Vec3::load(simd, &self.nodes[self.kinds[i][0]], WEIGHT);
             (weight + elastic.force - force).store(block, FORCE);
             (-(moment + elastic.moment_a)).store(block, MOMENT);
-            (p * self.decay + (f - impulse) * self.weight).store(block, LINEAR_MOMENTUM);
-            (g * self.decay - (moment_a + spin) * self.weight).store(block, ANGULAR_MOMENTUM);
+            (p * self.decay + f * self.weight - impulse * self.weight)
+                .store(block, LINEAR_MOMENTUM);
+            (g * self.decay - moment_a * self.weight - spin * self.weight)
+                .store(block, ANGULAR_MOMENTUM);
             (force, moment) = (elastic.force, elastic.moment_b);
             (impulse, spin) = (f, moment_b);
             for (row, value) in trial[i][..7].iter().enumerate() {
