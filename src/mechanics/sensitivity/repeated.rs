@@ -70,7 +70,10 @@ impl RepeatedReverse {
             }
             let steps = &mut self.steps[..range.len()];
             let (lanes, first) = (&mut self.lanes, range.start);
-            linearize_in(lanes, arch, motion, trajectory, None, first, steps)?;
+            let stretch = 0..=motion.grid.n_steps;
+            linearize_in(
+                lanes, arch, motion, trajectory, None, &stretch, first, steps,
+            )?;
             for tile in &mut self.tiles {
                 for (step, k) in steps.iter().zip(range.clone()).rev() {
                     tile.advance(arch, step, k, &task);

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::linearize::{ROUNDING, Workspace, is_possible};
+use super::linearize::{ROUNDING, Workspace, is_damped, is_possible};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::integrator::StepError;
@@ -36,7 +36,8 @@ pub fn defects(
         along = control.along(motion.rod, &motion.grid, trajectory);
         &along
     };
-    let found = is_possible(motion).then(|| in_lanes(Arch::new(), motion, trajectory, control));
+    let found = (is_possible(motion) && !is_damped(motion))
+        .then(|| in_lanes(Arch::new(), motion, trajectory, control));
     match found.flatten() {
         Some(found) => Ok(found),
         None => linearization::defects(motion, trajectory, control),
@@ -59,7 +60,7 @@ pub(super) fn in_lanes(
     let (n, h) = (rod.n_nodes(), grid.step);
     let first = rod.first_free_node();
     let n_lanes = dispatch(arch, CountLanes);
-    let mut workspace = Workspace::new(n, n_lanes);
+    let mut workspace = Workspace::new(motion, n_lanes);
     let mut out = Buffer::zeros(n * OUT_ROWS * n_lanes);
     let zeros = vec![Vector3::zeros(); n * grid.n_steps];
     let mut defects = Defects {
@@ -74,9 +75,8 @@ pub(super) fn in_lanes(
     let mut moments = forces.clone();
     let mut probe = 0.0;
     for start in (0..=grid.n_steps).step_by(n_lanes) {
-        for lane in 0..n_lanes {
-            workspace.put_poses(trajectory, (start + lane).min(grid.n_steps), lane, n_lanes);
-        }
+        let last = (start + n_lanes - 1).min(grid.n_steps);
+        workspace.put_poses(trajectory, start, last, n_lanes);
         let group = Group {
             rod,
             h,

@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::{PackedStep, PackedStressDrift};
+use super::arriving::arriving_terms;
+use super::packed::{PackedSolve, PackedStep};
 use super::tile::Columns;
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
@@ -66,13 +67,13 @@ impl ReverseTile {
         if k > self.last {
             return;
         }
-        let at_end = step.drifts.is_empty();
+        let at_end = step.is_last();
         if at_end {
             self.join(step, k, task);
         }
         if k < self.last {
             let (data, increments) = (&mut self.data, &mut self.increments);
-            if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+            if !step.element_drifts.is_empty() || !step.solve.is_empty() {
                 arch.dispatch(CoupledDriftTransposed {
                     step,
                     data,
@@ -123,6 +124,10 @@ impl ReverseTile {
             for term in &task.forms[index].terms {
                 let row = term.node * NODE_COMPONENTS + term.component;
                 self.data[row * TILE + place] += term.coefficient;
+                let more = arriving_terms(task, k, term.node, term.component);
+                for (row, coefficient) in more.into_iter().flatten() {
+                    self.data[row * TILE + place] += term.coefficient * coefficient;
+                }
             }
         }
         self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
@@ -339,7 +344,7 @@ impl WithSimd for DriftTransposed<'_> {
     }
 }
 
-/// The transpose of the drift with elements that couple the drifts of their ends, or under the stress of the interval.
+/// The transpose of the drift with elements that couple the drifts of their ends, or that is solved for.
 struct CoupledDriftTransposed<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
@@ -363,9 +368,10 @@ impl WithSimd for CoupledDriftTransposed<'_> {
                 width,
                 at,
             };
-            match &self.step.stress_drift {
-                None => columns.drift_transposed(),
-                Some(stress) => columns.drift_under_transposed(stress),
+            if self.step.solve.is_empty() {
+                columns.drift_transposed();
+            } else {
+                columns.drift_solved_transposed(&self.step.solve);
             }
             columns.hold();
         }
@@ -378,22 +384,6 @@ impl<S: Simd> Columns<'_, S> {
         for row in 0..self.step.first_free_node * NODE_COMPONENTS {
             self.data[row * self.width + self.at] = zero;
         }
-    }
-
-    /// `Mᵀ v`
-    #[inline(always)]
-    fn product_transposed<const N: usize>(
-        &self,
-        m: &[[f64; N]; N],
-        v: [S::f64s; N],
-    ) -> [S::f64s; N] {
-        let mut out = [self.simd.splat_f64s(0.0); N];
-        for (row, v) in m.iter().zip(v) {
-            for (out, m) in out.iter_mut().zip(row) {
-                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
-            }
-        }
-        out
     }
 
     #[inline(always)]
@@ -469,41 +459,32 @@ impl<S: Simd> Columns<'_, S> {
 
     /// The increments are the covectors of the arriving momenta.
     #[inline(always)]
-    fn drift_under_transposed(&mut self, stress: &PackedStressDrift) {
-        let step = self.step;
-        let (first, n) = (step.first_free_node, step.drifts.len());
-        for node in 0..n {
+    fn drift_solved_transposed(&mut self, solve: &PackedSolve) {
+        let first = self.step.first_free_node;
+        for node in 0..solve.nodes.len() {
             let (linear, angular) = (self.rows(node, 6), self.rows(node, 9));
             self.set_increment(node, 0, linear);
             self.set_increment(node, 3, angular);
         }
         // Covectors of what the step adds to the configuration, in the rows of the momenta; then the configuration at the start.
-        for node in first..n {
-            let (mass_rate, spin) = &stress.momenta[node];
+        for (node, spin) in solve.nodes.iter().enumerate().skip(first) {
             let linear = self.rows(node, 6);
-            let turned = self.product_transposed(spin, self.rows(node, 9));
+            let turned = self.product_transposed(&spin.spin, self.rows(node, 9));
             let (x, zeta) = (self.rows(node, 0), self.rows(node, 3));
             self.set(node, 6, x);
-            self.add(node, 6, *mass_rate, linear);
+            self.add(node, 6, spin.mass_rate, linear);
             self.set(node, 9, zeta);
             self.add(node, 9, 1.0, turned);
-            let carried = self.product_transposed(&step.drifts[node].turn_transposed, zeta);
+            let carried = self.product_transposed(&spin.turn_transposed, zeta);
             self.set(node, 3, carried);
         }
-        for (q, (added, carried)) in stress.added.iter().zip(&stress.carried).enumerate() {
-            let pull = self.arriving_pull(q);
-            let change = self.product_transposed(added, pull);
-            self.add_element(q, 6, change);
-            let change = self.product_transposed(carried, pull);
-            self.add_element(q, 0, change);
-        }
         // U and L, transposed, in this order.
-        for (i, above) in stress.above.iter().enumerate() {
+        for (i, above) in solve.above.iter().enumerate() {
             let before = self.product_transposed(above, self.momenta(first + i));
             self.subtract_momenta(first + i + 1, before);
         }
-        for (i, pivot) in stress.pivots.iter().enumerate().rev() {
-            if let Some(below) = stress.below.get(i) {
+        for (i, pivot) in solve.pivots.iter().enumerate().rev() {
+            if let Some(below) = solve.below.get(i) {
                 let after = self.product_transposed(below, self.momenta(first + i + 1));
                 self.subtract_momenta(first + i, after);
             }
@@ -513,11 +494,13 @@ impl<S: Simd> Columns<'_, S> {
         for node in 0..first {
             self.set_momenta(node, [self.simd.splat_f64s(0.0); 6]);
         }
-        for (q, start) in stress.start.iter().enumerate() {
-            let (p_a, p_b) = (self.rows(q, 6), self.rows(q + 1, 6));
-            let (pi_a, pi_b) = (self.rows(q, 9), self.rows(q + 1, 9));
-            let pull = self.pull([p_a, p_b], [pi_a, pi_b]);
-            let change = self.product_transposed(start, pull);
+        for (q, coupling) in solve.coupling.iter().enumerate() {
+            let mut pull = self.arriving_pull(q);
+            let ratio = self.simd.splat_f64s(solve.ratio);
+            for value in &mut pull {
+                *value = self.simd.mul_f64s(*value, ratio);
+            }
+            let change = self.product(coupling, pull);
             self.add_element(q, 0, change);
         }
     }

@@ -5,7 +5,8 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::{PackedStep, PackedStressDrift};
+use super::arriving::arriving_terms;
+use super::packed::{PackedSolve, PackedStep};
 use super::reduction::Record;
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
@@ -110,7 +111,7 @@ impl<'a> Tile<'a> {
 
     /// Forms, kick, sources, drift: one time node.
     pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
-        let last = step.drifts.is_empty();
+        let last = step.is_last();
         if !last {
             self.read_forms(k, task);
         }
@@ -134,7 +135,7 @@ impl<'a> Tile<'a> {
         if last {
             self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
             self.read_forms(k, task);
-        } else if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+        } else if !step.element_drifts.is_empty() || !step.solve.is_empty() {
             self.reach = 0..n_nodes;
             arch.dispatch(CoupledDrift {
                 step,
@@ -187,8 +188,16 @@ impl<'a> Tile<'a> {
             let values = &mut self.values[index * TILE..][..TILE];
             for term in &task.forms[index].terms {
                 let row = term.node * NODE_COMPONENTS + term.component;
-                for (value, component) in values.iter_mut().zip(&self.data[row * TILE..][..TILE]) {
-                    *value += term.coefficient * component;
+                let more = arriving_terms(task, k, term.node, term.component);
+                for (row, coefficient) in
+                    std::iter::once((row, 1.0)).chain(more.into_iter().flatten())
+                {
+                    let coefficient = term.coefficient * coefficient;
+                    for (value, component) in
+                        values.iter_mut().zip(&self.data[row * TILE..][..TILE])
+                    {
+                        *value += coefficient * component;
+                    }
                 }
             }
         }
@@ -378,8 +387,8 @@ impl WithSimd for Drift<'_> {
     }
 }
 
-/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, or under the stress of the interval, for
-/// all columns of a tile.
+/// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) with elements that couple the drifts of
+/// their ends, or that is solved for, for all columns of a tile.
 struct CoupledDrift<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
@@ -403,9 +412,10 @@ impl WithSimd for CoupledDrift<'_> {
                 width,
                 at,
             };
-            match &self.step.stress_drift {
-                None => columns.drift(),
-                Some(stress) => columns.drift_under(stress),
+            if self.step.solve.is_empty() {
+                columns.drift();
+            } else {
+                columns.drift_solved(&self.step.solve);
             }
         }
     }
@@ -490,44 +500,41 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
+    /// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) that is solved for.
     #[inline(always)]
-    fn drift_under(&mut self, stress: &PackedStressDrift) {
-        let step = self.step;
-        let (first, n) = (step.first_free_node, step.drifts.len());
+    fn drift_solved(&mut self, solve: &PackedSolve) {
+        let first = self.step.first_free_node;
         let zero = self.simd.splat_f64s(0.0);
         for node in 0..first {
             for row in 0..NODE_COMPONENTS {
                 self.data[(node * NODE_COMPONENTS + row) * self.width + self.at] = zero;
             }
         }
-        for node in 0..n {
+        for node in 0..solve.nodes.len() {
             self.set_increment(node, 0, [zero; 3]);
             self.set_increment(node, 3, [zero; 3]);
         }
-        for (q, (start, carried)) in stress.start.iter().zip(&stress.carried).enumerate() {
-            let here = self.element(q, 0);
-            let pull = self.product(start, here);
-            if q >= first {
-                self.add(q, 6, 1.0, [pull[0], pull[1], pull[2]]);
-                self.add(q, 9, -1.0, [pull[3], pull[4], pull[5]]);
+        for (q, coupling) in solve.coupling.iter().enumerate() {
+            let mut here = self.element(q, 0);
+            let ratio = self.simd.splat_f64s(solve.ratio);
+            for value in &mut here {
+                *value = self.simd.mul_f64s(*value, ratio);
             }
-            self.add(q + 1, 6, -1.0, [pull[0], pull[1], pull[2]]);
-            self.add(q + 1, 9, -1.0, [pull[6], pull[7], pull[8]]);
-            let pull = self.product(carried, here);
+            let pull = self.product_transposed(coupling, here);
             self.add_pull(q, pull);
         }
         // The momenta become what the step adds to the configuration.
-        for (i, pivot) in stress.pivots.iter().enumerate() {
+        for (i, pivot) in solve.pivots.iter().enumerate() {
             let mut right = self.momenta(first + i);
             if i > 0 {
-                let before = self.product(&stress.below[i - 1], self.momenta(first + i - 1));
+                let before = self.product(&solve.below[i - 1], self.momenta(first + i - 1));
                 for (right, before) in right.iter_mut().zip(before) {
                     *right = self.simd.sub_f64s(*right, before);
                 }
             }
             self.set_momenta(first + i, self.product(pivot, right));
         }
-        for (i, above) in stress.above.iter().enumerate().rev() {
+        for (i, above) in solve.above.iter().enumerate().rev() {
             let after = self.product(above, self.momenta(first + i + 1));
             let mut u = self.momenta(first + i);
             for (u, after) in u.iter_mut().zip(after) {
@@ -535,25 +542,20 @@ impl<S: Simd> Columns<'_, S> {
             }
             self.set_momenta(first + i, u);
         }
-        for (q, added) in stress.added.iter().enumerate() {
-            let pull = self.product(added, self.element(q, 6));
-            self.add_pull(q, pull);
-        }
-        for node in first..n {
-            let (mass_rate, spin) = &stress.momenta[node];
+        for (node, spin) in solve.nodes.iter().enumerate().skip(first) {
             let (moved, turned) = (self.rows(node, 6), self.rows(node, 9));
-            let carried = self.product(&step.drifts[node].turn_transposed, self.rows(node, 3));
+            let carried = self.product(&spin.turn_transposed, self.rows(node, 3));
             let linear = self.increment(node, 0);
             let angular = self.increment(node, 3);
-            let spin = self.product(spin, turned);
-            let mass_rate = self.simd.splat_f64s(*mass_rate);
+            let spun = self.product(&spin.spin, turned);
+            let mass_rate = self.simd.splat_f64s(spin.mass_rate);
             self.add(node, 0, 1.0, moved);
             for i in 0..3 {
                 let row = (node * NODE_COMPONENTS + 3 + i) * self.width + self.at;
                 self.data[row] = self.simd.add_f64s(carried[i], turned[i]);
                 self.data[row + 3 * self.width] =
                     self.simd.mul_add_e_f64s(mass_rate, moved[i], linear[i]);
-                self.data[row + 6 * self.width] = self.simd.add_f64s(spin[i], angular[i]);
+                self.data[row + 6 * self.width] = self.simd.add_f64s(spun[i], angular[i]);
             }
         }
     }
@@ -670,6 +672,22 @@ impl<S: Simd> Columns<'_, S> {
         let mut out = [zero; N];
         for (out, row) in out.iter_mut().zip(m) {
             *out = self.dot(row, v, zero);
+        }
+        out
+    }
+
+    /// `Mᵀ v`
+    #[inline(always)]
+    pub fn product_transposed<const N: usize>(
+        &self,
+        m: &[[f64; N]; N],
+        v: [S::f64s; N],
+    ) -> [S::f64s; N] {
+        let mut out = [self.simd.splat_f64s(0.0); N];
+        for (row, v) in m.iter().zip(v) {
+            for (out, m) in out.iter_mut().zip(row) {
+                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
+            }
         }
         out
     }
