@@ -12,7 +12,7 @@ use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{
     Blocks, LEAST_MARGIN, Law, NodePose, POSE_ROWS, Spin, TangentRule, spin,
 };
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, rows};
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
 const SPIN_ROWS: usize = 18;
@@ -217,30 +217,32 @@ impl Group<'_> {
         let mut fill = [[none; 2]; 2];
         let mut sum = zero;
         for (q, node) in rod.nodes.iter().enumerate().skip(first) {
-            let mass_rate = Lanes::splat(simd, node.mass / h);
-            let mut diagonal = [
-                [Mat3::multiple(mass_rate), none],
-                [none, Mat3::load(simd, spins, q * SPIN_ROWS + 9)],
-            ];
+            let mut pivot = fill;
+            negate(&mut pivot);
+            pivot[0][0] = pivot[0][0] + Mat3::multiple(Lanes::splat(simd, node.mass / h));
+            pivot[1][1] = pivot[1][1] + Mat3::load(simd, spins, q * SPIN_ROWS + 9);
             if q > 0 {
-                let x = load_blocks(simd, couplings, q - 1);
-                diagonal = plus(diagonal, [[x[0][0], x[0][2]], [x[2][0], x[2][2]]]);
-            }
-            let right = (q < rod.n_elements()).then(|| load_blocks(simd, couplings, q));
-            if let Some(x) = &right {
-                diagonal = plus(diagonal, [[x[0][0], -x[0][1]], [-x[1][0], x[1][1]]]);
-            }
-            let pivot = inverse(minus(diagonal, fill));
-            sum = sum + pivot[0][0].trace() + pivot[1][1].trace();
-            store_square(&mut workspace.out, 0, &pivot);
-            if let Some(x) = &right {
-                let below = [[-x[0][0], x[0][1]], [-x[2][0], x[2][1]]];
-                let above = product(pivot, [[-x[0][0], -x[0][2]], [x[1][0], x[1][2]]]);
-                fill = product(below, above);
-                store_square(&mut workspace.out, 36, &below);
-                store_square(&mut workspace.out, 72, &above);
+                add_blocks(&mut pivot, couplings, q - 1, [1, 1]);
             }
             let i = q - first;
+            let last = q == rod.n_elements();
+            if !last {
+                add_blocks(&mut pivot, couplings, q, [0, 0]);
+            }
+            invert(&mut pivot);
+            sum = sum + pivot[0][0].trace() + pivot[1][1].trace();
+            store_square(&mut workspace.out, 0, &pivot);
+            if !last {
+                let mut beside = [[none; 2]; 2];
+                add_blocks(&mut beside, couplings, q, [0, 1]);
+                let mut above = beside;
+                multiply(&pivot, &beside, &mut above);
+                store_square(&mut workspace.out, 72, &above);
+                let mut below = [[none; 2]; 2];
+                add_blocks(&mut below, couplings, q, [1, 0]);
+                store_square(&mut workspace.out, 36, &below);
+                multiply(&below, &above, &mut fill);
+            }
             for (lane, step) in self.steps.iter_mut().enumerate() {
                 let out = &workspace.out;
                 let packed = &mut step.solve;
@@ -282,19 +284,31 @@ fn store_blocks<S: Simd>(out: &mut [f64], blocks: &Blocks<S>) {
     }
 }
 
+/// Adds to a matrix over motion and rotation of a node what `X` of element `q` has for the given ends, rows and columns: node a moves the
+/// chord by `-δx`, node b by `δx`.
 #[inline(always)]
-fn load_blocks<S: Simd>(simd: S, rows: &[Row<S>], q: usize) -> Blocks<S> {
-    let rows = &rows[q * COUPLING_ROWS..][..COUPLING_ROWS];
-    let mut out = [[Mat3::zero(simd); 3]; 3];
-    for (i, blocks) in out.iter_mut().enumerate() {
-        for (j, block) in blocks.iter_mut().enumerate() {
-            for (row, values) in block.rows.iter_mut().enumerate() {
-                let at = 9 * (3 * i + row) + 3 * j;
-                *values = crate::mechanics::lanes::vector::Vec3::load(simd, rows, at);
+fn add_blocks<S: Simd>(
+    target: &mut Square<S>,
+    couplings: &[Row<S>],
+    q: usize,
+    [row_end, column_end]: [usize; 2],
+) {
+    let simd = target[0][0].rows[0].x.simd;
+    let rows = &couplings[q * COUPLING_ROWS..][..COUPLING_ROWS];
+    for (i, from_row) in [0, 3 + 3 * row_end].into_iter().enumerate() {
+        for (j, from_column) in [0, 3 + 3 * column_end].into_iter().enumerate() {
+            let negative = (i == 0 && row_end == 0) != (j == 0 && column_end == 0);
+            for axis in 0..3 {
+                let values = Vec3::load(simd, rows, 9 * (from_row + axis) + from_column);
+                let sum = &mut target[i][j].rows[axis];
+                *sum = if negative {
+                    *sum - values
+                } else {
+                    *sum + values
+                };
             }
         }
     }
-    out
 }
 
 /// 36 rows, row by row, from row `at` on.
@@ -320,41 +334,33 @@ fn take_square<S: Simd>(out: &[f64], at: usize, lane: usize, target: &mut [[f64;
 }
 
 #[inline(always)]
-fn plus<S: Simd>(a: Square<S>, b: Square<S>) -> Square<S> {
-    [
-        [a[0][0] + b[0][0], a[0][1] + b[0][1]],
-        [a[1][0] + b[1][0], a[1][1] + b[1][1]],
-    ]
-}
-
-#[inline(always)]
-fn minus<S: Simd>(a: Square<S>, b: Square<S>) -> Square<S> {
-    [
-        [a[0][0] - b[0][0], a[0][1] - b[0][1]],
-        [a[1][0] - b[1][0], a[1][1] - b[1][1]],
-    ]
-}
-
-#[inline(always)]
-fn product<S: Simd>(a: Square<S>, b: Square<S>) -> Square<S> {
-    let mut out = b;
-    for (i, row) in a.into_iter().enumerate() {
+fn negate<S: Simd>(m: &mut Square<S>) {
+    for i in 0..2 {
         for j in 0..2 {
-            out[i][j] = row[0].product(b[0][j]) + row[1].product(b[1][j]);
+            m[i][j] = -m[i][j];
         }
     }
-    out
+}
+
+#[inline(always)]
+fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S>) {
+    for i in 0..2 {
+        for j in 0..2 {
+            out[i][j] = a[i][0].product(b[0][j]) + a[i][1].product(b[1][j]);
+        }
+    }
 }
 
 /// By the quarters, as in the clear factorization.
 #[inline(always)]
-fn inverse<S: Simd>([[a, right], [below, d]]: Square<S>) -> Square<S> {
-    let first = a.inverse();
-    let (first_right, below_first) = (first.product(right), below.product(first));
-    let second = (d - below.product(first_right)).inverse();
+fn invert<S: Simd>(m: &mut Square<S>) {
+    let first = m[0][0].inverse();
+    let first_right = first.product(m[0][1]);
+    let below_first = m[1][0].product(first);
+    let second = (m[1][1] - m[1][0].product(first_right)).inverse();
     let corner = -first_right.product(second);
-    [
-        [first - corner.product(below_first), corner],
-        [-second.product(below_first), second],
-    ]
+    m[0][0] = first - corner.product(below_first);
+    m[0][1] = corner;
+    m[1][0] = -second.product(below_first);
+    m[1][1] = second;
 }
