@@ -10,9 +10,10 @@ use super::linearize::{Group, ROUNDING, matrix, scatter, store, store_block};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{
-    Blocks, LEAST_MARGIN, Law, NodePose, POSE_ROWS, Spin, TangentRule, spin,
+    Blocks, LEAST_MARGIN, Law, NodePose, POSE_ROWS, Spin, Stress, TangentRule, spin,
 };
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
+use crate::mechanics::linearization::{Kick, Motion};
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
 const SPIN_ROWS: usize = 18;
@@ -35,7 +36,7 @@ pub(super) struct SolveRows {
 
 impl SolveRows {
     /// Where the rod damps.
-    pub fn of(motion: &crate::mechanics::linearization::Motion, n_lanes: usize) -> Option<Self> {
+    pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
         let weights = IntervalWeights::of(motion.rod, motion.grid.step)?;
         let (n_nodes, n_elements) = (motion.rod.n_nodes(), motion.rod.n_elements());
         let undamped = motion.arriving_impulse();
@@ -49,32 +50,88 @@ impl SolveRows {
     }
 }
 
+impl SolveRows {
+    /// Weights of a time node, to one lane: of the intervals after and before it where there are any.
+    pub fn put_weights(
+        &mut self,
+        motion: &Motion,
+        (lane, n_lanes): (usize, usize),
+        kick: &Kick,
+        [leaves, arrives]: [bool; 2],
+    ) {
+        let half_step = 0.5 * motion.grid.step;
+        let after = if leaves { kick.impulse } else { 0.0 };
+        let before = if arrives {
+            kick.decay * motion.arriving_impulse()
+        } else {
+            0.0
+        };
+        let weights = [kick.weight, half_step * after, half_step * before];
+        for (row, weight) in weights.into_iter().enumerate() {
+            self.weights[row * n_lanes + lane] = weight;
+        }
+    }
+
+    #[inline(always)]
+    pub fn weights<S: Simd>(&self, simd: S) -> Weights<S> {
+        let [elastic, leaving, arriving] = std::array::from_fn(|row| Lanes {
+            simd,
+            value: rows::<S>(&self.weights)[row],
+        });
+        Weights {
+            elastic,
+            after: leaving * self.rate,
+            past: arriving * self.rate,
+        }
+    }
+}
+
+/// Weights of the elastic stress, and of those that the change of the strain until the next time node and since the last one makes, s.
+#[derive(Clone, Copy)]
+pub(super) struct Weights<S: Simd> {
+    pub elastic: Lanes<S>,
+    pub after: Lanes<S>,
+    pub past: Lanes<S>,
+}
+
+impl<S: Simd> Weights<S> {
+    /// The strain whose stress is the impulse at a time node, from the poses of an element at that, the next and the last time node.
+    #[inline(always)]
+    pub fn strain<R: TangentRule>(
+        &self,
+        law: &Law<S>,
+        here: &R::Pose<S>,
+        there: &R::Pose<S>,
+        last: &R::Pose<S>,
+    ) -> Stress<S> {
+        let strain = R::strain(here);
+        (strain.minus(law.rest).times(self.elastic))
+            .plus(R::strain(there).minus(strain).times(self.after))
+            .plus(strain.minus(R::strain(last)).times(self.past))
+    }
+
+    /// How that strain changes with the strain here.
+    #[inline(always)]
+    pub fn scale(&self) -> Lanes<S> {
+        self.elastic + (self.past - self.after)
+    }
+}
+
 /// A 6×6 matrix over motion and rotation, in blocks.
 type Square<S> = [[Mat3<S>; 2]; 2];
 
 impl Group<'_> {
     /// Weights and memory of the time nodes.
     pub(super) fn prepare_solve(&mut self, n_lanes: usize) {
-        let half_step = 0.5 * self.motion.grid.step;
-        let arriving = self.motion.arriving_impulse();
         let n_nodes = self.motion.rod.n_nodes();
         let n_elements = self.motion.rod.n_elements();
         let n_free = n_nodes - self.motion.rod.first_free_node();
         for lane in 0..n_lanes {
             let k = self.time_node(lane);
             let kick = self.kick(k);
-            let after = if self.leaves(k) { kick.impulse } else { 0.0 };
-            let before = if self.arrives(k) {
-                kick.decay * arriving
-            } else {
-                0.0
-            };
-            let Some(solve) = &mut self.workspace.solve else {
-                return;
-            };
-            let weights = [kick.weight, half_step * after, half_step * before];
-            for (row, weight) in weights.into_iter().enumerate() {
-                solve.weights[row * n_lanes + lane] = weight;
+            let ends = [self.leaves(k), self.arrives(k)];
+            if let Some(solve) = &mut self.workspace.solve {
+                solve.put_weights(self.motion, (lane, n_lanes), &kick, ends);
             }
         }
         let ratio = self.workspace.solve.as_ref().map_or(0.0, |s| s.ratio);
@@ -133,45 +190,30 @@ impl Group<'_> {
     /// Stiffnesses and couplings of the elements; counts what is irregular.
     #[inline(always)]
     pub(super) fn damped_elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
-        let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
-        let mut irregular = zero;
+        let mut irregular = Lanes::splat(simd, 0.0);
         let workspace = &mut *self.workspace;
         let Some(solve) = &mut workspace.solve else {
             return irregular;
         };
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
         let before = rows::<S>(&workspace.before);
-        let weights = rows::<S>(&solve.weights);
-        let weight = |row: usize| Lanes {
-            simd,
-            value: weights[row],
-        };
-        let (elastic, leaving, arriving) = (weight(0), weight(1), weight(2));
-        let scale = elastic + (arriving - leaving) * solve.rate;
-        let after = leaving * solve.rate;
-        let past = arriving * solve.rate;
+        let weights = solve.weights(simd);
         for (q, element) in self.motion.rod.elements.iter().enumerate() {
             let [here_a, here_b] = ends(simd, poses, q);
             let [next_a, next_b] = ends(simd, next, q);
             let [last_a, last_b] = ends(simd, before, q);
-            let margin = (here_a.rotation.transposed_product(here_b.rotation)).trace() + 1.0;
-            irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
-            let margin = (next_a.rotation.transposed_product(next_b.rotation)).trace() + 1.0;
-            irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
-            let margin = (last_a.rotation.transposed_product(last_b.rotation)).trace() + 1.0;
-            irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
+            irregular = irregular
+                + is_folded(here_a, here_b)
+                + is_folded(next_a, next_b)
+                + is_folded(last_a, last_b);
             let here = element_pose::<S, R>(here_a, here_b);
             let there = element_pose::<S, R>(next_a, next_b);
             let last = element_pose::<S, R>(last_a, last_b);
             let law = Law::of::<R>(simd, element);
-            let strain = R::strain(&here);
-            let total = strain
-                .minus(law.rest)
-                .times(elastic)
-                .plus(R::strain(&there).minus(strain).times(after))
-                .plus(strain.minus(R::strain(&last)).times(past));
-            let mut kicked = R::stiffness_under(&law.times(scale), &here, &law.stress(total));
-            let coupling = R::coupling(&law.times(after), &here, &there);
+            let strain = weights.strain::<R>(&law, &here, &there, &last);
+            let scaled = law.times(weights.scale());
+            let mut kicked = R::stiffness_under(&scaled, &here, &law.stress(strain));
+            let coupling = R::coupling(&law.times(weights.after), &here, &there);
             // What the step carries to its end.
             let turned = rows::<S>(&solve.spins);
             let carry = [
@@ -262,8 +304,20 @@ impl Group<'_> {
     }
 }
 
+/// One where the ends of an element are near half a turn, or no numbers.
 #[inline(always)]
-fn ends<S: Simd>(simd: S, poses: &[Row<S>], q: usize) -> [NodePose<S>; 2] {
+pub(super) fn is_folded<S: Simd>(a: NodePose<S>, b: NodePose<S>) -> Lanes<S> {
+    let simd = a.position.x.simd;
+    let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
+    (-margin).select_below(
+        -LEAST_MARGIN,
+        Lanes::splat(simd, 0.0),
+        Lanes::splat(simd, 1.0),
+    )
+}
+
+#[inline(always)]
+pub(super) fn ends<S: Simd>(simd: S, poses: &[Row<S>], q: usize) -> [NodePose<S>; 2] {
     [
         NodePose::load(simd, &poses[q * POSE_ROWS..]),
         NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]),
@@ -271,7 +325,7 @@ fn ends<S: Simd>(simd: S, poses: &[Row<S>], q: usize) -> [NodePose<S>; 2] {
 }
 
 #[inline(always)]
-fn element_pose<S: Simd, R: TangentRule>(a: NodePose<S>, b: NodePose<S>) -> R::Pose<S> {
+pub(super) fn element_pose<S: Simd, R: TangentRule>(a: NodePose<S>, b: NodePose<S>) -> R::Pose<S> {
     R::pose(b.position - a.position, a.rotation, b.rotation)
 }
 

@@ -129,15 +129,13 @@ fn lanes_equal_the_clear_linearization() {
                 assert!(run(arch, share) == reference, "{arch:?} {share}");
             }
         }
-        if internal_damping == 0.0 {
-            let control = ControlSignal::default();
-            assert!(in_lanes(Arch::Scalar, &motion, &trajectory, &control).is_none());
-            let mild = bent(false);
-            let reference_defects = in_lanes(Arch::Scalar, &motion, &mild, &control);
-            assert!(reference_defects.is_some());
-            for arch in levels() {
-                assert!(in_lanes(arch, &motion, &mild, &control) == reference_defects);
-            }
+        let control = ControlSignal::default();
+        assert!(in_lanes(Arch::Scalar, &motion, &trajectory, &control).is_none());
+        let mild = bent(false);
+        let reference_defects = in_lanes(Arch::Scalar, &motion, &mild, &control);
+        assert!(reference_defects.is_some());
+        for arch in levels() {
+            assert!(in_lanes(arch, &motion, &mild, &control) == reference_defects);
         }
         let mut before = IntervalCurvature::default();
         for (k, step) in reference.iter().enumerate() {
