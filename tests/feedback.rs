@@ -389,8 +389,8 @@ fn closed_loops_end_where_the_linear_one_does() {
                 tip(&(with - &closed * size)),
             ]
         };
-        let [missed_open, missed_closed] = missed(1e-3).map(|missed| 2.0 * missed * 1e6);
-        let size = 1e-2;
+        let [missed_open, missed_closed] = missed(1e-4).map(|missed| 2.0 * missed * 1e8);
+        let size = 1e-3;
         let factor = (tip(&open) * size - missed_open * size * size)
             / (tip(&closed) * size + missed_closed * size * size);
         assert!(factor > 5.0, "{hold:?} {factor}");

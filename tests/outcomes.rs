@@ -689,15 +689,14 @@ fn extreme_weights() {
     ] {
         // Four elements are at the limit of what the check calls resolved.
         let summary = desk.solve(settings, "", &[DONE, REJECTED]);
-        let failed = summary["check"]["failed"].as_array().unwrap();
-        assert!(
-            failed.iter().all(|name| name == "refined_space_m"),
-            "{failed:?}"
-        );
+        assert_resolved_or_coarse(&summary);
         assert_eq!(summary["status"], "converged");
         assert!(summary["tip_error_m"].as_f64().unwrap() < 1e-6);
     }
-    let summary = desk.solve(&[few], &path("1e12"), &[DONE, NOT_CONVERGED]);
+    let summary = desk.solve(&[few], &path("1e12"), &[DONE, NOT_CONVERGED, REJECTED]);
+    if summary["status"] == "converged" {
+        assert_resolved_or_coarse(&summary);
+    }
     assert!(summary["tip_error_m"].as_f64().unwrap() < 1e-5);
     // Beyond what floating point holds: typed as well.
     for wild in [
@@ -715,6 +714,15 @@ fn extreme_weights() {
         "task.at_rest=true",
     ];
     desk.solve(&near, "", &[DONE]);
+}
+
+/// The check objects to nothing but the number of elements.
+fn assert_resolved_or_coarse(summary: &Value) {
+    let failed = summary["check"]["failed"].as_array().unwrap();
+    assert!(
+        failed.iter().all(|name| name == "refined_space_m"),
+        "{failed:?}"
+    );
 }
 
 /// Starts that are of no use, and ends that come at once.

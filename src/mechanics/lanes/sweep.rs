@@ -9,7 +9,8 @@ use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
-use super::element::{Chord, Law, Pose, Rule};
+use super::element::{Chord, Law, Pose};
+use super::rule::Rule;
 use super::turn::{Gyration, TURN_LIMIT, Turn};
 use super::vector::{Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
 

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
-use super::element::{Logarithm, logarithm};
+use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Lanes, Mat3, Quaternion, Row, Vec3};
 use crate::mechanics::strain::Element;
 
@@ -86,13 +86,131 @@ pub fn inertia_curvature<S: Simd>(
     ]
 }
 
+/// A stress, or a strain times the length: linear at the two ends, and angular. The helical rule has the first of the linear ones only.
+#[derive(Clone, Copy)]
+pub struct Stress<S: Simd> {
+    pub linear: [Vec3<S>; 2],
+    pub angular: Vec3<S>,
+}
+
+impl<S: Simd> Stress<S> {
+    #[inline(always)]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            linear: [
+                self.linear[0] + other.linear[0],
+                self.linear[1] + other.linear[1],
+            ],
+            angular: self.angular + other.angular,
+        }
+    }
+
+    #[inline(always)]
+    pub fn minus(self, other: Self) -> Self {
+        self.plus(other.times(Lanes::splat(other.angular.x.simd, -1.0)))
+    }
+
+    #[inline(always)]
+    pub fn times(self, factor: Lanes<S>) -> Self {
+        Self {
+            linear: [self.linear[0] * factor, self.linear[1] * factor],
+            angular: self.angular * factor,
+        }
+    }
+}
+
+/// Stress per strain times the length, and the strain at rest times the length.
+#[derive(Clone, Copy)]
+pub struct Law<S: Simd> {
+    pub c1: Vec3<S>,
+    pub c2: Vec3<S>,
+    pub rest: Stress<S>,
+}
+
+impl<S: Simd> Law<S> {
+    #[inline(always)]
+    pub fn of<R: TangentRule>(simd: S, element: &Element) -> Self {
+        let l = element.length;
+        let rest = |end: usize| Vec3::splat(simd, &(element.rest.linear[end] * l));
+        Self {
+            c1: Vec3::splat(simd, &(element.linear_stiffness * (R::END_WEIGHT / l))),
+            c2: Vec3::splat(simd, &(element.angular_stiffness / l)),
+            rest: Stress {
+                linear: [rest(0), rest(1)],
+                angular: Vec3::splat(simd, &(element.rest.curvature * l)),
+            },
+        }
+    }
+
+    /// Of a strain without that at rest.
+    #[inline(always)]
+    pub fn stress(&self, strain: Stress<S>) -> Stress<S> {
+        Stress {
+            linear: [
+                strain.linear[0].component_mul(self.c1),
+                strain.linear[1].component_mul(self.c1),
+            ],
+            angular: strain.angular.component_mul(self.c2),
+        }
+    }
+
+    /// With so many times the stiffness.
+    #[inline(always)]
+    pub fn times(&self, factor: Lanes<S>) -> Self {
+        Self {
+            c1: self.c1 * factor,
+            c2: self.c2 * factor,
+            ..*self
+        }
+    }
+}
+
 /// A strain rule, as far as its stiffness is concerned.
 pub trait TangentRule {
+    /// What the rule needs of an element's pose.
+    type Pose<S: Simd>: Copy;
+    /// Weight of an end at which the linear strain is taken.
+    const END_WEIGHT: f64;
+
+    fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Self::Pose<S>;
+
+    /// The strain times the length.
+    fn strain<S: Simd>(pose: &Self::Pose<S>) -> Stress<S>;
+
+    /// `Bᵀ` times a stress: `(F, M_a, M_b)`, as [`gradient_under`](crate::mechanics::strain::Element::gradient_under).
+    fn pull<S: Simd>(pose: &Self::Pose<S>, stress: &Stress<S>) -> [Vec3<S>; 3];
+
+    /// Derivative of the pull when the stress changes with the stiffness of a law, as
+    /// [`stiffness_under`](crate::mechanics::strain::Element::stiffness_under).
+    fn stiffness_under<S: Simd>(
+        law: &Law<S>,
+        pose: &Self::Pose<S>,
+        stress: &Stress<S>,
+    ) -> Blocks<S>;
+
+    /// `B_startᵀ C B_end`, as [`coupling`](crate::mechanics::strain::Element::coupling).
+    fn coupling<S: Simd>(law: &Law<S>, start: &Self::Pose<S>, end: &Self::Pose<S>) -> Blocks<S>;
+
     /// The [gradient](crate::mechanics::strain::Element::gradient) `(F, M_a, M_b)` of an element between two poses.
-    fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3];
+    #[inline(always)]
+    fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3]
+    where
+        Self: Sized,
+    {
+        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        Self::pull(&pose, &law.stress(Self::strain(&pose).minus(law.rest)))
+    }
 
     /// The stiffness of an element between two poses.
-    fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Blocks<S>;
+    #[inline(always)]
+    fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Blocks<S>
+    where
+        Self: Sized,
+    {
+        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        let stress = law.stress(Self::strain(&pose).minus(law.rest));
+        Self::stiffness_under(&law, &pose, &stress)
+    }
 }
 
 /// [`StrainRule::Helical`](crate::mechanics::StrainRule::Helical)
@@ -103,7 +221,7 @@ pub struct TrapezoidalTangent;
 
 /// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`: its derivative along `ψ`.
 #[inline(always)]
-fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) -> Mat3<S> {
+pub fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) -> Mat3<S> {
     let psi = log.psi;
     let along = psi.dot(y);
     let double_cross = psi * along - y * log.angle_squared;
@@ -124,75 +242,82 @@ fn curvature_of_coupling<S: Simd>(log: &Logarithm<S>, n: Vec3<S>, y: Vec3<S>) ->
     hess_q * log.c + turned * log.slope + own * q
 }
 
-/// The quantities of an element that the helical rule needs.
-struct HelicalTerms<S: Simd> {
-    c1: Vec3<S>,
-    c2: Vec3<S>,
+/// What the helical rule needs of a pose.
+#[derive(Clone, Copy)]
+pub struct HelicalPose<S: Simd> {
+    r: Mat3<S>,
     log: Logarithm<S>,
+    /// `R_aᵀ dx`
     y: Vec3<S>,
+    /// `S = I - ψ̂/2 + c ψ̂²`
     s: Mat3<S>,
+    /// `∂(S y)/∂ψ`
     g: Mat3<S>,
-    n: Vec3<S>,
-    mu: Vec3<S>,
-    w: Vec3<S>,
 }
 
-impl<S: Simd> HelicalTerms<S> {
+impl<S: Simd> HelicalPose<S> {
+    /// `l δv` along `(dx; body a; body b)`.
     #[inline(always)]
-    fn at(element: &Element, dx: Vec3<S>, r: Mat3<S>, r_b: Mat3<S>) -> Self {
-        let simd = dx.x.simd;
-        let l = element.length;
-        let c1 = Vec3::splat(simd, &(element.linear_stiffness / l));
-        let c2 = Vec3::splat(simd, &(element.angular_stiffness / l));
-        let relative = r.transposed_product(r_b);
-        let w = ((relative.trace() + 1.0).sqrt()) * 0.5;
-        let v = relative.vee() * (Lanes::splat(simd, 0.5) / w);
-        let log = logarithm(Quaternion { w, v });
-        let y = r.apply_transposed(dx);
-        let psi_hat = Mat3::hat(log.psi);
-        // S = I - ψ̂/2 + c ψ̂²
-        let square = Mat3::outer(log.psi, log.psi) - Mat3::multiple(log.angle_squared);
-        let identity = Mat3::multiple(Lanes::splat(simd, 1.0));
-        let s = identity - psi_hat * 0.5 + square * log.c;
-        let rest = Vec3::splat(simd, &(element.rest.linear[0] * l));
-        let rest_psi = Vec3::splat(simd, &(element.rest.curvature * l));
-        let n = (s.apply(y) - rest).component_mul(c1);
-        let m = (log.psi - rest_psi).component_mul(c2);
-        let g = tangent_derivative(&log, y, -1.0);
-        Self {
-            c1,
-            c2,
-            log,
-            y,
-            s,
-            g,
-            n,
-            mu: m + g.apply_transposed(n),
-            w: s.apply_transposed(n),
-        }
+    fn linear_derivative(&self) -> [Mat3<S>; 3] {
+        [
+            self.s.product_transposed(self.r),
+            self.s.product_hat(self.y) - self.g.product(self.s),
+            self.g.product_transposed(self.s),
+        ]
     }
 }
 
 impl TangentRule for HelicalTangent {
+    type Pose<S: Simd> = HelicalPose<S>;
+    const END_WEIGHT: f64 = 1.0;
+
     #[inline(always)]
-    fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3] {
-        let HelicalTerms { y, s, mu, w, .. } = HelicalTerms::at(element, dx, a, b);
-        [a.apply(w), w.cross(y) - s.apply_transposed(mu), s.apply(mu)]
+    fn pose<S: Simd>(dx: Vec3<S>, r: Mat3<S>, r_b: Mat3<S>) -> HelicalPose<S> {
+        let relative = r.transposed_product(r_b);
+        let w = ((relative.trace() + 1.0).sqrt()) * 0.5;
+        let v = relative.vee() * (Lanes::splat(dx.x.simd, 0.5) / w);
+        let log = logarithm(Quaternion { w, v });
+        let y = r.apply_transposed(dx);
+        let psi_hat = Mat3::hat(log.psi);
+        let square = Mat3::outer(log.psi, log.psi) - Mat3::multiple(log.angle_squared);
+        let identity = Mat3::multiple(Lanes::splat(dx.x.simd, 1.0));
+        HelicalPose {
+            r,
+            log,
+            y,
+            s: identity - psi_hat * 0.5 + square * log.c,
+            g: tangent_derivative(&log, y, -1.0),
+        }
     }
 
     #[inline(always)]
-    fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, r: Mat3<S>, r_b: Mat3<S>) -> Blocks<S> {
-        let HelicalTerms {
-            c1,
-            c2,
-            log,
-            y,
-            s,
-            g,
-            n,
-            mu,
-            w,
-        } = HelicalTerms::at(element, dx, r, r_b);
+    fn strain<S: Simd>(pose: &HelicalPose<S>) -> Stress<S> {
+        Stress {
+            linear: [pose.s.apply(pose.y); 2],
+            angular: pose.log.psi,
+        }
+    }
+
+    #[inline(always)]
+    fn pull<S: Simd>(pose: &HelicalPose<S>, stress: &Stress<S>) -> [Vec3<S>; 3] {
+        let HelicalPose { r, y, s, g, .. } = *pose;
+        let n = stress.linear[0];
+        let mu = stress.angular + g.apply_transposed(n);
+        let w = s.apply_transposed(n);
+        [r.apply(w), w.cross(y) - s.apply_transposed(mu), s.apply(mu)]
+    }
+
+    #[inline(always)]
+    fn stiffness_under<S: Simd>(
+        law: &Law<S>,
+        pose: &HelicalPose<S>,
+        stress: &Stress<S>,
+    ) -> Blocks<S> {
+        let HelicalPose { r, log, y, s, g } = *pose;
+        let Law { c1, c2, .. } = *law;
+        let n = stress.linear[0];
+        let mu = stress.angular + g.apply_transposed(n);
+        let w = s.apply_transposed(n);
         let turned = tangent_derivative(&log, n, 1.0);
         let bent = g.scale_rows(c1);
         let b = s.transposed_product(bent) + turned;
@@ -217,51 +342,75 @@ impl TangentRule for HelicalTangent {
             [force_b.transpose(), b_a, b_b],
         ]
     }
-}
 
-/// What the trapezoidal rule needs of an element; the stiffness is halved and over the length, for strains times the length.
-struct TrapezoidalTerms<S: Simd> {
-    c1: Vec3<S>,
-    c2: Vec3<S>,
-    v: [Vec3<S>; 2],
-    n: [Vec3<S>; 2],
-    psi: Vec3<S>,
-    y: Vec3<S>,
-    p: Mat3<S>,
-}
-
-impl<S: Simd> TrapezoidalTerms<S> {
     #[inline(always)]
-    fn at(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Self {
-        let simd = dx.x.simd;
-        let l = element.length;
-        let c1 = Vec3::splat(simd, &(element.linear_stiffness * (0.5 / l)));
-        let c2 = Vec3::splat(simd, &(element.angular_stiffness / l));
-        let relative = a.transposed_product(b);
-        let psi = relative.vee() * (Lanes::splat(simd, 4.0) / (relative.trace() + 1.0));
-        let v = [a.apply_transposed(dx), b.apply_transposed(dx)];
-        let mut n = v;
-        for end in 0..2 {
-            let rest = Vec3::splat(simd, &(element.rest.linear[end] * l));
-            n[end] = (v[end] - rest).component_mul(c1);
+    fn coupling<S: Simd>(law: &Law<S>, start: &HelicalPose<S>, end: &HelicalPose<S>) -> Blocks<S> {
+        let simd = law.c1.x.simd;
+        let (left, right) = (start.linear_derivative(), end.linear_derivative());
+        let mut x = [[Mat3::zero(simd); 3]; 3];
+        for (j, right) in right.into_iter().enumerate() {
+            let stressed = right.scale_rows(law.c1);
+            for (i, left) in left.into_iter().enumerate() {
+                x[i][j] = left.transposed_product(stressed);
+            }
         }
-        let identity = Mat3::multiple(Lanes::splat(simd, 1.0));
-        Self {
-            c1,
-            c2,
-            v,
-            n,
-            psi,
-            y: (psi - Vec3::splat(simd, &(element.rest.curvature * l))).component_mul(c2),
-            p: identity + Mat3::hat(psi) * 0.5 + Mat3::outer(psi, psi) * 0.25,
+        // δψ = Sᵀ η_b - S η_a
+        let left = [-start.s, start.s.transpose()];
+        let right = [-end.s, end.s.transpose()];
+        for (j, right) in right.into_iter().enumerate() {
+            let stressed = right.scale_rows(law.c2);
+            for (i, left) in left.into_iter().enumerate() {
+                x[1 + i][1 + j] = x[1 + i][1 + j] + left.transposed_product(stressed);
+            }
         }
+        x
     }
 }
 
+/// What the trapezoidal rule needs of a pose.
+#[derive(Clone, Copy)]
+pub struct TrapezoidalPose<S: Simd> {
+    rotations: [Mat3<S>; 2],
+    v: [Vec3<S>; 2],
+    psi: Vec3<S>,
+    p: Mat3<S>,
+}
+
 impl TangentRule for TrapezoidalTangent {
+    type Pose<S: Simd> = TrapezoidalPose<S>;
+    const END_WEIGHT: f64 = 0.5;
+
     #[inline(always)]
-    fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3] {
-        let TrapezoidalTerms { v, n, y, p, .. } = TrapezoidalTerms::at(element, dx, a, b);
+    fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> TrapezoidalPose<S> {
+        let simd = dx.x.simd;
+        let relative = a.transposed_product(b);
+        let psi = relative.vee() * (Lanes::splat(simd, 4.0) / (relative.trace() + 1.0));
+        let identity = Mat3::multiple(Lanes::splat(simd, 1.0));
+        TrapezoidalPose {
+            rotations: [a, b],
+            v: [a.apply_transposed(dx), b.apply_transposed(dx)],
+            psi,
+            p: identity + Mat3::hat(psi) * 0.5 + Mat3::outer(psi, psi) * 0.25,
+        }
+    }
+
+    #[inline(always)]
+    fn strain<S: Simd>(pose: &TrapezoidalPose<S>) -> Stress<S> {
+        Stress {
+            linear: pose.v,
+            angular: pose.psi,
+        }
+    }
+
+    #[inline(always)]
+    fn pull<S: Simd>(pose: &TrapezoidalPose<S>, stress: &Stress<S>) -> [Vec3<S>; 3] {
+        let TrapezoidalPose {
+            rotations: [a, b],
+            v,
+            p,
+            ..
+        } = *pose;
+        let (n, y) = (stress.linear, stress.angular);
         [
             a.apply(n[0]) + b.apply(n[1]),
             n[0].cross(v[0]) - p.apply(y),
@@ -270,20 +419,22 @@ impl TangentRule for TrapezoidalTangent {
     }
 
     #[inline(always)]
-    fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Blocks<S> {
-        let simd = dx.x.simd;
-        let TrapezoidalTerms {
-            c1,
-            c2,
+    fn stiffness_under<S: Simd>(
+        law: &Law<S>,
+        pose: &TrapezoidalPose<S>,
+        stress: &Stress<S>,
+    ) -> Blocks<S> {
+        let simd = law.c1.x.simd;
+        let Law { c1, c2, .. } = *law;
+        let TrapezoidalPose {
+            rotations,
             v,
-            n,
             psi,
-            y,
             p,
-        } = TrapezoidalTerms::at(element, dx, a, b);
+        } = *pose;
+        let (n, y) = (stress.linear, stress.angular);
         let mut k = [[Mat3::zero(simd); 3]; 3];
-        for end in 0..2 {
-            let r = if end == 0 { a } else { b };
+        for (end, r) in rotations.into_iter().enumerate() {
             let stretched = Mat3::hat(v[end]).scale_rows(c1) - Mat3::hat(n[end]);
             let force = r.product(stretched);
             k[0][0] = k[0][0] + r.product(Mat3::diagonal(c1)).product_transposed(r);
@@ -300,6 +451,36 @@ impl TangentRule for TrapezoidalTangent {
         k[2][1] = -far.product_transposed(p);
         k[2][2] = k[2][2] + far.product(p);
         k
+    }
+
+    /// `l δv_i = R_iᵀ δdx + v̂_i η_i`, `δψ = P η_b - Pᵀ η_a`.
+    #[inline(always)]
+    fn coupling<S: Simd>(
+        law: &Law<S>,
+        start: &TrapezoidalPose<S>,
+        end: &TrapezoidalPose<S>,
+    ) -> Blocks<S> {
+        let simd = law.c1.x.simd;
+        let mut x = [[Mat3::zero(simd); 3]; 3];
+        for i in 0..2 {
+            let stretched = end.rotations[i].transpose().scale_rows(law.c1);
+            let turned = Mat3::hat(end.v[i]).scale_rows(law.c1);
+            let r = start.rotations[i];
+            let v = start.v[i];
+            x[0][0] = x[0][0] + r.product(stretched);
+            x[0][1 + i] = r.product(turned);
+            x[1 + i][0] = -Mat3::hat_product(v, stretched);
+            x[1 + i][1 + i] = -Mat3::hat_product(v, turned);
+        }
+        let left = [-start.p.transpose(), start.p];
+        let right = [-end.p.transpose(), end.p];
+        for (j, right) in right.into_iter().enumerate() {
+            let stressed = right.scale_rows(law.c2);
+            for (i, left) in left.into_iter().enumerate() {
+                x[1 + i][1 + j] = x[1 + i][1 + j] + left.transposed_product(stressed);
+            }
+        }
+        x
     }
 }
 
@@ -393,22 +574,94 @@ pub struct Drift<S: Simd> {
     pub margin: Lanes<S>,
 }
 
+/// The turn of a node from one rotation to the next.
+struct Turn<S: Simd> {
+    turn: Mat3<S>,
+    margin: Lanes<S>,
+    f: Vec3<S>,
+    /// `1/(1 + |f|²/4)`
+    inverse_alpha: Lanes<S>,
+    /// Angular momentum before it, and its derivative along `f`.
+    g: Vec3<S>,
+    slope: Mat3<S>,
+}
+
+impl<S: Simd> Turn<S> {
+    #[inline(always)]
+    fn of(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Self {
+        let simd = before.rows[0].x.simd;
+        let one = Lanes::splat(simd, 1.0);
+        let turn = before.transposed_product(after);
+        let margin = turn.trace() + 1.0;
+        let f = turn.vee() * (Lanes::splat(simd, 4.0) / margin);
+        let inverse_alpha = one / (f.dot(f) * 0.25 + 1.0);
+        let j = Vec3::splat(simd, &(rotary / h));
+        let jf = f.component_mul(j);
+        let g = (jf + f.cross(jf) * 0.5) * inverse_alpha;
+        let turned = Mat3::hat(f).product(Mat3::diagonal(j)) - Mat3::hat(jf);
+        let slope = (Mat3::diagonal(j) + turned * 0.5) * inverse_alpha
+            - Mat3::outer(g * (inverse_alpha * 0.5), f);
+        Self {
+            turn,
+            margin,
+            f,
+            inverse_alpha,
+            g,
+            slope,
+        }
+    }
+}
+
+/// The spin of a node in a step that is solved for.
+#[derive(Clone, Copy)]
+pub struct Spin<S: Simd> {
+    pub turn_transposed: Mat3<S>,
+    /// `Θ⁻¹`: angular momentum before the drift per rotation, see [`spin_inertia`](crate::mechanics::implicit::spin_inertia).
+    pub inertia: Mat3<S>,
+    /// `M Θ⁻¹`: that after it.
+    pub arriving: Mat3<S>,
+    /// As in [`Drift`].
+    pub level: Lanes<S>,
+    pub margin: Lanes<S>,
+}
+
+/// The spin of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
+#[inline(always)]
+pub fn spin<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Spin<S> {
+    let Turn {
+        turn,
+        margin,
+        f,
+        g,
+        slope,
+        ..
+    } = Turn::of(rotary, h, before, after);
+    let one = Mat3::multiple(Lanes::splat(margin.simd, 1.0));
+    let inertia = slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25);
+    let turn_transposed = turn.transpose();
+    // M = Fᵀ + (Fᵀg)^ Θ
+    let arriving = turn_transposed.product(inertia) + Mat3::hat(turn_transposed.apply(g));
+    Spin {
+        turn_transposed,
+        inertia,
+        arriving,
+        level: f.dot(f) * 0.25,
+        margin,
+    }
+}
+
 /// The drift of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
 #[inline(always)]
 pub fn drift<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Drift<S> {
-    let simd = before.rows[0].x.simd;
-    let one = Lanes::splat(simd, 1.0);
-    let turn = before.transposed_product(after);
-    let margin = turn.trace() + 1.0;
-    let f = turn.vee() * (Lanes::splat(simd, 4.0) / margin);
-    let inverse_alpha = one / (f.dot(f) * 0.25 + 1.0);
-    let j = Vec3::splat(simd, &(rotary / h));
-    let jf = f.component_mul(j);
-    let g = (jf + f.cross(jf) * 0.5) * inverse_alpha;
-    // ∂g/∂f
-    let turned = Mat3::hat(f).product(Mat3::diagonal(j)) - Mat3::hat(jf);
-    let slope = (Mat3::diagonal(j) + turned * 0.5) * inverse_alpha
-        - Mat3::outer(g * (inverse_alpha * 0.5), f);
+    let one = Lanes::splat(before.rows[0].x.simd, 1.0);
+    let Turn {
+        turn,
+        margin,
+        f,
+        inverse_alpha,
+        g,
+        slope,
+    } = Turn::of(rotary, h, before, after);
     let tangent = (Mat3::multiple(one) - Mat3::hat(f) * 0.5) * inverse_alpha;
     let theta = tangent.product(slope.inverse());
     let turn_transposed = turn.transpose();

@@ -69,6 +69,12 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
+    /// The largest of all lanes.
+    #[inline(always)]
+    pub fn largest(self) -> f64 {
+        self.simd.reduce_max_f64s(self.value)
+    }
+
     /// Whether the sum of all lanes is a number.
     #[inline(always)]
     pub fn has_finite_sum(self) -> bool {
@@ -677,6 +683,37 @@ impl<S: Simd> Frame<S> {
                     z: one - (xx + yy),
                 },
             ],
+        }
+    }
+
+    /// From nine consecutive rows, axis by axis.
+    #[inline(always)]
+    pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
+        Self {
+            axes: Mat3::load(simd, rows, at).rows,
+        }
+    }
+
+    /// To nine consecutive rows, axis by axis.
+    #[inline(always)]
+    pub fn store(self, rows: &mut [Row<S>], at: usize) {
+        for (i, axis) in self.axes.into_iter().enumerate() {
+            axis.store(rows, at + 3 * i);
+        }
+    }
+
+    /// `Rᵀ`
+    #[inline(always)]
+    pub fn transposed(self) -> Mat3<S> {
+        Mat3 { rows: self.axes }
+    }
+
+    /// See [`Lanes::next_lane`].
+    #[inline(always)]
+    pub fn next_lane(self) -> Self {
+        let [x, y, z] = self.axes;
+        Self {
+            axes: [x.next_lane(), y.next_lane(), z.next_lane()],
         }
     }
 

@@ -504,8 +504,31 @@ pub struct StressDrift {
     pub end_end: Vec<ElementStiffness>,
     /// `Θ⁻¹` of every node: angular momentum per rotation.
     pub spin_inertia: Vec<Matrix3<f64>>,
+    /// `end_start` is so many times the transpose of `start_end`.
+    pub ratio: f64,
     /// Momentum per motion at `k + 1`, nodes and `start_end` together.
     pub(in crate::mechanics) step: BlockLu,
+}
+
+/// `∂(B_{k+1}ᵀ σ)` along the configuration at `k + 1`, of an element over the interval from `k` to `k + 1`, with the weight of the
+/// impulse: as in [`StressDrift::end_end`]. Zero where no stress depends on both ends.
+pub(in crate::mechanics) fn arriving_stiffness(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+    q: usize,
+) -> ElementStiffness {
+    let Motion { rod, grid, .. } = *motion;
+    let Some(weights) = IntervalWeights::of(rod, grid.step) else {
+        return ElementStiffness::zeros();
+    };
+    let element = &rod.elements[q];
+    let poses = [k, k + 1]
+        .map(|k| Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k)));
+    let [start, end] = (poses.each_ref()).map(|pose| rod.strain_rule.strain(element.length, pose));
+    let stress = weights.stress(element, &start, &end);
+    let arriving = 0.5 * grid.step * motion.arriving_impulse();
+    element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end) * arriving
 }
 
 impl StressDrift {
@@ -556,6 +579,7 @@ impl StressDrift {
             end_start,
             end_end,
             spin_inertia: spin,
+            ratio: weights.start * arriving / (weights.end * leaving),
             step,
         })
     }

@@ -2,7 +2,7 @@
 //! linearized in memory as a whole.
 
 use std::cell::RefCell;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard};
 
@@ -44,6 +44,8 @@ pub(super) struct Conveyor<'a> {
     pub multipliers: Option<&'a Multipliers<'a>>,
     /// Time nodes.
     pub range: Range<usize>,
+    /// Half a kick is taken at either end of it, and nothing is known of what is before and after.
+    pub stretch: RangeInclusive<usize>,
     pub sense: Sense,
     pub n_threads: usize,
 }
@@ -81,7 +83,7 @@ pub(super) const fn parts_of(length: usize) -> usize {
 
 impl Conveyor<'_> {
     /// Calls `work(phase, task, group)` for all tasks of every phase of one group after the other. Tasks of one phase run beside each
-    /// other, and beside the linearization of the next group, which `adapt` may change step by step.
+    /// other, and beside the linearization of the next group.
     ///
     /// # Errors
     /// [`StepError`] of a time node that cannot be linearized: the first one of the first group that has any; or of the motion's
@@ -90,7 +92,6 @@ impl Conveyor<'_> {
         &self,
         n_phases: usize,
         n_tasks: impl Fn(usize) -> usize + Sync,
-        adapt: impl Fn(usize, &mut PackedStep) + Sync,
         work: impl Fn(usize, usize, &Group) + Sync,
     ) -> Result<(), StepError> {
         let n_groups = self.range.len().div_ceil(GROUP * PIECE);
@@ -140,22 +141,16 @@ impl Conveyor<'_> {
                         self.motion,
                         self.trajectory,
                         multipliers,
+                        &self.stretch,
                         first,
                         &mut steps,
                     );
-                    match made {
-                        Ok(()) => {
-                            for (step, k) in steps.iter_mut().zip(range) {
-                                adapt(k, step);
-                            }
+                    if let Err(error) = made {
+                        let mut failure = lock(&failure);
+                        if failure.as_ref().is_none_or(|(before, _)| first < *before) {
+                            *failure = Some((first, error));
                         }
-                        Err(error) => {
-                            let mut failure = lock(&failure);
-                            if failure.as_ref().is_none_or(|(before, _)| first < *before) {
-                                *failure = Some((first, error));
-                            }
-                            last_round.store(round, Ordering::Relaxed);
-                        }
+                        last_round.store(round, Ordering::Relaxed);
                     }
                 } else if let Some((group, phase)) = at(round) {
                     let pieces = self.pieces_of(group).enumerate();

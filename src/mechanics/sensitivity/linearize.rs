@@ -2,11 +2,13 @@
 //! [plain linearization](StepLinearization) for the other nodes.
 
 use std::marker::PhantomData;
+use std::ops::RangeInclusive;
 
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_acting, pack_loads};
+use super::solved::SolveRows;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::constitutive::RodModel;
@@ -14,7 +16,7 @@ use crate::mechanics::curvature::{
     InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, load_curvatures,
 };
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::integrator::StepError;
+use crate::mechanics::integrator::{StepError, TimeScheme};
 use crate::mechanics::lanes::tangent::{
     Blocks, Displacement, HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule,
     TrapezoidalTangent, drift, inertia_curvature, put_pose,
@@ -22,7 +24,7 @@ use crate::mechanics::lanes::tangent::{
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{
-    Motion, StepLinearization, acting_derivatives, load_derivatives,
+    Kick, Motion, StepLinearization, acting_derivatives, arriving_stiffness, load_derivatives,
 };
 use crate::mechanics::strain::StrainRule;
 
@@ -36,6 +38,7 @@ pub(super) fn linearize(
     motion: &Motion,
     trajectory: &Trajectory,
     multipliers: Option<&Multipliers>,
+    stretch: &RangeInclusive<usize>,
     first: usize,
     steps: &mut [PackedStep],
 ) -> Result<(), StepError> {
@@ -46,27 +49,40 @@ pub(super) fn linearize(
         motion,
         trajectory,
         multipliers,
+        stretch,
         first,
         steps,
     )
 }
 
 /// The same with memory of the caller's, made [for such a motion](Workspace::of).
+#[expect(
+    clippy::too_many_arguments,
+    reason = "what a sweep is about, and its memory"
+)]
 pub(super) fn linearize_in(
     lanes: &mut Option<Workspace>,
     arch: Arch,
     motion: &Motion,
     trajectory: &Trajectory,
     multipliers: Option<&Multipliers>,
+    stretch: &RangeInclusive<usize>,
     first: usize,
     steps: &mut [PackedStep],
 ) -> Result<(), StepError> {
     let n_lanes = dispatch(arch, CountLanes);
+    let mut none = None;
+    let lanes = if multipliers.is_some() && is_damped(motion) {
+        &mut none
+    } else {
+        lanes
+    };
     let run = |first: usize, steps: &mut [PackedStep], workspace: &mut Workspace, scope| {
         let group = Group {
             motion,
             trajectory,
             multipliers,
+            stretch,
             first,
             steps,
             workspace,
@@ -104,7 +120,7 @@ pub(super) fn linearize_in(
                 }
                 continue;
             }
-            let linearization = StepLinearization::at(motion, trajectory, k)?;
+            let linearization = clear_step(motion, trajectory, stretch, k)?;
             let curvature = multipliers.map(|multipliers| {
                 let mut here =
                     StepCurvature::at(motion, trajectory, &linearization, multipliers, k);
@@ -115,16 +131,60 @@ pub(super) fn linearize_in(
                 before = here.interval;
                 packed
             });
-            *step = PackedStep::new(&linearization, curvature);
+            let arriving: Vec<_> = if arrives(motion, stretch, k) {
+                (0..motion.rod.n_elements())
+                    .map(|q| arriving_stiffness(motion, trajectory, k - 1, q))
+                    .collect()
+            } else {
+                Vec::new()
+            };
+            *step = PackedStep::new(&linearization, &arriving, curvature);
         }
     }
     Ok(())
 }
 
-/// The lanes know the standard model with explicit steps and without internal damping.
+/// The kick of a time node: half of it at either end of the stretch.
+fn kick(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> Kick {
+    if k == *stretch.start() {
+        motion.kick(0)
+    } else if k == *stretch.end() {
+        motion.kick(motion.grid.n_steps)
+    } else {
+        motion.kick(k)
+    }
+}
+
+/// Whether the stress of the interval before acts at a time node.
+fn arrives(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> bool {
+    k > *stretch.start() && IntervalWeights::of(motion.rod, motion.grid.step).is_some()
+}
+
+/// The plain linearization of a time node of the stretch.
+fn clear_step(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    stretch: &RangeInclusive<usize>,
+    k: usize,
+) -> Result<StepLinearization, StepError> {
+    let mut step = StepLinearization::at(motion, trajectory, k)?;
+    step.kick = kick(motion, stretch, k);
+    if k == *stretch.end() {
+        step.drifts.clear();
+        step.element_drifts.clear();
+        step.stress_drift = None;
+    }
+    Ok(step)
+}
+
+/// The lanes know the standard model with explicit steps.
 pub(super) fn is_possible(motion: &Motion) -> bool {
-    motion.rod.model == RodModel::Standard
-        && IntervalWeights::of(motion.rod, motion.grid.step).is_none()
+    motion.rod.model == RodModel::Standard && motion.rod.scheme == TimeScheme::Explicit
+}
+
+/// Whether a stress depends on both ends of an interval.
+pub(super) fn is_damped(motion: &Motion) -> bool {
+    IntervalWeights::of(motion.rod, motion.grid.step).is_some()
 }
 
 /// What a group of time nodes needs, a number in each lane.
@@ -133,57 +193,114 @@ pub(super) struct Workspace {
     /// [`POSE_ROWS`] of every node, and those a step later.
     pub poses: Buffer,
     pub next: Buffer,
+    /// Those a step earlier, of damped rods.
+    pub before: Buffer,
+    /// Of damped rods.
+    pub solve: Option<SolveRows>,
     /// `λ` of every node times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends.
     multipliers: Buffer,
     /// Weights of the kicks.
     weights: Buffer,
     /// Results on their way to the time nodes.
-    out: Buffer,
+    pub out: Buffer,
     /// Curvature of the interval after each of the time nodes.
     intervals: Vec<IntervalCurvature>,
 }
 
 const MULTIPLIER_ROWS: usize = 12;
+/// Those of three 6×6 matrices, the most that is on its way at once.
+const OUT_ROWS: usize = 108;
 
 impl Workspace {
     /// Where the lanes can linearize the motion.
     pub fn of(arch: Arch, motion: &Motion) -> Option<Self> {
         let n_lanes = dispatch(arch, CountLanes);
-        is_possible(motion).then(|| Self::new(motion.rod.n_nodes(), n_lanes))
+        is_possible(motion).then(|| Self::new(motion, n_lanes))
     }
 
-    pub fn new(n_nodes: usize, n_lanes: usize) -> Self {
+    pub fn new(motion: &Motion, n_lanes: usize) -> Self {
+        let n_nodes = motion.rod.n_nodes();
+        let solve = SolveRows::of(motion, n_lanes);
+        let poses = || Buffer::zeros(n_nodes * POSE_ROWS * n_lanes);
         Self {
-            poses: Buffer::zeros(n_nodes * POSE_ROWS * n_lanes),
-            next: Buffer::zeros(n_nodes * POSE_ROWS * n_lanes),
+            poses: poses(),
+            next: poses(),
+            before: if solve.is_some() {
+                poses()
+            } else {
+                Buffer::zeros(0)
+            },
+            solve,
             multipliers: Buffer::zeros(n_nodes * MULTIPLIER_ROWS * n_lanes),
             weights: Buffer::zeros(n_lanes),
-            out: Buffer::zeros(81 * n_lanes),
+            out: Buffer::zeros(OUT_ROWS * n_lanes),
             intervals: vec![IntervalCurvature::default(); n_lanes],
         }
     }
 
-    /// The poses of time node `k` and of the next, to one lane; after the last there is no other.
-    pub fn put_poses(&mut self, trajectory: &Trajectory, k: usize, lane: usize, n_lanes: usize) {
-        let last = trajectory.n_times() - 1;
-        for (poses, k) in [(&mut self.poses, k), (&mut self.next, (k + 1).min(last))] {
-            let positions = trajectory.positions_at(k);
-            let rotations = trajectory.rotations_at(k);
-            for (node, rows) in poses.chunks_exact_mut(POSE_ROWS * n_lanes).enumerate() {
-                put_pose(rows, n_lanes, lane, &positions[node], &rotations[node]);
-            }
+    /// The poses of the time nodes from `first` to `last` on, one in each lane, and of those before and after; lanes that are left get
+    /// those of the last. Before the first and after the last of the trajectory there are no others.
+    pub fn put_poses(
+        &mut self,
+        trajectory: &Trajectory,
+        first: usize,
+        last: usize,
+        n_lanes: usize,
+    ) {
+        let end = trajectory.n_times() - 1;
+        for lane in 0..n_lanes {
+            put_time_node(
+                &mut self.poses,
+                trajectory,
+                (first + lane).min(last),
+                lane,
+                n_lanes,
+            );
+        }
+        // The neighbors are those of the next lane and of the lane before, but for one.
+        let n = self.poses.len();
+        self.next[..n - 1].copy_from_slice(&self.poses[1..]);
+        let next = (last + 1).min(end);
+        for lane in [last - first, n_lanes - 1] {
+            put_time_node(&mut self.next, trajectory, next, lane, n_lanes);
+        }
+        if !self.before.is_empty() {
+            self.before[1..].copy_from_slice(&self.poses[..n - 1]);
+            put_time_node(
+                &mut self.before,
+                trajectory,
+                first.saturating_sub(1),
+                0,
+                n_lanes,
+            );
         }
     }
 }
 
+/// The pose of every node at time node `k`, to one lane.
+fn put_time_node(
+    poses: &mut [f64],
+    trajectory: &Trajectory,
+    k: usize,
+    lane: usize,
+    n_lanes: usize,
+) {
+    let positions = trajectory.positions_at(k);
+    let rotations = trajectory.rotations_at(k);
+    for (node, rows) in poses.chunks_exact_mut(POSE_ROWS * n_lanes).enumerate() {
+        put_pose(rows, n_lanes, lane, &positions[node], &rotations[node]);
+    }
+}
+
 /// Time nodes that are linearized together, one in each lane; the last one also fills lanes that are left.
-struct Group<'a> {
-    motion: &'a Motion<'a>,
+pub(super) struct Group<'a> {
+    pub motion: &'a Motion<'a>,
     trajectory: &'a Trajectory,
     multipliers: Option<&'a Multipliers<'a>>,
-    first: usize,
-    steps: &'a mut [PackedStep],
-    workspace: &'a mut Workspace,
+    stretch: &'a RangeInclusive<usize>,
+    pub first: usize,
+    pub steps: &'a mut [PackedStep],
+    pub workspace: &'a mut Workspace,
     scope: Scope,
 }
 
@@ -224,6 +341,16 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
         let mut group = self.group;
         group.gather(S::F64_LANES);
         group.prepare();
+        if group.workspace.solve.is_some() {
+            group.prepare_solve(S::F64_LANES);
+            let irregular =
+                group.spins(simd) + group.damped_elements::<S, R>(simd) + group.factors(simd);
+            let both = group.zeros(irregular);
+            return Regular {
+                drifts: both,
+                elements: both,
+            };
+        }
         let irregular = group.drifts(simd);
         let drifts = group.zeros(irregular);
         let mut elements = 0;
@@ -237,18 +364,33 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
 
 impl Group<'_> {
     /// Time node of a lane.
-    fn time_node(&self, lane: usize) -> usize {
+    pub fn time_node(&self, lane: usize) -> usize {
         self.first + lane.min(self.steps.len() - 1)
+    }
+
+    pub fn kick(&self, k: usize) -> Kick {
+        kick(self.motion, self.stretch, k)
+    }
+
+    /// Whether an interval of the stretch begins at a time node.
+    pub fn leaves(&self, k: usize) -> bool {
+        k < *self.stretch.end()
+    }
+
+    /// Whether one ends there.
+    pub fn arrives(&self, k: usize) -> bool {
+        k > *self.stretch.start()
     }
 
     fn gather(&mut self, n_lanes: usize) {
         let n_nodes = self.motion.rod.n_nodes();
         let n_steps = self.motion.grid.n_steps;
+        let last = self.time_node(n_lanes);
+        (self.workspace).put_poses(self.trajectory, self.first, last, n_lanes);
         for lane in 0..n_lanes {
             let k = self.time_node(lane);
+            self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
-            workspace.weights[lane] = self.motion.kick(k).weight;
-            workspace.put_poses(self.trajectory, k, lane, n_lanes);
             let Some(multipliers) = self.multipliers else {
                 continue;
             };
@@ -267,9 +409,12 @@ impl Group<'_> {
 
     /// All but drifts and elements, which the lanes fill in.
     fn prepare(&mut self) {
-        let Motion { rod, grid, .. } = *self.motion;
+        let rod = self.motion.rod;
+        let (motion, stretch) = (self.motion, self.stretch);
+        let damped = self.workspace.solve.is_some();
+        let n_drifts = |k: usize| if k < *stretch.end() { rod.n_nodes() } else { 0 };
         for (step, k) in self.steps.iter_mut().zip(self.first..) {
-            let kick = self.motion.kick(k);
+            let kick = kick(motion, stretch, k);
             step.decay = kick.decay;
             step.weight = kick.weight;
             step.loads = pack_loads(
@@ -282,9 +427,12 @@ impl Group<'_> {
             );
             step.first_free_node = rod.first_free_node();
             step.element_drifts.clear();
-            step.stress_drift = None;
-            let n_drifts = if k < grid.n_steps { rod.n_nodes() } else { 0 };
-            step.drifts.resize(n_drifts, PackedDrift::default());
+            if damped {
+                step.drifts.clear();
+            } else {
+                step.solve.clear();
+                step.drifts.resize(n_drifts(k), PackedDrift::default());
+            }
             step.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
             if self.multipliers.is_some() {
                 let curvature = step.curvature.get_or_insert_default();
@@ -294,8 +442,9 @@ impl Group<'_> {
             }
         }
         for (interval, k) in self.workspace.intervals.iter_mut().zip(self.first..) {
-            let n = if k < grid.n_steps { rod.n_nodes() } else { 0 };
-            interval.inertia.resize(n, InertiaCurvature::zeros());
+            interval
+                .inertia
+                .resize(n_drifts(k), InertiaCurvature::zeros());
         }
     }
 
@@ -453,7 +602,7 @@ pub(super) const ROUNDING: f64 = 1e-12;
 
 /// Nine rows from row `at` on.
 #[inline(always)]
-fn store<S: Simd>(out: &mut [f64], at: usize, m: Mat3<S>) {
+pub(super) fn store<S: Simd>(out: &mut [f64], at: usize, m: Mat3<S>) {
     let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
     for (i, row) in m.rows.into_iter().enumerate() {
         row.store(out, at + 3 * i);
@@ -462,7 +611,7 @@ fn store<S: Simd>(out: &mut [f64], at: usize, m: Mat3<S>) {
 
 /// Block `(i, j)` of a 9×9 matrix in 81 rows.
 #[inline(always)]
-fn store_block<S: Simd>(out: &mut [f64], i: usize, j: usize, m: Mat3<S>) {
+pub(super) fn store_block<S: Simd>(out: &mut [f64], i: usize, j: usize, m: Mat3<S>) {
     let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
     for (row, values) in m.rows.into_iter().enumerate() {
         values.store(out, 9 * (3 * i + row) + 3 * j);
@@ -471,13 +620,13 @@ fn store_block<S: Simd>(out: &mut [f64], i: usize, j: usize, m: Mat3<S>) {
 
 /// One lane of nine rows.
 #[inline(always)]
-fn matrix<S: Simd>(out: &[f64], at: usize, lane: usize) -> [[f64; 3]; 3] {
+pub(super) fn matrix<S: Simd>(out: &[f64], at: usize, lane: usize) -> [[f64; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| out[(at + 3 * i + j) * S::F64_LANES + lane]))
 }
 
 /// One lane of 81 rows.
 #[inline(always)]
-fn scatter<S: Simd>(out: &[f64], lane: usize, target: &mut [[f64; 9]; 9]) {
+pub(super) fn scatter<S: Simd>(out: &[f64], lane: usize, target: &mut [[f64; 9]; 9]) {
     let rows = out.chunks_exact(S::F64_LANES);
     for (target, row) in target.as_flattened_mut().iter_mut().zip(rows) {
         *target = row[lane];
@@ -485,172 +634,4 @@ fn scatter<S: Simd>(out: &[f64], lane: usize, target: &mut [[f64; 9]; 9]) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::residual::in_lanes;
-    use super::*;
-    use crate::mechanics::linearization::adjoint_sweep;
-    use crate::mechanics::rotation::exp;
-    use crate::mechanics::{
-        ControlSignal, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
-        State, StateForm, TimeGrid, stable_step,
-    };
-
-    /// Instruction sets that this machine has.
-    fn levels() -> Vec<Arch> {
-        let mut levels = vec![Arch::Scalar];
-        #[cfg(target_arch = "x86_64")]
-        {
-            use pulp::x86::{V3, V4};
-            levels.extend(V3::try_new().map(Arch::V3));
-            levels.extend(V4::try_new().map(Arch::V4));
-        }
-        levels
-    }
-
-    /// Largest difference relative to the largest number.
-    fn distance<'a>(
-        a: impl Iterator<Item = &'a f64>,
-        b: impl Iterator<Item = &'a f64> + Clone,
-    ) -> f64 {
-        let size = b.clone().fold(f64::MIN_POSITIVE, |m, x| m.max(x.abs()));
-        a.zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / size
-    }
-
-    /// The lanes' linearization is the clear one, along motions with elements bent by up to 2 rad and a time node at which one is
-    /// bent beyond what lanes take: matrices to rounding, curvatures to what a difference of stiffnesses leaves, 1e-10 of the
-    /// stiffness that is differenced and here a thousandth of that of the largest curvature. Instruction sets and the runs that
-    /// the time nodes are taken in change no bit.
-    #[test]
-    fn lanes_equal_the_clear_linearization() {
-        let material = Material::isotropic(1e6, 0.5, 1000.0);
-        for strain_rule in [StrainRule::Trapezoidal, StrainRule::Helical] {
-            let n = 6;
-            let rod = Rod::new(&RodParameters {
-                strain_rule,
-                rest_curvature: Vector3::new(0.3, -0.2, 0.5),
-                viscous_damping: 1.7,
-                loads: vec![Load {
-                    node: n,
-                    force: Vector3::new(0.2, -0.3, 0.1),
-                    moment: Vector3::zeros(),
-                    frame: LoadFrame::Body,
-                    profile: Vec::new(),
-                }],
-                ..RodParameters::straight(
-                    1.0,
-                    n,
-                    SectionProfile::Uniform(Section::circle(&material, 0.05)),
-                )
-            })
-            .unwrap();
-            let grid = TimeGrid {
-                start: 0.0,
-                step: 0.5 * stable_step(&rod),
-                n_steps: 20,
-            };
-            let initial = State::at_rest(rod.rest.clone());
-            // A jump of half a radian from one time node to the next is less than a quarter turn.
-            let bent = |sharply: bool| {
-                let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-                for k in 0..=grid.n_steps {
-                    let mut shape = rod.rest.clone();
-                    let mut turn = exp(&Vector3::zeros());
-                    for q in 1..=n {
-                        let x = (q * 7 + k) as f64;
-                        let bend = match q % 4 {
-                            3 if sharply && k == 11 => 2.5,
-                            part => [0.02, 0.4, 1.1, 2.0][part] * (1.0 + 5e-4 * k as f64),
-                        };
-                        let axis = Vector3::new((q as f64).sin(), (2.0 * q as f64).cos(), 0.3);
-                        turn *= exp(&(axis.normalize() * bend));
-                        shape.rotations[q] = turn;
-                        let shift = Vector3::new(x.sin(), x.cos(), (2.0 * x).sin());
-                        shape.positions[q] += shift * 0.01;
-                    }
-                    trajectory.push(&shape);
-                }
-                trajectory
-            };
-            let trajectory = bent(true);
-            let motion = Motion {
-                stop: None,
-                rod: &rod,
-                grid,
-                initial: &initial,
-                control: None,
-            };
-            let mut covector = crate::mechanics::linearization::StateTangent::zeros(n + 1);
-            covector.positions[n] = Vector3::new(1.0, -2.0, 0.5);
-            covector.angular[n] = Vector3::new(300.0, 200.0, -100.0);
-            let forms = [StateForm::of_covector(grid.n_steps, &covector)];
-            let adjoint = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
-            let multipliers = Multipliers {
-                adjoint: &adjoint,
-                own: &[],
-            };
-            let run = |arch: Arch, share: usize| {
-                let mut steps: Vec<PackedStep> = Vec::new();
-                steps.resize_with(grid.n_steps + 1, PackedStep::default);
-                for (i, steps) in steps.chunks_mut(share).enumerate() {
-                    let first = i * share;
-                    linearize(arch, &motion, &trajectory, Some(&multipliers), first, steps)
-                        .unwrap();
-                }
-                steps
-            };
-            let reference = run(Arch::Scalar, 21);
-            for arch in levels() {
-                for share in [21, 8, 3] {
-                    assert!(run(arch, share) == reference, "{arch:?} {share}");
-                }
-            }
-            let control = ControlSignal::default();
-            assert!(in_lanes(Arch::Scalar, &motion, &trajectory, &control).is_none());
-            let mild = bent(false);
-            let reference_defects = in_lanes(Arch::Scalar, &motion, &mild, &control);
-            assert!(reference_defects.is_some());
-            for arch in levels() {
-                assert!(in_lanes(arch, &motion, &mild, &control) == reference_defects);
-            }
-            let mut before = IntervalCurvature::default();
-            for (k, step) in reference.iter().enumerate() {
-                let clear = StepLinearization::at(&motion, &trajectory, k).unwrap();
-                let here = StepCurvature::at(&motion, &trajectory, &clear, &multipliers, k);
-                let curvature = PackedCurvature::new(&rod, &before, &here);
-                before = here.interval;
-                let clear = PackedStep::new(&clear, Some(curvature));
-                let flat = |step: &PackedStep| -> [Vec<f64>; 4] {
-                    let drifts = |part: fn(&PackedDrift) -> [[f64; 3]; 3]| {
-                        (step.drifts.iter())
-                            .flat_map(|d| part(d).into_iter().flatten())
-                            .collect()
-                    };
-                    [
-                        step.elements.as_flattened().as_flattened().to_vec(),
-                        drifts(|d| d.turn_transposed),
-                        drifts(|d| d.theta),
-                        drifts(|d| d.momentum),
-                    ]
-                };
-                assert_eq!(step.loads, clear.loads);
-                for (found, clear) in flat(step).iter().zip(&flat(&clear)) {
-                    assert_eq!(found.len(), clear.len());
-                    let error = distance(found.iter(), clear.iter());
-                    assert!(error < 1e-13, "{strain_rule:?} {k}: {error:e}");
-                }
-                let (Some(found), Some(clear)) = (&step.curvature, &clear.curvature) else {
-                    panic!("no curvature");
-                };
-                let flat = |c: &PackedCurvature| c.elements.as_flattened().as_flattened().to_vec();
-                let error = distance(flat(found).iter(), flat(clear).iter());
-                assert!(error < 1e-8, "{strain_rule:?} {k}: {error:e}");
-                let flat = |c: &PackedCurvature| -> Vec<f64> {
-                    let couplings = c.couplings.as_flattened().as_flattened();
-                    couplings.as_flattened().to_vec()
-                };
-                let error = distance(flat(found).iter(), flat(clear).iter());
-                assert!(error < 1e-13, "{strain_rule:?} {k}: {error:e}");
-            }
-        }
-    }
-}
+mod tests;

@@ -13,6 +13,7 @@
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
+mod arriving;
 mod conveyor;
 mod linearize;
 mod packed;
@@ -20,6 +21,7 @@ mod reduction;
 mod repeated;
 mod residual;
 mod reverse;
+mod solved;
 mod team;
 mod tile;
 
@@ -169,7 +171,6 @@ pub fn adjoint(
     (task.conveyor(None, 0..n_times, Sense::Backward)).run(
         1,
         |_| 1,
-        |_, _| (),
         |_, _, group| {
             let mut tile = lock(&tile);
             for (k, step) in group.steps().rev() {
@@ -214,7 +215,6 @@ pub fn direction(
     (task.conveyor(None, 0..n_times, Sense::Forward)).run(
         1,
         |_| 1,
-        |_, _| (),
         |_, _, group| {
             let (tile, direction) = &mut *lock(&sweep);
             for (k, step) in group.steps() {
@@ -313,19 +313,11 @@ pub fn transition_by(
         .collect();
     let arch = Arch::new();
     let last = range.end;
-    let half_kicks = |k: usize, step: &mut PackedStep| {
-        if k == range.start {
-            step.replace_kick(&motion.kick(0));
-        }
-        if k == last {
-            step.replace_kick(&motion.kick(motion.grid.n_steps));
-            step.drifts.clear();
-        }
-    };
-    (task.conveyor(None, range.start..last + 1, Sense::Forward)).run(
+    let mut conveyor = task.conveyor(None, range.start..last + 1, Sense::Forward);
+    conveyor.stretch = range.start..=last;
+    conveyor.run(
         1,
         |_| n_tiles,
-        half_kicks,
         |_, index, group| {
             let mut tile = write(&tiles[index]);
             for (k, step) in group.steps() {
@@ -455,6 +447,7 @@ impl Task<'_> {
             trajectory: self.trajectory,
             multipliers,
             range,
+            stretch: 0..=self.motion.grid.n_steps,
             sense,
             n_threads: self.n_threads,
         }
@@ -492,7 +485,6 @@ impl Task<'_> {
         (self.conveyor(multipliers, 0..n_times, Sense::Forward)).run(
             n_phases * parts_of(round),
             |phase| [n_tiles, blocks.len()][phase % n_phases],
-            |_, _| (),
             |phase, task, group| {
                 let Some((first, steps)) = group.part(phase / n_phases, round) else {
                     return;
@@ -545,7 +537,6 @@ impl Task<'_> {
         (self.conveyor(None, 0..self.n_times(), Sense::Backward)).run(
             1,
             |_| n_tiles,
-            |_, _| (),
             |_, index, group| {
                 let mut tile = lock(&tiles[index]);
                 for (k, step) in group.steps().rev() {
@@ -576,13 +567,13 @@ impl Task<'_> {
 }
 
 /// Floating-point operations of one time node on the columns of a tile that reach so many nodes: 9×9 per element (multiply and add) with its
-/// scatter, four 3×3 products and the translation per node; three times the former and three 6×6 products per node where a step is
+/// scatter, four 3×3 products and the translation per node; the former once more and three 6×6 products per node where a step is
 /// solved for.
 fn step_flops(step: &PackedStep, n_nodes: usize) -> u64 {
     let n_elements = step.elements.len().min(n_nodes);
     let mut flops = n_elements * (162 + 15) + n_nodes * (72 + 12);
-    if let Some(stress) = &step.stress_drift {
-        flops += stress.start.len() * 3 * (162 + 15) + n_nodes * 3 * 72;
+    if !step.solve.is_empty() {
+        flops += step.solve.coupling.len() * (162 + 15) + n_nodes * 3 * 72;
     }
     (TILE * flops) as u64
 }

@@ -17,7 +17,8 @@ use crate::mechanics::strain::ElementStiffness;
 pub(super) struct PackedStep {
     pub decay: f64,
     pub weight: f64,
-    /// `weight` times the stiffness, row by row.
+    /// What the momenta after the kick lose by the configuration: `weight` times the stiffness, row by row, and what stresses of
+    /// [intervals](PackedSolve) add.
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
     pub loads: Vec<(usize, [[f64; 3]; 6])>,
@@ -26,7 +27,7 @@ pub(super) struct PackedStep {
     pub drifts: Vec<PackedDrift>,
     pub element_drifts: Vec<PackedElementDrift>,
     pub first_free_node: usize,
-    pub stress_drift: Option<PackedStressDrift>,
+    pub solve: PackedSolve,
     pub curvature: Option<PackedCurvature>,
 }
 
@@ -72,51 +73,107 @@ impl PackedElementDrift {
     }
 }
 
-/// A [`StressDrift`], laid out for the kernel. With `z` the configuration at the start and `u` what the step adds to what it
-/// carries to the end, the stress takes `start z` from the momenta that the step is solved for, and `carried z + added u`
-/// from those that arrive.
-#[derive(Debug, PartialEq)]
-pub(super) struct PackedStressDrift {
-    pub start: Vec<[[f64; 9]; 9]>,
-    pub carried: Vec<[[f64; 9]; 9]>,
-    pub added: Vec<[[f64; 9]; 9]>,
-    /// Momenta that arrive per `u`: `m/h`, and `M Θ⁻¹`.
-    pub momenta: Vec<(f64, [[f64; 3]; 3])>,
+/// What is solved for in a step with a [`StressDrift`], laid out for the kernel; empty in other steps.
+///
+/// With `z` the configuration at the start and `u` what the step adds to what it carries to the end, `(D + X) u` are the momenta
+/// after the kick, whose [`elements`](PackedStep::elements) have the rest of what the stress does there. The momenta that arrive
+/// are `D_p u - ratio Xᵀ z`, up to a stiffness at the end of the interval, which is a part of the next kick and of the forms of
+/// momenta; see [`arriving`](super::arriving).
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct PackedSolve {
+    /// `X = ∂(B_kᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)`, with the weight of the impulse.
+    pub coupling: Vec<[[f64; 9]; 9]>,
+    pub ratio: f64,
+    pub nodes: Vec<PackedSpin>,
     /// Inverses of the pivots, the blocks of `L` below them, and those of `U` above its unit diagonal.
     pub pivots: Vec<[[f64; 6]; 6]>,
     pub below: Vec<[[f64; 6]; 6]>,
     pub above: Vec<[[f64; 6]; 6]>,
 }
 
-impl PackedStressDrift {
-    pub fn new(step: &StepLinearization, stress: &StressDrift) -> Self {
-        // A matrix over the configuration that is carried to the end, over the one at the start.
-        let carry = |matrix: &ElementStiffness, q: usize| {
-            let mut out = *matrix;
-            for (end, at) in [(0, 3), (1, 6)] {
-                let turned = matrix.fixed_columns::<3>(at) * step.drifts[q + end].turn_transposed;
-                out.fixed_columns_mut::<3>(at).copy_from(&turned);
-            }
-            out
-        };
-        let both = |here: &[ElementStiffness], there: &[ElementStiffness]| {
-            (here.iter().zip(there).enumerate())
-                .map(|(q, (here, there))| square(&(here + carry(there, q))))
-                .collect()
-        };
+/// A node in a step that is solved for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct PackedSpin {
+    /// Momentum per motion, `m/h`.
+    pub mass_rate: f64,
+    /// `Fᵀ`
+    pub turn_transposed: [[f64; 3]; 3],
+    /// `M Θ⁻¹`: angular momentum that arrives, per rotation.
+    pub spin: [[f64; 3]; 3],
+}
+
+impl PackedSolve {
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Forgets all; the memory stays.
+    pub fn clear(&mut self) {
+        self.coupling.clear();
+        self.nodes.clear();
+        self.pivots.clear();
+        self.below.clear();
+        self.above.clear();
+    }
+
+    fn new(step: &StepLinearization, stress: &StressDrift) -> Self {
         let factors = stress.step.factors();
+        let nodes = step.drifts.iter().zip(&stress.spin_inertia);
         Self {
-            start: both(&stress.start_start, &stress.start_end),
-            carried: both(&stress.end_start, &stress.end_end),
-            added: stress.end_end.iter().map(square).collect(),
-            momenta: (step.drifts.iter().zip(&stress.spin_inertia))
-                .map(|(drift, spin)| (1.0 / drift.mobility, square(&(drift.momentum * spin))))
+            coupling: stress.start_end.iter().map(square).collect(),
+            ratio: stress.ratio,
+            nodes: nodes
+                .map(|(drift, spin)| PackedSpin {
+                    mass_rate: 1.0 / drift.mobility,
+                    turn_transposed: rows(&drift.turn_transposed, 1.0),
+                    spin: square(&(drift.momentum * spin)),
+                })
                 .collect(),
             pivots: factors.diagonal.iter().map(square).collect(),
             below: factors.below.iter().map(square).collect(),
             above: factors.above.iter().map(square).collect(),
         }
     }
+}
+
+/// What the momenta after the kick lose by the configuration of every element: the elastic stiffness, the stress of the interval
+/// before, and that of the interval after but for what is [solved](PackedSolve) for.
+fn kicked(step: &StepLinearization, arriving: &[ElementStiffness]) -> Vec<[[f64; 9]; 9]> {
+    let Kick { decay, weight, .. } = step.kick;
+    let n = [step.elements.len(), arriving.len()]
+        .into_iter()
+        .chain(
+            step.stress_drift
+                .as_ref()
+                .map(|stress| stress.start_start.len()),
+        )
+        .max();
+    (0..n.unwrap_or_default())
+        .map(|q| {
+            let mut sum = ElementStiffness::zeros();
+            if let Some(elastic) = step.elements.get(q) {
+                sum += elastic * weight;
+            }
+            if let Some(arriving) = arriving.get(q) {
+                sum += arriving * decay;
+            }
+            if let Some(stress) = &step.stress_drift {
+                sum += stress.start_start[q];
+                let coupling = &stress.start_end[q];
+                for (at, column) in [(0, None), (3, Some(q)), (6, Some(q + 1))] {
+                    let mut target = sum.fixed_columns_mut::<3>(at);
+                    match column {
+                        None => target += coupling.fixed_columns::<3>(at),
+                        Some(node) => {
+                            target +=
+                                coupling.fixed_columns::<3>(at) * step.drifts[node].turn_transposed;
+                        }
+                    }
+                }
+            }
+            square(&sum)
+        })
+        .collect()
 }
 
 /// Row by row.
@@ -202,37 +259,26 @@ pub(super) fn pack_acting(acting: &[ActingDerivative], weight: f64) -> Vec<Packe
 }
 
 impl PackedStep {
-    /// Puts another kick in the place of this one, at the same time node.
-    pub fn replace_kick(&mut self, kick: &Kick) {
-        let factor = kick.weight / self.weight;
-        self.decay = kick.decay;
-        self.weight = kick.weight;
-        for value in self.elements.iter_mut().flatten().flatten() {
-            *value *= factor;
-        }
-        for value in (self.loads.iter_mut()).flat_map(|(_, rows)| rows.iter_mut().flatten()) {
-            *value *= factor;
-        }
-        for (_, _, value) in self.acting.iter_mut().flat_map(|acting| &mut acting.terms) {
-            *value *= factor;
-        }
+    /// `arriving` is the stiffness of the stress of the interval before, where there is any.
+    /// Whether it is the last of its stretch, which has a kick and no drift.
+    pub fn is_last(&self) -> bool {
+        self.drifts.is_empty() && self.solve.is_empty()
     }
 
-    pub fn new(step: &StepLinearization, curvature: Option<PackedCurvature>) -> Self {
+    pub fn new(
+        step: &StepLinearization,
+        arriving: &[ElementStiffness],
+        curvature: Option<PackedCurvature>,
+    ) -> Self {
         let weight = step.kick.weight;
         Self {
             decay: step.kick.decay,
             weight,
-            elements: step
-                .elements
-                .iter()
-                .map(|k| square(&(k * weight)))
-                .collect(),
+            elements: kicked(step, arriving),
             loads: pack_loads(&step.loads, weight),
             acting: pack_acting(&step.acting, weight),
-            drifts: step
-                .drifts
-                .iter()
+            drifts: (step.drifts.iter())
+                .filter(|_| step.stress_drift.is_none())
                 .map(|drift| PackedDrift {
                     mobility: drift.mobility,
                     turn_transposed: rows(&drift.turn_transposed, 1.0),
@@ -246,8 +292,9 @@ impl PackedStep {
                 .map(PackedElementDrift::new)
                 .collect(),
             first_free_node: step.first_free_node,
-            stress_drift: (step.stress_drift.as_ref())
-                .map(|stress| PackedStressDrift::new(step, stress)),
+            solve: (step.stress_drift.as_ref())
+                .map(|stress| PackedSolve::new(step, stress))
+                .unwrap_or_default(),
             curvature,
         }
     }

@@ -72,7 +72,10 @@ impl RepeatedReverse {
             }
             let steps = &mut self.steps[..range.len()];
             let (lanes, first) = (&mut self.lanes, range.start);
-            linearize_in(lanes, arch, motion, trajectory, None, first, steps)?;
+            let stretch = 0..=motion.grid.n_steps;
+            linearize_in(
+                lanes, arch, motion, trajectory, None, &stretch, first, steps,
+            )?;
             for tile in &mut self.tiles {
                 for (step, k) in steps.iter().zip(range.clone()).rev() {
                     tile.advance(arch, step, k, &task);
@@ -156,6 +159,7 @@ impl RepeatedForward {
             }
         }
         let n_times = motion.grid.n_steps + 1;
+        let stretch = 0..=motion.grid.n_steps;
         for start in (0..n_times).step_by(PIECE) {
             if let Some(stop) = motion.stop {
                 stop.check_at(start)?;
@@ -168,6 +172,7 @@ impl RepeatedForward {
                 motion,
                 trajectory,
                 None,
+                &stretch,
                 start,
                 steps,
             )?;

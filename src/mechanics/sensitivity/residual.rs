@@ -6,11 +6,12 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::linearize::{ROUNDING, Workspace, is_possible};
+use super::solved::{Weights, element_pose, ends, is_folded};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::integrator::StepError;
 use crate::mechanics::lanes::tangent::{
-    HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule, TrapezoidalTangent, drift,
+    HelicalTangent, LEAST_MARGIN, Law, NodePose, POSE_ROWS, TangentRule, TrapezoidalTangent, drift,
 };
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
@@ -59,7 +60,8 @@ pub(super) fn in_lanes(
     let (n, h) = (rod.n_nodes(), grid.step);
     let first = rod.first_free_node();
     let n_lanes = dispatch(arch, CountLanes);
-    let mut workspace = Workspace::new(n, n_lanes);
+    let mut workspace = Workspace::new(motion, n_lanes);
+    let damped = workspace.solve.is_some();
     let mut out = Buffer::zeros(n * OUT_ROWS * n_lanes);
     let zeros = vec![Vector3::zeros(); n * grid.n_steps];
     let mut defects = Defects {
@@ -74,8 +76,14 @@ pub(super) fn in_lanes(
     let mut moments = forces.clone();
     let mut probe = 0.0;
     for start in (0..=grid.n_steps).step_by(n_lanes) {
-        for lane in 0..n_lanes {
-            workspace.put_poses(trajectory, (start + lane).min(grid.n_steps), lane, n_lanes);
+        let last = (start + n_lanes - 1).min(grid.n_steps);
+        workspace.put_poses(trajectory, start, last, n_lanes);
+        if let Some(solve) = &mut workspace.solve {
+            for lane in 0..n_lanes {
+                let k = (start + lane).min(grid.n_steps);
+                let ends = [k < grid.n_steps, k > 0];
+                solve.put_weights(motion, (lane, n_lanes), &motion.kick(k), ends);
+            }
         }
         let group = Group {
             rod,
@@ -96,9 +104,12 @@ pub(super) fn in_lanes(
             let of = |q: usize, part: usize| {
                 Vector3::from_fn(|axis, _| out[(q * OUT_ROWS + part + axis) * n_lanes + lane])
             };
+            let Kick { decay, weight, .. } = motion.kick(k);
+            // Of the elements: forces, or impulses where they damp.
+            let kick = if damped { 1.0 } else { weight };
             for (q, node) in rod.nodes.iter().enumerate() {
-                forces[q] = rod.gravity * node.mass + of(q, 0);
-                moments[q] = of(q, 3);
+                forces[q] = rod.gravity * node.mass;
+                moments[q] = Vector3::zeros();
             }
             let rotations = trajectory.rotations_at(k);
             for load in &rod.loads {
@@ -110,11 +121,10 @@ pub(super) fn in_lanes(
                 forces[node] += wrench.force;
                 moments[node] += wrench.moment;
             }
-            let Kick { decay, weight, .. } = motion.kick(k);
             let (positions, last) = (trajectory.positions_at(k), k == grid.n_steps);
             for q in first..n {
-                let kicked = decay * p[q] + weight * forces[q];
-                let turned = decay * pi[q] + weight * moments[q];
+                let kicked = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
+                let turned = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
                 if last {
                     (p[q], pi[q]) = (kicked, turned);
                     continue;
@@ -156,6 +166,9 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
             out,
         } = self.0;
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
+        let before = rows::<S>(&workspace.before);
+        let weights: Option<Weights<S>> =
+            (workspace.solve.as_ref()).map(|solve| solve.weights(simd));
         let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         let mut irregular = zero;
@@ -168,7 +181,25 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
                 + drift.level.select_below(1.0 - ROUNDING, zero, one)
                 + (-drift.margin).select_below(-2.0 - ROUNDING, zero, one);
             let (mut force, mut moment) = (-pull, -twist);
-            if let Some(element) = rod.elements.get(q) {
+            if let (Some(element), Some(weights)) = (rod.elements.get(q), &weights) {
+                let [here_a, here_b] = ends(simd, poses, q);
+                let [next_a, next_b] = ends(simd, next, q);
+                let [last_a, last_b] = ends(simd, before, q);
+                irregular = irregular
+                    + is_folded(here_a, here_b)
+                    + is_folded(next_a, next_b)
+                    + is_folded(last_a, last_b);
+                let here = element_pose::<S, R>(here_a, here_b);
+                let there = element_pose::<S, R>(next_a, next_b);
+                let last = element_pose::<S, R>(last_a, last_b);
+                let law = Law::of::<R>(simd, element);
+                let strain = weights.strain::<R>(&law, &here, &there, &last);
+                let [f, m_a, m_b] = R::pull(&here, &law.stress(strain));
+                force = force + f;
+                moment = moment - m_a;
+                (pull, twist) = (f, m_b);
+                a = here_b;
+            } else if let Some(element) = rod.elements.get(q) {
                 let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
                 let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
                 irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);

@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::{PackedStep, PackedStressDrift};
+use super::arriving::arriving_terms;
+use super::packed::{PackedSolve, PackedStep};
 use super::tile::Columns;
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
@@ -14,6 +15,8 @@ use crate::mechanics::linearization::{AdjointSweep, StateTangent};
 #[derive(Debug)]
 pub(super) struct ReverseTile {
     first_form: usize,
+    /// Its forms.
+    n_used: usize,
     /// Where the sum of all forms goes backward, in the first place: what it meets.
     pub sum: Option<AdjointSweep>,
     /// Time node of the last form; later ones do not matter.
@@ -31,6 +34,7 @@ impl ReverseTile {
         let end = (first_form + TILE).min(task.forms.len());
         Self {
             first_form,
+            n_used: end - first_form,
             sum: None,
             last: task.forms[end - 1].time_node,
             data: Buffer::zeros(task.node_size()),
@@ -55,6 +59,7 @@ impl ReverseTile {
         let n_times = task.motion.grid.n_steps + 1;
         Self {
             sum: Some(AdjointSweep::zeros(task.motion.rod.n_nodes(), n_times)),
+            n_used: 1,
             last: task.forms[task.forms.len() - 1].time_node,
             ..Self::new(task, 0)
         }
@@ -66,20 +71,22 @@ impl ReverseTile {
         if k > self.last {
             return;
         }
-        let at_end = step.drifts.is_empty();
+        let at_end = step.is_last();
         if at_end {
             self.join(step, k, task);
         }
         if k < self.last {
             let (data, increments) = (&mut self.data, &mut self.increments);
-            if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+            let n_used = self.n_used;
+            if !step.element_drifts.is_empty() || !step.solve.is_empty() {
                 arch.dispatch(CoupledDriftTransposed {
                     step,
                     data,
+                    n_used,
                     increments,
                 });
             } else {
-                arch.dispatch(DriftTransposed { step, data });
+                arch.dispatch(DriftTransposed { step, data, n_used });
             }
         }
         let first_row = k * task.motion.rod.n_nodes();
@@ -95,6 +102,7 @@ impl ReverseTile {
             arch.dispatch(KickTransposed {
                 step,
                 data: &mut self.data,
+                n_used: self.n_used,
             });
             self.flops += step_flops(step, task.motion.rod.n_nodes());
         }
@@ -123,6 +131,10 @@ impl ReverseTile {
             for term in &task.forms[index].terms {
                 let row = term.node * NODE_COMPONENTS + term.component;
                 self.data[row * TILE + place] += term.coefficient;
+                let more = arriving_terms(task, k, term.node, term.component);
+                for (row, coefficient) in more.into_iter().flatten() {
+                    self.data[row * TILE + place] += term.coefficient * coefficient;
+                }
             }
         }
         self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
@@ -207,6 +219,7 @@ fn first_places(data: &[f64], part: usize, vectors: &mut [Vector3<f64>]) {
 struct KickTransposed<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
 }
 
 impl WithSimd for KickTransposed<'_> {
@@ -216,22 +229,23 @@ impl WithSimd for KickTransposed<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
+        let used = self.n_used.div_ceil(S::F64_LANES);
         let size = NODE_COMPONENTS * width;
         for (q, stiffness) in self.step.elements.iter().enumerate() {
             let both = &mut data[q * size..(q + 2) * size];
             let (a, b) = both.split_at_mut(size);
             let mut at = 0;
-            while at + 2 <= width {
+            while at + 2 <= used {
                 pull_element::<S, 2>(simd, stiffness, a, b, at, width);
                 at += 2;
             }
-            if at < width {
+            if at < used {
                 pull_element::<S, 1>(simd, stiffness, a, b, at, width);
             }
         }
         for (node, derivative) in &self.step.loads {
             let node = &mut data[node * size..(node + 1) * size];
-            for at in 0..width {
+            for at in 0..used {
                 for j in 0..3 {
                     let mut sum = node[(3 + j) * width + at];
                     for (i, row) in derivative.iter().enumerate() {
@@ -297,6 +311,7 @@ fn pull_element<S: Simd, const V: usize>(
 struct DriftTransposed<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
 }
 
 impl WithSimd for DriftTransposed<'_> {
@@ -306,12 +321,13 @@ impl WithSimd for DriftTransposed<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
+        let used = self.n_used.div_ceil(S::F64_LANES);
         let zero = simd.splat_f64s(0.0);
         let first = self.step.first_free_node;
         for (node, drift) in self.step.drifts.iter().enumerate().skip(first) {
             let rows = &mut data[node * NODE_COMPONENTS * width..][..NODE_COMPONENTS * width];
             let mobility = simd.splat_f64s(drift.mobility);
-            for at in 0..width {
+            for at in 0..used {
                 let mut zeta = [zero; 3];
                 let mut pi = [zero; 3];
                 for i in 0..3 {
@@ -339,10 +355,11 @@ impl WithSimd for DriftTransposed<'_> {
     }
 }
 
-/// The transpose of the drift with elements that couple the drifts of their ends, or under the stress of the interval.
+/// The transpose of the drift with elements that couple the drifts of their ends, or that is solved for.
 struct CoupledDriftTransposed<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
     increments: &'a mut [f64],
 }
 
@@ -354,46 +371,33 @@ impl WithSimd for CoupledDriftTransposed<'_> {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let (increments, _) = S::as_mut_simd_f64s(self.increments);
         let width = TILE / S::F64_LANES;
-        for at in 0..width {
-            let mut columns = Columns {
-                simd,
-                step: self.step,
-                data: &mut *data,
-                increments: &mut *increments,
-                width,
-                at,
-            };
-            match &self.step.stress_drift {
-                None => columns.drift_transposed(),
-                Some(stress) => columns.drift_under_transposed(stress),
-            }
+        let used = self.n_used.div_ceil(S::F64_LANES);
+        let mut columns = Columns {
+            simd,
+            step: self.step,
+            data,
+            increments,
+            width,
+            used,
+            at: 0,
+        };
+        if !self.step.solve.is_empty() {
+            columns.drift_solved_transposed(&self.step.solve);
             columns.hold();
+            return;
         }
+        for at in 0..used {
+            columns.at = at;
+            columns.drift_transposed();
+        }
+        columns.hold();
     }
 }
 
 impl<S: Simd> Columns<'_, S> {
     fn hold(&mut self) {
-        let zero = self.simd.splat_f64s(0.0);
-        for row in 0..self.step.first_free_node * NODE_COMPONENTS {
-            self.data[row * self.width + self.at] = zero;
-        }
-    }
-
-    /// `Mᵀ v`
-    #[inline(always)]
-    fn product_transposed<const N: usize>(
-        &self,
-        m: &[[f64; N]; N],
-        v: [S::f64s; N],
-    ) -> [S::f64s; N] {
-        let mut out = [self.simd.splat_f64s(0.0); N];
-        for (row, v) in m.iter().zip(v) {
-            for (out, m) in out.iter_mut().zip(row) {
-                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
-            }
-        }
-        out
+        let held = self.step.first_free_node * NODE_COMPONENTS * self.width;
+        self.data[..held].fill(self.simd.splat_f64s(0.0));
     }
 
     #[inline(always)]
@@ -467,58 +471,67 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// The increments are the covectors of the arriving momenta.
+    /// The increments are the covectors of the arriving momenta. All vectors of the tile, one after the other at every node.
     #[inline(always)]
-    fn drift_under_transposed(&mut self, stress: &PackedStressDrift) {
-        let step = self.step;
-        let (first, n) = (step.first_free_node, step.drifts.len());
-        for node in 0..n {
-            let (linear, angular) = (self.rows(node, 6), self.rows(node, 9));
-            self.set_increment(node, 0, linear);
-            self.set_increment(node, 3, angular);
-        }
-        // Covectors of what the step adds to the configuration, in the rows of the momenta; then the configuration at the start.
-        for node in first..n {
-            let (mass_rate, spin) = &stress.momenta[node];
-            let linear = self.rows(node, 6);
-            let turned = self.product_transposed(spin, self.rows(node, 9));
-            let (x, zeta) = (self.rows(node, 0), self.rows(node, 3));
-            self.set(node, 6, x);
-            self.add(node, 6, *mass_rate, linear);
-            self.set(node, 9, zeta);
-            self.add(node, 9, 1.0, turned);
-            let carried = self.product_transposed(&step.drifts[node].turn_transposed, zeta);
-            self.set(node, 3, carried);
-        }
-        for (q, (added, carried)) in stress.added.iter().zip(&stress.carried).enumerate() {
-            let pull = self.arriving_pull(q);
-            let change = self.product_transposed(added, pull);
-            self.add_element(q, 6, change);
-            let change = self.product_transposed(carried, pull);
-            self.add_element(q, 0, change);
-        }
-        // U and L, transposed, in this order.
-        for (i, above) in stress.above.iter().enumerate() {
-            let before = self.product_transposed(above, self.momenta(first + i));
-            self.subtract_momenta(first + i + 1, before);
-        }
-        for (i, pivot) in stress.pivots.iter().enumerate().rev() {
-            if let Some(below) = stress.below.get(i) {
-                let after = self.product_transposed(below, self.momenta(first + i + 1));
-                self.subtract_momenta(first + i, after);
+    fn drift_solved_transposed(&mut self, solve: &PackedSolve) {
+        let first = self.step.first_free_node;
+        let zero = self.simd.splat_f64s(0.0);
+        // From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration
+        // that is carried.
+        for (node, spin) in solve.nodes.iter().enumerate() {
+            for at in 0..self.used {
+                self.at = at;
+                let (linear, angular) = (self.rows(node, 6), self.rows(node, 9));
+                self.set_increment(node, 0, linear);
+                self.set_increment(node, 3, angular);
+                let Some(i) = node.checked_sub(first) else {
+                    self.set_momenta(node, [zero; 6]);
+                    continue;
+                };
+                let turned = self.product_transposed(&spin.spin, angular);
+                let (x, zeta) = (self.rows(node, 0), self.rows(node, 3));
+                let mass_rate = self.simd.splat_f64s(spin.mass_rate);
+                let mut added = [zero; 6];
+                for axis in 0..3 {
+                    added[axis] = self.simd.mul_add_e_f64s(mass_rate, linear[axis], x[axis]);
+                    added[3 + axis] = self.simd.add_f64s(zeta[axis], turned[axis]);
+                }
+                if i > 0 {
+                    let before =
+                        self.product_transposed(&solve.above[i - 1], self.momenta(node - 1));
+                    for (added, before) in added.iter_mut().zip(before) {
+                        *added = self.simd.sub_f64s(*added, before);
+                    }
+                }
+                self.set_momenta(node, added);
+                let carried = self.product_transposed(&spin.turn_transposed, zeta);
+                self.set(node, 3, carried);
             }
-            let covector = self.product_transposed(pivot, self.momenta(first + i));
-            self.set_momenta(first + i, covector);
         }
-        for node in 0..first {
-            self.set_momenta(node, [self.simd.splat_f64s(0.0); 6]);
-        }
-        for (q, start) in stress.start.iter().enumerate() {
-            let (p_a, p_b) = (self.rows(q, 6), self.rows(q + 1, 6));
-            let (pi_a, pi_b) = (self.rows(q, 9), self.rows(q + 1, 9));
-            let pull = self.pull([p_a, p_b], [pi_a, pi_b]);
-            let change = self.product_transposed(start, pull);
-            self.add_element(q, 0, change);
+        // And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
+        for node in (0..solve.nodes.len()).rev() {
+            for at in 0..self.used {
+                self.at = at;
+                if let Some(i) = node.checked_sub(first) {
+                    let mut right = self.momenta(node);
+                    if let Some(below) = solve.below.get(i) {
+                        let after = self.product_transposed(below, self.momenta(node + 1));
+                        for (right, after) in right.iter_mut().zip(after) {
+                            *right = self.simd.sub_f64s(*right, after);
+                        }
+                    }
+                    self.set_momenta(node, self.product_transposed(&solve.pivots[i], right));
+                }
+                if let Some(coupling) = solve.coupling.get(node) {
+                    let mut pull = self.arriving_pull(node);
+                    let ratio = self.simd.splat_f64s(solve.ratio);
+                    for value in &mut pull {
+                        *value = self.simd.mul_f64s(*value, ratio);
+                    }
+                    let change = self.product(coupling, pull);
+                    self.add_element(node, 0, change);
+                }
+            }
         }
     }
 
@@ -552,14 +565,5 @@ impl<S: Simd> Columns<'_, S> {
             1.0,
             [covector[6], covector[7], covector[8]],
         );
-    }
-
-    #[inline(always)]
-    fn subtract_momenta(&mut self, node: usize, change: [S::f64s; 6]) {
-        let mut value = self.momenta(node);
-        for (value, change) in value.iter_mut().zip(change) {
-            *value = self.simd.sub_f64s(*value, change);
-        }
-        self.set_momenta(node, value);
     }
 }

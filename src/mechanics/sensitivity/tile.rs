@@ -5,7 +5,8 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::{PackedStep, PackedStressDrift};
+use super::arriving::arriving_terms;
+use super::packed::{PackedSolve, PackedStep};
 use super::reduction::Record;
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
@@ -15,6 +16,8 @@ use crate::mechanics::linearization::StateTangent;
 /// [`TILE`] columns: row `node * 12 + component`, column fastest.
 pub(super) struct Tile<'a> {
     first_column: usize,
+    /// Its columns.
+    n_used: usize,
     data: Buffer,
     /// Nodes whose rows need not be zero: what acts on a node reaches one more on either side with every step.
     reach: Range<usize>,
@@ -30,6 +33,7 @@ impl<'a> Tile<'a> {
     pub fn new(task: &Task, first_column: usize, record: Option<Record<'a>>) -> Self {
         let mut tile = Self {
             first_column,
+            n_used: (task.n_all() - first_column).min(TILE),
             data: Buffer::zeros(task.node_size()),
             reach: 0..0,
             increments: Buffer::zeros(task.increment_size()),
@@ -119,14 +123,16 @@ impl<'a> Tile<'a> {
 
     /// Forms, kick, sources, drift: one time node.
     pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
-        let last = step.drifts.is_empty();
+        let last = step.is_last();
         if !last {
             self.read_forms(k, task);
         }
         let n_nodes = task.motion.rod.n_nodes();
+        let n_used = self.n_used;
         arch.dispatch(Kick {
             step,
             data: &mut self.data,
+            n_used,
             reach: self.reach.clone(),
         });
         if !self.reach.is_empty() {
@@ -143,17 +149,19 @@ impl<'a> Tile<'a> {
         if last {
             self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
             self.read_forms(k, task);
-        } else if !step.element_drifts.is_empty() || step.stress_drift.is_some() {
+        } else if !step.element_drifts.is_empty() || !step.solve.is_empty() {
             self.reach = 0..n_nodes;
             arch.dispatch(CoupledDrift {
                 step,
                 data: &mut self.data,
+                n_used,
                 increments: &mut self.increments,
             });
         } else {
             arch.dispatch(Drift {
                 step,
                 data: &mut self.data,
+                n_used,
                 reach: self.reach.clone(),
             });
         }
@@ -196,8 +204,16 @@ impl<'a> Tile<'a> {
             let values = &mut self.values[index * TILE..][..TILE];
             for term in &task.forms[index].terms {
                 let row = term.node * NODE_COMPONENTS + term.component;
-                for (value, component) in values.iter_mut().zip(&self.data[row * TILE..][..TILE]) {
-                    *value += term.coefficient * component;
+                let more = arriving_terms(task, k, term.node, term.component);
+                for (row, coefficient) in
+                    std::iter::once((row, 1.0)).chain(more.into_iter().flatten())
+                {
+                    let coefficient = term.coefficient * coefficient;
+                    for (value, component) in
+                        values.iter_mut().zip(&self.data[row * TILE..][..TILE])
+                    {
+                        *value += coefficient * component;
+                    }
                 }
             }
         }
@@ -217,6 +233,7 @@ fn joined(range: &Range<usize>, node: usize) -> Range<usize> {
 struct Kick<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
     reach: Range<usize>,
 }
 
@@ -227,6 +244,7 @@ impl WithSimd for Kick<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
+        let used = self.n_used.div_ceil(S::F64_LANES);
         let decay = simd.splat_f64s(self.step.decay);
         for node in self.reach.clone() {
             let momenta = &mut data
@@ -243,18 +261,18 @@ impl WithSimd for Kick<'_> {
             let (a, b) = both.split_at_mut(NODE_COMPONENTS * width);
             // Two vectors at a time share each coefficient's broadcast.
             let mut at = 0;
-            while at + 2 <= width {
+            while at + 2 <= used {
                 kick_element::<S, 2>(simd, stiffness, a, b, at, width);
                 at += 2;
             }
-            if at < width {
+            if at < used {
                 kick_element::<S, 1>(simd, stiffness, a, b, at, width);
             }
         }
         for (node, derivative) in &self.step.loads {
             let node =
                 &mut data[node * NODE_COMPONENTS * width..(node + 1) * NODE_COMPONENTS * width];
-            for at in 0..width {
+            for at in 0..used {
                 let zeta = [
                     node[3 * width + at],
                     node[4 * width + at],
@@ -319,6 +337,7 @@ fn kick_element<S: Simd, const V: usize>(
 struct Drift<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
     reach: Range<usize>,
 }
 
@@ -329,6 +348,7 @@ impl WithSimd for Drift<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let width = TILE / S::F64_LANES;
+        let used = self.n_used.div_ceil(S::F64_LANES);
         let zero = simd.splat_f64s(0.0);
         for value in &mut data[..self.step.first_free_node * NODE_COMPONENTS * width] {
             *value = zero;
@@ -344,7 +364,7 @@ impl WithSimd for Drift<'_> {
             let rows =
                 &mut data[node * NODE_COMPONENTS * width..(node + 1) * NODE_COMPONENTS * width];
             let mobility = simd.splat_f64s(drift.mobility);
-            for at in 0..width {
+            for at in 0..used {
                 for i in 0..3 {
                     rows[i * width + at] = simd.mul_add_e_f64s(
                         mobility,
@@ -387,11 +407,12 @@ impl WithSimd for Drift<'_> {
     }
 }
 
-/// [`StepLinearization::drift`] with elements that couple the drifts of their ends, or under the stress of the interval, for
-/// all columns of a tile.
+/// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) with elements that couple the drifts of
+/// their ends, or that is solved for, for all columns of a tile.
 struct CoupledDrift<'a> {
     step: &'a PackedStep,
     data: &'a mut [f64],
+    n_used: usize,
     increments: &'a mut [f64],
 }
 
@@ -403,19 +424,23 @@ impl WithSimd for CoupledDrift<'_> {
         let (data, _) = S::as_mut_simd_f64s(self.data);
         let (increments, _) = S::as_mut_simd_f64s(self.increments);
         let width = TILE / S::F64_LANES;
-        for at in 0..width {
-            let mut columns = Columns {
-                simd,
-                step: self.step,
-                data: &mut *data,
-                increments: &mut *increments,
-                width,
-                at,
-            };
-            match &self.step.stress_drift {
-                None => columns.drift(),
-                Some(stress) => columns.drift_under(stress),
-            }
+        let used = self.n_used.div_ceil(S::F64_LANES);
+        let mut columns = Columns {
+            simd,
+            step: self.step,
+            data,
+            increments,
+            width,
+            used,
+            at: 0,
+        };
+        if !self.step.solve.is_empty() {
+            columns.drift_solved(&self.step.solve);
+            return;
+        }
+        for at in 0..used {
+            columns.at = at;
+            columns.drift();
         }
     }
 }
@@ -427,6 +452,8 @@ pub(super) struct Columns<'a, S: Simd> {
     pub data: &'a mut [S::f64s],
     pub increments: &'a mut [S::f64s],
     pub width: usize,
+    /// Vectors with columns.
+    pub used: usize,
     pub at: usize,
 }
 
@@ -499,71 +526,83 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
+    /// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) that is solved for, in all vectors of the tile: one
+    /// after the other at every node, whose matrices are then at hand.
     #[inline(always)]
-    fn drift_under(&mut self, stress: &PackedStressDrift) {
-        let step = self.step;
-        let (first, n) = (step.first_free_node, step.drifts.len());
+    fn drift_solved(&mut self, solve: &PackedSolve) {
+        let first = self.step.first_free_node;
         let zero = self.simd.splat_f64s(0.0);
-        for node in 0..first {
-            for row in 0..NODE_COMPONENTS {
-                self.data[(node * NODE_COMPONENTS + row) * self.width + self.at] = zero;
+        self.data[..first * NODE_COMPONENTS * self.width].fill(zero);
+        self.increments[..INCREMENT_ROWS * self.width].fill(zero);
+        // From the base to the tip: what the start of the interval does to the momenta that arrive, and the solution's first half.
+        for (node, _) in solve.nodes.iter().enumerate() {
+            for at in 0..self.used {
+                self.at = at;
+                if let Some(coupling) = solve.coupling.get(node) {
+                    self.arrive_from(node, solve.ratio, coupling);
+                }
+                let Some(i) = node.checked_sub(first) else {
+                    continue;
+                };
+                let mut right = self.momenta(node);
+                if i > 0 {
+                    let before = self.product(&solve.below[i - 1], self.momenta(node - 1));
+                    for (right, before) in right.iter_mut().zip(before) {
+                        *right = self.simd.sub_f64s(*right, before);
+                    }
+                }
+                self.set_momenta(node, self.product(&solve.pivots[i], right));
             }
         }
-        for node in 0..n {
-            self.set_increment(node, 0, [zero; 3]);
-            self.set_increment(node, 3, [zero; 3]);
-        }
-        for (q, (start, carried)) in stress.start.iter().zip(&stress.carried).enumerate() {
-            let here = self.element(q, 0);
-            let pull = self.product(start, here);
-            if q >= first {
-                self.add(q, 6, 1.0, [pull[0], pull[1], pull[2]]);
-                self.add(q, 9, -1.0, [pull[3], pull[4], pull[5]]);
-            }
-            self.add(q + 1, 6, -1.0, [pull[0], pull[1], pull[2]]);
-            self.add(q + 1, 9, -1.0, [pull[6], pull[7], pull[8]]);
-            let pull = self.product(carried, here);
-            self.add_pull(q, pull);
-        }
-        // The momenta become what the step adds to the configuration.
-        for (i, pivot) in stress.pivots.iter().enumerate() {
-            let mut right = self.momenta(first + i);
-            if i > 0 {
-                let before = self.product(&stress.below[i - 1], self.momenta(first + i - 1));
-                for (right, before) in right.iter_mut().zip(before) {
-                    *right = self.simd.sub_f64s(*right, before);
+        // And back: what the step adds to the configuration, and then all that follows from it.
+        let mut added = [[zero; 6]; TILE];
+        for (node, spin) in solve.nodes.iter().enumerate().skip(first).rev() {
+            for at in 0..self.used {
+                self.at = at;
+                let mut u = self.momenta(node);
+                if let Some(above) = solve.above.get(node - first) {
+                    let after = self.product(above, added[at]);
+                    for (u, after) in u.iter_mut().zip(after) {
+                        *u = self.simd.sub_f64s(*u, after);
+                    }
+                }
+                added[at] = u;
+                let carried = self.product(&spin.turn_transposed, self.rows(node, 3));
+                let linear = self.increment(node, 0);
+                let angular = self.increment(node, 3);
+                let spun = self.product(&spin.spin, [u[3], u[4], u[5]]);
+                let mass_rate = self.simd.splat_f64s(spin.mass_rate);
+                for i in 0..3 {
+                    let row = (node * NODE_COMPONENTS + i) * self.width + self.at;
+                    self.data[row] = self.simd.add_f64s(self.data[row], u[i]);
+                    self.data[row + 3 * self.width] = self.simd.add_f64s(carried[i], u[3 + i]);
+                    self.data[row + 6 * self.width] =
+                        self.simd.mul_add_e_f64s(mass_rate, u[i], linear[i]);
+                    self.data[row + 9 * self.width] = self.simd.add_f64s(spun[i], angular[i]);
                 }
             }
-            self.set_momenta(first + i, self.product(pivot, right));
         }
-        for (i, above) in stress.above.iter().enumerate().rev() {
-            let after = self.product(above, self.momenta(first + i + 1));
-            let mut u = self.momenta(first + i);
-            for (u, after) in u.iter_mut().zip(after) {
-                *u = self.simd.sub_f64s(*u, after);
-            }
-            self.set_momenta(first + i, u);
+    }
+
+    /// Takes `ratio Xᵀ z` of element `q` from the increments of its ends, of which the second has none yet.
+    #[inline(always)]
+    fn arrive_from(&mut self, q: usize, ratio: f64, coupling: &[[f64; 9]; 9]) {
+        let mut here = self.element(q, 0);
+        let ratio = self.simd.splat_f64s(ratio);
+        for value in &mut here {
+            *value = self.simd.mul_f64s(*value, ratio);
         }
-        for (q, added) in stress.added.iter().enumerate() {
-            let pull = self.product(added, self.element(q, 6));
-            self.add_pull(q, pull);
-        }
-        for node in first..n {
-            let (mass_rate, spin) = &stress.momenta[node];
-            let (moved, turned) = (self.rows(node, 6), self.rows(node, 9));
-            let carried = self.product(&step.drifts[node].turn_transposed, self.rows(node, 3));
-            let linear = self.increment(node, 0);
-            let angular = self.increment(node, 3);
-            let spin = self.product(spin, turned);
-            let mass_rate = self.simd.splat_f64s(*mass_rate);
-            self.add(node, 0, 1.0, moved);
-            for i in 0..3 {
-                let row = (node * NODE_COMPONENTS + 3 + i) * self.width + self.at;
-                self.data[row] = self.simd.add_f64s(carried[i], turned[i]);
-                self.data[row + 3 * self.width] =
-                    self.simd.mul_add_e_f64s(mass_rate, moved[i], linear[i]);
-                self.data[row + 6 * self.width] = self.simd.add_f64s(spin[i], angular[i]);
-            }
+        let pull = self.product_transposed(coupling, here);
+        let zero = self.simd.splat_f64s(0.0);
+        for axis in 0..3 {
+            let row = (q * INCREMENT_ROWS + axis) * self.width + self.at;
+            self.increments[row] = self.simd.add_f64s(self.increments[row], pull[axis]);
+            let row = row + 3 * self.width;
+            self.increments[row] = self.simd.sub_f64s(self.increments[row], pull[3 + axis]);
+            let row = row + 3 * self.width;
+            self.increments[row] = self.simd.sub_f64s(zero, pull[axis]);
+            let row = row + 3 * self.width;
+            self.increments[row] = self.simd.sub_f64s(zero, pull[6 + axis]);
         }
     }
 
@@ -579,25 +618,6 @@ impl<S: Simd> Columns<'_, S> {
             out[6 + i] = turn_b[i];
         }
         out
-    }
-
-    /// Takes the pull `(F, M_a, M_b)` of element `q` from the increments of its ends.
-    #[inline(always)]
-    fn add_pull(&mut self, q: usize, pull: [S::f64s; 9]) {
-        let signs = [
-            (q, 0, 1.0, 0),
-            (q, 3, -1.0, 3),
-            (q + 1, 0, -1.0, 0),
-            (q + 1, 3, -1.0, 6),
-        ];
-        for (node, part, sign, from) in signs {
-            let change = [pull[from], pull[from + 1], pull[from + 2]];
-            for (axis, change) in change.into_iter().enumerate() {
-                let row = (node * INCREMENT_ROWS + part + axis) * self.width + self.at;
-                let sign = self.simd.splat_f64s(sign);
-                self.increments[row] = self.simd.mul_add_e_f64s(sign, change, self.increments[row]);
-            }
-        }
     }
 
     #[inline(always)]
@@ -679,6 +699,22 @@ impl<S: Simd> Columns<'_, S> {
         let mut out = [zero; N];
         for (out, row) in out.iter_mut().zip(m) {
             *out = self.dot(row, v, zero);
+        }
+        out
+    }
+
+    /// `Mᵀ v`
+    #[inline(always)]
+    pub fn product_transposed<const N: usize>(
+        &self,
+        m: &[[f64; N]; N],
+        v: [S::f64s; N],
+    ) -> [S::f64s; N] {
+        let mut out = [self.simd.splat_f64s(0.0); N];
+        for (row, v) in m.iter().zip(v) {
+            for (out, m) in out.iter_mut().zip(row) {
+                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
+            }
         }
         out
     }

@@ -1,0 +1,157 @@
+//! Constants of nodes and elements, in blocks.
+
+use super::element::{Consistent, Law, Standard};
+use super::place::{Place, Slots};
+use super::rule::{Helical, Rule, Trapezoidal};
+use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::constitutive::RodModel;
+use crate::mechanics::rod::{NodeInertia, Rod};
+use crate::mechanics::strain::StrainRule;
+
+/// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and the fourth power of its inverse is
+/// no subnormal number, with which processors are slow.
+pub const HELD_INERTIA: f64 = 1e50;
+
+/// Constants of nodes and elements in blocks; equal neighbors share one.
+#[derive(Clone, Debug)]
+pub struct Constants {
+    pub nodes: Buffer,
+    pub elements: Buffer,
+    /// Of every block the blocks of `nodes` and of `elements`.
+    pub kinds: Vec<[usize; 2]>,
+}
+
+impl Constants {
+    pub fn new(rod: &Rod, slots: Slots, time_step: f64) -> Self {
+        let mut nodes = Kinds::default();
+        let mut elements = Kinds::default();
+        let mut kinds = Vec::with_capacity(slots.n_blocks);
+        for block in 0..slots.n_blocks {
+            let mut node_block = vec![0.0; NODE_ROWS * slots.n_lanes];
+            let mut element_block = vec![0.0; element_rows(rod) * slots.n_lanes];
+            write_block(
+                rod,
+                slots,
+                time_step,
+                block,
+                &mut node_block,
+                &mut element_block,
+            );
+            kinds.push([nodes.of(node_block), elements.of(element_block)]);
+        }
+        Self {
+            nodes: nodes.into_buffer(),
+            elements: elements.into_buffer(),
+            kinds,
+        }
+    }
+
+    /// Those of another step length, and of a rod whose elements are stiffer or softer, all of them by the same factor: what was equal
+    /// still is.
+    pub fn rewrite(&mut self, rod: &Rod, slots: Slots, time_step: f64) {
+        let node_size = NODE_ROWS * slots.n_lanes;
+        let element_size = element_rows(rod) * slots.n_lanes;
+        for (block, &[node, element]) in self.kinds.iter().enumerate() {
+            let nodes = &mut self.nodes[node * node_size..][..node_size];
+            let elements = &mut self.elements[element * element_size..][..element_size];
+            write_block(rod, slots, time_step, block, nodes, elements);
+        }
+    }
+}
+
+fn element_rows(rod: &Rod) -> usize {
+    match rod.model {
+        RodModel::Standard => Standard::ROWS,
+        RodModel::Dilatation | RodModel::Consistent => Consistent::ROWS,
+    }
+}
+
+/// Constants of the nodes of a block, and of the elements that begin there.
+fn write_block(
+    rod: &Rod,
+    slots: Slots,
+    time_step: f64,
+    block: usize,
+    nodes: &mut [f64],
+    elements: &mut [f64],
+) {
+    for lane in 0..slots.n_lanes {
+        let node = slots.node(Place { block, lane });
+        let rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
+            held_constants(rod.model == RodModel::Standard)
+        } else {
+            node_constants(rod, node, time_step)
+        };
+        for (row, value) in rows.iter().enumerate() {
+            nodes[row * slots.n_lanes + lane] = *value;
+        }
+        if node >= rod.n_elements() {
+            continue;
+        }
+        let rows = match rod.strain_rule {
+            StrainRule::Helical => Helical::constants(rod, node, time_step),
+            StrainRule::Trapezoidal => Trapezoidal::constants(rod, node, time_step),
+        };
+        for (row, value) in rows[..element_rows(rod)].iter().enumerate() {
+            elements[row * slots.n_lanes + lane] = *value;
+        }
+    }
+}
+
+/// Different blocks one after the other.
+#[derive(Default)]
+struct Kinds(Vec<Vec<f64>>);
+
+impl Kinds {
+    /// Index of a block, which is the last one where they are equal.
+    fn of(&mut self, block: Vec<f64>) -> usize {
+        if self.0.last() != Some(&block) {
+            self.0.push(block);
+        }
+        self.0.len() - 1
+    }
+
+    fn into_buffer(self) -> Buffer {
+        let numbers = self.0.concat();
+        let mut buffer = Buffer::zeros(numbers.len());
+        buffer.copy_from_slice(&numbers);
+        buffer
+    }
+}
+
+fn held_constants(standard: bool) -> [f64; NODE_ROWS] {
+    let mut rows = [0.0; NODE_ROWS];
+    if !standard {
+        rows[GYRATION..][..3].fill(HELD_INERTIA);
+    }
+    rows
+}
+
+fn node_constants(rod: &Rod, node: usize, h: f64) -> [f64; NODE_ROWS] {
+    let NodeInertia { mass, rotary: j } = &rod.nodes[node];
+    let mut rows = [0.0; NODE_ROWS];
+    rows[MOBILITY] = h / mass;
+    for i in 0..3 {
+        rows[WEIGHT + i] = mass * rod.gravity[i];
+    }
+    // Three different moments of inertia: an infinite level, so that the node is always turned singly.
+    if rod.model == RodModel::Standard {
+        rows[GYRATION] = h / j.x;
+        rows[GYRATION + 1] = h / j.z;
+        rows[GYRATION + 2] = if j.x == j.y {
+            (j.z - j.x) / j.x
+        } else {
+            f64::INFINITY
+        };
+        rows[GYRATION + 3] = 4.0 * (j.z - j.x) / h;
+    } else {
+        rows[GYRATION..][..3].copy_from_slice(j.as_slice());
+        let left = (node > 0).then(|| rod.element_inertia[node - 1][1]);
+        let right = rod.element_inertia.get(node).map(|ends| ends[0]);
+        let mut shares = left.iter().chain(&right);
+        let axisymmetric = j.x == j.y && shares.all(|share| share.rotary.x == share.rotary.y);
+        rows[GYRATION + 3] = if axisymmetric { 0.0 } else { f64::INFINITY };
+    }
+    rows
+}

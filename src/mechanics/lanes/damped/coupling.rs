@@ -1,0 +1,176 @@
+//! How the equations of a damped step change with the configuration at its end, one element per lane.
+
+use pulp::Simd;
+
+use crate::mechanics::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
+use crate::mechanics::lanes::logarithm::Logarithm;
+use crate::mechanics::lanes::rule::{Helical, Rule, Strained, Trapezoidal};
+use crate::mechanics::lanes::tangent::tangent_derivative;
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3};
+
+/// Blocks over the motion and the rotation of end a, then of end b.
+pub type Coupling<S> = [[Mat3<S>; 4]; 4];
+
+/// An element at one instant: its strains, and `Rᵀ` of its ends.
+#[derive(Clone, Copy)]
+pub struct Instant<S: Simd> {
+    pub strained: Strained<S>,
+    pub to_body: [Mat3<S>; 2],
+}
+
+impl<S: Simd> Instant<S> {
+    /// `Rᵀ` of one end, times `R` of the ends of the other instant.
+    #[inline(always)]
+    fn seen_from(&self, end: usize, start: &Self) -> [Mat3<S>; 2] {
+        let to_body = self.to_body[end];
+        let [a, b] = start.to_body;
+        [to_body.product_transposed(a), to_body.product_transposed(b)]
+    }
+}
+
+/// Derivative of one strain along some of the four motions of the ends.
+struct Derivative<S: Simd, const N: usize> {
+    along: [usize; N],
+    blocks: [Mat3<S>; N],
+}
+
+/// A strain rule whose elements damp.
+pub trait DampedRule: Rule {
+    /// `B_startᵀ C B_end` in the scale of the rule's constants. Motions are in the frames of the ends where the interval
+    /// starts, rotations in their own.
+    fn coupling<S: Simd>(constants: &[Row<S>], start: &Instant<S>, end: &Instant<S>)
+    -> Coupling<S>;
+}
+
+#[inline(always)]
+fn none<S: Simd>(simd: S) -> Coupling<S> {
+    [[Mat3::zero(simd); 4]; 4]
+}
+
+/// Adds `B_startᵀ diag(stiffness) B_end` of one strain.
+#[inline(always)]
+fn add<S: Simd, const N: usize>(
+    coupling: &mut Coupling<S>,
+    start: &Derivative<S, N>,
+    stiffness: Vec3<S>,
+    end: &Derivative<S, N>,
+) {
+    for (j, column) in end.along.into_iter().enumerate() {
+        let stressed = end.blocks[j].scale_rows(stiffness);
+        for (i, row) in start.along.into_iter().enumerate() {
+            let block = &mut coupling[row][column];
+            *block = *block + start.blocks[i].transposed_product(stressed);
+        }
+    }
+}
+
+/// `δv = S (δy + ŷ η_a) + G δψ` with `δψ = Sᵀ η_b - S η_a`.
+#[inline(always)]
+fn helical<S: Simd>(
+    instant: &Instant<S>,
+    start: &Instant<S>,
+) -> (Derivative<S, 4>, Derivative<S, 2>) {
+    let Strained {
+        chord: [y, _],
+        psi,
+        angle_squared,
+        c,
+        slope,
+        ..
+    } = instant.strained;
+    let log = Logarithm {
+        psi,
+        angle_squared,
+        c,
+        slope,
+        bend: slope,
+    };
+    let square = Mat3::outer(psi, psi) - Mat3::multiple(angle_squared);
+    let one = Mat3::multiple(Lanes::splat(c.simd, 1.0));
+    let s = one - Mat3::hat(psi) * 0.5 + square * c;
+    let g = tangent_derivative(&log, y, -1.0);
+    let [from_a, from_b] = instant.seen_from(0, start);
+    let linear = Derivative {
+        along: [0, 1, 2, 3],
+        blocks: [
+            -s.product(from_a),
+            s.product_hat(y) - g.product(s),
+            s.product(from_b),
+            g.product_transposed(s),
+        ],
+    };
+    let angular = Derivative {
+        along: [1, 3],
+        blocks: [-s, s.transpose()],
+    };
+    (linear, angular)
+}
+
+impl DampedRule for Helical {
+    #[inline(always)]
+    fn coupling<S: Simd>(
+        constants: &[Row<S>],
+        start: &Instant<S>,
+        end: &Instant<S>,
+    ) -> Coupling<S> {
+        let simd = start.strained.w.simd;
+        let (ended, started) = (helical(end, start), helical(start, start));
+        let mut coupling = none(simd);
+        let stiffness = Vec3::load(simd, constants, LINEAR_STIFFNESS);
+        add(&mut coupling, &started.0, stiffness, &ended.0);
+        let stiffness = Vec3::load(simd, constants, ANGULAR_STIFFNESS);
+        add(&mut coupling, &started.1, stiffness, &ended.1);
+        coupling
+    }
+}
+
+/// `δy_i = R_iᵀ δdx + ŷ_i η_i` at end `i`.
+#[inline(always)]
+fn stretch<S: Simd>(instant: &Instant<S>, start: &Instant<S>, end: usize) -> Derivative<S, 3> {
+    let [from_a, from_b] = instant.seen_from(end, start);
+    let turned = Mat3::hat(instant.strained.chord[end]);
+    if end == 0 {
+        Derivative {
+            along: [0, 1, 2],
+            blocks: [-from_a, turned, from_b],
+        }
+    } else {
+        Derivative {
+            along: [0, 2, 3],
+            blocks: [-from_a, from_b, turned],
+        }
+    }
+}
+
+/// `δψ = P η_b - Pᵀ η_a`
+#[inline(always)]
+fn bend<S: Simd>(instant: &Instant<S>) -> Derivative<S, 2> {
+    let psi = instant.strained.psi * 2.0;
+    let one = Mat3::multiple(Lanes::splat(psi.x.simd, 1.0));
+    let p = one + Mat3::hat(psi) * 0.5 + Mat3::outer(psi, psi) * 0.25;
+    Derivative {
+        along: [1, 3],
+        blocks: [-p.transpose(), p],
+    }
+}
+
+impl DampedRule for Trapezoidal {
+    #[inline(always)]
+    fn coupling<S: Simd>(
+        constants: &[Row<S>],
+        start: &Instant<S>,
+        end: &Instant<S>,
+    ) -> Coupling<S> {
+        let simd = start.strained.w.simd;
+        let mut coupling = none(simd);
+        let stiffness = Vec3::load(simd, constants, LINEAR_STIFFNESS);
+        for at in 0..2 {
+            let (started, ended) = (stretch(start, start, at), stretch(end, start, at));
+            add(&mut coupling, &started, stiffness, &ended);
+        }
+        // That of the rule is for the measure ψ/2.
+        let stiffness = Vec3::load(simd, constants, ANGULAR_STIFFNESS) * 0.5;
+        add(&mut coupling, &bend(start), stiffness, &bend(end));
+        coupling
+    }
+}

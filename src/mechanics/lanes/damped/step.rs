@@ -1,0 +1,840 @@
+//! The kernel of a damped step.
+
+use std::marker::PhantomData;
+
+use pulp::{Simd, WithSimd};
+
+use super::Damping;
+use super::chain::{Blocks, SIZE, Square, ZERO};
+use super::coupling::{DampedRule, Instant};
+use crate::mechanics::lanes::element::{Chord, Pose, STRESS_ROWS, excess, fold, proportional};
+use crate::mechanics::lanes::place::Slots;
+use crate::mechanics::lanes::rule::{Pull, STRAINED_ROWS, Strained, Stress};
+use crate::mechanics::lanes::sweep::{
+    ANGULAR_MOMENTUM, FORCE, LINEAR_MOMENTUM, MOMENT, NODE_ROWS, POSITION, ROTATION, STATE_ROWS,
+    WEIGHT,
+};
+use crate::mechanics::lanes::vector::{
+    Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
+};
+
+/// Rows of a block of nodes on their way through a step; the pose at its end comes first.
+pub const TRIAL_ROWS: usize = 31;
+const MOVED: usize = 7;
+/// Cayley vector.
+const TURNED: usize = 10;
+/// Momenta after the kick of everything but the stress of the interval.
+const PUSHED: usize = 13;
+const SPUN: usize = 16;
+/// Of the equations; the linear part in the frame of the node where the interval starts.
+const RESIDUAL: usize = 19;
+const CORRECTION: usize = 25;
+
+/// Rows of a block at one instant: frames of the nodes, then strains of the elements.
+pub const INSTANT_ROWS: usize = STRAINED + STRAINED_ROWS;
+const STRAINED: usize = 9;
+
+/// Rows of [`Damping::rates`]: `m/h`, and `J/h`.
+pub const RATE_ROWS: usize = 4;
+
+/// Rows of the matrix: four blocks of an element, row by row, and the spin inertia of a node.
+pub const EQUATION_ROWS: usize = 4 * 36 + 9;
+const SPIN: usize = 4 * 36;
+
+/// Backward differences that are kept: the extrapolation is exact for polynomials of one degree less.
+pub const ORDERS: usize = 6;
+
+/// Residual over the largest momentum at which a step counts as solved.
+const RELATIVE_TOLERANCE: f64 = 2.5e-14;
+/// Units of rounding in a strain that the iteration has to reach. Both are a quarter of those of the plain integrator, whose last
+/// correction, by new factors, leads further below its tolerance.
+pub const STRAIN_ROUNDING: f64 = 2.0 * f64::EPSILON;
+/// A residual that shrinks no more is that of rounding up to this multiple of the tolerance.
+const STAGNATION: f64 = 4.0;
+/// Corrections of one step before it is given up.
+const CORRECTION_LIMIT: usize = 40;
+/// Largest rotation of a correction, rad; what needs more is left to the plain integrator.
+const LARGEST_CORRECTION: f64 = 0.5;
+/// A correction that leaves more than this part of the residual is followed by new factors.
+const SLOW: f64 = 0.1;
+/// Corrections of a step after which the next one makes new factors.
+const MANY: usize = 2;
+
+/// Frames and strains of a state.
+pub struct Settle<'a, R> {
+    pub state: &'a [f64],
+    pub instant: &'a mut [f64],
+    pub rule: PhantomData<R>,
+}
+
+impl<R: DampedRule> WithSimd for Settle<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let state = blocks::<S, STATE_ROWS>(self.state);
+        let instant = blocks_mut::<S, INSTANT_ROWS>(self.instant);
+        let n_blocks = state.len();
+        for i in 0..n_blocks {
+            let a = pose(simd, &state[i], POSITION);
+            let b = if i + 1 < n_blocks {
+                pose(simd, &state[i + 1], POSITION)
+            } else {
+                next_lane(pose(simd, &state[0], POSITION))
+            };
+            let chord = Chord::between(a.position, b.position);
+            a.frame.store(&mut instant[i], 0);
+            let strained = R::strained(&a, &b, &chord);
+            R::store(&strained, &mut instant[i][STRAINED..]);
+        }
+    }
+}
+
+#[inline(always)]
+fn pose<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> Pose<S> {
+    Pose::of(
+        Vec3::load(simd, rows, at),
+        Quaternion::load(simd, rows, at + 3),
+    )
+}
+
+#[inline(always)]
+fn next_lane<S: Simd>(pose: Pose<S>) -> Pose<S> {
+    Pose {
+        position: pose.position.next_lane(),
+        rotation: pose.rotation.next_lane(),
+        frame: pose.frame.next_lane(),
+    }
+}
+
+/// What became of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    Solved,
+    /// Solved, but a momentum or a force at its end is not finite.
+    Lost,
+    /// Left to the plain integrator, with nothing changed that it needs.
+    Left,
+}
+
+/// A step.
+pub struct DampedStep<'a, R> {
+    pub state: &'a mut [f64],
+    pub nodes: &'a [f64],
+    pub elements: &'a [f64],
+    pub kinds: &'a [[usize; 2]],
+    pub damping: &'a mut Damping,
+    /// Pose of a base that is held, at the end of the step.
+    pub held: Option<[f64; 7]>,
+    /// `a = c h/2` of the viscous damping.
+    pub half_damping: f64,
+    pub time_step: f64,
+    /// Whether to bring the quaternions back to unit length.
+    pub normalize: bool,
+    pub rule: PhantomData<R>,
+}
+
+impl<R: DampedRule> WithSimd for DampedStep<'_, R> {
+    type Output = Outcome;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Outcome {
+        let scale = 1.0 / (1.0 + self.half_damping);
+        let mut work = Work::<S, R> {
+            simd,
+            state: self.state,
+            nodes: blocks::<S, NODE_ROWS>(self.nodes),
+            elements: rows::<S>(self.elements),
+            kinds: self.kinds,
+            damping: self.damping,
+            held: self.held,
+            kick: Lanes::splat(simd, self.time_step * scale),
+            weight: 0.5 * self.time_step * scale,
+            decay: Lanes::splat(simd, (1.0 - self.half_damping) * scale),
+            normalize: self.normalize,
+            rule: PhantomData,
+        };
+        work.advance()
+    }
+}
+
+struct Work<'a, S: Simd, R> {
+    simd: S,
+    state: &'a mut [f64],
+    nodes: &'a [[Row<S>; NODE_ROWS]],
+    elements: &'a [Row<S>],
+    kinds: &'a [[usize; 2]],
+    damping: &'a mut Damping,
+    held: Option<[f64; 7]>,
+    /// `h/(1 + a)`
+    kick: Lanes<S>,
+    /// `h/2/(1 + a)`, of the stress.
+    weight: f64,
+    /// `(1 - a)/(1 + a)`
+    decay: Lanes<S>,
+    normalize: bool,
+    rule: PhantomData<R>,
+}
+
+/// Largest squares over the nodes that move.
+#[derive(Clone, Copy)]
+struct Sizes {
+    linear: f64,
+    angular: f64,
+    distance: f64,
+}
+
+/// What a trial of the end of the step finds.
+struct Trial {
+    /// Largest squares of the residual.
+    linear: f64,
+    angular: f64,
+    /// Largest squares of the momenta of the interval.
+    moving: f64,
+    spinning: f64,
+    finite: bool,
+    unfolded: bool,
+}
+
+impl<S: Simd, R: DampedRule> Work<'_, S, R> {
+    #[inline(always)]
+    fn advance(&mut self) -> Outcome {
+        let sizes = self.begin();
+        let mut fresh = false;
+        let mut last = f64::INFINITY;
+        let mut corrections = 0;
+        let tolerance = loop {
+            let trial = self.attempt();
+            if !trial.finite {
+                return Outcome::Left;
+            }
+            let tolerance = self.tolerance(&sizes, &trial);
+            let worst =
+                (trial.linear.sqrt() / tolerance[0]).max(trial.angular.sqrt() / tolerance[1]);
+            if worst <= 1.0 || (worst <= STAGNATION && worst > 0.5 * last) {
+                if !trial.unfolded {
+                    return Outcome::Left;
+                }
+                break tolerance;
+            }
+            if corrections == CORRECTION_LIMIT {
+                return Outcome::Left;
+            }
+            if self.damping.stale && !fresh || worst > SLOW * last {
+                if fresh && worst > 0.5 * last {
+                    return Outcome::Left;
+                }
+                self.factor();
+                self.damping.work[1] += 1;
+                fresh = true;
+            }
+            if !self.correct() {
+                return Outcome::Left;
+            }
+            corrections += 1;
+            self.damping.work[0] += 1;
+            last = worst;
+        };
+        self.damping.stale = corrections > MANY;
+        self.finish(tolerance)
+    }
+
+    /// Kicks, and the motion that the last steps lead to.
+    #[inline(always)]
+    fn begin(&mut self) -> Sizes {
+        let simd = self.simd;
+        let Damping {
+            rates,
+            trial,
+            differences,
+            order,
+            ..
+        } = &mut *self.damping;
+        let state = blocks::<S, STATE_ROWS>(self.state);
+        let rates = blocks::<S, RATE_ROWS>(rates);
+        let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
+        let differences = blocks::<S, { 6 * ORDERS }>(differences);
+        let zero = Lanes::splat(simd, 0.0);
+        let [mut linear, mut angular, mut distance] = [zero; 3];
+        for (i, block) in state.iter().enumerate() {
+            let p = Vec3::load(simd, block, LINEAR_MOMENTUM)
+                + Vec3::load(simd, block, FORCE) * self.kick;
+            let g = Vec3::load(simd, block, ANGULAR_MOMENTUM)
+                + Vec3::load(simd, block, MOMENT) * self.kick;
+            let rate = row(simd, &rates[i], 0);
+            let x = Vec3::load(simd, block, POSITION);
+            linear = linear.max(of_free(rate, p.dot(p)));
+            angular = angular.max(of_free(rate, g.dot(g)));
+            distance = distance.max(of_free(rate, x.dot(x)));
+            let [mut moved, mut turned] = [Vec3::zero(simd); 2];
+            for j in 0..*order {
+                moved = moved + Vec3::load(simd, &differences[i], 6 * j);
+                turned = turned + Vec3::load(simd, &differences[i], 6 * j + 3);
+            }
+            let trial = &mut trial[i];
+            moved.store(trial, MOVED);
+            turned.store(trial, TURNED);
+            p.store(trial, PUSHED);
+            g.store(trial, SPUN);
+        }
+        Sizes {
+            linear: linear.largest(),
+            angular: angular.largest(),
+            distance: distance.largest(),
+        }
+    }
+
+    /// Of the linear and the angular equations.
+    #[inline(always)]
+    fn tolerance(&self, sizes: &Sizes, trial: &Trial) -> [f64; 2] {
+        let rounding = &self.damping.rounding;
+        let distance = sizes.distance.sqrt();
+        let linear = rounding.linear + rounding.linear_by_distance * distance;
+        let angular = rounding.angular + rounding.angular_by_distance * distance;
+        [
+            RELATIVE_TOLERANCE * sizes.linear.max(trial.moving).sqrt() + STRAIN_ROUNDING * linear,
+            RELATIVE_TOLERANCE * sizes.angular.max(trial.spinning).sqrt()
+                + STRAIN_ROUNDING * angular,
+        ]
+    }
+
+    /// Poses, strains and residuals for the motions at hand.
+    #[inline(always)]
+    fn attempt(&mut self) -> Trial {
+        let simd = self.simd;
+        let Damping {
+            rates,
+            trial,
+            instants: [start, end],
+            rate,
+            ..
+        } = &mut *self.damping;
+        let n_lanes = S::F64_LANES;
+        let state = blocks::<S, STATE_ROWS>(self.state);
+        let rates = blocks::<S, RATE_ROWS>(rates);
+        let start = blocks::<S, INSTANT_ROWS>(start);
+        let end = blocks_mut::<S, INSTANT_ROWS>(end);
+        let zero = Lanes::splat(simd, 0.0);
+        let [mut moving, mut spinning, mut sum, mut folded] = [zero; 4];
+        {
+            let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
+            for (i, block) in state.iter().enumerate() {
+                let node = Moving::<S>::load(simd, &trial[i], &rates[i]);
+                let trial = &mut trial[i];
+                let x = Vec3::load(simd, block, POSITION) + node.moved;
+                let mut before = Quaternion::load(simd, block, ROTATION);
+                if self.normalize {
+                    before = before.normalized_near_one();
+                }
+                let rotation = before.product(node.turn());
+                x.store(trial, 0);
+                rotation.store(trial, 3);
+                Frame::of(&rotation).store(&mut end[i], 0);
+                let (p, g) = (node.linear(), node.angular());
+                moving = moving.max(p.dot(p));
+                spinning = spinning.max(g.dot(g));
+                (p - Vec3::load(simd, trial, PUSHED)).store(trial, RESIDUAL);
+                (g - Vec3::load(simd, trial, SPUN)).store(trial, RESIDUAL + 3);
+            }
+        }
+        if let Some(held) = &self.held {
+            for (i, value) in held.iter().enumerate() {
+                trial[i * n_lanes] = *value;
+            }
+            let trial = blocks::<S, TRIAL_ROWS>(trial);
+            pose(simd, &trial[0], 0).frame.store(&mut end[0], 0);
+        }
+        let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
+        let n_blocks = trial.len();
+        let [mut linear, mut angular] = [zero; 2];
+        let (mut force, mut moment) = (Vec3::zero(simd), Vec3::zero(simd));
+        for i in 0..n_blocks {
+            let wraps = i + 1 == n_blocks;
+            let next = if wraps { 0 } else { i + 1 };
+            let a = framed(simd, &trial[i], &end[i]);
+            let mut b = framed(simd, &trial[next], &end[next]);
+            let frame_a = Frame::load(simd, &start[i], 0);
+            let mut frame_b = Frame::load(simd, &start[next], 0);
+            if wraps {
+                b = next_lane(b);
+                frame_b = frame_b.next_lane();
+            }
+            let constants = &self.elements[self.kinds[i][1] * STRESS_ROWS..][..STRESS_ROWS];
+            let chord = Chord::between(a.position, b.position);
+            let strained = R::strained(&a, &b, &chord);
+            R::store(&strained, &mut end[i][STRAINED..]);
+            folded = folded.max(fold(constants, strained.w));
+            let before = R::load(simd, &start[i][STRAINED..]);
+            let stress = interval_stress::<S, R>(constants, &before, &strained, *rate);
+            let pull = R::pull(&before, [&frame_a, &frame_b], &stress);
+            let trial = &mut trial[i];
+            // In the order in which the first block gets them, whose element to the left comes last.
+            let r =
+                Vec3::load(simd, trial, RESIDUAL) - pull.force * self.weight + force * self.weight;
+            let s = Vec3::load(simd, trial, RESIDUAL + 3)
+                + pull.moment_a * self.weight
+                + moment * self.weight;
+            (force, moment) = (pull.force, pull.moment_b);
+            if i == 0 {
+                r.store(trial, RESIDUAL);
+                s.store(trial, RESIDUAL + 3);
+                continue;
+            }
+            let r = frame_a.to_body(r);
+            r.store(trial, RESIDUAL);
+            s.store(trial, RESIDUAL + 3);
+            let rate = row(simd, &rates[i], 0);
+            sum = sum + (r + s).sum();
+            linear = linear.max(of_free(rate, r.dot(r)));
+            angular = angular.max(of_free(rate, s.dot(s)));
+        }
+        let first = &mut trial[0];
+        let r = Vec3::load(simd, first, RESIDUAL) + force.previous_lane() * self.weight;
+        let s = Vec3::load(simd, first, RESIDUAL + 3) + moment.previous_lane() * self.weight;
+        let r = Frame::load(simd, &start[0], 0).to_body(r);
+        r.store(first, RESIDUAL);
+        s.store(first, RESIDUAL + 3);
+        let free = row(simd, &rates[0], 0);
+        sum = sum + (r + s).sum();
+        Trial {
+            linear: linear.max(of_free(free, r.dot(r))).largest(),
+            angular: angular.max(of_free(free, s.dot(s))).largest(),
+            moving: moving.largest(),
+            spinning: spinning.largest(),
+            finite: sum.has_finite_sum(),
+            unfolded: folded.all_at_most(0.0),
+        }
+    }
+
+    /// Factors of the matrix at the present trial.
+    #[inline(always)]
+    fn factor(&mut self) {
+        let simd = self.simd;
+        let Damping {
+            slots,
+            first,
+            rates,
+            trial,
+            instants: [start, end],
+            rate,
+            equations,
+            chain,
+            ..
+        } = &mut *self.damping;
+        {
+            let trial = blocks::<S, TRIAL_ROWS>(trial);
+            let start = blocks::<S, INSTANT_ROWS>(start);
+            let end = blocks::<S, INSTANT_ROWS>(end);
+            let equations = blocks_mut::<S, EQUATION_ROWS>(equations);
+            let rates = blocks::<S, RATE_ROWS>(rates);
+            for i in 0..trial.len() {
+                let constants = &self.elements[self.kinds[i][1] * STRESS_ROWS..][..STRESS_ROWS];
+                let (before, after) = (
+                    instant::<S, R>(simd, start, i),
+                    instant::<S, R>(simd, end, i),
+                );
+                let coupling = R::coupling(constants, &before, &after);
+                let factor = self.weight * *rate;
+                for (p, blocks) in coupling.iter().enumerate() {
+                    for (q, block) in blocks.iter().enumerate() {
+                        // Row by row of the six components of each end.
+                        let at = (p / 2 * 2 + q / 2) * 36 + p % 2 * 18 + q % 2 * 3;
+                        for (r, row) in block.rows.iter().enumerate() {
+                            (*row * factor).store(&mut equations[i], at + 6 * r);
+                        }
+                    }
+                }
+                let spin = Moving::<S>::load(simd, &trial[i], &rates[i]).spin_inertia();
+                for (r, row) in spin.rows.iter().enumerate() {
+                    row.store(&mut equations[i], SPIN + 3 * r);
+                }
+            }
+        }
+        chain.factor(&Equations {
+            slots: *slots,
+            first: *first,
+            rows: equations,
+            rates,
+        });
+    }
+
+    /// Corrects the motions; false where that is no small step.
+    #[inline(always)]
+    fn correct(&mut self) -> bool {
+        let simd = self.simd;
+        let Damping {
+            slots,
+            first,
+            trial,
+            instants: [start, _],
+            chain,
+            ..
+        } = &mut *self.damping;
+        let (n_blocks, n_lanes) = (slots.n_blocks, S::F64_LANES);
+        let columns = &mut chain.columns[..];
+        let numbers: &mut [f64] = trial;
+        // Node by node, from the base to the tip.
+        for lane in 0..n_lanes {
+            for block in 0..n_blocks {
+                let Some(column) = (lane * n_blocks + block)
+                    .checked_sub(*first)
+                    .and_then(|node| columns.get_mut(node))
+                else {
+                    continue;
+                };
+                let from = (block * TRIAL_ROWS + RESIDUAL) * n_lanes + lane;
+                let numbers = &numbers[from..][..5 * n_lanes + 1];
+                for (i, value) in column.0.iter_mut().enumerate().take(SIZE) {
+                    *value = numbers[i * n_lanes];
+                }
+            }
+        }
+        chain.solve();
+        let columns = &chain.columns[..];
+        for lane in 0..n_lanes {
+            for block in 0..n_blocks {
+                let Some(column) = (lane * n_blocks + block)
+                    .checked_sub(*first)
+                    .and_then(|node| columns.get(node))
+                else {
+                    continue;
+                };
+                let from = (block * TRIAL_ROWS + CORRECTION) * n_lanes + lane;
+                let numbers = &mut numbers[from..][..5 * n_lanes + 1];
+                for (i, value) in column.0.iter().enumerate().take(SIZE) {
+                    numbers[i * n_lanes] = *value;
+                }
+            }
+        }
+        let start = blocks::<S, INSTANT_ROWS>(start);
+        let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
+        let mut largest = Lanes::splat(simd, 0.0);
+        for (trial, start) in trial.iter_mut().zip(start) {
+            let frame = Frame::load(simd, start, 0);
+            let motion = frame.to_space(Vec3::load(simd, trial, CORRECTION));
+            let turn = Vec3::load(simd, trial, CORRECTION + 3);
+            let f = Vec3::load(simd, trial, TURNED);
+            (Vec3::load(simd, trial, MOVED) - motion).store(trial, MOVED);
+            let along = f * f.dot(turn);
+            (f - (turn + f.cross(turn) * 0.5 + along * 0.25)).store(trial, TURNED);
+            largest = largest.max(turn.dot(turn));
+        }
+        largest.all_at_most(LARGEST_CORRECTION * LARGEST_CORRECTION)
+    }
+
+    /// Momenta, poses and forces at the end of the step.
+    #[inline(always)]
+    fn finish(&mut self, tolerance: [f64; 2]) -> Outcome {
+        let simd = self.simd;
+        let Damping {
+            rates,
+            trial,
+            instants: [start, end],
+            rate,
+            differences,
+            depth,
+            order,
+            ..
+        } = &mut *self.damping;
+        let rates = blocks::<S, RATE_ROWS>(rates);
+        let trial = blocks::<S, TRIAL_ROWS>(trial);
+        let (start, end) = (
+            blocks::<S, INSTANT_ROWS>(start),
+            blocks::<S, INSTANT_ROWS>(end),
+        );
+        let mut largest = Lanes::splat(simd, 0.0);
+        for trial in trial {
+            let f = Vec3::load(simd, trial, TURNED);
+            largest = largest.max(f.dot(f));
+        }
+        if !largest.all_at_most(LARGEST_TURN) {
+            return Outcome::Left;
+        }
+        let differences = blocks_mut::<S, { 6 * ORDERS }>(differences);
+        let state = blocks_mut::<S, STATE_ROWS>(self.state);
+        let n_blocks = trial.len();
+        let inverse = [1.0 / tolerance[0], 1.0 / tolerance[1]];
+        let mut errors = [Lanes::splat(simd, 0.0); ORDERS];
+        let zero = Vec3::zero(simd);
+        let [mut force, mut moment, mut impulse, mut spin] = [zero; 4];
+        for i in 0..n_blocks {
+            let wraps = i + 1 == n_blocks;
+            let next = if wraps { 0 } else { i + 1 };
+            let frame_a = Frame::load(simd, &end[i], 0);
+            let mut frame_b = Frame::load(simd, &end[next], 0);
+            if wraps {
+                frame_b = frame_b.next_lane();
+            }
+            let constants = &self.elements[self.kinds[i][1] * STRESS_ROWS..][..STRESS_ROWS];
+            let before = R::load(simd, &start[i][STRAINED..]);
+            let strained = R::load(simd, &end[i][STRAINED..]);
+            let frames = [&frame_a, &frame_b];
+            let elastic = R::pull(
+                &strained,
+                frames,
+                &elastic_stress::<S, R>(constants, &strained),
+            );
+            let damping = interval_stress::<S, R>(constants, &before, &strained, *rate);
+            let Pull {
+                force: f,
+                moment_a,
+                moment_b,
+            } = R::pull(&strained, frames, &damping);
+
+            let node = Moving::<S>::load(simd, &trial[i], &rates[i]);
+            let residual = Vec3::load(simd, &trial[i], RESIDUAL);
+            let p = node.linear() - Frame::load(simd, &start[i], 0).to_space(residual);
+            let g = node.angular() - Vec3::load(simd, &trial[i], RESIDUAL + 3);
+            let g = Frame::of(&node.turn()).to_body(g);
+            let block = &mut state[i];
+            let weight = Vec3::load(simd, &self.nodes[self.kinds[i][0]], WEIGHT);
+            (weight + elastic.force - force).store(block, FORCE);
+            (-(moment + elastic.moment_a)).store(block, MOMENT);
+            (p * self.decay + f * self.weight - impulse * self.weight)
+                .store(block, LINEAR_MOMENTUM);
+            (g * self.decay - moment_a * self.weight - spin * self.weight)
+                .store(block, ANGULAR_MOMENTUM);
+            (force, moment) = (elastic.force, elastic.moment_b);
+            (impulse, spin) = (f, moment_b);
+            for (row, value) in trial[i][..7].iter().enumerate() {
+                block[POSITION + row] = *value;
+            }
+
+            let [mut moved, mut turned] = [node.moved, node.turned];
+            for (j, error) in errors.iter_mut().enumerate().take(*depth + 1) {
+                let old = Vec3::load(simd, &differences[i], 6 * j);
+                let old_turned = Vec3::load(simd, &differences[i], 6 * j + 3);
+                moved.store(&mut differences[i], 6 * j);
+                turned.store(&mut differences[i], 6 * j + 3);
+                moved = moved - old;
+                turned = turned - old_turned;
+                let p = moved * node.mass_rate;
+                let g = turned.component_mul(node.spin_rate);
+                *error = error.max(p.dot(p) * (inverse[0] * inverse[0]));
+                *error = error.max(g.dot(g) * (inverse[1] * inverse[1]));
+            }
+        }
+        let first = &mut state[0];
+        let changes = [
+            (FORCE, force),
+            (MOMENT, moment),
+            (LINEAR_MOMENTUM, impulse * self.weight),
+            (ANGULAR_MOMENTUM, spin * self.weight),
+        ];
+        for (at, change) in changes {
+            (Vec3::load(simd, first, at) - change.previous_lane()).store(first, at);
+        }
+        let mut sum = Lanes::splat(simd, 0.0);
+        for block in state.iter() {
+            sum = sum
+                + (Vec3::load(simd, block, FORCE) + Vec3::load(simd, block, MOMENT)).sum()
+                + (Vec3::load(simd, block, LINEAR_MOMENTUM)
+                    + Vec3::load(simd, block, ANGULAR_MOMENTUM))
+                .sum();
+        }
+        // The extrapolation that would have been nearest.
+        let mut best = f64::INFINITY;
+        *order = 1;
+        for (j, error) in errors.iter().enumerate().take(*depth) {
+            let error = error.largest();
+            if error < best {
+                best = error;
+                *order = j + 1;
+            }
+        }
+        *depth = (*depth + 1).min(ORDERS);
+        if sum.has_finite_sum() {
+            Outcome::Solved
+        } else {
+            Outcome::Lost
+        }
+    }
+}
+
+/// Below the square of the Cayley vector of a quarter turn.
+const LARGEST_TURN: f64 = 4.0 * (1.0 - f64::EPSILON);
+
+/// Of the nodes that move, zero of the others.
+#[inline(always)]
+fn of_free<S: Simd>(rate: Lanes<S>, value: Lanes<S>) -> Lanes<S> {
+    rate.select_below(f64::MIN_POSITIVE, Lanes::splat(rate.simd, 0.0), value)
+}
+
+#[inline(always)]
+fn framed<S: Simd>(simd: S, trial: &[Row<S>], end: &[Row<S>]) -> Pose<S> {
+    Pose {
+        position: Vec3::load(simd, trial, 0),
+        rotation: Quaternion::load(simd, trial, 3),
+        frame: Frame::load(simd, end, 0),
+    }
+}
+
+/// The elements to the right of a block of nodes.
+#[inline(always)]
+fn instant<S: Simd, R: DampedRule>(
+    simd: S,
+    rows: &[[Row<S>; INSTANT_ROWS]],
+    block: usize,
+) -> Instant<S> {
+    let a = Frame::load(simd, &rows[block], 0);
+    let b = match rows.get(block + 1) {
+        Some(next) => Frame::load(simd, next, 0),
+        None => Frame::load(simd, &rows[0], 0).next_lane(),
+    };
+    Instant {
+        strained: R::load(simd, &rows[block][STRAINED..]),
+        to_body: [a.transposed(), b.transposed()],
+    }
+}
+
+/// `τ/h C` times the change of the strain.
+#[inline(always)]
+fn interval_stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    before: &Strained<S>,
+    after: &Strained<S>,
+    rate: f64,
+) -> Stress<S> {
+    let near = (after.linear[0] - before.linear[0]) * rate;
+    let far = (after.linear[1] - before.linear[1]) * rate;
+    let turn = (after.psi - before.psi) * rate;
+    stress::<S, R>(constants, [near, far], turn)
+}
+
+/// Of a strain at both ends, or at the one that the rule has.
+#[inline(always)]
+fn stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    linear: [Vec3<S>; 2],
+    angular: Vec3<S>,
+) -> Stress<S> {
+    let (linear, angular) = if R::ENDS == 1 {
+        let ([n], m) = proportional(constants, [linear[0]], angular);
+        ([n; 2], m)
+    } else {
+        proportional(constants, linear, angular)
+    };
+    Stress { linear, angular }
+}
+
+#[inline(always)]
+fn elastic_stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    strained: &Strained<S>,
+) -> Stress<S> {
+    let (linear, angular) = excess(constants, strained.linear, strained.psi);
+    stress::<S, R>(constants, linear, angular)
+}
+
+/// A node's motion during the step.
+#[derive(Clone, Copy)]
+struct Moving<S: Simd> {
+    moved: Vec3<S>,
+    turned: Vec3<S>,
+    mass_rate: Lanes<S>,
+    spin_rate: Vec3<S>,
+    /// `1/sqrt(1 + |f|²/4)`
+    cosine: Lanes<S>,
+}
+
+impl<S: Simd> Moving<S> {
+    #[inline(always)]
+    fn load(simd: S, trial: &[Row<S>], rates: &[Row<S>]) -> Self {
+        let turned = Vec3::load(simd, trial, TURNED);
+        let alpha = turned.dot(turned) * 0.25 + 1.0;
+        Self {
+            moved: Vec3::load(simd, trial, MOVED),
+            turned,
+            mass_rate: row(simd, rates, 0),
+            spin_rate: Vec3::load(simd, rates, 1),
+            cosine: Lanes::splat(simd, 1.0) / alpha.sqrt(),
+        }
+    }
+
+    #[inline(always)]
+    fn turn(&self) -> Quaternion<S> {
+        Quaternion {
+            w: self.cosine,
+            v: self.turned * (self.cosine * 0.5),
+        }
+    }
+
+    #[inline(always)]
+    fn linear(&self) -> Vec3<S> {
+        self.moved * self.mass_rate
+    }
+
+    /// `(J f + ½ f × J f)/(α h)`
+    #[inline(always)]
+    fn angular(&self) -> Vec3<S> {
+        let jf = self.turned.component_mul(self.spin_rate);
+        (jf + self.turned.cross(jf) * 0.5) * (self.cosine * self.cosine)
+    }
+
+    /// See [`spin_inertia`](crate::mechanics::implicit::spin_inertia).
+    #[inline(always)]
+    fn spin_inertia(&self) -> Mat3<S> {
+        let (f, j) = (self.turned, self.spin_rate);
+        let inverse_alpha = self.cosine * self.cosine;
+        let jf = f.component_mul(j);
+        let turned = Mat3::hat(f).product(Mat3::diagonal(j)) - Mat3::hat(jf);
+        let slope = (Mat3::diagonal(j) + turned * 0.5) * inverse_alpha
+            - Mat3::outer(self.angular() * (inverse_alpha * 0.5), f);
+        let one = Mat3::multiple(Lanes::splat(inverse_alpha.simd, 1.0));
+        slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25)
+    }
+}
+
+/// The matrix of a step, from the rows of nodes and elements.
+struct Equations<'a> {
+    slots: Slots,
+    first: usize,
+    rows: &'a [f64],
+    rates: &'a [f64],
+}
+
+impl Equations<'_> {
+    /// A block of the element to the right of a node, added to a square.
+    #[inline(always)]
+    fn add(&self, q: usize, block: usize, out: &mut Square) {
+        let place = self.slots.place(q);
+        let at = self.slots.index(place, EQUATION_ROWS, 36 * block);
+        let numbers = &self.rows[at..][..35 * self.slots.n_lanes + 1];
+        for (column, entries) in out.iter_mut().enumerate() {
+            for (row, entry) in entries.0.iter_mut().enumerate().take(SIZE) {
+                *entry += numbers[(SIZE * row + column) * self.slots.n_lanes];
+            }
+        }
+    }
+}
+
+impl Blocks for Equations<'_> {
+    #[inline(always)]
+    fn diagonal(&self, i: usize) -> Square {
+        let mut out = ZERO;
+        let q = self.first + i;
+        let place = self.slots.place(q);
+        let mass_rate = self.rates[self.slots.index(place, RATE_ROWS, 0)];
+        let spin = self.slots.index(place, EQUATION_ROWS, SPIN);
+        for i in 0..3 {
+            out[i].0[i] = mass_rate;
+            for j in 0..3 {
+                out[3 + j].0[3 + i] = self.rows[spin + (3 * i + j) * self.slots.n_lanes];
+            }
+        }
+        // Where there is no element, there is no stiffness.
+        self.add(q, 0, &mut out);
+        if q > 0 {
+            self.add(q - 1, 3, &mut out);
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn beside(&self, i: usize, j: usize) -> Square {
+        let mut out = ZERO;
+        let (block, q) = if i < j { (1, i) } else { (2, j) };
+        self.add(self.first + q, block, &mut out);
+        out
+    }
+}

@@ -1,0 +1,53 @@
+//! Momenta that arrive at a time node, where a stress depends on both ends of an interval.
+//!
+//! The tiles carry them without the stiffness of that stress where it arrives, which the next kick adds to that of the elements. A form
+//! of such a momentum has it among the configurations.
+
+use super::Task;
+use crate::mechanics::forms::NODE_COMPONENTS;
+use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::linearization::arriving_stiffness;
+
+/// Components of the configuration with their coefficients: twelve of either element beside a node.
+pub(super) type Terms = [(usize, f64); 24];
+
+/// What the momentum in row `component` (6..12) of a node is at a time node besides what a tile carries: a sum over rows of the tile, in
+/// the order of [`NODE_COMPONENTS`]. `None` where it is nothing: before the first kick and after the last, of held nodes, and of other
+/// steps.
+pub(super) fn arriving_terms(
+    task: &Task,
+    k: usize,
+    node: usize,
+    component: usize,
+) -> Option<Terms> {
+    let (motion, rod) = (task.motion, task.motion.rod);
+    let inside = (1..motion.grid.n_steps).contains(&k);
+    if component < 6 || node < rod.first_free_node() || !inside {
+        return None;
+    }
+    IntervalWeights::of(rod, motion.grid.step)?;
+    let mut terms = [(0, 0.0); 24];
+    let right = (node < rod.n_elements()).then_some((node, 0));
+    let left = node.checked_sub(1).map(|q| (q, 1));
+    for (slot, (q, end)) in right.into_iter().chain(left).enumerate() {
+        let stiffness = arriving_stiffness(motion, task.trajectory, k - 1, q);
+        // An element pulls its end a with +F and its end b with -F, and turns them with -M.
+        let (row, sign) = match component {
+            6..9 => (component - 6, if end == 0 { 1.0 } else { -1.0 }),
+            _ => (component - 9 + 3 + 3 * end, -1.0),
+        };
+        for (at, term) in terms[12 * slot..][..12].iter_mut().enumerate() {
+            let (part, axis) = (at / 3, at % 3);
+            // δx_a, δx_b, ζ_a, ζ_b
+            let (of, component, column, factor) = [
+                (q, axis, axis, -1.0),
+                (q + 1, axis, axis, 1.0),
+                (q, 3 + axis, 3 + axis, 1.0),
+                (q + 1, 3 + axis, 6 + axis, 1.0),
+            ][part];
+            let coefficient = sign * factor * stiffness[(row, column)];
+            *term = (of * NODE_COMPONENTS + component, coefficient);
+        }
+    }
+    Some(terms)
+}

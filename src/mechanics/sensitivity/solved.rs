@@ -1,0 +1,420 @@
+//! Time nodes of a damped rod, one in each lane: the part of their linearization that a stress of the intervals changes.
+//!
+//! At a time node the elastic stress and those of the intervals before and after act on the same strains, so that one stiffness under
+//! their weighted sum is that of all three. How the stress of the interval after it answers to the interval's end, `X`, is the only
+//! other matrix of an element; see [`PackedSolve`](super::packed::PackedSolve).
+
+use pulp::Simd;
+
+use super::linearize::{Group, ROUNDING, matrix, scatter, store, store_block};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::lanes::tangent::{
+    Blocks, LEAST_MARGIN, Law, NodePose, POSE_ROWS, Spin, Stress, TangentRule, spin,
+};
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
+use crate::mechanics::linearization::{Kick, Motion};
+
+/// Rows of a node: `Fᵀ` and `Θ⁻¹`.
+const SPIN_ROWS: usize = 18;
+/// Rows of an element: `X`.
+const COUPLING_ROWS: usize = 81;
+/// Factors on the elastic stress, and on those of the intervals after and before the time node, s.
+const WEIGHT_ROWS: usize = 3;
+
+/// What the time nodes of damped rods need besides.
+#[derive(Debug)]
+pub(super) struct SolveRows {
+    spins: Buffer,
+    couplings: Buffer,
+    weights: Buffer,
+    /// Of the intervals' stress, `τ/h`.
+    rate: f64,
+    /// Momenta that arrive at the end of an interval per those that leave at its start, by the same stress.
+    ratio: f64,
+}
+
+impl SolveRows {
+    /// Where the rod damps.
+    pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
+        let weights = IntervalWeights::of(motion.rod, motion.grid.step)?;
+        let (n_nodes, n_elements) = (motion.rod.n_nodes(), motion.rod.n_elements());
+        let undamped = motion.arriving_impulse();
+        Some(Self {
+            spins: Buffer::zeros(n_nodes * SPIN_ROWS * n_lanes),
+            couplings: Buffer::zeros(n_elements * COUPLING_ROWS * n_lanes),
+            weights: Buffer::zeros(WEIGHT_ROWS * n_lanes),
+            rate: weights.end,
+            ratio: -undamped / motion.kick(0).impulse,
+        })
+    }
+}
+
+impl SolveRows {
+    /// Weights of a time node, to one lane: of the intervals after and before it where there are any.
+    pub fn put_weights(
+        &mut self,
+        motion: &Motion,
+        (lane, n_lanes): (usize, usize),
+        kick: &Kick,
+        [leaves, arrives]: [bool; 2],
+    ) {
+        let half_step = 0.5 * motion.grid.step;
+        let after = if leaves { kick.impulse } else { 0.0 };
+        let before = if arrives {
+            kick.decay * motion.arriving_impulse()
+        } else {
+            0.0
+        };
+        let weights = [kick.weight, half_step * after, half_step * before];
+        for (row, weight) in weights.into_iter().enumerate() {
+            self.weights[row * n_lanes + lane] = weight;
+        }
+    }
+
+    #[inline(always)]
+    pub fn weights<S: Simd>(&self, simd: S) -> Weights<S> {
+        let [elastic, leaving, arriving] = std::array::from_fn(|row| Lanes {
+            simd,
+            value: rows::<S>(&self.weights)[row],
+        });
+        Weights {
+            elastic,
+            after: leaving * self.rate,
+            past: arriving * self.rate,
+        }
+    }
+}
+
+/// Weights of the elastic stress, and of those that the change of the strain until the next time node and since the last one makes, s.
+#[derive(Clone, Copy)]
+pub(super) struct Weights<S: Simd> {
+    pub elastic: Lanes<S>,
+    pub after: Lanes<S>,
+    pub past: Lanes<S>,
+}
+
+impl<S: Simd> Weights<S> {
+    /// The strain whose stress is the impulse at a time node, from the poses of an element at that, the next and the last time node.
+    #[inline(always)]
+    pub fn strain<R: TangentRule>(
+        &self,
+        law: &Law<S>,
+        here: &R::Pose<S>,
+        there: &R::Pose<S>,
+        last: &R::Pose<S>,
+    ) -> Stress<S> {
+        let strain = R::strain(here);
+        (strain.minus(law.rest).times(self.elastic))
+            .plus(R::strain(there).minus(strain).times(self.after))
+            .plus(strain.minus(R::strain(last)).times(self.past))
+    }
+
+    /// How that strain changes with the strain here.
+    #[inline(always)]
+    pub fn scale(&self) -> Lanes<S> {
+        self.elastic + (self.past - self.after)
+    }
+}
+
+/// A 6×6 matrix over motion and rotation, in blocks.
+type Square<S> = [[Mat3<S>; 2]; 2];
+
+impl Group<'_> {
+    /// Weights and memory of the time nodes.
+    pub(super) fn prepare_solve(&mut self, n_lanes: usize) {
+        let n_nodes = self.motion.rod.n_nodes();
+        let n_elements = self.motion.rod.n_elements();
+        let n_free = n_nodes - self.motion.rod.first_free_node();
+        for lane in 0..n_lanes {
+            let k = self.time_node(lane);
+            let kick = self.kick(k);
+            let ends = [self.leaves(k), self.arrives(k)];
+            if let Some(solve) = &mut self.workspace.solve {
+                solve.put_weights(self.motion, (lane, n_lanes), &kick, ends);
+            }
+        }
+        let ratio = self.workspace.solve.as_ref().map_or(0.0, |s| s.ratio);
+        for i in 0..self.steps.len() {
+            let leaves = self.leaves(self.first + i);
+            let step = &mut self.steps[i].solve;
+            step.ratio = if leaves { ratio } else { 0.0 };
+            let n = |n: usize| if leaves { n } else { 0 };
+            step.coupling.resize(n(n_elements), [[0.0; 9]; 9]);
+            step.nodes.resize_with(n(n_nodes), Default::default);
+            step.pivots.resize(n(n_free), [[0.0; 6]; 6]);
+            step.below.resize(n(n_free - 1), [[0.0; 6]; 6]);
+            step.above.resize(n(n_free - 1), [[0.0; 6]; 6]);
+        }
+    }
+
+    /// Spins of the nodes; counts what is irregular, lane by lane.
+    #[inline(always)]
+    pub(super) fn spins<S: Simd>(&mut self, simd: S) -> Lanes<S> {
+        let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+        let mut irregular = zero;
+        let h = self.motion.grid.step;
+        let workspace = &mut *self.workspace;
+        let Some(solve) = &mut workspace.solve else {
+            return irregular;
+        };
+        let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
+        for (q, node) in self.motion.rod.nodes.iter().enumerate() {
+            let before = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]).rotation;
+            let after = NodePose::<S>::load(simd, &next[q * POSE_ROWS..]).rotation;
+            let Spin {
+                turn_transposed,
+                inertia,
+                arriving,
+                level,
+                margin,
+            } = spin(&node.rotary, h, before, after);
+            irregular = irregular
+                + level.select_below(1.0 - ROUNDING, zero, one)
+                + (-margin).select_below(-2.0 - ROUNDING, zero, one);
+            store::<S>(&mut solve.spins, q * SPIN_ROWS, turn_transposed);
+            store::<S>(&mut solve.spins, q * SPIN_ROWS + 9, inertia);
+            store::<S>(&mut workspace.out, 0, arriving);
+            let mass_rate = node.mass / h;
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                if let Some(packed) = step.solve.nodes.get_mut(q) {
+                    packed.mass_rate = mass_rate;
+                    packed.turn_transposed = matrix::<S>(&solve.spins, q * SPIN_ROWS, lane);
+                    packed.spin = matrix::<S>(&workspace.out, 0, lane);
+                }
+            }
+        }
+        irregular
+    }
+
+    /// Stiffnesses and couplings of the elements; counts what is irregular.
+    #[inline(always)]
+    pub(super) fn damped_elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+        let mut irregular = Lanes::splat(simd, 0.0);
+        let workspace = &mut *self.workspace;
+        let Some(solve) = &mut workspace.solve else {
+            return irregular;
+        };
+        let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
+        let before = rows::<S>(&workspace.before);
+        let weights = solve.weights(simd);
+        for (q, element) in self.motion.rod.elements.iter().enumerate() {
+            let [here_a, here_b] = ends(simd, poses, q);
+            let [next_a, next_b] = ends(simd, next, q);
+            let [last_a, last_b] = ends(simd, before, q);
+            irregular = irregular
+                + is_folded(here_a, here_b)
+                + is_folded(next_a, next_b)
+                + is_folded(last_a, last_b);
+            let here = element_pose::<S, R>(here_a, here_b);
+            let there = element_pose::<S, R>(next_a, next_b);
+            let last = element_pose::<S, R>(last_a, last_b);
+            let law = Law::of::<R>(simd, element);
+            let strain = weights.strain::<R>(&law, &here, &there, &last);
+            let scaled = law.times(weights.scale());
+            let mut kicked = R::stiffness_under(&scaled, &here, &law.stress(strain));
+            let coupling = R::coupling(&law.times(weights.after), &here, &there);
+            // What the step carries to its end.
+            let turned = rows::<S>(&solve.spins);
+            let carry = [
+                Mat3::load(simd, turned, q * SPIN_ROWS),
+                Mat3::load(simd, turned, (q + 1) * SPIN_ROWS),
+            ];
+            for (kicked, coupling) in kicked.iter_mut().zip(&coupling) {
+                kicked[0] = kicked[0] + coupling[0];
+                kicked[1] = kicked[1] + coupling[1].product(carry[0]);
+                kicked[2] = kicked[2] + coupling[2].product(carry[1]);
+            }
+            store_blocks(&mut workspace.out, &kicked);
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                scatter::<S>(&workspace.out, lane, &mut step.elements[q]);
+            }
+            let target = &mut solve.couplings[q * COUPLING_ROWS * S::F64_LANES..];
+            store_blocks(target, &coupling);
+            let target = &target[..COUPLING_ROWS * S::F64_LANES];
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                if let Some(packed) = step.solve.coupling.get_mut(q) {
+                    scatter::<S>(target, lane, packed);
+                }
+            }
+        }
+        irregular
+    }
+
+    /// Factors of what is solved for, by the recursion of
+    /// [`BlockTridiagonal::factor`](crate::mechanics::block_tridiagonal::BlockTridiagonal::factor); counts lanes where a pivot is
+    /// singular.
+    #[inline(always)]
+    pub(super) fn factors<S: Simd>(&mut self, simd: S) -> Lanes<S> {
+        let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+        let workspace = &mut *self.workspace;
+        let Some(solve) = &mut workspace.solve else {
+            return zero;
+        };
+        let rod = self.motion.rod;
+        let h = self.motion.grid.step;
+        let first = rod.first_free_node();
+        let (spins, couplings) = (rows::<S>(&solve.spins), rows::<S>(&solve.couplings));
+        let none = Mat3::zero(simd);
+        let mut fill = [[none; 2]; 2];
+        let mut sum = zero;
+        for (q, node) in rod.nodes.iter().enumerate().skip(first) {
+            let mut pivot = fill;
+            negate(&mut pivot);
+            pivot[0][0] = pivot[0][0] + Mat3::multiple(Lanes::splat(simd, node.mass / h));
+            pivot[1][1] = pivot[1][1] + Mat3::load(simd, spins, q * SPIN_ROWS + 9);
+            if q > 0 {
+                add_blocks(&mut pivot, couplings, q - 1, [1, 1]);
+            }
+            let i = q - first;
+            let last = q == rod.n_elements();
+            if !last {
+                add_blocks(&mut pivot, couplings, q, [0, 0]);
+            }
+            invert(&mut pivot);
+            sum = sum + pivot[0][0].trace() + pivot[1][1].trace();
+            store_square(&mut workspace.out, 0, &pivot);
+            if !last {
+                let mut beside = [[none; 2]; 2];
+                add_blocks(&mut beside, couplings, q, [0, 1]);
+                let mut above = beside;
+                multiply(&pivot, &beside, &mut above);
+                store_square(&mut workspace.out, 72, &above);
+                let mut below = [[none; 2]; 2];
+                add_blocks(&mut below, couplings, q, [1, 0]);
+                store_square(&mut workspace.out, 36, &below);
+                multiply(&below, &above, &mut fill);
+            }
+            for (lane, step) in self.steps.iter_mut().enumerate() {
+                let out = &workspace.out;
+                let packed = &mut step.solve;
+                if let Some(pivot) = packed.pivots.get_mut(i) {
+                    take_square::<S>(out, 0, lane, pivot);
+                }
+                if let (Some(below), Some(above)) =
+                    (packed.below.get_mut(i), packed.above.get_mut(i))
+                {
+                    take_square::<S>(out, 36, lane, below);
+                    take_square::<S>(out, 72, lane, above);
+                }
+            }
+        }
+        // Zero where it is a number.
+        (sum * 0.0).select_below(1.0, zero, one)
+    }
+}
+
+/// One where the ends of an element are near half a turn, or no numbers.
+#[inline(always)]
+pub(super) fn is_folded<S: Simd>(a: NodePose<S>, b: NodePose<S>) -> Lanes<S> {
+    let simd = a.position.x.simd;
+    let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
+    (-margin).select_below(
+        -LEAST_MARGIN,
+        Lanes::splat(simd, 0.0),
+        Lanes::splat(simd, 1.0),
+    )
+}
+
+#[inline(always)]
+pub(super) fn ends<S: Simd>(simd: S, poses: &[Row<S>], q: usize) -> [NodePose<S>; 2] {
+    [
+        NodePose::load(simd, &poses[q * POSE_ROWS..]),
+        NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]),
+    ]
+}
+
+#[inline(always)]
+pub(super) fn element_pose<S: Simd, R: TangentRule>(a: NodePose<S>, b: NodePose<S>) -> R::Pose<S> {
+    R::pose(b.position - a.position, a.rotation, b.rotation)
+}
+
+#[inline(always)]
+fn store_blocks<S: Simd>(out: &mut [f64], blocks: &Blocks<S>) {
+    for (i, row) in blocks.iter().enumerate() {
+        for (j, block) in row.iter().enumerate() {
+            store_block(out, i, j, *block);
+        }
+    }
+}
+
+/// Adds to a matrix over motion and rotation of a node what `X` of element `q` has for the given ends, rows and columns: node a moves the
+/// chord by `-δx`, node b by `δx`.
+#[inline(always)]
+fn add_blocks<S: Simd>(
+    target: &mut Square<S>,
+    couplings: &[Row<S>],
+    q: usize,
+    [row_end, column_end]: [usize; 2],
+) {
+    let simd = target[0][0].rows[0].x.simd;
+    let rows = &couplings[q * COUPLING_ROWS..][..COUPLING_ROWS];
+    for (i, from_row) in [0, 3 + 3 * row_end].into_iter().enumerate() {
+        for (j, from_column) in [0, 3 + 3 * column_end].into_iter().enumerate() {
+            let negative = (i == 0 && row_end == 0) != (j == 0 && column_end == 0);
+            for axis in 0..3 {
+                let values = Vec3::load(simd, rows, 9 * (from_row + axis) + from_column);
+                let sum = &mut target[i][j].rows[axis];
+                *sum = if negative {
+                    *sum - values
+                } else {
+                    *sum + values
+                };
+            }
+        }
+    }
+}
+
+/// 36 rows, row by row, from row `at` on.
+#[inline(always)]
+fn store_square<S: Simd>(out: &mut [f64], at: usize, m: &Square<S>) {
+    let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
+    for (i, blocks) in m.iter().enumerate() {
+        for (j, block) in blocks.iter().enumerate() {
+            for (row, values) in block.rows.iter().enumerate() {
+                values.store(out, at + 6 * (3 * i + row) + 3 * j);
+            }
+        }
+    }
+}
+
+/// One lane of 36 rows.
+#[inline(always)]
+fn take_square<S: Simd>(out: &[f64], at: usize, lane: usize, target: &mut [[f64; 6]; 6]) {
+    let rows = out[at * S::F64_LANES..].chunks_exact(S::F64_LANES);
+    for (target, row) in target.as_flattened_mut().iter_mut().zip(rows) {
+        *target = row[lane];
+    }
+}
+
+#[inline(always)]
+fn negate<S: Simd>(m: &mut Square<S>) {
+    for i in 0..2 {
+        for j in 0..2 {
+            m[i][j] = -m[i][j];
+        }
+    }
+}
+
+#[inline(always)]
+fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S>) {
+    for i in 0..2 {
+        for j in 0..2 {
+            out[i][j] = a[i][0].product(b[0][j]) + a[i][1].product(b[1][j]);
+        }
+    }
+}
+
+/// By the quarters, as in the clear factorization.
+#[inline(always)]
+fn invert<S: Simd>(m: &mut Square<S>) {
+    let first = m[0][0].inverse();
+    let first_right = first.product(m[0][1]);
+    let below_first = m[1][0].product(first);
+    let second = (m[1][1] - m[1][0].product(first_right)).inverse();
+    let corner = -first_right.product(second);
+    m[0][0] = first - corner.product(below_first);
+    m[0][1] = corner;
+    m[1][0] = -second.product(below_first);
+    m[1][1] = second;
+}
