@@ -65,8 +65,8 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
             },
         }],
         cost: Cost {
-            effort: 1.0,
-            rate: 0.03,
+            effort: 0.1,
+            rate: 0.003,
             tracks: vec![Track {
                 at: Place::Tip,
                 path: times.map(|t| (t, path(t))).collect(),

@@ -148,11 +148,24 @@ pub(crate) fn cayley_quaternion(f: &Vector3<f64>) -> Quaternion<f64> {
 /// Rotation matrix of a quaternion `[w, x, y, z]` of any non-zero length.
 #[must_use]
 pub fn from_quaternion(wxyz: [f64; 4]) -> Matrix3<f64> {
-    let [w, i, j, k] = unit(wxyz);
-    let q = Quaternion::new(w, i, j, k);
-    UnitQuaternion::from_quaternion(q)
-        .to_rotation_matrix()
-        .into_inner()
+    let square = |q: [f64; 4]| q.iter().map(|c| c * c).sum::<f64>();
+    // Where squares neither overflow nor vanish, no root is needed.
+    let is_near_unity = (0.25..4.0).contains(&square(wxyz));
+    let q = if is_near_unity { wxyz } else { unit(wxyz) };
+    let [w, x, y, z] = q;
+    let s = 2.0 / square(q);
+    let [sx, sy, sz] = [s * x, s * y, s * z];
+    Matrix3::new(
+        1.0 - (sy * y + sz * z),
+        sx * y - sz * w,
+        sx * z + sy * w,
+        sx * y + sz * w,
+        1.0 - (sx * x + sz * z),
+        sy * z - sx * w,
+        sx * z - sy * w,
+        sy * z + sx * w,
+        1.0 - (sx * x + sy * y),
+    )
 }
 
 /// A vector of any length but zero, divided by its length; scaled first, so that squares neither overflow nor vanish.

@@ -178,12 +178,7 @@ impl<'a> Stepper<'a> {
             return;
         }
         match &self.engine {
-            Engine::Lanes(lanes) => {
-                for node in 0..trajectory.n_nodes {
-                    trajectory.positions.push(lanes.position(node));
-                    trajectory.rotations.push(lanes.rotation(node));
-                }
-            }
+            Engine::Lanes(lanes) => lanes.record(trajectory),
             Engine::Plain(plain) => trajectory.push(&plain.state().configuration),
         }
     }

@@ -10,7 +10,7 @@ pub(crate) const MEANINGS: [(&str, &str); 12] = [
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),
-    ("+", "a second-order correction or refit"),
+    ("+", "a second-order correction"),
     ("saddle", "a saddle, left along its negative curvature"),
     ("settle", "states simulated anew, controls kept"),
     ("anew", "no step: filter and trust region begin anew"),

@@ -1,26 +1,18 @@
-//! Second-order corrections of a refused step: full steps along a curved constraint are refused near a solution (the Maratos effect), and
-//! Newton steps on the rows that the trial violates lead back. Where these no longer do, refits go by the trial's own linearization
-//! ([`refit`](super::refit)).
+//! The second-order correction of a refused step: full steps along a curved constraint are refused near a solution (the Maratos effect), and
+//! a Newton step on the rows that the trial violates leads back (Nocedal and Wright 2006, section 18.3).
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
 use super::kkt::norm;
 use super::program::LiftedProgram;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
-use super::refit::Promise;
 use super::trial::{Accepted, Departure, Refused};
 
-const CORRECTIONS: usize = 8;
 /// Part of the trust radius from which a correction of a step may reach its end.
 const INSIDE: f64 = 0.9;
-/// A correction that does not shrink the infeasibility by this is the last one.
-const CORRECTION_PROGRESS: f64 = 0.99;
-/// Newton steps of a refit, at most, and what one must leave of what the promise is missed by, at most.
-const REFITS: usize = 6;
-const REFIT_PROGRESS: f64 = 0.7;
 
 impl Filter {
-    /// Second-order corrections of a refused step, while they reduce its infeasibility.
+    /// The second-order correction of a refused step.
     pub(super) fn correct<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -31,91 +23,34 @@ impl Filter {
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
-        let mut change = change.to_vec();
-        let mut constraints = refused.constraints.clone();
-        let mut inequalities = refused.inequalities.clone();
-        let here = from.measure(program, from.evaluation);
-        let mut infeasibility = refused.measure.infeasibility;
         // As a rule the same is active, which saves the interior point; the trust region can be no part of that.
         let active = from.multipliers.at_rows(&linearization.rows);
-        let expected = (norm(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
-        for count in 1..=CORRECTIONS {
-            // The states of the trial obey their equations, so only the rows' own curvature is left.
-            let offset: Vec<f64> = (linearization.constraints_along(&change).iter())
-                .zip(&linearization.offset)
-                .zip(&constraints)
-                .map(|((linear, offset), c)| c - (linear - offset))
-                .collect();
-            let inequality_offset: Vec<f64> = (linearization.inequalities_along(&change).iter())
-                .zip(&linearization.inequality_offset)
-                .zip(&linearization.rows)
-                .map(|((linear, offset), &row)| inequalities[row] - (linear - offset))
-                .collect();
-            let corrected = QuadraticProgram {
-                offset: &offset,
-                inequalities: LinearInequalities {
-                    offset: &inequality_offset,
-                    ..subproblem.inequalities
-                },
-                expected,
-                ..subproblem.clone()
-            };
-            let corrected =
-                within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
-            let trial = Self::rollout(program, from.point, &corrected, count)?;
-            let there = from.measure(program, &trial.evaluation);
-            if self.lets_pass(here, there, slope) {
-                return Some(trial);
-            }
-            if there.infeasibility > CORRECTION_PROGRESS * infeasibility {
-                return None;
-            }
-            change = corrected;
-            infeasibility = there.infeasibility;
-            constraints = trial.evaluation.constraints;
-            inequalities = trial.evaluation.inequalities;
-        }
-        None
-    }
-
-    /// Refits of a trial point until one that misses its promise by no more than `miss` passes.
-    pub(super) fn refit<P: LiftedProgram>(
-        &mut self,
-        program: &P,
-        from: &Departure<P>,
-        subproblem: &QuadraticProgram,
-        change: &[f64],
-        mut trial: Accepted<P>,
-        miss: f64,
-    ) -> Option<Accepted<P>> {
-        let promise = Promise::of(from.linearization, from.softness, change);
+        let expected = (norm(change) < INSIDE * subproblem.trust_radius).then_some(&active);
+        // The states of the trial obey their equations, so only the rows' own curvature is left.
+        let offset: Vec<f64> = (linearization.constraints_along(change).iter())
+            .zip(&linearization.offset)
+            .zip(&refused.constraints)
+            .map(|((linear, offset), c)| c - (linear - offset))
+            .collect();
+        let inequality_offset: Vec<f64> = (linearization.inequalities_along(change).iter())
+            .zip(&linearization.inequality_offset)
+            .zip(&linearization.rows)
+            .map(|((linear, offset), &row)| refused.inequalities[row] - (linear - offset))
+            .collect();
+        let corrected = QuadraticProgram {
+            offset: &offset,
+            inequalities: LinearInequalities {
+                offset: &inequality_offset,
+                ..subproblem.inequalities
+            },
+            expected,
+            ..subproblem.clone()
+        };
+        let corrected = within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
+        let trial = Self::rollout(program, from.point, &corrected, 1)?;
         let here = from.measure(program, from.evaluation);
-        let mut change = change.to_vec();
-        let mut missed = promise.missed_by(&trial.evaluation);
-        for count in 1.. {
-            let there = from.measure(program, &trial.evaluation);
-            let slope = from.first_order(program, &change);
-            if missed <= miss && self.lets_pass(here, there, slope) {
-                return Some(trial);
-            }
-            if count > REFITS {
-                break;
-            }
-            let correction = promise.correction(program, &trial.point, &trial.evaluation)?;
-            if !(norm(&correction) <= subproblem.trust_radius) {
-                break;
-            }
-            let next = Self::rollout(program, &trial.point, &correction, count)?;
-            let left = promise.missed_by(&next.evaluation);
-            if !(left < REFIT_PROGRESS * missed) {
-                break;
-            }
-            for (all, own) in change.iter_mut().zip(&correction) {
-                *all += own;
-            }
-            (trial, missed) = (next, left);
-        }
-        None
+        let there = from.measure(program, &trial.evaluation);
+        (self.lets_pass(here, there, slope)).then_some(trial)
     }
 }
 

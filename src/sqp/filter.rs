@@ -27,12 +27,6 @@ pub struct Measure {
 }
 
 impl Measure {
-    /// `J + weight · infeasibility`
-    #[must_use]
-    pub fn merit(&self, weight: f64) -> f64 {
-        self.objective + weight * self.infeasibility
-    }
-
     /// Of a point's values: [`LiftedProgram::infeasibility`], [`LiftedProgram::total_objective`], and that with `yᵀc + zᵀh`
     /// over the hard rows.
     #[must_use]

@@ -20,7 +20,6 @@ pub mod program;
 pub mod progress;
 #[doc(hidden)]
 pub mod quadratic_program;
-mod refit;
 mod run;
 mod settings;
 #[doc(hidden)]

@@ -60,7 +60,7 @@ pub struct IterationRecord {
     pub left: Leave,
     /// Hessian of the step.
     pub hessian: HessianKind,
-    /// Second-order corrections of the step, or refits of it.
+    /// Second-order corrections of the step.
     pub corrections: usize,
     /// Whether the step's states were computed from its variables rather than moved linearly.
     pub rolled_out: bool,

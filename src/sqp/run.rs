@@ -12,7 +12,6 @@ use faer::Mat;
 
 use self::restoration::Restoration;
 use self::saddle::Saddles;
-use self::subproblem::NO_SLACK;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
 use super::filter::{FEASIBLE, Filter};
@@ -29,16 +28,13 @@ use super::quadratic_program::{
 };
 use super::settings::SqpSettings;
 use super::trace::Trace;
-use super::trial::{Accepted, Departure, Refused};
+use super::trial::{Accepted, Departure};
 use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop};
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
-/// It uses it below this infeasibility already where the last subproblem met its constraints, whose multipliers then are no mere
-/// limits: where constraints bend more than the objective, Gauss-Newton's steps do not contract.
-const EXACT_BELOW_WITH_MULTIPLIERS: f64 = 1.0;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
@@ -47,8 +43,6 @@ const SET_TOLERANCE: f64 = 1e-9;
 /// Rounding of the merit, relatively.
 const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
 const SHRINKAGES: usize = 12;
-/// Refused trials of an iteration whose violated rows join the subproblem at the same trust radius.
-const TRIAL_JOINS: usize = 2;
 /// Subproblems without a solution, in all, after which a solve gives up.
 const RESCUES: usize = 8;
 /// Restorations, at most.
@@ -222,16 +216,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
             HessianChoice::Auto if self.trace.history.is_empty() => {
-                self.iterate.has_multipliers && self.infeasibility() < EXACT_BELOW_WITH_MULTIPLIERS
+                self.iterate.has_multipliers && self.infeasibility() < EXACT_BELOW
             }
             HessianChoice::Auto => self.trace.history.last().is_some_and(|last| {
-                let infeasibility = self.infeasibility();
-                let is_near =
-                    last.residual.stationarity < EXACT_BELOW && infeasibility < EXACT_BELOW;
-                // What the elastic weight limits is no multiplier.
-                let has_multipliers =
-                    last.slack < NO_SLACK && infeasibility < EXACT_BELOW_WITH_MULTIPLIERS;
-                is_near || has_multipliers
+                last.residual.stationarity < EXACT_BELOW && self.infeasibility() < EXACT_BELOW
             }),
         }
     }
@@ -369,7 +357,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         let mut sets = self.subproblem_sets(&model);
         self.trace.phases.condense += clock.elapsed().as_secs_f64();
-        let (mut refusals, mut joins, mut releases) = (0, 0, 0);
+        let (mut refusals, mut releases) = (0, 0);
         while refusals <= SHRINKAGES {
             let solution = match self.solve_subproblem(&mut linearization, &model, &sets) {
                 Ok(solution) => solution,
@@ -399,18 +387,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let found = self.search(&linearization, &model, &sets, &solution);
             self.trace.phases.globalize += clock.elapsed().as_secs_f64();
             match found {
-                Ok(accepted) => {
+                Some(accepted) => {
                     self.take(accepted, &linearization, &model, &solution);
                     return Ok(Step::Taken);
                 }
-                // A trial that fails by what was screened out says nothing about the trust region, unless that goes on and on.
-                Err(Some(trial))
-                    if joins < TRIAL_JOINS
-                        && self.join(&mut linearization, &trial.inequalities)? =>
-                {
-                    joins += 1;
-                }
-                Err(_) => {
+                None => {
                     self.trust_region.refuse(norm(&solution.change));
                     refusals += 1;
                 }
@@ -653,14 +634,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         linearization.offset.iter().map(|c| c.abs()).sum::<f64>() + sum_of_largest(hard)
     }
 
-    /// The accepted step, or the values of the trial that was refused.
+    /// The accepted step.
     fn search(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         sets: &[ConvexSet],
         solution: &QpSolution,
-    ) -> Result<Accepted<P>, Option<Refused>> {
+    ) -> Option<Accepted<P>> {
         let weight = self.elastic_weight.unwrap_or(0.0);
         let mut filter = self.filter.clone();
         let verdict = filter.accept(

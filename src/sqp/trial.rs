@@ -22,7 +22,7 @@ pub struct Accepted<P: LiftedProgram> {
     pub evaluation: Evaluation<P::Defects>,
     /// Whether the states were computed from the variables rather than moved linearly.
     pub rolled_out: bool,
-    /// Second-order corrections it took, or refits.
+    /// Second-order corrections it took.
     pub corrections: usize,
 }
 
@@ -32,57 +32,47 @@ pub struct Refused {
     pub constraints: Vec<f64>,
     /// Its path inequalities.
     pub inequalities: Vec<f64>,
-    /// What the filter compared.
-    pub measure: Measure,
 }
 
 impl Refused {
-    pub(super) fn of<R>(evaluation: &Evaluation<R>, measure: Measure) -> Self {
+    fn of<R>(evaluation: &Evaluation<R>) -> Self {
         Self {
             constraints: evaluation.constraints.clone(),
             inequalities: evaluation.inequalities.clone(),
-            measure,
         }
     }
 }
 
 impl Filter {
     /// Tries the step `change` of a subproblem: its lifted point, and the point whose states obey their equations under the same
-    /// variables; then second-order corrections of that. As a rule the lifted point comes first, since it is linear where the states'
+    /// variables; then the second-order correction of that. As a rule the lifted point comes first, since it is linear where the states'
     /// answer is not; of a short step of second order the other, which costs a third and leaves no defects.
     ///
-    /// # Errors
-    /// When all are refused: the simulated point's values, uncorrected, if it could be computed. Unless that point serves some other
-    /// measure, the trust region must shrink.
+    /// `None` when all are refused: the trust region must shrink.
     pub fn accept<P: LiftedProgram>(
         &mut self,
         program: &P,
         from: &Departure<P>,
         subproblem: &QuadraticProgram,
         change: &[f64],
-    ) -> Result<Accepted<P>, Option<Refused>> {
+    ) -> Option<Accepted<P>> {
         let length = norm(change) / norm(program.variables(from.point)).max(1.0);
         let slope = from.first_order(program, change);
         let is_short = from.is_second_order && length <= SHORT;
         if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
-            return Ok(accepted);
+            return Some(accepted);
         }
         let refused = match self.try_rollout(program, from, change, slope) {
-            Ok(accepted) => return Ok(accepted),
+            Ok(accepted) => return Some(accepted),
             Err(refused) => refused,
         };
         if is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
-            return Ok(accepted);
+            return Some(accepted);
         }
-        let refused = refused.ok_or(None)?;
-        self.correct(program, from, subproblem, change, &refused, slope)
-            .or_else(|| {
-                let trial = Self::rollout(program, from.point, change, 0)?;
-                self.refit(program, from, subproblem, change, trial, f64::INFINITY)
-            })
-            .ok_or(Some(refused))
+        self.correct(program, from, subproblem, change, &refused?, slope)
     }
 
+    /// The simulated point; its values where it is refused, and nothing where it cannot be computed.
     fn try_rollout<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -96,7 +86,7 @@ impl Filter {
         if self.lets_pass(here, there, slope) {
             return Ok(trial);
         }
-        Err(Some(Refused::of(&trial.evaluation, there)))
+        Err(Some(Refused::of(&trial.evaluation)))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.

@@ -37,7 +37,7 @@ use self::sweep::{
 };
 use super::base_motion::BaseState;
 use super::buffer::Buffer;
-use super::configuration::{Configuration, State};
+use super::configuration::{Configuration, State, Trajectory};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
 use super::inertia::InertiaRule;
@@ -376,6 +376,28 @@ impl<'a> LaneIntegrator<'a> {
     #[must_use]
     pub fn rotation(&self, node: usize) -> Matrix3<f64> {
         from_quaternion(wxyz(&self.quaternion(node)))
+    }
+
+    /// Appends the present configuration.
+    pub(super) fn record(&self, trajectory: &mut Trajectory) {
+        let (state, n) = (&self.state[..], self.slots.n_lanes);
+        let mut push = |rows: [f64; 7]| {
+            let [x, y, z, rotation @ ..] = rows;
+            trajectory.positions.push(Vector3::new(x, y, z));
+            trajectory.rotations.push(from_quaternion(rotation));
+        };
+        const { assert!(POSITION + 3 == ROTATION) };
+        let mut held = 0;
+        if let Some(base) = &self.base {
+            push(std::array::from_fn(|i| base.rows[POSITION + i]));
+            held = 1;
+        }
+        for node in held..self.rod.n_nodes() {
+            let at = self
+                .slots
+                .index(self.slots.place(node), STATE_ROWS, POSITION);
+            push(std::array::from_fn(|i| state[at + i * n]));
+        }
     }
 
     fn quaternion(&self, node: usize) -> Quaternion<f64> {

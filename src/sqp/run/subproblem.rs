@@ -21,7 +21,7 @@ const ELASTIC_GAIN: f64 = 0.9;
 /// The weight is kept this much above the largest multiplier, so that it can come down again.
 const ELASTIC_MARGIN: f64 = 10.0;
 /// Slack that counts as none.
-pub(super) const NO_SLACK: f64 = 1e-8;
+const NO_SLACK: f64 = 1e-8;
 /// Room that a trust region leaves around the nearest point of the sets.
 const SET_ROOM: f64 = 2.0;
 /// Rows that are linearized from the start, peaks and active ones apart.
