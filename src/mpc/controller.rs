@@ -13,7 +13,7 @@ use super::estimator::Disturbance;
 use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::{Bound, Channel, Hold};
+use crate::control::{ActuatedNode, Bound, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
 use crate::task::{Arm, Discretization, Task};
@@ -313,6 +313,11 @@ impl Controller {
                 limit(&actuator.moment, &mut wrench.moment);
             }
         }
+    }
+
+    /// The actuators of the task, with their bounds.
+    pub(super) fn actuators(&self) -> &[ActuatedNode] {
+        self.horizon.problem.wrench_actuators()
     }
 
     /// Until when the reference changes, s.
