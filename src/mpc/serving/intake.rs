@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::message::{Line, ReadingLine, Rows, Vector};
+use super::message::{Line, ReadingLine, Rows, Vector, rows};
 use crate::mechanics::rod::BaseCondition;
 use crate::mechanics::rotation::{log, orthonormalized};
 use crate::mechanics::{Configuration, Rod, State};
@@ -321,15 +321,29 @@ impl Intake {
                 false => v[q],
             })
         };
+        // What of a state counts is what the sensors of the scene measure.
+        let sees = |sigma: fn(&SensorSettings) -> Option<f64>| {
+            self.sensors.iter().any(|own| sigma(own).is_some())
+        };
+        let (position, rotation) = (sees(|own| own.position), sees(|own| own.rotation));
+        let (moves, turns) = (sees(|own| own.velocity), sees(|own| own.angular_velocity));
+        if !(position || rotation) {
+            return Err(Refusal::new(
+                "positions_m",
+                "no [[sensor]] of the scene measures positions or rotations",
+                "give `readings` of what they measure, or another [[sensor]]",
+            ));
+        }
         Ok((self.rod.first_free_node()..self.rod.n_nodes())
             .map(|q| {
+                let at = configuration;
                 let reading = ReadingLine {
                     time_s: None,
                     place: Some(self.places[q]),
-                    position_m: Some(configuration.positions[q].into()),
-                    rotation: Some(super::message::rows(&configuration.rotations[q])),
-                    velocity_m_s: velocity(q).map(Vector::from),
-                    angular_velocity_rad_s: spin(q).map(Vector::from),
+                    position_m: position.then(|| at.positions[q].into()),
+                    rotation: rotation.then(|| rows(&at.rotations[q])),
+                    velocity_m_s: velocity(q).filter(|_| moves).map(Vector::from),
+                    angular_velocity_rad_s: spin(q).filter(|_| turns).map(Vector::from),
                     curvature_1_m: None,
                     base_force_n: None,
                     base_moment_n_m: None,
