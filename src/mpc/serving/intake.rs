@@ -41,6 +41,12 @@ const BETTER_FIT: f64 = 0.05;
 /// Distance of the base from the clamp of the model over the length at the most.
 const FARTHEST_BASE: f64 = 0.01;
 
+/// How all nodes move: momenta, or velocities.
+struct Moving {
+    vectors: Vec<Vector3<f64>>,
+    is_momentum: bool,
+}
+
 /// Makes states and signals of lines.
 #[derive(Debug)]
 pub(super) struct Intake {
@@ -93,9 +99,9 @@ impl Intake {
         let mut angular = still();
         let given = (&line.linear_momenta_kg_m_s, &line.velocities_m_s);
         match self.channel(given, ["linear_momenta_kg_m_s", "velocities_m_s"])? {
-            Some((momenta, true)) => linear = momenta,
+            Some(own) if own.is_momentum => linear = own.vectors,
             found => {
-                let velocities = found.map(|(velocities, _)| velocities);
+                let velocities = found.map(|own| own.vectors);
                 for q in 0..n {
                     let v = velocities
                         .as_ref()
@@ -110,9 +116,9 @@ impl Intake {
         );
         let names = ["angular_momenta_kg_m2_s", "angular_velocities_rad_s"];
         match self.channel(given, names)? {
-            Some((momenta, true)) => angular = momenta,
+            Some(own) if own.is_momentum => angular = own.vectors,
             found => {
-                let velocities = found.map(|(velocities, _)| velocities);
+                let velocities = found.map(|own| own.vectors);
                 for q in 0..n {
                     let w = velocities.as_ref().map_or_else(|| spin(q), |own| own[q]);
                     angular[q] = w.component_mul(&self.rod.nodes[q].rotary);
@@ -271,13 +277,13 @@ impl Intake {
         Ok(nearest)
     }
 
-    /// One of two ways to give the motion of all nodes, and whether it is the first.
+    /// Momenta or velocities of all nodes, whichever are given.
     fn channel(
         &self,
         (first, second): (&Option<Vec<Vector>>, &Option<Vec<Vector>>),
         names: [&str; 2],
-    ) -> Result<Option<(Vec<Vector3<f64>>, bool)>, Refusal> {
-        let (given, is_first) = match (first, second) {
+    ) -> Result<Option<Moving>, Refusal> {
+        let (given, is_momentum) = match (first, second) {
             (None, None) => return Ok(None),
             (Some(given), None) => (given, true),
             (None, Some(given)) => (given, false),
@@ -289,9 +295,11 @@ impl Intake {
                 ));
             }
         };
-        self.fits(names[usize::from(!is_first)], given.len())?;
-        let vectors = given.iter().map(|v| Vector3::from(*v)).collect();
-        Ok(Some((vectors, is_first)))
+        self.fits(names[usize::from(!is_momentum)], given.len())?;
+        Ok(Some(Moving {
+            vectors: given.iter().map(|v| Vector3::from(*v)).collect(),
+            is_momentum,
+        }))
     }
 
     /// A state as readings at the free nodes.
@@ -310,15 +318,16 @@ impl Intake {
         let angular = self.channel(given, names)?;
         let nodes = &self.rod.nodes;
         let velocity = |q: usize| {
-            (linear.as_ref()).map(|(v, is_momentum)| match is_momentum {
-                true => v[q] / nodes[q].mass,
-                false => v[q],
-            })
+            let own = linear.as_ref()?;
+            let over = if own.is_momentum { nodes[q].mass } else { 1.0 };
+            Some(own.vectors[q] / over)
         };
         let spin = |q: usize| {
-            (angular.as_ref()).map(|(v, is_momentum)| match is_momentum {
-                true => v[q].component_div(&nodes[q].rotary),
-                false => v[q],
+            let own = angular.as_ref()?;
+            Some(if own.is_momentum {
+                own.vectors[q].component_div(&nodes[q].rotary)
+            } else {
+                own.vectors[q]
             })
         };
         // What of a state counts is what the sensors of the scene measure.

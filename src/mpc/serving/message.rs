@@ -118,6 +118,16 @@ impl ActuatorLine {
             moment: ChannelLine::of(&actuator.moment, ["N m", "body", "N m/s"]),
         }
     }
+
+    /// Forces and moments that follow from other controls.
+    pub fn unbounded(node: usize) -> Self {
+        let free = Channel::new(1.0, None);
+        Self {
+            node,
+            force: ChannelLine::of(&free, ["N", "spatial", "N/s"]),
+            moment: ChannelLine::of(&free, ["N m", "body", "N m/s"]),
+        }
+    }
 }
 
 impl ChannelLine {

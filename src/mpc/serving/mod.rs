@@ -189,6 +189,15 @@ impl<W: Write> Server<W> {
         } else {
             vec!["state"]
         };
+        let mut actuators: Vec<_> = (controller.actuators().iter())
+            .map(ActuatorLine::of)
+            .collect();
+        // What actuators of one's own do to other nodes.
+        for &node in &controller.command().nodes {
+            if !actuators.iter().any(|own| own.node == node) {
+                actuators.push(ActuatorLine::unbounded(node));
+            }
+        }
         let hello = Hello {
             kind: "hello",
             version: SERVING_VERSION,
@@ -201,11 +210,7 @@ impl<W: Write> Server<W> {
             duration_s: duration,
             length_m: rod.scales.length,
             nodes,
-            actuators: controller
-                .actuators()
-                .iter()
-                .map(ActuatorLine::of)
-                .collect(),
+            actuators,
             accepts,
             sensors: self.intake.sensors().iter().map(SensorLine::of).collect(),
         };
