@@ -57,7 +57,7 @@ fn track(actuator: OwnActuator) -> Experiment {
     task.own_actuators = vec![actuator];
     task.cost.rate = 0.1;
     let settings = MpcSettings {
-        jump: 100.0,
+        jump: 1.0,
         ..MpcSettings::receding(0.3)
     };
     let mut scene = Experiment::new(
@@ -81,8 +81,8 @@ fn commands(scene: &Experiment) -> (Vec<Command>, f64) {
     (commands, run.unwrap().tip_error.rms)
 }
 
-/// A closed loop by couples keeps the tip within half a percent of the length of its path, where the arm is the model and where it has twice as many
-/// elements and nine tenths of the stiffness; without couples it would be off by a tenth. Moments on nodes are of values within their bounds.
+/// A closed loop by couples keeps the tip within a twentieth of what it would be off without them, where the arm is the model, and within a tenth where
+/// it has twice as many elements and nine tenths of the stiffness. Moments on nodes are of values within their bounds.
 #[test]
 fn loops_track_by_couples() {
     let most = 12.0;
@@ -96,10 +96,18 @@ fn loops_track_by_couples() {
         axes: [true, true, false],
     };
     let map = couple.linear_map(&rod).unwrap();
-    for (scene, tolerance) in [(scene, 2e-3), (soft, 5e-3)] {
+    let still = {
+        let path = &scene.task.cost.tracks[0].path;
+        let counted: Vec<f64> = (path.iter())
+            .filter(|(t, _)| (0.2..1.0).contains(t))
+            .map(|(_, x)| (x - Vector3::new(0.0, 0.0, 1.0)).norm_squared())
+            .collect();
+        (counted.iter().sum::<f64>() / counted.len() as f64).sqrt()
+    };
+    for (scene, part) in [(scene, 0.05), (soft, 0.1)] {
         let (commands, rms) = commands(&scene);
-        println!("{rms}");
-        assert!(rms < tolerance, "{rms}");
+        println!("{rms} of {still}");
+        assert!(rms < part * still, "{rms} of {still}");
         for command in &commands {
             assert_eq!(command.nodes, couple.nodes(&rod));
             for wrenches in [&command.from, &command.to] {

@@ -687,6 +687,58 @@ fn estimates_bridge_bad_lines() {
     assert!(causes[2].is_null(), "{causes:?}");
 }
 
+/// A path that comes with the measurements, piece by piece as far as the horizon sees, is as good as the whole path in the scene: the first plans differ,
+/// because they are made before anything is told, and the commands become the same. What is no path is refused, and the one before stays.
+#[test]
+fn references_may_come_with_measurements() {
+    let whole = scene();
+    let path = whole.task.cost.tracks[0].path.clone();
+    let mut blind = scene();
+    // The weight that the path of the scene has.
+    blind.task.cost.tracks[0].path = vec![(0.0, Vector3::new(0.0, 0.0, 1.0))];
+    let plant = Plant::new(&whole);
+    let mut arm = plant.arm(&whole);
+    let [mut knows, mut is_told] = [Desk::new(&whole), Desk::new(&blind)];
+    let mut off = Vec::new();
+    for k in 0..40 {
+        let t = 0.01 * f64::from(k);
+        let mut line = state_line(t, &arm.state_on_model());
+        let a = command_of(&knows.command(&line));
+        let seen = path
+            .iter()
+            .filter(|(time, _)| (t - 0.02..t + 0.33).contains(time));
+        let rows: Vec<[f64; 4]> = seen.map(|(time, x)| [*time, x.x, x.y, x.z]).collect();
+        line["reference_m"] = json!(rows);
+        let told = is_told.command(&line);
+        let reference = vector(&told["tip"]["reference_m"]);
+        assert!((reference - tracking::path(t)).norm() < 1e-12);
+        let b = command_of(&told);
+        off.push((a.from[0].force - b.from[0].force).norm());
+        arm.send(&a);
+        arm.advance(t + 0.01).unwrap();
+    }
+    // Forces are of the order of a newton, and the price of jumps lets a plan forget where it came from within the horizon of 30 samples.
+    let largest = |samples: &[f64]| samples.iter().copied().fold(0.0, f64::max);
+    println!("{off:?}");
+    assert!(largest(&off[30..]) < 1e-3 && largest(&off[30..]) < 0.05 * largest(&off[..5]));
+    for rows in [
+        json!([]),
+        json!([[0.4, 0.0, 0.0, 1.0], [0.4, 0.0, 0.0, 1.0]]),
+    ] {
+        let mut line = state_line(0.4, &arm.state_on_model());
+        line["time_s"] = json!(0.4 + if rows[0].is_null() { 0.0 } else { 0.01 });
+        line["reference_m"] = rows.clone();
+        let [error, command] = is_told.error(&line.to_string());
+        let place = if rows[0].is_null() {
+            "reference_m[0]"
+        } else {
+            "reference_m[1]"
+        };
+        assert_eq!(error["where"], place);
+        assert!(command["fallback"].is_null());
+    }
+}
+
 /// `serve` reads until `bye`, and what comes after is not looked at; without it, until the end. The last line is the summary in both.
 #[test]
 fn loops_end() {
@@ -724,6 +776,34 @@ fn lines_are_read_in_pieces() {
         found.push(line.len());
     }
     assert_eq!(found, [2, 0, softarm::mpc::LONGEST_LINE + 1, 4]);
+}
+
+/// SIGTERM ends a program that waits for its plant: the summary is the last line, and the exit code is that of a stop.
+#[cfg(all(unix, feature = "cli"))]
+#[test]
+fn signals_end_a_wait() {
+    let mut child = Program::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(["mpc", "mpc-track-circle", "--serve", "--quiet"])
+        .args(["--set", "rod.elements=4"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let _input = child.stdin.take();
+    let mut output = BufReader::new(child.stdout.take().unwrap());
+    let mut line = Vec::new();
+    assert!(read_line(&mut output, &mut line).unwrap());
+    let pid = child.id().to_string();
+    let killed = Program::new("kill").args(["-TERM", &pid]).status();
+    assert!(killed.unwrap().success());
+    assert!(read_line(&mut output, &mut line).unwrap());
+    let summary: Value = serde_json::from_slice(&line).unwrap();
+    assert_eq!(
+        (&summary["type"], &summary["status"]),
+        (&json!("summary"), &json!("stopped"))
+    );
+    assert_eq!(child.wait().unwrap().code(), Some(6));
 }
 
 /// The program: nothing but lines of JSON on standard output, from the greeting to the summary, and exit code 0; options that ask for files are

@@ -271,6 +271,41 @@ impl Controller {
         Ok(())
     }
 
+    /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
+    /// between and constant outside. It takes the place of the first track of the tip.
+    ///
+    /// # Errors
+    /// [`MpcError::Unsupported`] of a task without such a track, and [`MpcError::Path`]; the path is then as it was.
+    pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let tracks = &problem.objective.tracking;
+        let Some(track) = tracks.iter().position(|track| track.node == tip) else {
+            return Err(MpcError::Unsupported(
+                "nothing follows a path; give the task a track of the tip, whatever its path",
+            ));
+        };
+        if path.is_empty() {
+            return Err(MpcError::Path {
+                point: 0,
+                expected: "at least one point",
+            });
+        }
+        for (point, (t, x)) in path.iter().enumerate() {
+            let is_finite = t.is_finite() && x.iter().all(|c| c.is_finite());
+            let expected = if !is_finite {
+                "a finite time and position"
+            } else if point > 0 && !(path[point - 1].0 < *t) {
+                "a time after that of the point before"
+            } else {
+                continue;
+            };
+            return Err(MpcError::Path { point, expected });
+        }
+        self.horizon.follow(track, path);
+        Ok(())
+    }
+
     /// How it works.
     #[must_use]
     pub fn settings(&self) -> &MpcSettings {

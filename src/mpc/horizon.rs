@@ -303,6 +303,16 @@ impl Horizon {
         true
     }
 
+    /// Gives a track another path: the residuals of the present horizon are those from the new one.
+    pub fn follow(&mut self, track: usize, path: &[(f64, Vector3<f64>)]) {
+        let own = &mut self.problem.objective.tracking[track].path;
+        own.clear();
+        own.extend_from_slice(path);
+        for at in self.first_row..self.rows.len() {
+            self.evaluate(at);
+        }
+    }
+
     /// Takes a disturbance into the model.
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());

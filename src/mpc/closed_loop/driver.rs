@@ -180,6 +180,14 @@ impl Driver {
         &self.told
     }
 
+    /// Gives the tip another path to follow, see [`Controller::follow`].
+    ///
+    /// # Errors
+    /// As [`Controller::follow`].
+    pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
+        self.controller.follow(path)
+    }
+
     /// Takes a measurement that has become known, for the estimator.
     pub fn put(&mut self, measurement: &Measurement) {
         self.inbox.put(measurement);

@@ -43,6 +43,8 @@ pub(super) struct Line {
     pub linear_momenta_kg_m_s: Option<Vec<Vector>>,
     pub angular_momenta_kg_m2_s: Option<Vec<Vector>>,
     pub readings: Option<Vec<ReadingLine>>,
+    /// Rows of a time and a position.
+    pub reference_m: Option<Vec<[f64; 4]>>,
 }
 
 /// What one sensor reads at one place.

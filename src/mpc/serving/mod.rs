@@ -20,6 +20,8 @@ use std::io::{self, BufRead, Write};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
+use nalgebra::Vector3;
+
 use self::intake::{Intake, Refusal};
 use self::message::{
     ActuatorLine, CommandLine, DisturbanceLine, ErrorLine, FallbackLine, Hello, Kind, Line,
@@ -260,6 +262,9 @@ impl<W: Write> Server<W> {
             self.repeat(begin, t)?;
             return Ok(ControlFlow::Continue(()));
         }
+        if let Err(refusal) = self.follow(&line) {
+            self.refuse(&refusal)?;
+        }
         let (taken, refusals) = match self.known(t, &line) {
             Ok(known) => known,
             Err(refusal) => (Taken::Unusable, vec![refusal]),
@@ -345,6 +350,24 @@ impl<W: Write> Server<W> {
             return Err(Refusal::new("time_s", what, help));
         }
         Ok(t)
+    }
+
+    /// Takes over the reference of a line, if it gives one.
+    fn follow(&mut self, line: &Line) -> Result<(), Refusal> {
+        let Some(rows) = &line.reference_m else {
+            return Ok(());
+        };
+        let path: Vec<_> = (rows.iter())
+            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
+            .collect();
+        self.driver.follow(&path).map_err(|error| {
+            let place = match &error {
+                MpcError::Path { point, .. } => format!("reference_m[{point}]"),
+                _ => "reference_m".into(),
+            };
+            let help = "give rows [time_s, x, y, z] whose times increase; the path is as it was";
+            Refusal::new(place, error.to_string(), help)
+        })
     }
 
     /// What a line says of the arm at time `t`, and what of it cannot be used.
