@@ -138,8 +138,9 @@ def episode(seed, options):
         if (action + 1) % REDRAWN == 0:
             target.turn()
         distance = np.linalg.norm(rod.position_collection[:, -1] - target.x)
-        if not np.isfinite(distance):
-            return -10000.0, 0.0, hear("summary")
+        if not np.isfinite(distance):  # the rod has broken down
+            reward -= 10000.0
+            break
         reward += -(distance**2) + 0.5 * (distance < 0.1) + 1.5 * (distance < 0.05)
         n_near += distance < 0.05
     say({"type": "bye"})

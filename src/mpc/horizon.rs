@@ -308,8 +308,12 @@ impl Horizon {
         let own = &mut self.problem.objective.tracking[track].path;
         own.clear();
         own.extend_from_slice(path);
-        for at in self.first_row..self.rows.len() {
-            self.evaluate(at);
+        // A motion that broke down is simulated anew before anything asks for its residuals.
+        let whole = (self.grid.n_steps + 1) * self.problem.rod.n_nodes();
+        if self.trajectory.positions.len() == whole {
+            for at in self.first_row..self.rows.len() {
+                self.evaluate(at);
+            }
         }
     }
 
