@@ -5,7 +5,7 @@ use crate::control::GuessError;
 use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
-use crate::mpc::MpcError;
+use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::paper::PaperError;
 use crate::scene::SceneError;
@@ -45,6 +45,9 @@ pub(super) enum CliError {
     /// A closed loop that cannot begin.
     #[error("error: the controller has no first plan: {0}")]
     Mpc(#[from] MpcError),
+    /// A plant that cannot be served.
+    #[error("error: {0}")]
+    Serve(ServeError),
     /// A result directory that does not hold what a verb needs.
     #[error("error: {0}")]
     Directory(String),
@@ -59,6 +62,7 @@ impl CliError {
     pub(super) fn exit_code(&self) -> u8 {
         match self {
             Self::Output(error) if error.is_unwritten() => exit::UNWRITTEN,
+            Self::Serve(ServeError::Io(_)) => exit::UNWRITTEN,
             Self::Scene(_)
             | Self::Output(_)
             | Self::Directory(_)
@@ -70,6 +74,7 @@ impl CliError {
             Self::Step(_)
             | Self::Guess(_)
             | Self::Mpc(_)
+            | Self::Serve(_)
             | Self::Check(_)
             | Self::SecondOpinion(SecondOpinionError::Start(_))
             | Self::Derivative(_)

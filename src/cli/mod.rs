@@ -10,6 +10,7 @@ mod mpc;
 mod paper;
 mod quantity;
 mod schema;
+mod serve;
 mod simulate;
 mod solve;
 mod verify;
@@ -86,7 +87,7 @@ enum Command {
     },
     /// Optimal control: force and moment sequences, checked by forward simulation
     Solve(solve::SolveArguments),
-    /// Closed-loop model-predictive control in simulation
+    /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),

@@ -1,4 +1,5 @@
-//! `softarm mpc SCENE [--out DIR] [--baselines]`: closed-loop model-predictive control in simulation.
+//! `softarm mpc SCENE [--out DIR] [--baselines]`: closed-loop model-predictive control in simulation; with `--serve`, of a plant in another
+//! process.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -11,7 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::Hold;
 use crate::mechanics::{Energy, Rod, State, Wrench};
 use crate::mpc::{ClosedLoop, Contender, Outcome as Run, Percentiles, Sample, TipError};
@@ -33,6 +34,9 @@ pub(super) struct MpcArguments {
     /// that waits for it; print one table
     #[arg(long)]
     baselines: bool,
+    /// Drive a plant in another process: lines of JSON on standard input and output (docs/serving.md); writes no files
+    #[arg(long, conflicts_with_all = ["baselines", "out"])]
+    serve: bool,
 }
 
 /// What runs with `--baselines`.
@@ -59,6 +63,13 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     }
     let setup = (scene.closed_loop(&source, seed, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
+    if arguments.serve {
+        for warning in &setup.warnings {
+            console.warn(warning);
+        }
+        let name = scene_name(&arguments.scene.scene);
+        return serve::run(&name, &scene, &source, &setup, &stop, console);
+    }
     let target = arguments.scene.directory("mpc");
     let directory = RunDirectory::open(&target, ResultKind::Mpc)?;
     for warning in &setup.warnings {

@@ -352,7 +352,9 @@ fn read_rows(
     problem: &OptimalControlProblem,
 ) -> Result<Vec<ControlRow>, CliError> {
     let path = directory.join("controls.csv");
-    let nodes = problem.actuated_nodes();
+    let nodes: Vec<usize> = (problem.actuators.iter())
+        .map(|actuator| actuator.node)
+        .collect();
     let rows = read_controls(&path, problem.control.n_coefficients() * nodes.len())?;
     if let Some(row) = (rows.iter().zip(nodes.iter().cycle())).position(|(row, q)| row.node != *q) {
         return Err(CliError::Directory(format!(

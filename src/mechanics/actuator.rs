@@ -88,6 +88,12 @@ pub trait Actuator: fmt::Debug + Send + Sync {
     /// Derivative of the wrenches along the controls, `6m × n`.
     fn control_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64>;
 
+    /// [`Self::control_jacobian`] of an actuator whose wrenches are linear in its controls, and depend neither on configuration nor on time; `None`,
+    /// by default, of any other. Controllers of closed loops take the former alone.
+    fn linear_map(&self, _rod: &Rod) -> Option<Mat<f64>> {
+        None
+    }
+
     /// Second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, over the configuration and then the controls: `6m + n` rows and
     /// columns, symmetric; along a rotation that of `s ↦ w(R exp(s ζ̂))`. By default from central differences of both Jacobians, to about
     /// 1e-9 of its size.

@@ -10,10 +10,10 @@ use nalgebra::Vector3;
 pub use self::settings::MpcSettings;
 use super::error::MpcError;
 use super::estimator::Disturbance;
-use super::horizon::Horizon;
+use super::horizon::{Horizon, add_effects};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::{Bound, Channel, Hold};
+use crate::control::{ActuatedNode, Bound, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
 use crate::task::{Arm, Discretization, Task};
@@ -152,7 +152,7 @@ impl Controller {
         let horizon = Horizon::new(problem, knots.clone(), settings.target_weight)?;
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let n_nodes = horizon.problem.rod.n_nodes();
-        let nodes = horizon.problem.actuated_nodes();
+        let nodes = horizon.actuated_nodes();
         let state = horizon.start.clone();
         let mut controller = Self {
             subproblem: Subproblem::new(n, 2 * n),
@@ -259,13 +259,50 @@ impl Controller {
         for ((free, component), scale) in
             (self.free.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
         {
-            let node = self.horizon.problem.actuators[component.actuator].node;
+            let wrenches = self.horizon.problem.wrench_actuators();
+            let is_at_tip =
+                (wrenches.get(component.actuator)).is_some_and(|own| own.node == rod_tip);
             let value = match component.axis.checked_sub(3) {
                 None => tip.force[component.axis],
                 Some(axis) => tip.moment[axis],
             };
-            *free = if node == rod_tip { -value / scale } else { 0.0 };
+            *free = if is_at_tip { -value / scale } else { 0.0 };
         }
+        Ok(())
+    }
+
+    /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
+    /// between and constant outside. It takes the place of the first track of the tip.
+    ///
+    /// # Errors
+    /// [`MpcError::Unsupported`] of a task without such a track, and [`MpcError::Path`]; the path is then as it was.
+    pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let tracks = &problem.objective.tracking;
+        let Some(track) = tracks.iter().position(|track| track.node == tip) else {
+            return Err(MpcError::Unsupported(
+                "nothing follows a path; give the task a track of the tip, whatever its path",
+            ));
+        };
+        if path.is_empty() {
+            return Err(MpcError::Path {
+                point: 0,
+                expected: "at least one point",
+            });
+        }
+        for (point, (t, x)) in path.iter().enumerate() {
+            let is_finite = t.is_finite() && x.iter().all(|c| c.is_finite());
+            let expected = if !is_finite {
+                "a finite time and position"
+            } else if point > 0 && !(path[point - 1].0 < *t) {
+                "a time after that of the point before"
+            } else {
+                continue;
+            };
+            return Err(MpcError::Path { point, expected });
+        }
+        self.horizon.follow(track, path);
         Ok(())
     }
 
@@ -301,11 +338,12 @@ impl Controller {
     }
 
     /// Brings a command within the bounds of the task on forces and moments, by their length where the bound is on that; what is not actuated
-    /// is taken away.
+    /// is taken away. What actuators of one's own do to other nodes stays as it is.
     pub fn within_bounds(&self, command: &mut Command) {
         let problem = &self.horizon.problem;
         for (at, node) in command.nodes.iter().enumerate() {
-            let Some(actuator) = problem.actuators.iter().find(|own| own.node == *node) else {
+            let actuators = problem.wrench_actuators();
+            let Some(actuator) = actuators.iter().find(|own| own.node == *node) else {
                 continue;
             };
             for wrench in [&mut command.from[at], &mut command.to[at]] {
@@ -313,6 +351,11 @@ impl Controller {
                 limit(&actuator.moment, &mut wrench.moment);
             }
         }
+    }
+
+    /// The actuators of the task, with their bounds.
+    pub(super) fn actuators(&self) -> &[ActuatedNode] {
+        self.horizon.problem.wrench_actuators()
     }
 
     /// Until when the reference changes, s.
@@ -580,18 +623,15 @@ impl Controller {
             } else {
                 &mut self.command.from
             };
-            out.fill(Wrench::default());
-            for ((component, v), scale) in
-                (self.horizon.components.iter().zip(&self.acting)).zip(&self.horizon.scales)
+            let all = &mut self.wrenches[0];
+            all.fill(Wrench::default());
+            for ((effects, v), scale) in
+                (self.horizon.effects.iter().zip(&self.acting)).zip(&self.horizon.scales)
             {
-                let node = self.horizon.problem.actuators[component.actuator].node;
-                let Some(at) = self.command.nodes.iter().position(|other| *other == node) else {
-                    continue;
-                };
-                match component.axis.checked_sub(3) {
-                    None => out[at].force[component.axis] = v * scale,
-                    Some(axis) => out[at].moment[axis] = v * scale,
-                }
+                add_effects(effects, v * scale, all);
+            }
+            for (own, node) in out.iter_mut().zip(&self.command.nodes) {
+                *own = all[*node];
             }
         }
     }

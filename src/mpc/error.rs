@@ -28,6 +28,14 @@ pub enum MpcError {
     /// The task has something that the controller does not know.
     #[error("{0}")]
     Unsupported(&'static str),
+    /// A path that is none.
+    #[error("point {point} of the path: expected {expected}")]
+    Path {
+        /// The first point that is wrong.
+        point: usize,
+        /// What it must be.
+        expected: &'static str,
+    },
     /// A measured state that is not finite, or of another size than the model's.
     #[error("the measured state has {found}; give {expected}")]
     Measurement {

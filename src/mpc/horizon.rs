@@ -61,13 +61,43 @@ struct Row {
     factor: f64,
 }
 
+/// What a unit of a component does: node, component of its wrench, and N or N m.
+type Effect = (usize, usize, f64);
+
+/// The effects of every component; `None` where an actuator of one's own is not linear.
+fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
+    let maps = (problem.acting.iter())
+        .map(|acting| {
+            Some((
+                acting.actuator.nodes(&problem.rod),
+                acting.actuator.linear_map(&problem.rod)?,
+            ))
+        })
+        .collect::<Option<Vec<_>>>()?;
+    let of = |component: &Component| match problem.own_control(component) {
+        None => {
+            let node = problem.actuators[component.actuator].node;
+            vec![(node, component.axis, 1.0)]
+        }
+        Some((index, control)) => {
+            let (nodes, map) = &maps[index];
+            let rows = (0..map.nrows()).filter(|row| map[(*row, control)] != 0.0);
+            rows.map(|row| (nodes[row / 6], row % 6, map[(row, control)]))
+                .collect()
+        }
+    };
+    Some(components.iter().map(of).collect())
+}
+
 /// The model, at the plan and the start it was last prepared for.
 #[derive(Debug)]
 pub(super) struct Horizon {
     pub problem: OptimalControlProblem,
     pub components: Vec<Component>,
-    /// Scale of every component, N or N m.
+    /// Scale of every component, N or N m, or the unit of a control of an actuator of one's own.
     pub scales: Vec<f64>,
+    /// What a unit of every component does.
+    pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
     /// The grid of the present horizon; of the longest one with its start.
     pub grid: TimeGrid,
@@ -109,9 +139,8 @@ pub(super) struct Horizon {
 struct Columns<'a> {
     knots: &'a Knots,
     grid: TimeGrid,
-    components: &'a [Component],
+    effects: &'a [Vec<Effect>],
     scales: &'a [f64],
-    problem: &'a OptimalControlProblem,
     n: usize,
 }
 
@@ -125,13 +154,11 @@ impl ControlColumns for Columns<'_> {
             if weight == 0.0 {
                 continue;
             }
-            for (at, component) in self.components.iter().enumerate() {
-                visit(
-                    coefficient * self.components.len() + at,
-                    self.problem.actuators[component.actuator].node,
-                    component.axis,
-                    weight * self.scales[at],
-                );
+            for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
+                let column = coefficient * self.effects.len() + at;
+                for &(node, component, effect) in effects {
+                    visit(column, node, component, weight * scale * effect);
+                }
             }
         }
     }
@@ -158,11 +185,6 @@ impl Horizon {
                 "the controller knows bounds on the controls; leave out limits and obstacles",
             ));
         }
-        if !problem.acting.is_empty() {
-            return Err(MpcError::Unsupported(
-                "the controller knows wrenches on nodes; leave out own_actuators",
-            ));
-        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -170,6 +192,11 @@ impl Horizon {
         }
         let grid = problem.grid;
         let components = problem.actuated_components();
+        let Some(effects) = effects(&problem, &components) else {
+            return Err(MpcError::Unsupported(
+                "the controller knows wrenches on nodes and actuators that are linear; leave out other own_actuators",
+            ));
+        };
         let scales: Vec<f64> = (components.iter())
             .map(|component| problem.channel(component).scale)
             .collect();
@@ -193,9 +220,8 @@ impl Horizon {
             let columns = Columns {
                 knots: &knots,
                 grid,
-                components: &components,
+                effects: &effects,
                 scales: &scales,
-                problem: &problem,
                 n,
             };
             RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
@@ -224,6 +250,7 @@ impl Horizon {
             forms,
             components,
             scales,
+            effects,
             knots,
             longest: grid,
             grid,
@@ -239,6 +266,17 @@ impl Horizon {
     /// Variables of the present horizon.
     pub fn n_present(&self) -> usize {
         self.knots.len() * self.components.len()
+    }
+
+    /// Nodes on which components act, wrenches on nodes before actuators of one's own, each once.
+    pub fn actuated_nodes(&self) -> Vec<usize> {
+        let mut nodes = self.problem.actuated_nodes();
+        for &(node, _, _) in self.effects.iter().flatten() {
+            if !nodes.contains(&node) {
+                nodes.push(node);
+            }
+        }
+        nodes
     }
 
     /// Puts the horizon from `start` (s) on: as long as the longest one, or until `due`. False where nothing is left of it.
@@ -263,6 +301,20 @@ impl Horizon {
         }
         self.knots.place(start, self.grid.time(n_steps));
         true
+    }
+
+    /// Gives a track another path: the residuals of the present horizon are those from the new one.
+    pub fn follow(&mut self, track: usize, path: &[(f64, Vector3<f64>)]) {
+        let own = &mut self.problem.objective.tracking[track].path;
+        own.clear();
+        own.extend_from_slice(path);
+        // A motion that broke down is simulated anew before anything asks for its residuals.
+        let whole = (self.grid.n_steps + 1) * self.problem.rod.n_nodes();
+        if self.trajectory.positions.len() == whole {
+            for at in self.first_row..self.rows.len() {
+                self.evaluate(at);
+            }
+        }
     }
 
     /// Takes a disturbance into the model.
@@ -316,13 +368,8 @@ impl Horizon {
             wrenches.copy_from_slice(disturbing);
             for (coefficient, weight) in knots.at_node(grid, k) {
                 let own = &plan[coefficient * n..][..n];
-                for ((component, v), scale) in self.components.iter().zip(own).zip(&self.scales) {
-                    let at = problem.actuators[component.actuator].node;
-                    let value = weight * v * scale;
-                    match component.axis.checked_sub(3) {
-                        None => wrenches[at].force[component.axis] += value,
-                        Some(axis) => wrenches[at].moment[axis] += value,
-                    }
+                for ((effects, v), scale) in self.effects.iter().zip(own).zip(&self.scales) {
+                    add_effects(effects, weight * v * scale, wrenches);
                 }
             }
         };
@@ -371,9 +418,8 @@ impl Horizon {
         let columns = Columns {
             knots: &self.knots,
             grid: self.grid,
-            components: &self.components,
+            effects: &self.effects,
             scales: &self.scales,
-            problem: &self.problem,
             n: self.square.nrows(),
         };
         let forms = &self.forms[self.first_row..];
@@ -459,6 +505,16 @@ impl Horizon {
             }
         };
         self.residuals[at] = factor * value;
+    }
+}
+
+/// Adds what so much of a component does to the wrenches of all nodes.
+pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrench]) {
+    for &(node, component, effect) in effects {
+        match component.checked_sub(3) {
+            None => wrenches[node].force[component] += amount * effect,
+            Some(axis) => wrenches[node].moment[axis] += amount * effect,
+        }
     }
 }
 

@@ -12,6 +12,9 @@
 //! Where the state cannot be measured, a [`Sensor`] gives [`Measurement`]s, late and with noise, and an [`Estimator`] makes of them an
 //! [`Estimate`] of the state and of what disturbs the arm: a [`BoundaryObserver`], or a [`KalmanFilter`] with its covariance.
 //!
+//! A [`ClosedLoop`] puts all of it together in simulation. A [`Driver`] is its half that computes: with estimator and fall-backs, for a plant of
+//! one's own. [`serve`] drives a plant in another process by lines of JSON.
+//!
 //! ```
 //! use nalgebra::Vector3;
 //! use softarm::mechanics::{Material, State, stable_step};
@@ -55,15 +58,16 @@ mod horizon;
 mod knots;
 mod plant;
 mod sensor;
+mod serving;
 mod signal;
 mod simulated_arm;
 mod subproblem;
 mod transfer;
 
 pub use closed_loop::{
-    Action, Cause, ClosedLoop, Computing, Contender, EstimatorChoice, Experiment, FallbackSettings,
-    Knowledge, Law, LoopSettings, Outcome, Percentiles, Sample, SampleObserver, Sensing,
-    SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
+    Action, Cause, ClosedLoop, Computing, Contender, Driver, EstimatorChoice, Experiment,
+    FallbackSettings, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Sample,
+    SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
 pub use controller::{Command, Controller, MpcSettings, SampleRecord};
 pub use error::MpcError;
@@ -73,6 +77,9 @@ pub use estimator::{
 };
 pub use plant::{Plant, RodPlant};
 pub use sensor::{Sensor, SensorPreset, SensorSettings};
+pub use serving::{
+    LONGEST_LINE, SERVING_VERSION, ServeError, Served, Server, ServingEnd, read_line, serve,
+};
 pub use signal::{Measurement, Reading, Signal};
 pub use simulated_arm::{ActuatorDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;

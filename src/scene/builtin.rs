@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 18] = [
+const SCENES: [(&str, &str); 19] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -64,6 +64,10 @@ const SCENES: [(&str, &str); 18] = [
     (
         "mpc-delay",
         include_str!("../../examples/scenes/mpc-delay.toml"),
+    ),
+    (
+        "mpc-elastica-case1",
+        include_str!("../../examples/scenes/mpc-elastica-case1.toml"),
     ),
 ];
 

@@ -2,9 +2,9 @@
 
 use super::keys::{Checked, Keys};
 use super::model::{
-    Base, BaseKind, BaseMotion, Bound, Continuation, Control, DistributedLoad, FreeDuration,
-    Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene, Section,
-    Solver, Task, Time, TimeStep, Via,
+    Base, BaseKind, BaseMotion, Bound, Continuation, Control, Distributed, DistributedLoad,
+    FreeDuration, Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene,
+    Section, Solver, Task, Time, TimeStep, Via,
 };
 use super::values::{self, Positive, digits};
 use super::{SceneError, SceneSource};
@@ -662,11 +662,48 @@ impl Keys<'_> {
                     "expected another node, below the tip's index {elements}"
                 )));
         }
+        if let Some(distributed) = &control.distributed {
+            self.check_distributed(distributed, scene)?;
+            nothing = false;
+        }
         if nothing {
             let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
             return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
         Ok(())
+    }
+
+    fn check_distributed(&self, distributed: &Distributed, scene: &Scene) -> Checked {
+        const MOST_POINTS: usize = 100;
+        self.count(
+            "control.distributed.points",
+            distributed.points,
+            MOST_POINTS,
+        )?;
+        let key = "control.distributed.moment_max_n_m_per_m";
+        let bounds = match distributed.moment_max_n_m_per_m {
+            Bound::Norm(norm) => vec![(key.to_string(), norm)],
+            Bound::PerAxis(bounds) => (0..3)
+                .map(|axis| (format!("{key}.{axis}"), bounds[axis]))
+                .collect(),
+        };
+        for (key, bound) in bounds {
+            self.finite_number(&key, bound)?;
+            self.not_below_zero(&key, bound, "bound", "N m/m")?;
+        }
+        let (key, message, help) = if distributed.moment_max_n_m_per_m.is_zero() {
+            (key, "nothing acts", "leave [control.distributed] out")
+        } else if scene.rod.elements < 2 {
+            let message = "couples act on the nodes between the ends, and one element has none";
+            (
+                "control.distributed",
+                message,
+                "give rod.elements of 2 or more",
+            )
+        } else {
+            return Ok(());
+        };
+        Err((self.source).error_at(key, message, Some(help.into())))
     }
 
     fn check_bounds(&self, section: &str, force: Option<Bound>, moment: Option<Bound>) -> Checked {

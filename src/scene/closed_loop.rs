@@ -195,7 +195,10 @@ impl Scene {
                 };
                 Some(source.error_at(key, message, None))
             }
-            MpcError::Measurement { .. } | MpcError::Rollout(_) | MpcError::Subproblem => None,
+            MpcError::Measurement { .. }
+            | MpcError::Path { .. }
+            | MpcError::Rollout(_)
+            | MpcError::Subproblem => None,
         }
     }
 

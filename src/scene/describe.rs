@@ -386,6 +386,7 @@ fn control(problem: &Problem) -> Result<Control, DescribeError> {
                 moment_max_n_m: bound(other.moment.bound),
             })
             .collect(),
+        distributed: None,
         feedback: None,
     })
 }

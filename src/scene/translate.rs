@@ -21,8 +21,8 @@ use crate::mechanics::{
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{
-    Arm, ChannelLimits, Cost, Discretization, Hardness, Limit, LimitKind, Place, PointLoad,
-    Problem, Start, Target, Task, Tolerances, Track, WrenchActuator,
+    Arm, ChannelLimits, Cost, Discretization, DistributedCouple, Hardness, Limit, LimitKind,
+    OwnActuator, Place, PointLoad, Problem, Start, Target, Task, Tolerances, Track, WrenchActuator,
 };
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
 
@@ -497,7 +497,7 @@ impl Scene {
             targets: task.map_or_else(Vec::new, |task| targets(task, elements)),
             limits: self.limits(),
             actuators,
-            own_actuators: Vec::new(),
+            own_actuators: (control.distributed.iter()).map(couples).collect(),
             cost: Cost {
                 effort: objective.effort.get(),
                 rate: objective.rate.get(),
@@ -739,6 +739,19 @@ fn rotary_inertia(inertia: RotaryInertia) -> model::RotaryInertia {
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
     scene.time.step_s = TimeStep::Seconds(grid.step);
+}
+
+/// Couples along the arm as an actuator.
+fn couples(keys: &model::Distributed) -> OwnActuator {
+    let (bound, largest) = match keys.moment_max_n_m_per_m {
+        model::Bound::Norm(most) => (Bound::Norm(most), most),
+        model::Bound::PerAxis(most) => (
+            Bound::PerAxis(most.into()),
+            most.into_iter().fold(0.0, f64::max),
+        ),
+    };
+    let scale = keys.moment_scale_n_m_per_m.map_or(largest, Number::get);
+    DistributedCouple::bounded(keys.points, bound, scale)
 }
 
 /// A bound; `None` where all of it is infinite.

@@ -282,6 +282,7 @@ quantities! {
     Deviation: "standard deviation", "";
     ForceRate: "rate", "N/s";
     MomentRate: "rate", "N m/s";
+    CoupleDensity: "couple", "N m/m";
     LargestCurvature: "limit", "1/m";
     LargestSpeed: "limit", "m/s";
 }

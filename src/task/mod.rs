@@ -22,6 +22,7 @@ mod arm;
 mod definition;
 mod discretization;
 mod discretize;
+mod distributed;
 mod error;
 mod own;
 #[doc(hidden)]
@@ -36,4 +37,5 @@ pub use definition::{
 pub use discretization::Discretization;
 pub(crate) use discretize::MOST_STEPS;
 pub use discretize::{DiscreteMotion, Problem};
+pub use distributed::DistributedCouple;
 pub use error::{DiscretizeError, Obstruction};

@@ -10,7 +10,8 @@ const MISSED: f64 = 1e-4;
 /// over the length, misses `ξ*` by the part [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
 ///
 /// `c` are the displacements of a straight clamped arm over its length under one unit of each part of the wrench: `f L²/(3EI)` of a force
-/// `f` across the tip and `m L/(2EI)` of a moment `m`. Actuators on other nodes count as if they were on the tip.
+/// `f` across the tip and `m L/(2EI)` of a moment `m`. Actuators on other nodes count as if they were on the tip,
+/// and where there are only actuators of one's own, a force of the size of the rod counts in their place.
 pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> f64 {
     let acts = |channel: &Channel| {
         (channel.bound).is_none_or(|bound: Bound| (0..3).any(|axis| bound.actuates(axis)))
@@ -24,5 +25,7 @@ pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[ActuatedNode])
     let by_force = held(&|actuator| actuator.force, 3.0 * rod.scales.force);
     let by_moment = held(&|actuator| actuator.moment, 2.0 * rod.scales.moment);
     let effort = if effort > 0.0 { effort } else { 1.0 };
-    effort / (MISSED * (by_force * by_force + by_moment * by_moment))
+    let squares = by_force * by_force + by_moment * by_moment;
+    let squares = if squares > 0.0 { squares } else { 1.0 / 9.0 };
+    effort / (MISSED * squares)
 }

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::{
-    ClosedLoop, Computing, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
+    ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
 use crate::mechanics::{Rod, StepError};
 use crate::mpc::controller::{Controller, MpcSettings};
@@ -322,27 +322,40 @@ impl Experiment {
         })
     }
 
-    fn knowledge(&self, controller: &Controller, rod: &Rod) -> Result<Knowledge, MpcError> {
-        let Sensing::Estimated {
-            sensors,
-            estimator,
-            seed,
-        } = &self.sensing
-        else {
-            return Ok(Knowledge::Everything);
+    /// What drives a plant that is not simulated here, in the place of [`ClosedLoop`].
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn driver(&self) -> Result<Driver, MpcError> {
+        let controller = self.controller()?;
+        let estimator = self.estimator(&controller)?;
+        let sensors = self.sensors(controller.rod());
+        let lag = (sensors.iter()).fold(0.0, |lag: f64, sensor| lag.max(sensor.age_s));
+        Driver::new(controller, estimator, lag, self.settings)
+    }
+
+    /// Settings of the sensors, each with a seed of its own; none where no estimator asks for any.
+    pub(in crate::mpc) fn sensors(&self, model: &Rod) -> Vec<SensorSettings> {
+        let Sensing::Estimated { sensors, seed, .. } = &self.sensing else {
+            return Vec::new();
         };
-        let model = controller.rod();
-        let mut own = Vec::with_capacity(sensors.len());
-        for (i, choice) in sensors.iter().enumerate() {
-            let mut settings = match choice {
-                SensorChoice::Preset(preset) => preset.settings(model),
-                SensorChoice::Own(settings) => settings.clone(),
-            };
-            settings.seed = seed.wrapping_mul(1000).wrapping_add(i as u64);
-            own.push(Sensor::new(&settings, rod)?);
-        }
-        let start = controller.initial();
-        let estimator: Box<dyn Estimator> = match estimator {
+        (sensors.iter().enumerate())
+            .map(|(i, choice)| SensorSettings {
+                seed: seed.wrapping_mul(1000).wrapping_add(i as u64),
+                ..match choice {
+                    SensorChoice::Preset(preset) => preset.settings(model),
+                    SensorChoice::Own(settings) => settings.clone(),
+                }
+            })
+            .collect()
+    }
+
+    fn estimator(&self, controller: &Controller) -> Result<Option<Box<dyn Estimator>>, MpcError> {
+        let Sensing::Estimated { estimator, .. } = &self.sensing else {
+            return Ok(None);
+        };
+        let (model, start) = (controller.rod(), controller.initial());
+        Ok(Some(match estimator {
             EstimatorChoice::Observer { estimates_wrench } => {
                 let settings = ObserverSettings {
                     integral_time: estimates_wrench
@@ -357,9 +370,17 @@ impl Experiment {
                 start,
                 &unknowns.settings(model),
             )?),
+        }))
+    }
+
+    fn knowledge(&self, controller: &Controller, rod: &Rod) -> Result<Knowledge, MpcError> {
+        let Some(estimator) = self.estimator(controller)? else {
+            return Ok(Knowledge::Everything);
         };
+        let sensors = self.sensors(controller.rod());
+        let sensors = (sensors.iter()).map(|settings| Sensor::new(settings, rod));
         Ok(Knowledge::Sensors {
-            sensors: own,
+            sensors: sensors.collect::<Result<_, _>>()?,
             estimator,
         })
     }

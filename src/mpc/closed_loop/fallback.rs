@@ -155,6 +155,13 @@ impl Fallback {
         self.before = None;
     }
 
+    /// Samples have been left out, and the horizon of the plan has not moved meanwhile: what follows without a command of its own begins after
+    /// the plan, with the end of `last`.
+    pub(super) fn lose_plan(&mut self, last: &Command) {
+        self.in_a_row = self.in_a_row.max(self.settings.plan_samples);
+        self.before = Some(last.clone());
+    }
+
     /// A command from the time `start` on, within the bounds of the task.
     pub(super) fn command(
         &mut self,

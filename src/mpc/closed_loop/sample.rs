@@ -142,9 +142,12 @@ impl TipError {
     /// Of the samples from `after` (s) on.
     #[must_use]
     pub fn of(samples: &[Sample], after: f64) -> Self {
-        let errors: Vec<f64> = (samples.iter().filter(|sample| sample.t >= after))
-            .map(Sample::tip_error)
-            .collect();
+        let counted = samples.iter().filter(|sample| sample.t >= after);
+        Self::of_distances(&counted.map(Sample::tip_error).collect::<Vec<f64>>())
+    }
+
+    /// Of distances in the order of time, m; NaN and 0 of none.
+    pub(in crate::mpc) fn of_distances(errors: &[f64]) -> Self {
         let squares: f64 = errors.iter().map(|e| e * e).sum();
         let percentiles = Percentiles::of(errors.iter().copied());
         Self {

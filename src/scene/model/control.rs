@@ -35,9 +35,28 @@ pub struct Control {
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuator: Vec<Actuator>,
+    /// Couples along the arm. Absent: there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distributed: Option<Distributed>,
     /// Weights of the feedback gains along the solution. Absent: 1, 1 and 0.01 for arms of at most 40 elements, no gains for others.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
+}
+
+/// A couple per length along the arm, in the body frame of every section: a cubic spline through points at equal distances, whose values may be
+/// chosen, and through 0 at both ends.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Distributed {
+    /// Number of points between the ends, 1 to 100.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    pub points: usize,
+    /// Largest couple at every point in N m/m, finite. A component with a bound of 0 does not act.
+    pub moment_max_n_m_per_m: Bound,
+    /// Couple in N m/m that counts as 1 in the cost and in the solver, positive. Absent: the largest bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
 /// What the regulator around the solution weighs.

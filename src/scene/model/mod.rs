@@ -14,7 +14,7 @@ pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
 pub use self::closed_loop::{
     Computing, Estimator, EstimatorKind, Fallback, Mpc, Plant, PlantActuator, Sensor, Unknown,
 };
-pub use self::control::{Actuator, Bound, Control, Feedback};
+pub use self::control::{Actuator, Bound, Control, Distributed, Feedback};
 pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
 pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};

@@ -1,0 +1,444 @@
+//! The side of a loop that computes: a controller with its estimator, what was sent, and what is done where no command can be computed.
+
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use nalgebra::Vector3;
+
+use super::fallback::Fallback;
+use super::law::TipLaw;
+use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
+use crate::mechanics::{State, Wrench};
+use crate::mpc::controller::{Command, Controller};
+use crate::mpc::error::MpcError;
+use crate::mpc::estimator::{Disturbance, EstimateError, Estimator, Inbox, Predictor};
+use crate::mpc::signal::Measurement;
+
+/// Drives a plant of any kind: a simulated arm, another simulator, or hardware.
+///
+/// A sample at `t_k = k T` is
+///
+/// ```text
+/// put       every measurement that has become known, if there is an estimator
+/// respond   estimate, prediction over the delays, feedback
+/// told      the command, for the actuators
+/// prepare   the next sample, after the command has been sent
+/// ```
+///
+/// [`ClosedLoop`](super::ClosedLoop) is a driver with a simulated arm, and a [`Server`](crate::mpc::Server) one with a plant in another process.
+pub struct Driver {
+    controller: Controller,
+    estimator: Option<Box<dyn Estimator>>,
+    settings: LoopSettings,
+    predictor: Predictor,
+    tip_law: Option<TipLaw>,
+    fallback: Fallback,
+    inbox: Inbox,
+    /// Commands that acted or will act, by the instant from which they do, the earliest first; the first acts for ever before.
+    sent: VecDeque<Command>,
+    told: Command,
+    measurement: Measurement,
+    state: State,
+    disturbance: Disturbance,
+    deviation: Disturbance,
+    /// Time to which the estimate has come, s, and that of the last measurement that it has used.
+    known_at: f64,
+    corrected_at: f64,
+    index: usize,
+    begin: Instant,
+    /// Time that the sample before took to its command, s.
+    computing: f64,
+    /// Whether the controller waits for a restart.
+    is_lost: bool,
+}
+
+/// What is known when a sample begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Known<'a> {
+    /// The whole state on the nodes of the model at the time of the sample.
+    State(&'a State),
+    /// What the estimator makes of the measurements that were [put](Driver::put).
+    Measurements,
+    /// Nothing, and why.
+    Nothing(Cause),
+}
+
+impl std::fmt::Debug for Driver {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Driver")
+            .field("settings", &self.settings)
+            .field("index", &self.index)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Driver {
+    /// A driver whose first sample is at time 0. The controller's first command must act from when computing and actuators allow:
+    /// [`MpcSettings::start`](crate::mpc::MpcSettings) is [`LoopSettings::lead`]. An estimator is at time 0, in the state in which the task
+    /// begins; `lag` (s) is how late a measurement is known at the most.
+    ///
+    /// # Errors
+    /// [`MpcError::Setting`] for settings out of range, and for a controller that starts at another time; [`MpcError`] of a tip law without a
+    /// reference.
+    pub fn new(
+        controller: Controller,
+        estimator: Option<Box<dyn Estimator>>,
+        lag: f64,
+        settings: LoopSettings,
+    ) -> Result<Self, MpcError> {
+        settings.check()?;
+        let start = controller.settings().start;
+        if (start - settings.lead()).abs() > 1e-9 {
+            return Err(MpcError::Setting {
+                name: "start",
+                value: start,
+                expected: "when the first command acts: LoopSettings::lead()",
+            });
+        }
+        let nodes = controller.command().nodes.clone();
+        let still = vec![Wrench::default(); nodes.len()];
+        let before = Command {
+            start: start - controller.settings().period,
+            end: start,
+            nodes,
+            from: still.clone(),
+            to: still,
+        };
+        let tip_law = match settings.law {
+            Law::Tip(gains) => Some(TipLaw::new(&controller, gains)?),
+            Law::Mpc | Law::OpenLoop => None,
+        };
+        let model = controller.rod();
+        Ok(Self {
+            predictor: Predictor::new(model, controller.model_step()),
+            tip_law,
+            fallback: Fallback::new(model, settings.fallback),
+            inbox: Inbox::new(lag),
+            told: before.clone(),
+            sent: VecDeque::from([before]),
+            measurement: Measurement::default(),
+            state: controller.expected().clone(),
+            disturbance: Disturbance::NONE,
+            deviation: Disturbance::NONE,
+            known_at: 0.0,
+            corrected_at: 0.0,
+            index: 0,
+            begin: Instant::now(),
+            computing: 0.0,
+            is_lost: false,
+            controller,
+            estimator,
+            settings,
+        })
+    }
+
+    /// The controller.
+    #[must_use]
+    pub fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// How it works.
+    #[must_use]
+    pub fn settings(&self) -> &LoopSettings {
+        &self.settings
+    }
+
+    /// Whether an estimator makes the state of measurements.
+    #[must_use]
+    pub fn estimates(&self) -> bool {
+        self.estimator.is_some()
+    }
+
+    /// Time of what was last known, s: of the state, or of the last measurement that the estimator has used.
+    #[must_use]
+    pub fn known_at(&self) -> f64 {
+        self.known_at
+    }
+
+    /// What the estimator takes to disturb the arm.
+    #[must_use]
+    pub fn disturbance(&self) -> &Disturbance {
+        &self.disturbance
+    }
+
+    /// Number of the next sample.
+    #[must_use]
+    pub fn next_sample(&self) -> usize {
+        self.index
+    }
+
+    /// The last command, with the instants at which it begins to act and the next one should.
+    #[must_use]
+    pub fn sent(&self) -> &Command {
+        &self.sent[self.sent.len() - 1]
+    }
+
+    /// The last command as the actuators are told it: earlier by the delay that is known of them.
+    #[must_use]
+    pub fn told(&self) -> &Command {
+        &self.told
+    }
+
+    /// Gives the tip another path to follow, see [`Controller::follow`].
+    ///
+    /// # Errors
+    /// As [`Controller::follow`].
+    pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
+        self.controller.follow(path)
+    }
+
+    /// Takes a measurement that has become known, for the estimator.
+    pub fn put(&mut self, measurement: &Measurement) {
+        self.inbox.put(measurement);
+    }
+
+    /// The sample at time `t` (s), which is that of the [next](Self::next_sample) one or later. Samples that are left out are counted in
+    /// [`next_sample`](Self::next_sample): the last command acts meanwhile, constant after its end, and the controller starts anew.
+    ///
+    /// The tip of the sample is that of what is known, at [`known_at`](Self::known_at), and so is its reference, which is `None` where nothing is.
+    /// [`Sample::prepare_s`] is left to [`prepare`](Self::prepare).
+    pub fn respond(&mut self, t: f64, known: Known) -> Sample {
+        self.begin = Instant::now();
+        let period = self.controller.settings().period;
+        let index = (t / period).round() as usize;
+        if index > self.index {
+            self.index = index;
+            self.is_lost = true;
+            self.fallback.lose_plan(&self.sent[self.sent.len() - 1]);
+        }
+        let beginning = self.index as f64 * period;
+        let mut sample = Sample::at(beginning);
+        let mut cause = match known {
+            Known::State(state) => {
+                self.state.clone_from(state);
+                self.known_at = t;
+                None
+            }
+            Known::Measurements => self.estimate(t, &mut sample),
+            Known::Nothing(cause) => Some(cause),
+        };
+        sample.tip = self.state.configuration.positions[self.controller.rod().tip()].into();
+        sample.reference = match known {
+            Known::Nothing(_) => None,
+            Known::State(_) | Known::Measurements => self.controller.reference(self.known_at),
+        };
+        sample.estimate_s = self.begin.elapsed().as_secs_f64();
+
+        let acts_from = beginning + self.lead();
+        let clock = Instant::now();
+        if self.settings.predicts && !matches!(self.settings.law, Law::OpenLoop) {
+            cause = cause.or_else(|| self.predict(acts_from));
+        }
+        sample.predict_s = clock.elapsed().as_secs_f64();
+
+        let clock = Instant::now();
+        let mut command = match (cause, self.settings.law) {
+            (_, Law::OpenLoop) => {
+                // The plan goes on as if the model's own motion were measured.
+                self.state.clone_from(self.controller.expected());
+                self.controlled(acts_from)
+            }
+            (None, Law::Mpc) => self.controlled(acts_from),
+            (None, Law::Tip(_)) => match &self.tip_law {
+                Some(law) => Ok(law.command(&self.controller, &self.state, acts_from)),
+                None => Err(Cause::NoMeasurement),
+            },
+            (Some(cause), _) => Err(cause),
+        };
+        if let Err(cause) = command {
+            let (own, action) =
+                (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
+            sample.fallback = Some((cause, action));
+            // The controller does not know what acts instead of its plan.
+            self.is_lost |= action != Action::Plan;
+            command = Ok(own);
+        } else {
+            self.fallback.succeed();
+        }
+        let command = command.unwrap_or_else(|_| self.sent[self.sent.len() - 1].clone());
+        sample.feedback_s = clock.elapsed().as_secs_f64();
+        self.computing = self.begin.elapsed().as_secs_f64();
+        sample.acts_from = if self.settings.computing == Computing::Measured {
+            beginning + self.computing + self.settings.actuator_delay
+        } else {
+            acts_from
+        };
+        sample.note_command(&command, self.controller.record());
+        self.send(command, sample.acts_from);
+        sample
+    }
+
+    /// Where the tip of the model is at the end of the last command, m, from the state of which it was computed; `None` where that is not known
+    /// or breaks down.
+    #[must_use]
+    pub fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
+        if sample.fallback.is_some() {
+            return None;
+        }
+        let mut state = self.state.clone();
+        let sent = &self.sent[self.sent.len() - 1];
+        let span = [sent.start, sent.end];
+        let moved = (self.predictor).advance(&mut state, span, sent, &self.compensated());
+        let tip = state.configuration.positions[self.controller.rod().tip()];
+        moved.ok().map(|()| tip)
+    }
+
+    /// Prepares the next sample, and notes how long all of this one took.
+    pub fn prepare(&mut self, sample: &mut Sample) {
+        let clock = Instant::now();
+        self.prepare_controller();
+        sample.prepare_s = clock.elapsed().as_secs_f64();
+        sample.sample_s = self.begin.elapsed().as_secs_f64();
+        sample.is_overrun = sample.sample_s > self.controller.settings().period;
+        sample.disturbance = self.disturbance;
+        sample.deviation = self.deviation;
+        self.index = self.index.saturating_add(1);
+    }
+
+    /// From the beginning of a sample to when its command acts, s.
+    fn lead(&self) -> f64 {
+        match self.settings.computing {
+            Computing::Measured => self.settings.actuator_delay + self.computing,
+            _ => self.settings.lead(),
+        }
+    }
+
+    /// Takes in what is known at `t`.
+    fn estimate(&mut self, t: f64, sample: &mut Sample) -> Option<Cause> {
+        let Some(estimator) = &mut self.estimator else {
+            return Some(Cause::NoMeasurement);
+        };
+        let mut cause = None;
+        let mut n_used = 0;
+        while let Some(measurement) = self.inbox.take(t) {
+            self.measurement.clone_from(measurement);
+            let advanced = advance(estimator.as_mut(), &self.sent, self.measurement.time);
+            match advanced.and_then(|()| estimator.correct(&self.measurement)) {
+                Ok(innovation) => {
+                    n_used += 1;
+                    self.corrected_at = self.measurement.time;
+                    sample.innovation = Some(innovation);
+                }
+                Err(error) => cause = Some(Cause::of_estimate(&error)),
+            }
+        }
+        let estimate = estimator.estimate();
+        sample.age = t - self.corrected_at;
+        self.known_at = estimate.time;
+        self.state.clone_from(&estimate.state);
+        self.disturbance = estimate.disturbance;
+        self.deviation = estimate.deviation;
+        // The last good estimate is predicted further for as long as the fall-back's patience.
+        let is_old = sample.age > self.settings.fallback.patience;
+        match cause {
+            Some(cause) if n_used == 0 && is_old => Some(cause),
+            None if n_used == 0 && is_old => Some(Cause::NoMeasurement),
+            _ => None,
+        }
+    }
+
+    /// The disturbance that predictions count with.
+    fn compensated(&self) -> Disturbance {
+        if self.settings.compensates {
+            self.disturbance
+        } else {
+            Disturbance::NONE
+        }
+    }
+
+    /// Moves the known state on to `until` under the commands that act meanwhile.
+    fn predict(&mut self, until: f64) -> Option<Cause> {
+        let disturbance = self.compensated();
+        let mut from = self.known_at;
+        while from < until - 1e-9 {
+            let (command, end) = acting_at(&self.sent, from, until);
+            let moved =
+                (self.predictor).advance(&mut self.state, [from, end], command, &disturbance);
+            if moved.is_err() {
+                return Some(Cause::Prediction);
+            }
+            from = end;
+        }
+        None
+    }
+
+    /// The controller's command for the present state; after failures it starts anew.
+    fn controlled(&mut self, acts_from: f64) -> Result<Command, Cause> {
+        if self.is_lost {
+            if self.settings.compensates {
+                let disturbed = self.controller.disturb(&self.disturbance);
+                disturbed.map_err(|error| Cause::of_controller(&error))?;
+            }
+            let restarted = self.controller.restart(acts_from, &self.state);
+            restarted.map_err(|error| Cause::of_controller(&error))?;
+            self.is_lost = false;
+        }
+        let command = self.controller.feedback(&self.state);
+        match command {
+            Ok(command) => Ok(command.clone()),
+            Err(error) => Err(Cause::of_controller(&error)),
+        }
+    }
+
+    /// Keeps a command for the estimates to come, and what the actuators are to be told.
+    fn send(&mut self, mut command: Command, acts_from: f64) {
+        let shift = acts_from - command.start;
+        command.start += shift;
+        command.end += shift;
+        self.told.clone_from(&command);
+        self.told.start -= self.settings.actuator_delay;
+        self.told.end -= self.settings.actuator_delay;
+        self.sent.retain(|other| other.start < acts_from);
+        self.sent.push_back(command);
+        // Nothing asks for what acted before the oldest estimate.
+        while (self.sent.get(1)).is_some_and(|next| next.start < self.known_at) {
+            self.sent.pop_front();
+        }
+    }
+
+    fn prepare_controller(&mut self) {
+        if self.settings.law != Law::Mpc && self.settings.law != Law::OpenLoop {
+            return;
+        }
+        if self.is_lost {
+            return;
+        }
+        let disturbs = self.settings.compensates && self.settings.law == Law::Mpc;
+        let disturbed = if disturbs {
+            self.controller.disturb(&self.disturbance)
+        } else {
+            Ok(())
+        };
+        if disturbed.and_then(|()| self.controller.prepare()).is_err() {
+            self.is_lost = true;
+        }
+    }
+}
+
+/// The command that acts at `from`, and until when it does, at most `until`.
+fn acting_at(sent: &VecDeque<Command>, from: f64, until: f64) -> (&Command, f64) {
+    let next = sent.partition_point(|command| command.start <= from + 1e-9);
+    let command = &sent[next.saturating_sub(1)];
+    let end = sent.get(next).map_or(until, |next| next.start.min(until));
+    (command, end)
+}
+
+/// Moves an estimator on under the commands that acted.
+fn advance(
+    estimator: &mut dyn Estimator,
+    sent: &VecDeque<Command>,
+    until: f64,
+) -> Result<(), EstimateError> {
+    loop {
+        let from = estimator.estimate().time;
+        let (command, end) = acting_at(sent, from, until);
+        estimator.advance(command, end)?;
+        if end >= until - 1e-9 {
+            return Ok(());
+        }
+        if estimator.estimate().time <= from {
+            return estimator.advance(command, until);
+        }
+    }
+}

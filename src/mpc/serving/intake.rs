@@ -1,0 +1,470 @@
+//! What a plant says, as a state of the model or as signals of sensors.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::message::{Line, ReadingLine, Rows, Vector, rows};
+use crate::mechanics::rod::BaseCondition;
+use crate::mechanics::rotation::{log, orthonormalized};
+use crate::mechanics::{Configuration, Rod, State};
+use crate::mpc::sensor::SensorSettings;
+use crate::mpc::signal::{Measurement, Reading, Signal};
+use crate::mpc::transfer::node_places;
+
+/// Why something is refused: where it stands, what is wrong with it, and what to do.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Refusal {
+    pub place: String,
+    pub message: String,
+    pub help: String,
+}
+
+impl Refusal {
+    pub fn new(
+        place: impl Into<String>,
+        message: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self {
+            place: place.into(),
+            message: message.into(),
+            help: help.into(),
+        }
+    }
+}
+
+/// `|RᵀR - 1|` of a matrix that is taken for a rotation at the most: more is no rounding. The steps to the nearest rotation converge below 1.
+const LARGEST_EXCESS: f64 = 0.2;
+/// Steps, each of which squares the excess: 0.2 is below the rounding of numbers after six.
+const STEPS: usize = 6;
+/// Mean cosine by which transposed rotations must fit the axis of the arm better than those that are given.
+const BETTER_FIT: f64 = 0.05;
+/// Distance of the base from the clamp of the model over the length at the most.
+const FARTHEST_BASE: f64 = 0.01;
+
+/// How all nodes move: momenta, or velocities.
+struct Moving {
+    vectors: Vec<Vector3<f64>>,
+    is_momentum: bool,
+}
+
+/// Makes states and signals of lines.
+#[derive(Debug)]
+pub(super) struct Intake {
+    rod: Rod,
+    places: Vec<f64>,
+    sensors: Vec<SensorSettings>,
+    /// Time and configuration of the last state, for velocities by differences.
+    before: Option<(f64, Configuration)>,
+    /// How far the rotations of the present line were from the nearest ones, at most; `None` without any.
+    pub rotation_change: Option<f64>,
+}
+
+impl Intake {
+    pub fn new(rod: &Rod, sensors: Vec<SensorSettings>) -> Self {
+        Self {
+            places: node_places(rod),
+            rod: rod.clone(),
+            sensors,
+            before: None,
+            rotation_change: None,
+        }
+    }
+
+    pub fn sensors(&self) -> &[SensorSettings] {
+        &self.sensors
+    }
+
+    /// The state that a line gives of all nodes at time `t`; `None` where it gives none.
+    pub fn state(&mut self, t: f64, line: &Line) -> Result<Option<State>, Refusal> {
+        let Some(configuration) = self.configuration(line)? else {
+            return Ok(None);
+        };
+        let step = (self.before.as_ref()).map(|(before, _)| t - before);
+        let earlier = self.before.as_ref().map(|(_, earlier)| earlier);
+        let n = self.rod.n_nodes();
+        let still = || vec![Vector3::zeros(); n];
+        let velocity = |q: usize| match (earlier, step) {
+            (Some(earlier), Some(step)) if step > 0.0 => {
+                (configuration.positions[q] - earlier.positions[q]) / step
+            }
+            _ => Vector3::zeros(),
+        };
+        let spin = |q: usize| match (earlier, step) {
+            (Some(earlier), Some(step)) if step > 0.0 => {
+                log(&earlier.rotations[q].tr_mul(&configuration.rotations[q])) / step
+            }
+            _ => Vector3::zeros(),
+        };
+        let mut linear = still();
+        let mut angular = still();
+        let given = (&line.linear_momenta_kg_m_s, &line.velocities_m_s);
+        match self.channel(given, ["linear_momenta_kg_m_s", "velocities_m_s"])? {
+            Some(own) if own.is_momentum => linear = own.vectors,
+            found => {
+                let velocities = found.map(|own| own.vectors);
+                for q in 0..n {
+                    let v = velocities
+                        .as_ref()
+                        .map_or_else(|| velocity(q), |own| own[q]);
+                    linear[q] = v * self.rod.nodes[q].mass;
+                }
+            }
+        }
+        let given = (
+            &line.angular_momenta_kg_m2_s,
+            &line.angular_velocities_rad_s,
+        );
+        let names = ["angular_momenta_kg_m2_s", "angular_velocities_rad_s"];
+        match self.channel(given, names)? {
+            Some(own) if own.is_momentum => angular = own.vectors,
+            found => {
+                let velocities = found.map(|own| own.vectors);
+                for q in 0..n {
+                    let w = velocities.as_ref().map_or_else(|| spin(q), |own| own[q]);
+                    angular[q] = w.component_mul(&self.rod.nodes[q].rotary);
+                }
+            }
+        }
+        self.before = Some((t, configuration.clone()));
+        Ok(Some(State {
+            configuration,
+            linear_momentum: linear,
+            angular_momentum: angular,
+        }))
+    }
+
+    /// The signals of a line at time `t`, for an estimator that has come to `known_at` (s), in the order of their times; and what of them cannot
+    /// be used.
+    pub fn signals(
+        &mut self,
+        t: f64,
+        known_at: f64,
+        line: &Line,
+    ) -> Result<(Vec<Measurement>, Vec<Refusal>), Refusal> {
+        let mut readings: Vec<(String, ReadingLine)> = (line.readings.iter().flatten().enumerate())
+            .map(|(i, reading)| (format!("readings[{i}]"), reading.clone()))
+            .collect();
+        if let Some(configuration) = self.configuration(line)? {
+            readings.extend(self.readings_at_nodes(line, &configuration)?);
+        }
+        let (mut found, mut refusals): (Vec<Measurement>, _) = (Vec::new(), Vec::new());
+        for (name, reading) in readings {
+            let time = reading.time_s.unwrap_or(t);
+            if !(time <= t + 1e-9) {
+                return Err(Refusal::new(
+                    format!("{name}.time_s"),
+                    format!("{time} s lies after the time of the sample, {t} s"),
+                    "give the time at which the reading was true",
+                ));
+            }
+            if time < known_at - 1e-9 {
+                refusals.push(Refusal::new(
+                    format!("{name}.time_s"),
+                    format!("{time} s lies before what the estimate has used already, {known_at} s"),
+                    "the reading is dropped; give age_s of its sensor in the scene, so that nothing newer is used before it",
+                ));
+                continue;
+            }
+            let at = found.partition_point(|other| other.time < time);
+            if found.get(at).is_none_or(|other| other.time > time) {
+                found.insert(
+                    at,
+                    Measurement {
+                        time,
+                        signals: Vec::new(),
+                    },
+                );
+            }
+            self.read(&name, &reading, &mut found[at].signals)?;
+        }
+        Ok((found, refusals))
+    }
+
+    /// Positions and rotations of all nodes.
+    fn configuration(&mut self, line: &Line) -> Result<Option<Configuration>, Refusal> {
+        let others = [
+            line.velocities_m_s.is_some(),
+            line.angular_velocities_rad_s.is_some(),
+            line.linear_momenta_kg_m_s.is_some(),
+            line.angular_momenta_kg_m2_s.is_some(),
+        ];
+        let (positions, rotations) = match (&line.positions_m, &line.rotations) {
+            (Some(positions), Some(rotations)) => (positions, rotations),
+            (None, None) if !others.contains(&true) => return Ok(None),
+            (positions, _) => {
+                let missing = if positions.is_some() {
+                    "rotations"
+                } else {
+                    "positions_m"
+                };
+                return Err(Refusal::new(
+                    missing,
+                    "missing: a state has the positions and the rotations of all nodes",
+                    "give both, or only `readings`, which an estimator of the scene can use",
+                ));
+            }
+        };
+        self.fits("positions_m", positions.len())?;
+        self.fits("rotations", rotations.len())?;
+        let positions: Vec<Vector3<f64>> = positions.iter().map(|x| Vector3::from(*x)).collect();
+        let rotations = (rotations.iter().enumerate())
+            .map(|(q, given)| self.rotation(&format!("rotations[{q}]"), given))
+            .collect::<Result<Vec<_>, _>>()?;
+        let configuration = Configuration {
+            positions,
+            rotations,
+        };
+        self.at_the_clamp(&configuration)?;
+        not_transposed(&configuration)?;
+        Ok(Some(configuration))
+    }
+
+    fn fits(&self, name: &str, found: usize) -> Result<(), Refusal> {
+        let n = self.rod.n_nodes();
+        if found == n {
+            return Ok(());
+        }
+        Err(Refusal::new(
+            name,
+            format!("{found} of them, and the model has {n} nodes"),
+            "give one a node of the hello line, from the base to the tip",
+        ))
+    }
+
+    /// A plant elsewhere than the model is one in another frame.
+    fn at_the_clamp(&self, configuration: &Configuration) -> Result<(), Refusal> {
+        if !matches!(self.rod.base, BaseCondition::Clamped) {
+            return Ok(());
+        }
+        let off = (configuration.positions[0] - self.rod.rest.positions[0]).norm();
+        if off <= FARTHEST_BASE * self.rod.scales.length {
+            return Ok(());
+        }
+        let at: Vector = self.rod.rest.positions[0].into();
+        Err(Refusal::new(
+            "positions_m[0]",
+            format!("the base is {off} m away from the clamp of the model, {at:?} m"),
+            "give positions in the frame of the scene, or move [base] of the scene",
+        ))
+    }
+
+    /// The nearest rotation; notes how far it is.
+    fn rotation(&mut self, place: &str, given: &Rows) -> Result<Matrix3<f64>, Refusal> {
+        let given = Matrix3::from_fn(|i, j| given[i][j]);
+        let excess = (given.tr_mul(&given) - Matrix3::identity()).norm();
+        let refuse = |message: String| {
+            let help = "give the matrix row by row; its columns are the directors of the section in space, orthogonal and of length 1";
+            Err(Refusal::new(place, message, help))
+        };
+        if !(excess <= LARGEST_EXCESS) {
+            return refuse(format!(
+                "not a rotation: RᵀR differs from the identity by {excess}"
+            ));
+        }
+        if given.determinant() < 0.0 {
+            return refuse("a reflection: its determinant is negative".into());
+        }
+        let mut nearest = given;
+        // What is a rotation to rounding stays as it is.
+        if excess > 4.0 * f64::EPSILON {
+            for _ in 0..STEPS {
+                nearest = orthonormalized(&nearest);
+            }
+        }
+        let change = (nearest - given).norm();
+        let before = self.rotation_change.unwrap_or(0.0);
+        self.rotation_change = Some(before.max(change));
+        Ok(nearest)
+    }
+
+    /// Momenta or velocities of all nodes, whichever are given.
+    fn channel(
+        &self,
+        (first, second): (&Option<Vec<Vector>>, &Option<Vec<Vector>>),
+        names: [&str; 2],
+    ) -> Result<Option<Moving>, Refusal> {
+        let (given, is_momentum) = match (first, second) {
+            (None, None) => return Ok(None),
+            (Some(given), None) => (given, true),
+            (None, Some(given)) => (given, false),
+            (Some(_), Some(_)) => {
+                return Err(Refusal::new(
+                    names[1],
+                    format!("given beside {}", names[0]),
+                    "give one of both, or none: velocities are then differences",
+                ));
+            }
+        };
+        self.fits(names[usize::from(!is_momentum)], given.len())?;
+        Ok(Some(Moving {
+            vectors: given.iter().map(|v| Vector3::from(*v)).collect(),
+            is_momentum,
+        }))
+    }
+
+    /// A state as readings at the free nodes.
+    fn readings_at_nodes(
+        &self,
+        line: &Line,
+        configuration: &Configuration,
+    ) -> Result<Vec<(String, ReadingLine)>, Refusal> {
+        let given = (&line.linear_momenta_kg_m_s, &line.velocities_m_s);
+        let linear = self.channel(given, ["linear_momenta_kg_m_s", "velocities_m_s"])?;
+        let given = (
+            &line.angular_momenta_kg_m2_s,
+            &line.angular_velocities_rad_s,
+        );
+        let names = ["angular_momenta_kg_m2_s", "angular_velocities_rad_s"];
+        let angular = self.channel(given, names)?;
+        let nodes = &self.rod.nodes;
+        let velocity = |q: usize| {
+            let own = linear.as_ref()?;
+            let over = if own.is_momentum { nodes[q].mass } else { 1.0 };
+            Some(own.vectors[q] / over)
+        };
+        let spin = |q: usize| {
+            let own = angular.as_ref()?;
+            Some(if own.is_momentum {
+                own.vectors[q].component_div(&nodes[q].rotary)
+            } else {
+                own.vectors[q]
+            })
+        };
+        // What of a state counts is what the sensors of the scene measure.
+        let sees = |sigma: fn(&SensorSettings) -> Option<f64>| {
+            self.sensors.iter().any(|own| sigma(own).is_some())
+        };
+        let (position, rotation) = (sees(|own| own.position), sees(|own| own.rotation));
+        let (moves, turns) = (sees(|own| own.velocity), sees(|own| own.angular_velocity));
+        if !(position || rotation) {
+            return Err(Refusal::new(
+                "positions_m",
+                "no [[sensor]] of the scene measures positions or rotations",
+                "give `readings` of what they measure, or another [[sensor]]",
+            ));
+        }
+        Ok((self.rod.first_free_node()..self.rod.n_nodes())
+            .map(|q| {
+                let at = configuration;
+                let reading = ReadingLine {
+                    time_s: None,
+                    place: Some(self.places[q]),
+                    position_m: position.then(|| at.positions[q].into()),
+                    rotation: rotation.then(|| rows(&at.rotations[q])),
+                    velocity_m_s: velocity(q).filter(|_| moves).map(Vector::from),
+                    angular_velocity_rad_s: spin(q).filter(|_| turns).map(Vector::from),
+                    curvature_1_m: None,
+                    base_force_n: None,
+                    base_moment_n_m: None,
+                };
+                (format!("nodes[{q}]"), reading)
+            })
+            .collect())
+    }
+
+    /// Adds the signals of a reading.
+    fn read(
+        &mut self,
+        name: &str,
+        reading: &ReadingLine,
+        signals: &mut Vec<Signal>,
+    ) -> Result<(), Refusal> {
+        let place = reading.place.unwrap_or(1.0);
+        if !(0.0..=1.0).contains(&place) {
+            return Err(Refusal::new(
+                format!("{name}.place"),
+                format!("{place} is not between 0 and 1"),
+                "give the arc length from the base over the length of the arm; without it the place is the tip, 1",
+            ));
+        }
+        let vector = |given: Option<Vector>| given.map(Vector3::from);
+        let rotation = (reading.rotation.as_ref())
+            .map(|given| self.rotation(&format!("{name}.rotation"), given))
+            .transpose()?;
+        type Sigma = fn(&SensorSettings) -> Option<f64>;
+        let own: [(&str, Option<Reading>, Sigma); 7] = [
+            (
+                "position_m",
+                vector(reading.position_m).map(Reading::Position),
+                |own| own.position,
+            ),
+            ("rotation", rotation.map(Reading::Rotation), |own| {
+                own.rotation
+            }),
+            (
+                "velocity_m_s",
+                vector(reading.velocity_m_s).map(Reading::Velocity),
+                |own| own.velocity,
+            ),
+            (
+                "angular_velocity_rad_s",
+                vector(reading.angular_velocity_rad_s).map(Reading::AngularVelocity),
+                |own| own.angular_velocity,
+            ),
+            (
+                "curvature_1_m",
+                vector(reading.curvature_1_m).map(Reading::Curvature),
+                |own| own.curvature,
+            ),
+            (
+                "base_force_n",
+                vector(reading.base_force_n).map(Reading::BaseForce),
+                |own| own.base_force,
+            ),
+            (
+                "base_moment_n_m",
+                vector(reading.base_moment_n_m).map(Reading::BaseMoment),
+                |own| own.base_moment,
+            ),
+        ];
+        for (field, reading, sigma) in own {
+            let Some(reading) = reading else { continue };
+            let Some(sigma) = self.sensors.iter().find_map(sigma) else {
+                return Err(Refusal::new(
+                    format!("{name}.{field}"),
+                    "no [[sensor]] of the scene measures it, so that its standard deviation is not known",
+                    "leave it out, or give its standard deviation to a [[sensor]]",
+                ));
+            };
+            signals.push(Signal {
+                place,
+                reading,
+                sigma,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The third director of a section lies along the arm, but for a little shear. Where that of the transposed matrix fits better, rows are columns.
+fn not_transposed(at: &Configuration) -> Result<(), Refusal> {
+    let n = at.positions.len() - 1;
+    let mut fits = [0.0; 2];
+    for q in 0..n {
+        let chord = at.positions[q + 1] - at.positions[q];
+        let [a, b] = [at.rotations[q], at.rotations[q + 1]];
+        let axes = [
+            a.column(2) + b.column(2),
+            a.row(2).transpose() + b.row(2).transpose(),
+        ];
+        for (fit, axis) in fits.iter_mut().zip(axes) {
+            let cosine = axis.dot(&chord) / (axis.norm() * chord.norm());
+            // Nodes in one point say nothing of their direction.
+            if cosine.is_finite() {
+                *fit += cosine / n as f64;
+            }
+        }
+    }
+    let [given, transposed] = fits;
+    if transposed <= given + BETTER_FIT {
+        return Ok(());
+    }
+    Err(Refusal::new(
+        "rotations",
+        format!(
+            "the third directors are off the axis of the arm, with a mean cosine of {given:.3}, and those of the transposed matrices are not: \
+             {transposed:.3}"
+        ),
+        "transpose them: a rotation takes the body frame to space, and its columns are the directors",
+    ))
+}

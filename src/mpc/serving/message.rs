@@ -1,0 +1,319 @@
+//! The lines of a served loop, as they are written: one JSON object each. `docs/serving.md` explains every field.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::SERVING_VERSION;
+use crate::control::{ActuatedNode, Bound, Channel};
+use crate::mpc::closed_loop::{Percentiles, TipError};
+use crate::mpc::estimator::Disturbance;
+use crate::mpc::sensor::SensorSettings;
+
+/// Three numbers, and a rotation row by row.
+pub(super) type Vector = [f64; 3];
+pub(super) type Rows = [[f64; 3]; 3];
+
+/// The rows of a matrix.
+pub(super) fn rows(matrix: &Matrix3<f64>) -> Rows {
+    std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
+}
+
+/// What a plant says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Kind {
+    Measurement,
+    Bye,
+}
+
+/// A line of the plant. What is absent or null is not measured.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Line {
+    #[serde(rename = "type")]
+    pub kind: Kind,
+    pub version: Option<u64>,
+    pub time_s: Option<f64>,
+    pub positions_m: Option<Vec<Vector>>,
+    pub rotations: Option<Vec<Rows>>,
+    pub velocities_m_s: Option<Vec<Vector>>,
+    pub angular_velocities_rad_s: Option<Vec<Vector>>,
+    pub linear_momenta_kg_m_s: Option<Vec<Vector>>,
+    pub angular_momenta_kg_m2_s: Option<Vec<Vector>>,
+    pub readings: Option<Vec<ReadingLine>>,
+    /// Rows of a time and a position.
+    pub reference_m: Option<Vec<[f64; 4]>>,
+}
+
+/// What one sensor reads at one place.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ReadingLine {
+    pub time_s: Option<f64>,
+    pub place: Option<f64>,
+    pub position_m: Option<Vector>,
+    pub rotation: Option<Rows>,
+    pub velocity_m_s: Option<Vector>,
+    pub angular_velocity_rad_s: Option<Vector>,
+    pub curvature_1_m: Option<Vector>,
+    pub base_force_n: Option<Vector>,
+    pub base_moment_n_m: Option<Vector>,
+}
+
+/// The first line.
+#[derive(Debug, Serialize)]
+pub(super) struct Hello<'a> {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub version: u64,
+    pub tool: &'static str,
+    pub scene: &'a str,
+    pub period_s: f64,
+    pub first_command_from_s: f64,
+    pub model_step_s: f64,
+    pub horizon_s: f64,
+    pub duration_s: f64,
+    pub length_m: f64,
+    pub nodes: Vec<NodeLine>,
+    pub actuators: Vec<ActuatorLine>,
+    pub accepts: Vec<&'static str>,
+    pub sensors: Vec<SensorLine>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct NodeLine {
+    pub place: f64,
+    pub rest_position_m: Vector,
+    pub rest_rotation: Rows,
+    pub initial_position_m: Vector,
+    pub initial_rotation: Rows,
+    pub mass_kg: f64,
+    pub rotary_inertia_kg_m2: Vector,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ActuatorLine {
+    pub node: usize,
+    pub force: Option<ChannelLine>,
+    pub moment: Option<ChannelLine>,
+}
+
+/// Limits of a force or moment; `null`: unbounded.
+#[derive(Debug, Serialize)]
+pub(super) struct ChannelLine {
+    pub unit: &'static str,
+    pub frame: &'static str,
+    pub max_norm: Option<f64>,
+    pub max_per_axis: Option<[Option<f64>; 3]>,
+    pub rate_unit: &'static str,
+    pub max_rate_norm: Option<f64>,
+    pub max_rate_per_axis: Option<[Option<f64>; 3]>,
+}
+
+impl ActuatorLine {
+    pub fn of(actuator: &ActuatedNode) -> Self {
+        Self {
+            node: actuator.node,
+            force: ChannelLine::of(&actuator.force, ["N", "spatial", "N/s"]),
+            moment: ChannelLine::of(&actuator.moment, ["N m", "body", "N m/s"]),
+        }
+    }
+
+    /// Forces and moments that follow from other controls.
+    pub fn unbounded(node: usize) -> Self {
+        let free = Channel::new(1.0, None);
+        Self {
+            node,
+            force: ChannelLine::of(&free, ["N", "spatial", "N/s"]),
+            moment: ChannelLine::of(&free, ["N m", "body", "N m/s"]),
+        }
+    }
+}
+
+impl ChannelLine {
+    fn of(channel: &Channel, [unit, frame, rate_unit]: [&'static str; 3]) -> Option<Self> {
+        let finite = |most: f64| most.is_finite().then_some(most);
+        let norm = |bound: Option<Bound>| match bound {
+            Some(Bound::Norm(most)) => finite(most),
+            _ => None,
+        };
+        let axes = |bound: Option<Bound>| match bound {
+            Some(Bound::PerAxis(most)) => Some(Vector::from(most).map(finite)),
+            _ => None,
+        };
+        let acts = channel
+            .bound
+            .is_none_or(|bound| (0..3).any(|axis| bound.actuates(axis)));
+        acts.then(|| Self {
+            unit,
+            frame,
+            max_norm: norm(channel.bound),
+            max_per_axis: axes(channel.bound),
+            rate_unit,
+            max_rate_norm: norm(channel.rate_bound),
+            max_rate_per_axis: axes(channel.rate_bound),
+        })
+    }
+}
+
+/// A sensor of the scene: standard deviations of what it measures.
+#[derive(Debug, Serialize)]
+pub(super) struct SensorLine {
+    pub places: Vec<f64>,
+    pub rate_hz: f64,
+    pub age_s: f64,
+    pub sigma: BTreeMap<&'static str, f64>,
+}
+
+impl SensorLine {
+    pub fn of(settings: &SensorSettings) -> Self {
+        let sigmas = [
+            ("position_m", settings.position),
+            ("rotation", settings.rotation),
+            ("velocity_m_s", settings.velocity),
+            ("angular_velocity_rad_s", settings.angular_velocity),
+            ("curvature_1_m", settings.curvature),
+            ("base_force_n", settings.base_force),
+            ("base_moment_n_m", settings.base_moment),
+        ];
+        let measured = sigmas.into_iter();
+        Self {
+            places: settings.places.clone(),
+            rate_hz: settings.rate_hz,
+            age_s: settings.age_s,
+            sigma: measured
+                .filter_map(|(name, sigma)| Some((name, sigma?)))
+                .collect(),
+        }
+    }
+}
+
+/// What is wrong with a line of the plant, and what to do.
+#[derive(Debug, Serialize)]
+pub(super) struct ErrorLine<'a> {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub line: usize,
+    #[serde(rename = "where")]
+    pub place: &'a str,
+    pub message: &'a str,
+    pub help: &'a str,
+}
+
+/// The answer to a measurement.
+#[derive(Debug, Serialize)]
+pub(super) struct CommandLine {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub sample: usize,
+    pub time_s: f64,
+    pub from_s: f64,
+    pub to_s: f64,
+    pub wrenches: Vec<WrenchLine>,
+    pub fallback: Option<FallbackLine>,
+    pub tip: Option<TipLine>,
+    pub predicted_tip_m: Option<Vector>,
+    pub rotation_change: Option<f64>,
+    pub skipped_samples: usize,
+    pub disturbance: Option<DisturbanceLine>,
+    pub phases_s: Phases,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct WrenchLine {
+    pub node: usize,
+    pub force_from_n: Vector,
+    pub force_to_n: Vector,
+    pub moment_from_n_m: Vector,
+    pub moment_to_n_m: Vector,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct FallbackLine {
+    pub cause: String,
+    pub action: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct TipLine {
+    pub time_s: f64,
+    pub position_m: Vector,
+    pub reference_m: Option<Vector>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct DisturbanceLine {
+    pub tip_force_n: Vector,
+    pub tip_moment_n_m: Vector,
+    pub distributed_n_m: Vector,
+    pub stiffness_factor: f64,
+}
+
+impl DisturbanceLine {
+    pub fn of(disturbance: &Disturbance) -> Self {
+        let array = |v: Vector3<f64>| v.into();
+        Self {
+            tip_force_n: array(disturbance.tip.force),
+            tip_moment_n_m: array(disturbance.tip.moment),
+            distributed_n_m: array(disturbance.distributed),
+            stiffness_factor: disturbance.stiffness,
+        }
+    }
+}
+
+/// Seconds on this machine.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(super) struct Phases {
+    pub read: f64,
+    pub estimate: f64,
+    pub predict: f64,
+    pub feedback: f64,
+    pub prepare_before: f64,
+}
+
+/// What a served loop amounts to, and its last line.
+#[derive(Clone, Debug, Serialize)]
+pub struct Served {
+    /// `summary`
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// `bye`, `end-of-input` or `stopped`.
+    pub status: &'static str,
+    /// Samples with a command.
+    pub samples: usize,
+    /// Samples that the plant left out.
+    pub skipped_samples: usize,
+    /// Lines or parts of lines that were refused.
+    pub errors: usize,
+    /// Time between two samples, s.
+    pub period_s: f64,
+    /// Samples that took longer than the period, preparation included.
+    pub overruns: usize,
+    /// Seconds from a line to the command that answers it.
+    pub response_s: Percentiles,
+    /// Seconds of a whole sample, preparation included.
+    pub sample_s: Percentiles,
+    /// Seconds of estimation and prediction.
+    pub estimate_s: Percentiles,
+    /// Seconds of the feedback.
+    pub feedback_s: Percentiles,
+    /// Seconds of the preparation.
+    pub prepare_s: Percentiles,
+    /// From when on distances of the tip from its reference count, s.
+    pub counted_from_s: f64,
+    /// Distance of the known tip from its reference, m.
+    pub tip_error_m: TipError,
+    /// The same over the length of the arm.
+    pub tip_error_over_length: TipError,
+    /// Samples without a command of their own, by the cause.
+    pub fallbacks: BTreeMap<String, usize>,
+    /// Largest distance of a rotation as given from the nearest one, Frobenius norm.
+    pub rotation_change: f64,
+}
+
+/// Why the version of a line is none.
+pub(super) fn version_message(found: u64) -> String {
+    format!("version {found} is not {SERVING_VERSION}")
+}

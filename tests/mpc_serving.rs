@@ -1,0 +1,230 @@
+//! A controller that drives a plant in another process: the same commands as the closed loop in the library, by state and by sensors.
+
+#[path = "common/serving.rs"]
+mod serving;
+#[path = "common/tracking.rs"]
+mod tracking;
+
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+use serde_json::{Value, json};
+use serving::{Desk, Plant, arrays, assert_same, command_of, rows, scene, state_line, vector};
+use softarm::mpc::{
+    Command, Computing, Contender, EstimatorChoice, Experiment, Reading, Sensing, Sensor,
+    SensorChoice, SensorPreset, SensorSettings, ServingEnd, Unknowns,
+};
+
+/// Commands of the closed loop in the library.
+fn commands_of_the_library(scene: &Experiment) -> Vec<Command> {
+    let mut commands = Vec::new();
+    let run = scene.run(Contender::Mpc, &mut |_, closed| {
+        commands.push(closed.sent().clone());
+        ControlFlow::Continue(())
+    });
+    assert!(run.unwrap().broke_down.is_none());
+    commands
+}
+
+/// A served loop whose plant is the simulated arm of the scene sends the commands of the closed loop in the library: the state goes through JSON
+/// to the bit, and rotations are projected, which changes them by their rounding. A thousand roundings of forces of 5 N are the tolerance.
+#[test]
+fn served_loops_are_those_of_the_library() {
+    let scene = scene();
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let mut desk = Desk::new(&scene);
+    let mut ours = Vec::new();
+    for k in 0..50 {
+        let t = 0.01 * f64::from(k);
+        let line = desk.command(&state_line(t, &arm.state_on_model()));
+        assert!(line["fallback"].is_null() && line["skipped_samples"] == 0);
+        assert!(line["rotation_change"].as_f64().unwrap() < 1e-14);
+        // A period ahead the model is right but for the stiffness.
+        let command = command_of(&line);
+        arm.send(&command);
+        arm.advance(t + 0.01).unwrap();
+        let predicted = vector(&line["predicted_tip_m"]);
+        assert!((arm.tip() - predicted).norm() < 1e-3, "sample {k}");
+        ours.push(command);
+    }
+    assert_same(&ours, &commands_of_the_library(&scene), 5e-12);
+    let served = desk.server.finish(ServingEnd::Bye).unwrap();
+    assert_eq!(
+        (served.samples, served.errors, served.fallbacks.len()),
+        (50, 0, 0)
+    );
+    assert!(served.tip_error_m.rms < 5e-3);
+    let lines = desk.pipe.lines();
+    assert_eq!(lines.len(), 1);
+    assert_eq!(
+        (&lines[0]["type"], &lines[0]["status"]),
+        (&json!("summary"), &json!("bye"))
+    );
+}
+
+/// The same with poses from motion capture, late and with noise, a Kalman filter, and a period of delay: the readings of a sample that are known
+/// by then are one line.
+#[test]
+fn served_filters_are_those_of_the_library() {
+    let mut scene = scene();
+    scene.settings.computing = Computing::Fixed(0.01);
+    scene.sensing = Sensing::Estimated {
+        sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
+        estimator: EstimatorChoice::Kalman(Unknowns::ALL),
+        seed: 3,
+    };
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let settings = SensorSettings {
+        seed: 3000,
+        ..SensorPreset::Mocap.settings(&plant.model)
+    };
+    let mut sensor = Sensor::new(&settings, &plant.rod).unwrap();
+    let mut desk = Desk::new(&scene);
+    assert_eq!(desk.hello["first_command_from_s"], json!(0.01));
+    assert_eq!(desk.hello["sensors"][0]["age_s"], json!(0.005));
+    let (mut ours, mut readings) = (Vec::new(), Vec::new());
+    for k in 0..50 {
+        let t = 0.01 * f64::from(k);
+        let known = |reading: &Value| reading["time_s"].as_f64().unwrap() + 0.005 <= t + 1e-9;
+        let (now, later) = readings.into_iter().partition(known);
+        readings = later;
+        let now: Vec<Value> = now;
+        let line = json!({ "type": "measurement", "time_s": t, "readings": now });
+        let line = desk.command(&line);
+        assert!(line["fallback"].is_null());
+        ours.push(command_of(&line));
+        arm.send(&ours[k as usize]);
+        while sensor.next_due() < t + 0.01 - 1e-9 {
+            arm.advance(sensor.next_due()).unwrap();
+            let mut seen = softarm::mpc::Measurement::default();
+            (sensor.measure(arm.time(), &arm.state(), &mut seen)).unwrap();
+            for signal in &seen.signals {
+                let mut reading = json!({ "time_s": seen.time, "place": signal.place });
+                match signal.reading {
+                    Reading::Position(x) => reading["position_m"] = json!(<[f64; 3]>::from(x)),
+                    Reading::Rotation(r) => reading["rotation"] = json!(rows(&r)),
+                    _ => unreachable!(),
+                }
+                readings.push(reading);
+            }
+        }
+        arm.advance(t + 0.01).unwrap();
+    }
+    // The filter multiplies roundings of the rotations over the variances of the measurements.
+    assert_same(&ours, &commands_of_the_library(&scene), 1e-8);
+    let stiffness = desk.pipe.lines();
+    assert!(stiffness.is_empty());
+}
+
+/// An arm at rest that is not moved says nothing of its velocities; a motion without them is that of the differences: half a period of velocity
+/// late, so that both commands agree to what the jump's price lets through, and not to rounding.
+#[test]
+fn velocities_may_be_differences() {
+    let scene = scene();
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let [mut whole, mut poses] = [Desk::new(&scene), Desk::new(&scene)];
+    let mut worst = 0.0f64;
+    for k in 0..30 {
+        let t = 0.01 * f64::from(k);
+        let mut line = state_line(t, &arm.state_on_model());
+        let a = command_of(&whole.command(&line));
+        let fields = line.as_object_mut().unwrap();
+        fields.remove("linear_momenta_kg_m_s");
+        fields.remove("angular_momenta_kg_m2_s");
+        let b = command_of(&poses.command(&line));
+        arm.send(&b);
+        arm.advance(t + 0.01).unwrap();
+        worst = worst.max((a.from[0].force - b.from[0].force).norm());
+    }
+    assert!(worst > 1e-6, "velocities play no part: {worst}");
+    let served = poses.server.finish(ServingEnd::Bye).unwrap();
+    println!("{worst} {}", served.tip_error_m.rms);
+    assert!(served.tip_error_m.rms < 5e-3);
+}
+
+/// Velocities and momenta are the same measurement: both commands agree to rounding.
+#[test]
+fn velocities_are_as_good_as_momenta() {
+    let scene = scene();
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let [mut first, mut second] = [Desk::new(&scene), Desk::new(&scene)];
+    for k in 0..10 {
+        let t = 0.01 * f64::from(k);
+        let state = arm.state_on_model();
+        let a = command_of(&first.command(&state_line(t, &state)));
+        let nodes = &plant.model.nodes;
+        let over = |of: &dyn Fn(usize) -> Vector3<f64>| -> Vec<[f64; 3]> {
+            (0..nodes.len()).map(|q| of(q).into()).collect()
+        };
+        let line = json!({
+            "type": "measurement",
+            "time_s": t,
+            "positions_m": arrays(&state.configuration.positions),
+            "rotations": state.configuration.rotations.iter().map(rows).collect::<Vec<_>>(),
+            "velocities_m_s": over(&|q| state.linear_momentum[q] / nodes[q].mass),
+            "angular_velocities_rad_s":
+                over(&|q| state.angular_momentum[q].component_div(&nodes[q].rotary)),
+        });
+        let b = command_of(&second.command(&line));
+        assert_same(std::slice::from_ref(&a), &[b], 5e-12);
+        arm.send(&a);
+        arm.advance(t + 0.01).unwrap();
+    }
+}
+
+/// A path that comes with the measurements, piece by piece as far as the horizon sees, is as good as the whole path in the scene: the first plans differ,
+/// because they are made before anything is told, and the commands become the same where jumps have no price, by which a command remembers those before
+/// it. What is no path is refused, and the one before stays.
+#[test]
+fn references_may_come_with_measurements() {
+    let mut whole = scene();
+    whole.mpc.jump = 0.0;
+    let path = whole.task.cost.tracks[0].path.clone();
+    let mut blind = whole.clone();
+    blind.task.cost.tracks[0].path = vec![(0.0, Vector3::new(0.0, 0.0, 1.0))];
+    let plant = Plant::new(&whole);
+    let mut arm = plant.arm(&whole);
+    let [mut knows, mut is_told] = [Desk::new(&whole), Desk::new(&blind)];
+    let mut off = Vec::new();
+    for k in 0..40 {
+        let t = 0.01 * f64::from(k);
+        let mut line = state_line(t, &arm.state_on_model());
+        let a = command_of(&knows.command(&line));
+        let seen = path
+            .iter()
+            .filter(|(time, _)| (t - 0.02..t + 0.33).contains(time));
+        let rows: Vec<[f64; 4]> = seen.map(|(time, x)| [*time, x.x, x.y, x.z]).collect();
+        line["reference_m"] = json!(rows);
+        let told = is_told.command(&line);
+        let reference = vector(&told["tip"]["reference_m"]);
+        assert!((reference - tracking::path(t)).norm() < 1e-12);
+        let b = command_of(&told);
+        off.push((a.from[0].force - b.from[0].force).norm());
+        arm.send(&a);
+        arm.advance(t + 0.01).unwrap();
+    }
+    let largest = |samples: &[f64]| samples.iter().copied().fold(0.0, f64::max);
+    let (first, last) = (largest(&off[..1]), largest(&off[30..]));
+    println!("{first} {last}");
+    assert!(first > 1e-3 && last < 1e-6, "{first} {last}");
+    for rows in [
+        json!([]),
+        json!([[0.4, 0.0, 0.0, 1.0], [0.4, 0.0, 0.0, 1.0]]),
+    ] {
+        let mut line = state_line(0.4, &arm.state_on_model());
+        line["time_s"] = json!(0.4 + if rows[0].is_null() { 0.0 } else { 0.01 });
+        line["reference_m"] = rows.clone();
+        let [error, command] = is_told.error(&line.to_string());
+        let place = if rows[0].is_null() {
+            "reference_m[0]"
+        } else {
+            "reference_m[1]"
+        };
+        assert_eq!(error["where"], place);
+        assert!(command["fallback"].is_null());
+    }
+}
