@@ -1,5 +1,5 @@
-//! The second-order correction of a refused step: full steps along a curved constraint are refused near a solution (the Maratos effect), and
-//! a Newton step on the rows that the trial violates leads back (Nocedal and Wright 2006, section 18.3).
+//! Second-order corrections of a refused step: full steps along a curved constraint are refused near a solution (the Maratos effect), and
+//! Newton steps on the rows that the trial violates lead back (Nocedal and Wright 2006, section 18.3).
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
@@ -8,11 +8,14 @@ use super::program::LiftedProgram;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::trial::{Accepted, Departure, Refused};
 
+const CORRECTIONS: usize = 8;
 /// Part of the trust radius from which a correction of a step may reach its end.
 const INSIDE: f64 = 0.9;
+/// A correction that does not shrink the infeasibility by this is the last one.
+const CORRECTION_PROGRESS: f64 = 0.99;
 
 impl Filter {
-    /// The second-order correction of a refused step.
+    /// Second-order corrections of a refused step, while they reduce its infeasibility.
     pub(super) fn correct<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -23,34 +26,51 @@ impl Filter {
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
+        let mut change = change.to_vec();
+        let mut constraints = refused.constraints.clone();
+        let mut inequalities = refused.inequalities.clone();
+        let here = from.measure(program, from.evaluation);
+        let mut infeasibility = refused.infeasibility;
         // As a rule the same is active, which saves the interior point; the trust region can be no part of that.
         let active = from.multipliers.at_rows(&linearization.rows);
-        let expected = (norm(change) < INSIDE * subproblem.trust_radius).then_some(&active);
-        // The states of the trial obey their equations, so only the rows' own curvature is left.
-        let offset: Vec<f64> = (linearization.constraints_along(change).iter())
-            .zip(&linearization.offset)
-            .zip(&refused.constraints)
-            .map(|((linear, offset), c)| c - (linear - offset))
-            .collect();
-        let inequality_offset: Vec<f64> = (linearization.inequalities_along(change).iter())
-            .zip(&linearization.inequality_offset)
-            .zip(&linearization.rows)
-            .map(|((linear, offset), &row)| refused.inequalities[row] - (linear - offset))
-            .collect();
-        let corrected = QuadraticProgram {
-            offset: &offset,
-            inequalities: LinearInequalities {
-                offset: &inequality_offset,
-                ..subproblem.inequalities
-            },
-            expected,
-            ..subproblem.clone()
-        };
-        let corrected = within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
-        let trial = Self::rollout(program, from.point, &corrected, 1)?;
-        let here = from.measure(program, from.evaluation);
-        let there = from.measure(program, &trial.evaluation);
-        (self.lets_pass(here, there, slope)).then_some(trial)
+        let expected = (norm(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
+        for count in 1..=CORRECTIONS {
+            // The states of the trial obey their equations, so only the rows' own curvature is left.
+            let offset: Vec<f64> = (linearization.constraints_along(&change).iter())
+                .zip(&linearization.offset)
+                .zip(&constraints)
+                .map(|((linear, offset), c)| c - (linear - offset))
+                .collect();
+            let inequality_offset: Vec<f64> = (linearization.inequalities_along(&change).iter())
+                .zip(&linearization.inequality_offset)
+                .zip(&linearization.rows)
+                .map(|((linear, offset), &row)| inequalities[row] - (linear - offset))
+                .collect();
+            let corrected = QuadraticProgram {
+                offset: &offset,
+                inequalities: LinearInequalities {
+                    offset: &inequality_offset,
+                    ..subproblem.inequalities
+                },
+                expected,
+                ..subproblem.clone()
+            };
+            let corrected =
+                within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
+            let trial = Self::rollout(program, from.point, &corrected, count)?;
+            let there = from.measure(program, &trial.evaluation);
+            if self.lets_pass(here, there, slope) {
+                return Some(trial);
+            }
+            if there.infeasibility > CORRECTION_PROGRESS * infeasibility {
+                return None;
+            }
+            change = corrected;
+            infeasibility = there.infeasibility;
+            constraints = trial.evaluation.constraints;
+            inequalities = trial.evaluation.inequalities;
+        }
+        None
     }
 }
 

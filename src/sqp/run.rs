@@ -35,6 +35,8 @@ use crate::stop::{LARGE, Stop};
 
 /// `Auto` uses the exact Hessian below this stationarity and infeasibility.
 const EXACT_BELOW: f64 = 0.3;
+/// A solve that began with the multipliers of another uses it below this infeasibility.
+const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
@@ -215,8 +217,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             HessianChoice::GaussNewton => false,
             // Without multipliers there is no Lagrangian yet.
             HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
-            HessianChoice::Auto if self.trace.history.is_empty() => {
-                self.iterate.has_multipliers && self.infeasibility() < EXACT_BELOW
+            HessianChoice::Auto if self.iterate.has_multipliers => {
+                self.infeasibility() < EXACT_BELOW_WHEN_WARM
             }
             HessianChoice::Auto => self.trace.history.last().is_some_and(|last| {
                 last.residual.stationarity < EXACT_BELOW && self.infeasibility() < EXACT_BELOW

@@ -32,20 +32,23 @@ pub struct Refused {
     pub constraints: Vec<f64>,
     /// Its path inequalities.
     pub inequalities: Vec<f64>,
+    /// [`LiftedProgram::infeasibility`]
+    pub infeasibility: f64,
 }
 
 impl Refused {
-    fn of<R>(evaluation: &Evaluation<R>) -> Self {
+    fn of<R>(evaluation: &Evaluation<R>, infeasibility: f64) -> Self {
         Self {
             constraints: evaluation.constraints.clone(),
             inequalities: evaluation.inequalities.clone(),
+            infeasibility,
         }
     }
 }
 
 impl Filter {
     /// Tries the step `change` of a subproblem: its lifted point, and the point whose states obey their equations under the same
-    /// variables; then the second-order correction of that. As a rule the lifted point comes first, since it is linear where the states'
+    /// variables; then second-order corrections of that. As a rule the lifted point comes first, since it is linear where the states'
     /// answer is not; of a short step of second order the other, which costs a third and leaves no defects.
     ///
     /// `None` when all are refused: the trust region must shrink.
@@ -86,7 +89,7 @@ impl Filter {
         if self.lets_pass(here, there, slope) {
             return Ok(trial);
         }
-        Err(Some(Refused::of(&trial.evaluation)))
+        Err(Some(Refused::of(&trial.evaluation, there.infeasibility)))
     }
 
     /// The point of a step whose states obey their equations; `None` where the model fails.
