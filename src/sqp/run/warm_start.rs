@@ -1,6 +1,6 @@
 //! Where a solve goes on that another one ended.
 
-use super::super::kkt::Multipliers;
+use super::super::kkt::{Multipliers, norm};
 use super::super::program::LiftedProgram;
 use super::Run;
 
@@ -47,7 +47,8 @@ impl<P: LiftedProgram> Run<'_, P> {
             multipliers: self.iterate.multipliers.clone(),
             working_rows: self.working_set.last.clone(),
             elastic_weight: self.elastic_weight,
-            trust_radius: self.trust_region.radius,
+            // The radius of the last steps says nothing about a program that has changed.
+            trust_radius: (self.trust_region.radius).max(norm(self.variables()).max(1.0)),
         }
     }
 }
