@@ -474,7 +474,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             .any(|argument| parts.contains(&argument.as_str()));
         !any || arguments.iter().any(|argument| argument == part)
     };
-    println!("# Closed loops\n\nPrinted by `cargo bench --bench mpc`.\n");
+    let given: Vec<&str> = (arguments.iter().map(String::as_str))
+        .filter(|argument| *argument != "--bench")
+        .collect();
+    let given = if given.is_empty() {
+        String::new()
+    } else {
+        format!(" -- {}", given.join(" "))
+    };
+    println!("# Closed loops\n\nPrinted by `cargo bench --bench mpc{given}`.\n");
     if asked("circle") {
         circle(seconds)?;
     }
