@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::linearize::{ROUNDING, Workspace, is_possible};
-use super::solved::{Weights, element_pose, ends, is_folded};
+use super::solved::{Weights, element_at};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::integrator::StepError;
@@ -182,23 +182,17 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
                 + (-drift.margin).select_below(-2.0 - ROUNDING, zero, one);
             let (mut force, mut moment) = (-pull, -twist);
             if let (Some(element), Some(weights)) = (rod.elements.get(q), &weights) {
-                let [here_a, here_b] = ends(simd, poses, q);
-                let [next_a, next_b] = ends(simd, next, q);
-                let [last_a, last_b] = ends(simd, before, q);
-                irregular = irregular
-                    + is_folded(here_a, here_b)
-                    + is_folded(next_a, next_b)
-                    + is_folded(last_a, last_b);
-                let here = element_pose::<S, R>(here_a, here_b);
-                let there = element_pose::<S, R>(next_a, next_b);
-                let last = element_pose::<S, R>(last_a, last_b);
+                let (here, folded_here) = element_at::<S, R>(simd, poses, q);
+                let (there, folded_there) = element_at::<S, R>(simd, next, q);
+                let (last, folded_last) = element_at::<S, R>(simd, before, q);
+                irregular = irregular + folded_here + folded_there + folded_last;
                 let law = Law::of::<R>(simd, element);
                 let strain = weights.strain::<R>(&law, &here, &there, &last);
                 let [f, m_a, m_b] = R::pull(&here, &law.stress(strain));
                 force = force + f;
                 moment = moment - m_a;
                 (pull, twist) = (f, m_b);
-                a = here_b;
+                a = NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]);
             } else if let Some(element) = rod.elements.get(q) {
                 let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
                 let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;

@@ -199,16 +199,10 @@ impl Group<'_> {
         let before = rows::<S>(&workspace.before);
         let weights = solve.weights(simd);
         for (q, element) in self.motion.rod.elements.iter().enumerate() {
-            let [here_a, here_b] = ends(simd, poses, q);
-            let [next_a, next_b] = ends(simd, next, q);
-            let [last_a, last_b] = ends(simd, before, q);
-            irregular = irregular
-                + is_folded(here_a, here_b)
-                + is_folded(next_a, next_b)
-                + is_folded(last_a, last_b);
-            let here = element_pose::<S, R>(here_a, here_b);
-            let there = element_pose::<S, R>(next_a, next_b);
-            let last = element_pose::<S, R>(last_a, last_b);
+            let (here, folded_here) = element_at::<S, R>(simd, poses, q);
+            let (there, folded_there) = element_at::<S, R>(simd, next, q);
+            let (last, folded_last) = element_at::<S, R>(simd, before, q);
+            irregular = irregular + folded_here + folded_there + folded_last;
             let law = Law::of::<R>(simd, element);
             let strain = weights.strain::<R>(&law, &here, &there, &last);
             let scaled = law.times(weights.scale());
@@ -304,29 +298,23 @@ impl Group<'_> {
     }
 }
 
-/// One where the ends of an element are near half a turn, or no numbers.
+/// The pose of element `q`, and one where its ends are near half a turn, or no numbers.
 #[inline(always)]
-pub(super) fn is_folded<S: Simd>(a: NodePose<S>, b: NodePose<S>) -> Lanes<S> {
-    let simd = a.position.x.simd;
+pub(super) fn element_at<S: Simd, R: TangentRule>(
+    simd: S,
+    poses: &[Row<S>],
+    q: usize,
+) -> (R::Pose<S>, Lanes<S>) {
+    let a = NodePose::load(simd, &poses[q * POSE_ROWS..]);
+    let b = NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]);
     let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
-    (-margin).select_below(
+    let is_folded = (-margin).select_below(
         -LEAST_MARGIN,
         Lanes::splat(simd, 0.0),
         Lanes::splat(simd, 1.0),
-    )
-}
-
-#[inline(always)]
-pub(super) fn ends<S: Simd>(simd: S, poses: &[Row<S>], q: usize) -> [NodePose<S>; 2] {
-    [
-        NodePose::load(simd, &poses[q * POSE_ROWS..]),
-        NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]),
-    ]
-}
-
-#[inline(always)]
-pub(super) fn element_pose<S: Simd, R: TangentRule>(a: NodePose<S>, b: NodePose<S>) -> R::Pose<S> {
-    R::pose(b.position - a.position, a.rotation, b.rotation)
+    );
+    let pose = R::pose(b.position - a.position, a.rotation, b.rotation);
+    (pose, is_folded)
 }
 
 #[inline(always)]
