@@ -1,5 +1,6 @@
 //! The command line: one file a verb. Only here is anything printed.
 
+mod accuracy;
 mod check;
 mod console;
 mod derivatives;
@@ -64,6 +65,10 @@ struct Global {
     /// Override a scene key by its dotted path; any number of times
     #[arg(long, global = true, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Choose elements and time step such that no point of the arm is ever off by more than this part of the length; in the place of
+    /// rod.elements and time.step_s [default, where a scene has no rod.elements: 1e-3]
+    #[arg(long, global = true, value_name = "PART")]
+    accuracy: Option<f64>,
     /// Threads to compute with; changes the time, not the result [default: as many as the machine has cores]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -167,6 +172,10 @@ pub fn run() -> ExitCode {
             });
         }
     };
+    let mut cli = cli;
+    if let Some(accuracy) = cli.global.accuracy {
+        cli.global.set.push(format!("rod.accuracy={accuracy:e}"));
+    }
     let console = Console::new(&cli.global);
     let outcome = match &cli.command {
         Command::Check(argument) => check::run(&argument.scene, &cli.global, &console),
