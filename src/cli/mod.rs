@@ -14,6 +14,7 @@ mod schema;
 mod serve;
 mod simulate;
 mod solve;
+mod tradeoff;
 mod verify;
 
 use std::path::PathBuf;
@@ -94,6 +95,8 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
+    /// Error against time over discretizations and settings of a scene; recommends one for a tolerance
+    Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
     /// Check every analytic derivative of a scene, with a verdict
@@ -184,6 +187,7 @@ pub fn run() -> ExitCode {
         }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
         Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
+        Command::Tradeoff(arguments) => tradeoff::run(arguments, &cli.global, &console),
         Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
         Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),

@@ -2,11 +2,12 @@
 
 use toml::{Table, Value};
 
-use super::model::{LoadNode, Scene, TimeStep};
+use super::model::{EstimatorKind, LoadNode, Scene, TimeStep};
 use super::overrides::Override;
 use super::translate::{integrator, rotary_inertia};
-use super::values::Number;
+use super::values::{Number, known};
 use super::{SceneError, SceneSource};
+use crate::sqp::HessianChoice;
 use crate::task::Discretization;
 use crate::tradeoff::first_elements;
 
@@ -199,5 +200,48 @@ impl Scene {
                 .map(|actuator| &mut actuator.node)
         });
         nodes.chain(actuators).collect()
+    }
+}
+
+impl Scene {
+    /// Tolerance and Hessian of the solver, where they are given.
+    pub(crate) fn set_solver(&mut self, tolerance: Option<f64>, hessian: Option<HessianChoice>) {
+        if tolerance.is_none() && hessian.is_none() {
+            return;
+        }
+        let mut solver = self.solver.clone().unwrap_or_default();
+        solver.tolerance = tolerance.map_or(solver.tolerance, known);
+        solver.hessian = hessian.unwrap_or(solver.hessian);
+        self.solver = Some(solver);
+    }
+
+    /// Horizon (s), blocks (s), iterations and estimator of a controller, where they are given.
+    pub(crate) fn set_loop(
+        &mut self,
+        horizon: Option<f64>,
+        block: Option<f64>,
+        iterations: Option<usize>,
+        estimator: Option<EstimatorKind>,
+    ) {
+        if let Some(mpc) = &mut self.mpc {
+            mpc.horizon_s = horizon.map(known).or(mpc.horizon_s);
+            mpc.block_s = block.map(known).or(mpc.block_s);
+            mpc.iterations = iterations.unwrap_or(mpc.iterations);
+        }
+        if let (Some(own), Some(kind)) = (&mut self.estimator, estimator) {
+            own.kind = kind;
+        }
+    }
+
+    /// Duration of a closed loop, s.
+    pub(crate) fn set_duration(&mut self, duration: f64) {
+        if let Some(mpc) = &mut self.mpc {
+            mpc.duration_s = Some(known(duration));
+        }
+    }
+
+    /// Elements of the arm as it is.
+    pub(crate) fn set_plant_elements(&mut self, elements: usize) {
+        self.plant.get_or_insert_default().elements = Some(elements);
     }
 }

@@ -35,7 +35,7 @@ pub struct Course {
 }
 
 /// How far a motion is from another one of the same arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Errors {
     /// Distance of the tips at the end, over the length.
     pub tip_end: f64,
@@ -84,13 +84,25 @@ impl Course {
         control: Option<&ControlSignal>,
         stop: &StopSignal,
     ) -> Result<Self, StepError> {
-        debug_assert!(grid.n_steps.is_multiple_of(TIMES));
-        let every = (grid.n_steps / TIMES).max(1);
+        Self::of_times(rod, grid, initial, control, TIMES, stop)
+    }
+
+    /// The same with `times` intervals between the times of the comparison, a part of the steps.
+    pub(super) fn of_times(
+        rod: &Rod,
+        grid: TimeGrid,
+        initial: &State,
+        control: Option<&ControlSignal>,
+        times: usize,
+        stop: &StopSignal,
+    ) -> Result<Self, StepError> {
+        debug_assert!(grid.n_steps.is_multiple_of(times));
+        let every = (grid.n_steps / times).max(1);
         let places = node_places(rod);
         let places: [(usize, f64); PLACES + 1] =
             std::array::from_fn(|i| locate(&places, i as f64 / PLACES as f64));
         let mut course = Self {
-            glimpses: Vec::with_capacity(TIMES + 1),
+            glimpses: Vec::with_capacity(times + 1),
             curvature: 0.0,
         };
         advance(rod, grid, initial, control, stop, |k, stepper| {

@@ -6,7 +6,12 @@
 mod choice;
 mod course;
 mod motion;
+mod sweep;
 
 pub use choice::{Choice, ChoiceError, Level, choose, finer, first_elements};
 pub use course::{Course, Errors};
 pub use motion::{Motion, Run, RunError};
+pub use sweep::{
+    CostModel, ErrorModel, Fate, Models, News, Point, Recommendation, Reference, Setting, Subject,
+    Sweep, SweepError, Tradeoff,
+};
