@@ -11,7 +11,7 @@ use crate::scene::{OptimalControl, Scene, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
 use crate::tradeoff::{ChoiceError, Level, Motion, RunError, choose, finer};
-use crate::verify::ForwardCheck;
+use crate::verify::{CheckItem, ForwardCheck};
 
 /// The scene with elements and a step in the place of its accuracy, if it has one, and how they were found.
 pub(super) fn of_simulation(
@@ -87,6 +87,16 @@ pub(super) struct Refinement {
 
 /// Grids that are tried before the accuracy counts as out of reach.
 const ROUNDS: usize = 5;
+/// Criteria of the check that a finer grid may satisfy.
+const OF_THE_GRID: [&str; 5] = [
+    "refined_time_m",
+    "refined_space_m",
+    "energy",
+    "energy_halving",
+    "between_samples",
+];
+/// By how much a grid is refined that is accurate enough and yet rejected.
+const REJECTED: f64 = 1.5;
 /// Longest solve on a grid of its own, as predicted, s.
 const LONGEST: f64 = 3600.0;
 
@@ -120,7 +130,14 @@ impl Refinement {
             step_s: step,
             error: Some(self.error()),
         });
-        let Some((elements, longest)) = finer(solved.elements, step, self.parts, self.asked) else {
+        // What a grid is too coarse for besides its errors, such as an obstacle between two samples.
+        let by_grid = |item: &CheckItem| !item.holds() && OF_THE_GRID.contains(&item.name);
+        let rejected = (check.items.iter().any(by_grid)).then(|| {
+            let elements = (REJECTED * solved.elements as f64).ceil() as usize;
+            (elements, step / REJECTED)
+        });
+        let found = finer(solved.elements, step, self.parts, self.asked).or(rejected);
+        let Some((elements, longest)) = found else {
             return Ok(None);
         };
         if self.levels.len() == ROUNDS || stop.is_raised() || !self.error().is_finite() {

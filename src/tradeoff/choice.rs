@@ -319,13 +319,11 @@ impl Search<'_> {
         let finer = own as f64 / elements as f64;
         let shorter = coarse.step() / fine.step();
         let [_, of_step] = model.parts(own, fine.step());
-        // Steps that could not be longer say nothing about the error that they make.
-        let unseen = if shorter < 0.5 * (1.0 + COARSER) {
-            of_step
-        } else {
-            0.0
-        };
-        let seen = finer.min(shorter.max(0.5 * (1.0 + COARSER)));
-        Ok(difference / (seen * seen - 1.0) + unseen)
+        // Steps that could not be longer say nothing about the error that they make, and small errors nothing about the order.
+        if of_step <= SLIGHT * self.accuracy || shorter < 0.5 * (1.0 + COARSER) {
+            return Ok(difference / (finer * finer - 1.0) + of_step);
+        }
+        let seen = finer.min(shorter);
+        Ok(difference / (seen * seen - 1.0))
     }
 }
