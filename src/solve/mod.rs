@@ -24,7 +24,7 @@ pub(crate) use self::{
     closed_loop_page::closed_loop_page,
     diagnostics::diagnostics,
     examined::Examined,
-    files::write,
+    files::{iteration_row, write},
     report::findings,
     simulation_page::simulation_page,
     step_kind::{help, legend, step_kind},
