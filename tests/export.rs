@@ -145,3 +145,53 @@ fn shells_and_manuals_are_served() {
     assert_eq!(code, USAGE);
     assert!(talk.contains("no verb `nothing`"), "{talk}");
 }
+
+/// Pictures hold the whole motion: every corner of every outline is within the window, the tip of the last still is where the projection puts
+/// it, and the animation has as many outlines as there are stills.
+#[test]
+fn pictures_hold_the_motion() {
+    let desk = Desk::new();
+    let (code, _, talk) = desk.run(&["solve", "scene.toml", "--out", "run"]);
+    assert_eq!(code, DONE, "{talk}");
+    let (code, _, talk) = desk.run(&[
+        "export", "run", "--to", "svg", "--frames", "5", "--turn", "90",
+    ]);
+    assert_eq!(code, DONE, "{talk}");
+    let read = |name: &str| fs::read_to_string(desk.path("run/svg").join(name)).unwrap();
+    let attribute = |text: &str, before: &str| -> Vec<f64> {
+        let (_, rest) = text.split_once(before).unwrap();
+        let (values, _) = rest.split_once('"').unwrap();
+        values
+            .split([' ', ','])
+            .map(|number| number.parse().unwrap())
+            .collect()
+    };
+    for number in 0..5 {
+        let text = read(&format!("motion-000{number}.svg"));
+        let window = attribute(&text, "viewBox=\"");
+        let corners = attribute(&text, "class=\"arm\" points=\"");
+        for corner in corners.chunks(2) {
+            assert!(corner[0] >= 0.0 && corner[0] <= window[2]);
+            assert!(corner[1] >= 0.0 && corner[1] <= window[3]);
+        }
+    }
+    let animated = read("motion.svg");
+    let (_, arm) = animated.split_once("class=\"arm\"").unwrap();
+    let (_, values) = arm.split_once("values=\"").unwrap();
+    assert_eq!(values.split_once('"').unwrap().0.split(';').count(), 5);
+    // The first still looks along y: the arm, upright and 1 m long, is as high as that, but for the elevation of the eye.
+    let text = read("motion-0000.svg");
+    let corners = attribute(&text, "class=\"arm\" points=\"");
+    let n = corners.len() / 4;
+    let [base, tip] = [0, n - 1].map(|q| {
+        let other = corners.len() / 2 - 1 - q;
+        [0, 1].map(|i| 0.5 * (corners[2 * q + i] + corners[2 * other + i]))
+    });
+    let radius = 0.5 * (corners[0] - corners[corners.len() - 2]).abs();
+    let height = (base[1] - tip[1]) / radius * 0.05;
+    assert!((height - 12f64.to_radians().cos()).abs() < 0.02, "{height}");
+    assert!((base[0] - tip[0]).abs() < 0.2);
+    let (code, _, talk) = desk.run(&["export", "run", "--to", "svg", "--seconds", "0"]);
+    assert_eq!(code, USAGE);
+    assert!(talk.contains("above 0"), "{talk}");
+}

@@ -271,3 +271,65 @@ fn features_have_a_price() {
     let damped = of("internal damping");
     assert!(number(&damped["with"]) > number(&damped["without"]));
 }
+
+/// Ctrl-C ends a sweep: what was run is written, the exit code says so, and the sweep goes on later.
+#[cfg(unix)]
+#[test]
+fn interrupted_sweeps_go_on() {
+    let desk = Desk::with(SWING);
+    let verb = [
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "60s",
+        "--tolerance",
+        "1e-6",
+    ];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(verb)
+        .current_dir(desk.0.path())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The first points are there.
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stderr.take().unwrap()));
+    let seen = lines
+        .by_ref()
+        .map_while(Result::ok)
+        .filter(|line| line.contains("elements"))
+        .take(5)
+        .count();
+    assert_eq!(seen, 5);
+    let interrupt = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(interrupt.success());
+    let _ = lines.count();
+    assert_eq!(child.wait().unwrap().code(), Some(tool::STOPPED));
+    let text = fs::read_to_string(desk.path("run/summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(summary["status"], "interrupted");
+    let ran = points(&summary)
+        .iter()
+        .filter(|point| point["status"] == "done")
+        .count();
+    let (_, again, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "3s",
+        "--tolerance",
+        "3e-3",
+        "--resume",
+    ]);
+    assert!(
+        talk.contains(&format!("{ran} points are there already")),
+        "{talk}"
+    );
+    assert!(points(&again).len() >= ran);
+}

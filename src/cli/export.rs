@@ -1,4 +1,4 @@
-//! `softarm export DIR --to vtk|csv [--out FOLDER] [--frames N]`: the motion of a result for other programs.
+//! `softarm export DIR --to vtk|csv|svg [--out FOLDER] [--frames N]`: the motion of a result for other programs.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::console::Console;
 use super::error::CliError;
 use super::{Outcome, exit};
-use crate::output::export::{spread, write_csv, write_vtk};
+use crate::output::export::{Backdrop, View, spread, write_csv, write_svg, write_vtk};
 use crate::output::{MotionRecord, OutputError};
 use crate::scene::Scene;
 
@@ -21,9 +21,31 @@ pub(super) struct ExportArguments {
     /// Folder to write into [default: the result directory, with the format's name at its end]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Most times that are written, evenly spread, the first and the last among them
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..))]
-    frames: u32,
+    /// Most times that are written, evenly spread, the first and the last among them [default: 200, and 60 of svg]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    frames: Option<u32>,
+    /// svg: angle of the eye about the vertical, degrees; 0 looks from +x, and -90 from -y
+    #[arg(long, value_name = "DEG", default_value_t = -90.0, allow_negative_numbers = true)]
+    azimuth: f64,
+    /// svg: angle of the eye above the horizontal plane, degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value_t = 12.0,
+        allow_negative_numbers = true
+    )]
+    elevation: f64,
+    /// svg: turn of the eye about the vertical on the way through the motion, degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    turn: f64,
+    /// svg: how long the animation lasts, s [default: as long as the motion, from 2 to 10 s]
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -32,6 +54,8 @@ enum Format {
     Vtk,
     /// One table: time, node, place, position, quaternion
     Csv,
+    /// Pictures for papers and pages: one for each time, and one that plays them
+    Svg,
 }
 
 pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
@@ -50,10 +74,16 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
     let word = match arguments.to {
         Format::Vtk => "vtk",
         Format::Csv => "csv",
+        Format::Svg => "svg",
     };
     let folder = arguments.out.clone().unwrap_or_else(|| place.join(word));
     std::fs::create_dir_all(&folder).map_err(OutputError::unwritten(&folder, "cannot make"))?;
-    let rows = spread(motion.n_rows(), arguments.frames as usize);
+    let usual = if matches!(arguments.to, Format::Svg) {
+        60
+    } else {
+        200
+    };
+    let rows = spread(motion.n_rows(), arguments.frames.unwrap_or(usual) as usize);
     let written = match arguments.to {
         Format::Vtk => {
             write_vtk(&folder, "motion", &motion, &radii, &rows)?;
@@ -63,6 +93,33 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
             let path = folder.join("motion.csv");
             write_csv(&path, &motion, &rows)?;
             path
+        }
+        Format::Svg => {
+            let view = View {
+                azimuth: arguments.azimuth,
+                elevation: arguments.elevation,
+                turn: arguments.turn,
+            };
+            let lasts = motion.t.last().copied().unwrap_or(0.0);
+            let seconds = arguments.seconds.unwrap_or(lasts.clamp(2.0, 10.0));
+            if ![view.azimuth, view.elevation, view.turn]
+                .iter()
+                .all(|angle| angle.is_finite())
+                || !(seconds > 0.0 && seconds.is_finite())
+            {
+                let words = "--azimuth, --elevation and --turn are finite angles, and --seconds is a time above 0";
+                return Err(CliError::Directory(words.into()));
+            }
+            let backdrop = Backdrop {
+                target: scene.task.as_ref().and_then(|task| task.position_m),
+                balls: (scene.obstacle.iter())
+                    .filter_map(|obstacle| obstacle.sphere.as_ref())
+                    .map(|ball| (ball.center_m, ball.radius_m.get()))
+                    .collect(),
+            };
+            let how = (&view, seconds);
+            write_svg(&folder, "motion", &motion, &radii, &rows, how, &backdrop)?;
+            folder.join("motion.svg")
         }
     };
     console.say(&format!("{} times: {}", rows.len(), written.display()));

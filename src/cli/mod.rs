@@ -50,7 +50,15 @@ struct Cli {
     global: Global,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
+const EXIT_CODES: &str = "Examples:
+  softarm solve reach                              solve the first built-in scene, with its certificate and report
+  softarm check my-arm.toml                        what follows from a scene, before anything is solved
+  softarm solve my-arm.toml --starts 8             the best certified one of eight starts
+  softarm simulate swing --accuracy 1e-3           elements and step chosen for a thousandth of the length
+  softarm tradeoff swing --tolerance 1e-3          the fastest setting that is that accurate
+  softarm mpc mpc-track-circle --baselines         a closed loop, and what others make of it
+
+Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
 4 locally infeasible · 5 numerical failure · 6 stopped by a deadline, Ctrl-C, SIGTERM or SIGHUP · 7 solved, but the check \
 rejects it (derivatives: one is wrong; paper: a printed number is not reproduced) · 8 the result, or standard output, could not be \
 written · 130 ended at once by a second Ctrl-C or SIGTERM";

@@ -377,11 +377,11 @@ fn announce(setup: &OptimalControl, console: &Console) {
 }
 
 const TABLE_HEAD: &str =
-    " iter     objective   stationar.  feasib.    complem.   step       radius     kind  qp  time";
+    "iter    objective stationar  feasib. complem.     step   radius kind   qp    time";
 
 fn table_row(row: &IterationRecord) -> String {
     format!(
-        "{:5}  {:12.6e}  {:9.2e}  {:9.2e}  {:9.2e}  {:9.2e}  {:9.2e}  {:4}  {:3}  {:.2}",
+        "{:4} {:12.6e} {:9.1e} {:8.1e} {:8.1e} {:8.1e} {:8.1e} {:5} {:3} {:7.2}",
         row.iteration,
         row.objective,
         row.residual.stationarity,
@@ -399,7 +399,7 @@ fn table_row(row: &IterationRecord) -> String {
 fn start_row(attempt: &Attempt) -> String {
     let outcome = &attempt.outcome;
     format!(
-        "start {:3}  {:9} {:18} {:4} iterations  objective {:12.6e}  infeasibility {:8.2e}",
+        "start {:3} {:8} {:18} {:4} iterations, objective {:.5e}, off {:.0e}",
         attempt.start,
         attempt.from,
         status_words(&outcome.status, &[]).0,

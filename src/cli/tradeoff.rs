@@ -1,6 +1,5 @@
 //! `softarm tradeoff SCENE [--out DIR] [--tolerance T] [--budget TIME] [--apply[=FILE]] [--resume]`: error against time, and a recommendation.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -9,9 +8,10 @@ use clap::Args;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::output::replace::replace;
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::tradeoff::{TradeoffSummary, page, picture, write_points};
-use crate::output::{OutputError, ResultKind, RunDirectory, read_text};
+use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::{
@@ -172,7 +172,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     console.summary(&summarize(&target));
     written?;
     if let (Some(place), Some(recommended)) = (&applied, &recommended) {
-        write_scene(place, recommended)?;
+        replace(place, &recommended.to_toml())?;
         console.say(&format!(
             "the scene with the recommended setting: {}",
             place.display()
@@ -215,21 +215,6 @@ fn place(file: Option<&Path>, scene: &str) -> PathBuf {
         None if Path::new(scene).is_file() => scene.into(),
         None => PathBuf::from(format!("{scene}.toml")),
     }
-}
-
-/// Writes a scene beside its place and renames it.
-fn write_scene(place: &Path, scene: &Scene) -> Result<(), OutputError> {
-    let unwritten = || OutputError::unwritten(place, "cannot write");
-    let folder = match place.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(unwritten())?;
-    file.write_all(scene.to_toml().as_bytes())
-        .map_err(unwritten())?;
-    file.persist(place)
-        .map_err(|error| unwritten()(error.error))?;
-    Ok(())
 }
 
 /// Points of an earlier sweep, and the elements of its reference.

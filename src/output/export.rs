@@ -1,10 +1,11 @@
-//! Motions for other programs: VTK for ParaView, CSV for everything.
+//! Motions for other programs: VTK for ParaView, CSV for everything, SVG for papers and pages.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use nalgebra::Matrix3;
 
+use super::replace::replace;
 use super::{MotionRecord, OutputError};
 use crate::mechanics::rotation::quaternion;
 
@@ -32,10 +33,10 @@ pub fn write_vtk(
             "<DataSet timestep=\"{}\" group=\"\" part=\"0\" file=\"{file}\"/>",
             motion.t[row]
         );
-        write(&folder.join(&file), &poly_data(motion, radii, row))?;
+        replace(&folder.join(&file), &poly_data(motion, radii, row))?;
     }
     index.push_str("</Collection>\n</VTKFile>\n");
-    write(&folder.join(format!("{name}.pvd")), &index)
+    replace(&folder.join(format!("{name}.pvd")), &index)
 }
 
 fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
@@ -112,19 +113,7 @@ pub fn write_csv(path: &Path, motion: &MotionRecord, rows: &[usize]) -> Result<(
             );
         }
     }
-    write(path, &text)
-}
-
-/// Writes a file beside its place and renames it.
-fn write(path: &Path, text: &str) -> Result<(), OutputError> {
-    use std::io::Write as _;
-    let unwritten = || OutputError::unwritten(path, "cannot write");
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(unwritten())?;
-    file.write_all(text.as_bytes()).map_err(unwritten())?;
-    file.persist(path)
-        .map_err(|error| unwritten()(error.error))?;
-    Ok(())
+    replace(path, &text)
 }
 
 /// At most `most` rows of `n`, the first and the last among them, as evenly as whole numbers allow.
@@ -136,5 +125,240 @@ pub fn spread(n: usize, most: usize) -> Vec<usize> {
     }
     (0..count)
         .map(|i| (i * (n - 1) + (count - 1) / 2) / (count - 1))
+        .collect()
+}
+
+/// The direction from which a motion is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Angle of the eye about the vertical (z), degrees; 0 looks from +x, -90 from -y, so that x points to the right.
+    pub azimuth: f64,
+    /// Angle of the eye above the horizontal plane, degrees.
+    pub elevation: f64,
+    /// By how much the eye turns about the vertical on the way from the first to the last time, degrees.
+    pub turn: f64,
+}
+
+/// What stands still in a drawing.
+#[derive(Clone, Debug, Default)]
+pub struct Backdrop {
+    /// A target of the tip, m.
+    pub target: Option<[f64; 3]>,
+    /// Centers (m) and radii (m) of balls.
+    pub balls: Vec<([f64; 3], f64)>,
+}
+
+/// Width of a drawing, in its own units.
+const WIDTH: f64 = 720.0;
+/// Margin around what is drawn, over its size.
+const MARGIN: f64 = 0.06;
+/// Half of the thickness of an arm without radius, over its length.
+const THIN: f64 = 0.008;
+
+/// A motion as pictures: `NAME-0000.svg` for every row in `rows`, and `NAME.svg`, which plays them, over and over, in `seconds`.
+///
+/// The projection is parallel. The arm has its radius; the way of the tip, the target and the balls are drawn behind it.
+///
+/// # Errors
+/// [`OutputError`] where a file cannot be written.
+pub fn write_svg(
+    folder: &Path,
+    name: &str,
+    motion: &MotionRecord,
+    radii: &[f64],
+    rows: &[usize],
+    (view, seconds): (&View, f64),
+    backdrop: &Backdrop,
+) -> Result<(), OutputError> {
+    let drawing = Drawing::of(motion, radii, rows, view, backdrop);
+    for number in 0..rows.len() {
+        let path = folder.join(format!("{name}-{number:04}.svg"));
+        replace(&path, &drawing.still(number))?;
+    }
+    replace(
+        &folder.join(format!("{name}.svg")),
+        &drawing.animated(seconds),
+    )
+}
+
+/// One time of a motion, in the plane of the drawing.
+struct Frame {
+    outline: Vec<[f64; 2]>,
+    way: Vec<[f64; 2]>,
+    target: Option<[f64; 2]>,
+    balls: Vec<([f64; 2], f64)>,
+}
+
+struct Drawing {
+    frames: Vec<Frame>,
+    /// Left, top, width and height, m.
+    window: [f64; 4],
+}
+
+impl Drawing {
+    fn of(
+        motion: &MotionRecord,
+        radii: &[f64],
+        rows: &[usize],
+        view: &View,
+        backdrop: &Backdrop,
+    ) -> Self {
+        let n = motion.n_nodes;
+        let place = |row: usize, q: usize| {
+            let x = &motion.x[3 * (n * row + q)..][..3];
+            [x[0], x[1], x[2]]
+        };
+        let length: f64 = (1..n)
+            .map(|q| {
+                let (a, b) = (place(0, q - 1), place(0, q));
+                (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
+            })
+            .sum();
+        let radius = |q: usize| radii.get(q).copied().unwrap_or(THIN * length);
+        let last = rows.len().saturating_sub(1).max(1) as f64;
+        let frames: Vec<Frame> = (rows.iter().enumerate())
+            .map(|(number, &row)| {
+                let azimuth = (view.azimuth + view.turn * number as f64 / last).to_radians();
+                let elevation = view.elevation.to_radians();
+                let seen = |x: [f64; 3]| {
+                    let (sine, cosine) = azimuth.sin_cos();
+                    let right = cosine * x[1] - sine * x[0];
+                    let away = cosine * x[0] + sine * x[1];
+                    [right, elevation.sin() * away - elevation.cos() * x[2]]
+                };
+                let nodes: Vec<[f64; 2]> = (0..n).map(|q| seen(place(row, q))).collect();
+                Frame {
+                    outline: outline(&nodes, radius),
+                    way: rows.iter().map(|&row| seen(place(row, n - 1))).collect(),
+                    target: backdrop.target.map(seen),
+                    balls: (backdrop.balls.iter())
+                        .map(|(center, radius)| (seen(*center), *radius))
+                        .collect(),
+                }
+            })
+            .collect();
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        let mut hold = |point: &[f64; 2], around: f64| {
+            for i in 0..2 {
+                low[i] = low[i].min(point[i] - around);
+                high[i] = high[i].max(point[i] + around);
+            }
+        };
+        for frame in &frames {
+            let points = frame.outline.iter().chain(&frame.way).chain(&frame.target);
+            points.for_each(|point| hold(point, 0.0));
+            for (center, radius) in &frame.balls {
+                hold(center, *radius);
+            }
+        }
+        let size = (high[0] - low[0])
+            .max(high[1] - low[1])
+            .max(f64::MIN_POSITIVE);
+        let margin = MARGIN * size;
+        Self {
+            frames,
+            window: [
+                low[0] - margin,
+                low[1] - margin,
+                high[0] - low[0] + 2.0 * margin,
+                high[1] - low[1] + 2.0 * margin,
+            ],
+        }
+    }
+
+    fn scale(&self) -> f64 {
+        WIDTH / self.window[2].max(self.window[3])
+    }
+
+    fn points(&self, points: &[[f64; 2]]) -> String {
+        let scale = self.scale();
+        let words: Vec<String> = (points.iter())
+            .map(|x| {
+                let [a, b] = [x[0] - self.window[0], x[1] - self.window[1]];
+                format!("{:.1},{:.1}", scale * a, scale * b)
+            })
+            .collect();
+        words.join(" ")
+    }
+
+    fn head(&self) -> String {
+        let [width, height] = [self.window[2], self.window[3]].map(|m| self.scale() * m);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" width=\"{width:.0}\" height=\"{height:.0}\">\n\
+             <style>.way {{ fill: none; stroke: #c0562b; stroke-width: 1.5 }} .arm {{ fill: #3b7dc4; stroke: #1d4f86; stroke-width: 1.2 }} \
+             .ball {{ fill: #8a94a0; fill-opacity: 0.55 }} .target {{ fill: none; stroke: #c0562b; stroke-width: 2.5 }}</style>\n"
+        )
+    }
+
+    fn backdrop(&self, frame: &Frame) -> String {
+        let scale = self.scale();
+        let at = |x: &[f64; 2]| [0, 1].map(|i| scale * (x[i] - self.window[i]));
+        let mut text = String::new();
+        for (center, radius) in &frame.balls {
+            let [x, y] = at(center);
+            let _ = writeln!(
+                text,
+                "<circle class=\"ball\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{:.1}\"/>",
+                scale * radius
+            );
+        }
+        if let Some(target) = &frame.target {
+            let [x, y] = at(target);
+            let _ = writeln!(
+                text,
+                "<circle class=\"target\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"9\"/>"
+            );
+        }
+        text
+    }
+
+    fn still(&self, number: usize) -> String {
+        let frame = &self.frames[number];
+        format!(
+            "{}{}<polyline class=\"way\" points=\"{}\"/>\n<polygon class=\"arm\" points=\"{}\"/>\n</svg>\n",
+            self.head(),
+            self.backdrop(frame),
+            self.points(&frame.way[..=number]),
+            self.points(&frame.outline)
+        )
+    }
+
+    fn animated(&self, seconds: f64) -> String {
+        let Some(first) = self.frames.first() else {
+            return self.head() + "</svg>\n";
+        };
+        let of = |points: &dyn Fn(&Frame) -> String| {
+            let values: Vec<String> = self.frames.iter().map(points).collect();
+            format!(
+                "<animate attributeName=\"points\" dur=\"{seconds:.2}s\" repeatCount=\"indefinite\" values=\"{}\"/>",
+                values.join(";")
+            )
+        };
+        format!(
+            "{}{}<polyline class=\"way\" points=\"{}\">{}</polyline>\n<polygon class=\"arm\" points=\"{}\">{}</polygon>\n</svg>\n",
+            self.head(),
+            self.backdrop(first),
+            self.points(&first.way),
+            of(&|frame| self.points(&frame.way)),
+            self.points(&first.outline),
+            of(&|frame| self.points(&frame.outline))
+        )
+    }
+}
+
+/// Both sides of a line with thickness, one after the other.
+fn outline(nodes: &[[f64; 2]], radius: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
+    let n = nodes.len();
+    let side = |q: usize, sign: f64| {
+        let (a, b) = (nodes[q.saturating_sub(1)], nodes[(q + 1).min(n - 1)]);
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let norm = along[0].hypot(along[1]).max(f64::MIN_POSITIVE);
+        let out = sign * radius(q) / norm;
+        [nodes[q][0] - out * along[1], nodes[q][1] + out * along[0]]
+    };
+    (0..n)
+        .map(|q| side(q, 1.0))
+        .chain((0..n).rev().map(|q| side(q, -1.0)))
         .collect()
 }

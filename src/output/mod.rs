@@ -16,6 +16,8 @@ mod motion;
 mod multipliers;
 mod npz;
 mod reading;
+#[cfg(feature = "cli")]
+pub(crate) mod replace;
 mod report;
 mod rows;
 mod running;
