@@ -1,5 +1,7 @@
 use std::path::Path;
 
+use nalgebra::Vector3;
+
 use super::npz::{self, read_array, write_array};
 use super::{ArrayView, OutputError};
 use crate::mechanics::{Energy, State, Wrench};
@@ -66,6 +68,12 @@ impl MotionRecord {
         }
     }
 
+    /// Position of a node in a row, m.
+    pub(crate) fn position(&self, row: usize, node: usize) -> Vector3<f64> {
+        let at = 3 * (row * self.n_nodes + node);
+        Vector3::from_column_slice(&self.x[at..at + 3])
+    }
+
     /// Number of sampled times.
     pub fn n_rows(&self) -> usize {
         self.t.len()
@@ -94,6 +102,64 @@ impl MotionRecord {
         sizes[0] = n_rows.saturating_mul(per_row);
         let archive = npz::open_within(path, npz::largest_archive(&sizes))?;
         Self::read(path, archive, Some(n_rows), Some(n_nodes))
+    }
+
+    /// The rows `keep(n)`, in increasing order, of the `n` rows of what [`write_npz`](Self::write_npz) writes; only these are held in
+    /// memory.
+    pub fn read_npz_rows(
+        path: &Path,
+        keep: impl FnOnce(usize) -> Vec<usize>,
+    ) -> Result<Self, OutputError> {
+        let mut archive = npz::open(path)?;
+        let malformed = |name: &str, reason: String| {
+            OutputError::malformed(path, format!("array {name}: {reason}"))
+        };
+        let (shape, t) = read_array(&mut archive, "t", &[None]).map_err(|r| malformed("t", r))?;
+        let n = shape[0];
+        let kept = keep(n);
+        let mut record = Self::empty(0);
+        record.t = kept.iter().filter_map(|&row| t.get(row).copied()).collect();
+        let mut n_nodes = None;
+        // The positions first: they say how many nodes there are.
+        for (name, inner, nodes_less) in [
+            ("x", &[3][..], Some(0)),
+            ("R", &[3, 3][..], Some(0)),
+            ("tip_force", &[3][..], None),
+            ("tip_moment", &[3][..], None),
+            ("energy", &[3][..], None),
+            ("dilatation", &[][..], Some(1)),
+        ] {
+            let mut expected = vec![Some(n)];
+            if let Some(less) = nodes_less {
+                expected.push(n_nodes.map(|nodes: usize| nodes.saturating_sub(less)));
+            }
+            expected.extend(inner.iter().copied().map(Some));
+            let mut index = 0;
+            let mut values = Vec::new();
+            let shape = npz::visit_array_shaped(&mut archive, name, &expected, |shape, value| {
+                let width = shape[1..].iter().product::<usize>().max(1);
+                if kept.binary_search(&(index / width)).is_ok() {
+                    values.push(value);
+                }
+                index += 1;
+                Ok(())
+            })
+            .map_err(|reason| malformed(name, reason))?;
+            if name == "x" {
+                n_nodes = Some(shape[1]);
+                record.n_nodes = shape[1];
+            }
+            match name {
+                "x" => record.x = values,
+                "R" => record.rotation = values,
+                "tip_force" => record.tip_force = values,
+                "tip_moment" => record.tip_moment = values,
+                "energy" => record.energy = values,
+                _ => record.dilatation = values,
+            }
+        }
+        record.validate(path)?;
+        Ok(record)
     }
 
     fn read(
@@ -246,6 +312,26 @@ impl ThinnedMotion {
             stride: 1,
             n_seen: 0,
         }
+    }
+
+    /// The numbers of the rows that are kept of `n`, and of the last one.
+    pub fn rows_of(n: usize) -> Vec<usize> {
+        let (mut rows, mut stride) = (Vec::new(), 1);
+        for row in 0..n {
+            if row % stride == 0 && rows.len() == Self::MOST_ROWS {
+                stride *= 2;
+                rows.retain(|kept| kept % stride == 0);
+            }
+            if row % stride == 0 {
+                rows.push(row);
+            }
+        }
+        if let Some(last) = n.checked_sub(1)
+            && rows.last() != Some(&last)
+        {
+            rows.push(last);
+        }
+        rows
     }
 
     /// Takes note of the next row: a record of one.
@@ -531,6 +617,29 @@ pub(super) mod tests {
             .unwrap_err()
             .to_string();
         assert!(error.contains("100000 bytes or more"), "{error}");
+    }
+
+    /// Rows that are read from a file are those that a run keeps while it writes them: the same numbers, whatever their count.
+    #[test]
+    fn rows_of_a_file_are_those_that_were_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectory.npz");
+        for n in [1, 2, 480, 481, 962, 2000] {
+            let whole = record(n, 3);
+            whole.write_npz(&path).unwrap();
+            let mut thinned = ThinnedMotion::new(3);
+            let mut row = MotionRecord::empty(3);
+            for i in 0..n {
+                row = MotionRecord::empty(3);
+                for (to, (_, _, from)) in row.arrays_mut().into_iter().zip(whole.arrays()) {
+                    let width = from.len() / n;
+                    to.extend_from_slice(&from[i * width..(i + 1) * width]);
+                }
+                thinned.push(&row);
+            }
+            let read = MotionRecord::read_npz_rows(&path, ThinnedMotion::rows_of).unwrap();
+            assert_eq!(read, thinned.finish(&row), "{n}");
+        }
     }
 
     proptest! {
