@@ -439,7 +439,7 @@ fn what_cannot_be_shown_is_refused() {
     desk.refused(
         &["report", "run"],
         USAGE,
-        &["trajectory.npz", "6 nodes", "describes 5"],
+        &["trajectory.npz", "array x: shape", "5, 3"],
     );
     for name in ["trajectory.npz", "scene.toml"] {
         fs::remove_file(desk.path(&format!("run/{name}"))).unwrap();

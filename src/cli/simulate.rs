@@ -561,7 +561,7 @@ impl<'a> Run<'a> {
         let record = self.thinned.finish(&self.row);
         let diagnostics = result.path().join("diagnostics.npz");
         let base = (self.diagnostics.is_some())
-            .then(|| BaseReaction::read(&diagnostics))
+            .then(|| BaseReaction::read(&diagnostics, self.trajectory.n_rows()))
             .transpose()?;
         let summary = serde_json::to_value(summary).unwrap_or_default();
         let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref());

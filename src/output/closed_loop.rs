@@ -8,6 +8,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::OutputError;
+use super::reading::read_text;
 use crate::mpc::{Disturbance, Percentiles, Sample, TipError};
 
 /// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
@@ -224,11 +225,14 @@ fn milliseconds(sample: &Sample) -> [f64; 5] {
     .map(|s| 1e3 * s)
 }
 
-/// Reads what [`write_samples`] writes, as far as a page shows it.
+/// Bytes of a row, at most: fifty numbers.
+const LARGEST_ROW: u64 = 1 << 11;
+
+/// Reads at most `most` rows of what [`write_samples`] writes, as far as a page shows it.
 ///
 /// # Errors
 /// [`OutputError`] for a missing column, and for a number that is none.
-pub fn read_samples(path: &Path) -> Result<Vec<SampleRow>, OutputError> {
+pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputError> {
     let malformed = |line: Option<u64>, reason: String| OutputError::Malformed {
         path: path.to_path_buf(),
         line,
@@ -236,8 +240,8 @@ pub fn read_samples(path: &Path) -> Result<Vec<SampleRow>, OutputError> {
     };
     let broken =
         |error: csv::Error| malformed(error.position().map(csv::Position::line), error.to_string());
-    let file = File::open(path).map_err(OutputError::io(path, "cannot read"))?;
-    let mut reader = csv::Reader::from_reader(io::BufReader::new(file));
+    let text = read_text(path, LARGEST_ROW.saturating_mul(most as u64 + 1))?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
     let column = |name: &str| {
         (header.iter().position(|known| known == name))

@@ -60,17 +60,18 @@ impl BaseReaction {
     /// Rows of a curve, at most.
     const MOST_ROWS: usize = 600;
 
-    /// At most 600 rows of a file, evenly spread.
+    /// At most 600 rows, evenly spread, of a file of `n_rows` rows.
     ///
     /// # Errors
     /// [`OutputError`] for a missing array, and for one of another shape.
-    pub fn read(path: &Path) -> Result<Self, OutputError> {
+    pub fn read(path: &Path, n_rows: usize) -> Result<Self, OutputError> {
         let mut archive = npz::open(path)?;
         let malformed = |name: &str| {
             let name = name.to_string();
             move |reason| OutputError::malformed(path, format!("array {name}: {reason}"))
         };
-        let (shape, t) = npz::read_array(&mut archive, "t", &[None]).map_err(malformed("t"))?;
+        let (shape, t) =
+            npz::read_array(&mut archive, "t", &[Some(n_rows)]).map_err(malformed("t"))?;
         let stride = shape[0].div_ceil(Self::MOST_ROWS).max(1);
         let mut read = |name: &str| {
             let (mut index, mut values) = (0, Vec::new());

@@ -96,48 +96,61 @@ impl MotionRecord {
 
     /// The same of `n_rows` rows of `n_nodes` nodes; no more is read than they take.
     pub fn read_npz_of(path: &Path, n_rows: usize, n_nodes: usize) -> Result<Self, OutputError> {
+        let archive = Self::open_within(path, n_rows, n_nodes)?;
+        Self::read(path, archive, Some(n_rows), Some(n_nodes))
+    }
+
+    /// Opens an archive that is no larger than one of so many rows and nodes.
+    fn open_within(
+        path: &Path,
+        n_rows: usize,
+        n_nodes: usize,
+    ) -> Result<npz::Archive, OutputError> {
         // Numbers per row: time, two vectors, three energies; twelve a node, one an element.
         let per_row = n_nodes.saturating_mul(13).saturating_add(9);
         let mut sizes = [0; 7];
         sizes[0] = n_rows.saturating_mul(per_row);
-        let archive = npz::open_within(path, npz::largest_archive(&sizes))?;
-        Self::read(path, archive, Some(n_rows), Some(n_nodes))
+        npz::open_within(path, npz::largest_archive(&sizes))
     }
 
-    /// The rows `keep(n)`, in increasing order, of the `n` rows of what [`write_npz`](Self::write_npz) writes; only these are held in
-    /// memory.
+    /// The rows `keep(n)`, in increasing order, of the `n ≤ most_rows` rows of `n_nodes` nodes of what [`write_npz`](Self::write_npz)
+    /// writes; only these are held in memory.
+    ///
+    /// # Errors
+    /// [`OutputError`] as [`read_npz_of`](Self::read_npz_of), and for more rows.
     pub fn read_npz_rows(
         path: &Path,
+        most_rows: usize,
+        n_nodes: usize,
         keep: impl FnOnce(usize) -> Vec<usize>,
     ) -> Result<Self, OutputError> {
-        let mut archive = npz::open(path)?;
+        let mut archive = Self::open_within(path, most_rows, n_nodes)?;
         let malformed = |name: &str, reason: String| {
             OutputError::malformed(path, format!("array {name}: {reason}"))
         };
         let (shape, t) = read_array(&mut archive, "t", &[None]).map_err(|r| malformed("t", r))?;
         let n = shape[0];
+        if n > most_rows {
+            let reason = format!("{n} rows; scene.toml describes at most {most_rows}");
+            return Err(malformed("t", reason));
+        }
         let kept = keep(n);
-        let mut record = Self::empty(0);
+        let mut record = Self::empty(n_nodes);
         record.t = kept.iter().filter_map(|&row| t.get(row).copied()).collect();
-        let mut n_nodes = None;
-        // The positions first: they say how many nodes there are.
-        for (name, inner, nodes_less) in [
-            ("x", &[3][..], Some(0)),
-            ("R", &[3, 3][..], Some(0)),
-            ("tip_force", &[3][..], None),
-            ("tip_moment", &[3][..], None),
-            ("energy", &[3][..], None),
-            ("dilatation", &[][..], Some(1)),
+        let elements = n_nodes.saturating_sub(1);
+        for (name, inner) in [
+            ("x", &[n_nodes, 3][..]),
+            ("R", &[n_nodes, 3, 3][..]),
+            ("tip_force", &[3][..]),
+            ("tip_moment", &[3][..]),
+            ("energy", &[3][..]),
+            ("dilatation", &[elements][..]),
         ] {
-            let mut expected = vec![Some(n)];
-            if let Some(less) = nodes_less {
-                expected.push(n_nodes.map(|nodes: usize| nodes.saturating_sub(less)));
-            }
-            expected.extend(inner.iter().copied().map(Some));
+            let width: usize = inner.iter().product::<usize>().max(1);
+            let expected: Vec<_> = [n].iter().chain(inner).copied().map(Some).collect();
             let mut index = 0;
             let mut values = Vec::new();
-            let shape = npz::visit_array_shaped(&mut archive, name, &expected, |shape, value| {
-                let width = shape[1..].iter().product::<usize>().max(1);
+            npz::visit_array(&mut archive, name, &expected, |value| {
                 if kept.binary_search(&(index / width)).is_ok() {
                     values.push(value);
                 }
@@ -145,10 +158,6 @@ impl MotionRecord {
                 Ok(())
             })
             .map_err(|reason| malformed(name, reason))?;
-            if name == "x" {
-                n_nodes = Some(shape[1]);
-                record.n_nodes = shape[1];
-            }
             match name {
                 "x" => record.x = values,
                 "R" => record.rotation = values,
@@ -637,8 +646,10 @@ pub(super) mod tests {
                 }
                 thinned.push(&row);
             }
-            let read = MotionRecord::read_npz_rows(&path, ThinnedMotion::rows_of).unwrap();
+            let read = MotionRecord::read_npz_rows(&path, n, 3, ThinnedMotion::rows_of).unwrap();
             assert_eq!(read, thinned.finish(&row), "{n}");
+            let refused = MotionRecord::read_npz_rows(&path, n - 1, 3, ThinnedMotion::rows_of);
+            assert!(refused.is_err(), "{n}");
         }
     }
 

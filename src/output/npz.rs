@@ -120,16 +120,6 @@ pub(super) fn visit_array(
     expected: &[Option<usize>],
     mut visit: impl FnMut(f64) -> io::Result<()>,
 ) -> Result<Vec<usize>, String> {
-    visit_array_shaped(archive, name, expected, |_, value| visit(value))
-}
-
-/// The same with the shape of the array, which is known before its values.
-pub(super) fn visit_array_shaped(
-    archive: &mut Archive,
-    name: &str,
-    expected: &[Option<usize>],
-    mut visit: impl FnMut(&[usize], f64) -> io::Result<()>,
-) -> Result<Vec<usize>, String> {
     let mut entry =
         (archive.by_name(&file_name_from_array_name(name))).map_err(|error| match error {
             ZipError::FileNotFound => "missing".into(),
@@ -157,7 +147,7 @@ pub(super) fn visit_array_shaped(
     let numbers = array.data::<f64>().map_err(|error| error.to_string())?;
     for value in numbers {
         value
-            .and_then(|value| visit(&shape, value))
+            .and_then(&mut visit)
             .map_err(|error| error.to_string())?;
     }
     // The archive compares its checksum only where the array ends.

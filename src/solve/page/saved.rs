@@ -83,7 +83,9 @@ impl Files<'_> {
     fn solve(&self) -> Result<ReportData, SavedError> {
         let setup = self.scene.optimal_control_until(self.source, self.stop)?;
         let problem = setup.posed();
-        let record = self.motion(problem.discrete.rod.n_nodes(), |n| (0..n).collect())?;
+        let discrete = &problem.discrete;
+        let most = discrete.grid.n_steps + 1;
+        let record = self.motion(most, discrete.rod.n_nodes(), |n| (0..n).collect())?;
         let coefficients = self.coefficients(&problem.discrete)?;
         let gains = self.directory.join("feedback.npz");
         let growth = if gains.is_file() {
@@ -105,10 +107,15 @@ impl Files<'_> {
 
     fn simulation(&self) -> Result<ReportData, SavedError> {
         let setup = self.scene.simulation_until(self.source, self.stop)?;
-        let record = self.motion(setup.rod.n_nodes(), ThinnedMotion::rows_of)?;
+        let mut n_rows = 0;
+        let most = setup.n_rows(setup.grid.n_steps);
+        let record = self.motion(most, setup.rod.n_nodes(), |n| {
+            n_rows = n;
+            ThinnedMotion::rows_of(n)
+        })?;
         let diagnostics = self.directory.join("diagnostics.npz");
         let base = if diagnostics.is_file() {
-            Some(BaseReaction::read(&diagnostics)?)
+            Some(BaseReaction::read(&diagnostics, n_rows)?)
         } else {
             None
         };
@@ -124,31 +131,23 @@ impl Files<'_> {
     fn closed_loop(&self) -> Result<ReportData, SavedError> {
         // The resolved scene has the seed of its run.
         let setup = self.scene.closed_loop(self.source, 0, self.stop)?;
-        let record = self.motion(setup.plant.n_nodes(), ThinnedMotion::rows_of)?;
-        let samples = read_samples(&self.directory.join("samples.csv"))?;
+        let own = &setup.experiment;
+        let n_samples = (own.duration / own.mpc.period).round().max(1.0) as usize;
+        let nodes = setup.plant.n_nodes();
+        let record = self.motion(n_samples + 1, nodes, ThinnedMotion::rows_of)?;
+        let samples = read_samples(&self.directory.join("samples.csv"), n_samples)?;
         Ok(closed_loop_page(&setup, &samples, &record, self.summary))
     }
 
-    /// Some rows of the motion of an arm of so many nodes.
+    /// Some of at most so many rows of the motion of an arm of so many nodes.
     fn motion(
         &self,
+        most_rows: usize,
         n_nodes: usize,
         keep: impl FnOnce(usize) -> Vec<usize>,
     ) -> Result<MotionRecord, OutputError> {
         let path = self.directory.join("trajectory.npz");
-        let record = MotionRecord::read_npz_rows(&path, keep)?;
-        if record.n_nodes != n_nodes {
-            let reason = format!(
-                "a motion of {} nodes, but scene.toml describes {n_nodes}",
-                record.n_nodes
-            );
-            return Err(OutputError::Malformed {
-                path,
-                line: None,
-                reason,
-            });
-        }
-        Ok(record)
+        MotionRecord::read_npz_rows(&path, most_rows, n_nodes, keep)
     }
 
     fn coefficients(&self, problem: &OptimalControlProblem) -> Result<Vec<Wrench>, OutputError> {
@@ -174,23 +173,17 @@ struct IterationRow {
     kind: String,
 }
 
+/// Bytes of the table of iterations, at most: of a hundred thousand.
+const LARGEST_TABLE: u64 = 1 << 25;
+
 fn read_iterations(path: &Path) -> Result<Vec<ReportIteration>, OutputError> {
-    let broken = |error: csv::Error| {
-        let line = error.position().map(csv::Position::line);
-        match error.into_kind() {
-            csv::ErrorKind::Io(source) => OutputError::Io {
-                path: path.to_path_buf(),
-                action: "cannot read",
-                source,
-            },
-            kind => OutputError::Malformed {
-                path: path.to_path_buf(),
-                line,
-                reason: format!("{kind:?}"),
-            },
-        }
+    let text = read_text(path, LARGEST_TABLE)?;
+    let broken = |error: csv::Error| OutputError::Malformed {
+        path: path.to_path_buf(),
+        line: error.position().map(csv::Position::line),
+        reason: error.to_string(),
     };
-    let mut reader = csv::Reader::from_path(path).map_err(broken)?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
     let mut rows = Vec::new();
     for row in reader.deserialize::<IterationRow>() {
         let row = row.map_err(broken)?;
