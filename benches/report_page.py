@@ -16,6 +16,7 @@ import base64
 import json
 import os
 import pathlib
+import select
 import shutil
 import subprocess
 import sys
@@ -71,6 +72,10 @@ EXERCISE = """(async () => {
 })()"""
 
 
+class NoBrowser(Exception):
+    """The browser does not work here."""
+
+
 class Browser:
     """Chromium on a pipe: messages of the DevTools protocol, each ended by a zero byte."""
 
@@ -94,9 +99,11 @@ class Browser:
 
     def message(self):
         while b"\0" not in self.rest:
-            more = os.read(self.source, 1 << 20)
+            ready, _, _ = select.select([self.source], [], [], PATIENCE)
+            more = os.read(self.source, 1 << 20) if ready else b""
             if not more:
-                raise SystemExit("the browser ended")
+                self.process.kill()
+                raise NoBrowser("it ended" if ready else f"it said nothing for {PATIENCE:.0f} s")
             self.rest += more
         text, self.rest = self.rest.split(b"\0", 1)
         return json.loads(text)
@@ -154,7 +161,7 @@ def look(browser, page, width, scheme, shots):
     started = time.monotonic()
     while run("document.readyState") != "complete" and time.monotonic() - started < PATIENCE:
         time.sleep(0.05)
-    settle = "new Promise((done) => setTimeout(() => requestAnimationFrame(() => done(1)), 300))"
+    settle = "new Promise((done) => setTimeout(() => requestAnimationFrame(() => done(1)), 150))"
     run(settle)
     faults = list(run(FAULTS) or [])
     if shots:
@@ -186,7 +193,12 @@ def main():
         arguments.shots.mkdir(parents=True, exist_ok=True)
     failed = 0
     with tempfile.TemporaryDirectory() as profile:
-        browser = Browser(path, profile)
+        try:
+            browser = Browser(path, profile)
+            browser.ask("Browser.getVersion")
+        except (NoBrowser, OSError) as error:
+            print(f"skipped: {path} does not start: {error}")
+            return 0
         for page in arguments.pages:
             if not page.is_file():
                 browser.close()

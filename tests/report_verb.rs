@@ -374,6 +374,34 @@ fn results_are_compared() {
     assert_eq!(same["runs"][1]["name"], "fine (2)");
 }
 
+/// The pages of a solve and of a comparison of simulations work in a browser, wide and narrow, light and dark: no error on the console,
+/// no request, nothing beyond the edge, no blank picture. Skipped where there is no Chromium, or no Python to drive it.
+#[test]
+fn pages_work_in_a_browser() {
+    let desk = Desk::new();
+    desk.done(&["solve", "solve.toml", "--out", "run", "--quiet"]);
+    desk.done(&["simulate", "sag.toml", "--out", "sag", "--quiet"]);
+    desk.done(&["report", "sag", "sag"]);
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/report_page.py");
+    let pages = ["run/report.html", "comparison.html"];
+    let started = Command::new("python3")
+        .arg(script)
+        .args(pages)
+        .current_dir(desk.folder.path())
+        .output();
+    let Ok(output) = started else {
+        println!("skipped: no python3");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}{errors}");
+    assert!(
+        said.contains("8 passed, 0 failed") || said.contains("skipped"),
+        "{said}{errors}"
+    );
+}
+
 /// What is no result, results of different verbs, files that are missing or do not fit, overrides, and files of others in the place of the
 /// page are refused, each by its name, and nothing is written.
 #[test]
@@ -439,7 +467,7 @@ fn what_cannot_be_shown_is_refused() {
     desk.refused(
         &["report", "run"],
         USAGE,
-        &["trajectory.npz", "array x: shape", "5, 3"],
+        &["trajectory.npz", "rows; scene.toml describes at most"],
     );
     for name in ["trajectory.npz", "scene.toml"] {
         fs::remove_file(desk.path(&format!("run/{name}"))).unwrap();

@@ -115,7 +115,7 @@ pub struct ReportArm {
 pub struct ReportMotion {
     /// `[n]` times in seconds.
     pub t: Vec<f64>,
-    /// `[n][K+1]` positions in meters, as accurate as a picture needs.
+    /// `[n][K+1]` positions in meters, to six decimals of the largest: more than a picture shows.
     pub x: Vec<Vec<[f32; 3]>>,
     /// `[n][K+1]` first directors: unit vectors across the arm.
     pub d1: Vec<Vec<[f32; 3]>>,
@@ -123,25 +123,46 @@ pub struct ReportMotion {
     pub tip: Vec<[f64; 3]>,
 }
 
+/// Last decimal of a position in the picture, over the power of ten of the largest.
+const POSITION_DIGIT: f64 = 1e-6;
+/// Last decimal of a director in the picture.
+const DIRECTOR_DIGIT: f64 = 1e-4;
+
+/// A multiple of `unit`; the value itself where there is none.
+fn rounded(value: f64, unit: f64) -> f64 {
+    let multiple = (value / unit).round() * unit;
+    if multiple.is_finite() {
+        multiple
+    } else {
+        value
+    }
+}
+
 impl ReportMotion {
     /// At most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_frames: usize) -> Self {
         let nodes = record.n_nodes;
-        let node_vectors = |values: &[f64], row: usize, stride: usize, parts: [usize; 3]| {
-            (0..nodes)
-                .map(|node| parts.map(|part| values[(row * nodes + node) * stride + part] as f32))
-                .collect()
-        };
+        let node_vectors =
+            |values: &[f64], row: usize, stride: usize, parts: [usize; 3], unit: f64| {
+                let number = |node: usize, part: usize| {
+                    rounded(values[(row * nodes + node) * stride + part], unit) as f32
+                };
+                (0..nodes)
+                    .map(|node| parts.map(|part| number(node, part)))
+                    .collect()
+            };
         let rows = record.thinned_rows(max_frames);
+        let largest = record.x.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let unit = 10_f64.powf(largest.log10().floor()) * POSITION_DIGIT;
         Self {
             t: rows.iter().map(|&row| record.t[row]).collect(),
             x: rows
                 .iter()
-                .map(|&row| node_vectors(&record.x, row, 3, [0, 1, 2]))
+                .map(|&row| node_vectors(&record.x, row, 3, [0, 1, 2], unit))
                 .collect(),
             d1: rows
                 .iter()
-                .map(|&row| node_vectors(&record.rotation, row, 9, [0, 3, 6]))
+                .map(|&row| node_vectors(&record.rotation, row, 9, [0, 3, 6], DIRECTOR_DIGIT))
                 .collect(),
             tip: rows
                 .iter()

@@ -285,7 +285,7 @@ function arrowPieces(runs, size) {
     });
   }
 
-  const ends = all.flatMap((arrow) => arrow.run.motion.t.filter((_, i) => i % 8 === 0).map((t) => {
+  const ends = all.flatMap((arrow) => arrow.run.motion.t.filter((_, i, all) => i % 8 === 0 || i + 1 === all.length).map((t) => {
     const [foot, v] = placed(arrow, t);
     return add(foot, lengthened(arrow, v));
   })).filter(isPoint);

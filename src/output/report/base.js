@@ -129,6 +129,9 @@ const clock = {
 
 const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop' };
 
+/** Text in which no line breaks between a number and its unit. */
+const joined = (text) => text.replace(/(\d) (?=[A-Za-z%\u00b7]{1,3}\b|%)/g, '$1\u00a0');
+
 function badge(verdict) {
   return el('div', { class: `badge ${verdict.ok ? 'good' : 'bad'}`, role: 'status' },
     el('span', { 'aria-hidden': 'true' }, verdict.ok ? '\u2713' : '\u2717'), verdict.text);
@@ -140,11 +143,11 @@ function pageHeader() {
     el('h1', {}, data.title)));
   if (!COMPARING) {
     header.append(badge(data.verdict),
-      el('div', { class: 'lead' }, el('p', { class: 'sentence' }, data.lead), el('p', { class: 'trust' }, data.trust)));
+      el('div', { class: 'lead' }, el('p', { class: 'sentence' }, joined(data.lead)), el('p', { class: 'trust' }, joined(data.trust))));
     return;
   }
   header.append(el('div', { class: 'lead' }, ...runs.map((run) => el('p', { class: 'run' },
-    el('span', { class: 'swatch solid', style: `background: rgb(var(--${run.color}))` }), el('b', {}, run.name), ' ', badge(run.verdict), ' ', run.lead))));
+    el('span', { class: 'swatch solid', style: `background: rgb(var(--${run.color}))` }), el('b', {}, run.name), ' ', badge(run.verdict), ' ', joined(run.lead)))));
 }
 
 function factsList(facts) {

@@ -250,7 +250,7 @@ function controlChart(title, unitName, letter, names, values, bound) {
     if (bound.axes.every((b) => b === bound.axes[0]))
       bounds.push({ name: `limit \u00b1${format(bound.axes[0])} each`, color: 'var(--bad)', values: [bound.axes[0], -bound.axes[0]] });
     else bound.axes.forEach((b, i) => {
-      if (isNumber(b)) bounds.push({ name: `limit of ${letter}${names[i]} \u00b1${format(b)}`, color: `var(--${'xyz'[i]})`, values: [b, -b] });
+      if (isNumber(b) && b > 0) bounds.push({ name: `limit of ${letter}${names[i]} \u00b1${format(b)}`, color: `var(--${'xyz'[i]})`, values: [b, -b] });
     });
   }
   return { title, unit: unitName, x: TIME, series: [sizes, ...series], bounds, synchronized: true };

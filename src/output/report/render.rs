@@ -226,19 +226,30 @@ mod tests {
         assert!(json["energy"]["elastic"][1].is_null());
     }
 
-    /// Frames take positions, the first column of the rotations, and the tip from the rows that are kept.
+    /// Frames take positions, the first column of the rotations, and the tip from the rows that are kept; the tip with all digits, the
+    /// rest rounded.
     #[test]
     fn frames_are_rows_of_the_record() {
-        let record = record(9, 3);
+        let mut record = record(9, 3);
+        for values in [&mut record.x, &mut record.rotation] {
+            (0..values.len()).for_each(|i| values[i] = (i as f64).sin());
+        }
         let motion = ReportMotion::thinned(&record, 3);
         assert_eq!(motion.t, [record.t[0], record.t[4], record.t[8]]);
         let (row, node) = (4, 1);
         let at = (row * 3 + node) * 9;
-        let d1 = [0, 3, 6].map(|part| record.rotation[at + part] as f32);
-        assert_eq!(motion.d1[1][node], d1);
+        for (axis, part) in [0, 3, 6].into_iter().enumerate() {
+            let off = f64::from(motion.d1[1][node][axis]) - record.rotation[at + part];
+            assert!(off.abs() < 0.6 * DIRECTOR_DIGIT);
+        }
         let tip = (row * 3 + 2) * 3;
         assert_eq!(motion.tip[1], record.x[tip..tip + 3]);
-        assert_eq!(motion.x[1][2], motion.tip[1].map(|part| part as f32));
+        for (x, tip) in motion.x[1][2].into_iter().zip(motion.tip[1]) {
+            assert!((f64::from(x) - tip).abs() < 0.6 * POSITION_DIGIT);
+        }
+        // What has no size to round by stays as it is.
+        assert_eq!(rounded(3.0, f64::NAN), 3.0);
+        assert_eq!(rounded(0.0, 0.0), 0.0);
     }
 
     /// Three digits, no zeros at the end, powers of ten outside of what reads well.

@@ -164,22 +164,31 @@ pub(super) fn on_tip(record: &MotionRecord) -> Vec<ReportArrow> {
     arrows.finish()
 }
 
-/// The loads, by this name, and the weight.
-pub(super) fn given(rod: &Rod, record: &MotionRecord, name: &str) -> Vec<ReportArrow> {
+/// What the loads that are given beside a control are called.
+pub(super) const LOAD: &str = "load";
+
+/// The loads, the `i`-th of them by the name `name(i)`, and the weight.
+pub(super) fn given<'a>(
+    rod: &Rod,
+    record: &MotionRecord,
+    name: impl Fn(usize) -> &'a str,
+) -> Vec<ReportArrow> {
     let rows = record.thinned_rows(FRAMES);
-    let mut arrows = Arrows::new(name, rows.len());
+    let mut by_name: BTreeMap<&str, Arrows> = BTreeMap::new();
     let weight = rod.gravity * rod.mass();
     let mut centers = Vec::new();
     for (frame, &row) in rows.iter().enumerate() {
         let (positions, rotations) = pose(record, row);
-        for load in &rod.loads {
+        for (i, load) in rod.loads.iter().enumerate() {
             let wrench = load.wrench(record.t[row], &rotations[load.node]);
             let moment = rotations[load.node] * wrench.moment;
-            arrows.add(frame, load.node, wrench.force, moment);
+            (by_name.entry(name(i)))
+                .or_insert_with_key(|name| Arrows::new(name, rows.len()))
+                .add(frame, load.node, wrench.force, moment);
         }
         centers.push(rod.center_of_mass(&positions));
     }
-    let mut out = arrows.finish();
+    let mut out: Vec<ReportArrow> = by_name.into_values().flat_map(Arrows::finish).collect();
     if weight != Vector3::zeros() {
         out.push(ReportArrow {
             name: "weight".into(),

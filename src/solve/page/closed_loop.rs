@@ -31,15 +31,16 @@ pub(crate) fn closed_loop_page(
     let found = Fields(summary);
     let own = &setup.experiment;
     let period = own.mpc.period;
+    let task = &own.task;
+    let follows = !task.cost.tracks.is_empty() && thin.iter().all(|s| s.reference.is_some());
     let mut charts = Vec::new();
-    if thin.iter().any(|sample| sample.error.is_finite()) {
+    // A path to follow has a chart of its own.
+    if !follows && thin.iter().any(|sample| sample.error.is_finite()) {
         charts.push(error_chart(&thin));
     }
     charts.extend([histogram(samples, period), times_chart(&thin, period)]);
     charts.extend(disturbance_charts(&thin));
     charts.extend(reaction::nearest_to_base(&setup.plant, record));
-    let task = &setup.experiment.task;
-    let follows = !task.cost.tracks.is_empty() && thin.iter().all(|s| s.reference.is_some());
     let (last, earlier) = match task.targets.split_last() {
         Some((last, earlier)) => (Some(last), earlier),
         None => (None, &[][..]),
@@ -85,7 +86,7 @@ pub(crate) fn closed_loop_page(
             Vec::new()
         },
         arrows: (arrows::on_tip(record).into_iter())
-            .chain(arrows::given(&setup.plant, record, "load or disturbance"))
+            .chain(arrows::given(&setup.plant, record, |i| load_name(setup, i)))
             .collect(),
         fields: fields::fields(&setup.plant, record),
         obstacles: None,
@@ -156,6 +157,29 @@ fn words(
         error => format!("Do not rely on it: {error}."),
     };
     (lead, trust)
+}
+
+/// Whether the load of this index on the arm as it is belongs to the controller's model, in a word.
+///
+/// Point loads come first, then those of the nodes of distributed ones.
+fn load_name(setup: &ClosedLoopSetup, index: usize) -> &'static str {
+    let (model, plant) = (&setup.experiment.arm, &setup.experiment.plant);
+    let is_known = match index.checked_sub(plant.loads.len()) {
+        None => index < model.loads.len(),
+        Some(lump) => {
+            let known = plant
+                .distributed_loads
+                .iter()
+                .take(model.distributed_loads.len());
+            let lumps = known.map(|load| load.lumped(plant.length, setup.plant.n_elements()).len());
+            lump < lumps.sum::<usize>()
+        }
+    };
+    if is_known {
+        arrows::LOAD
+    } else {
+        "disturbance"
+    }
 }
 
 /// The references of the tip, and how far it is from them at the frames.

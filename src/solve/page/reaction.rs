@@ -12,7 +12,7 @@ use crate::mechanics::{BaseCondition, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::MotionRecord;
 use crate::output::ReportChart;
-use crate::solve::diagnostics::diagnostics;
+use crate::solve::diagnostics::visit;
 
 /// Section of the page.
 const SECTION: &str = "Forces in the arm";
@@ -25,29 +25,33 @@ pub(super) fn optimized(
     if problem.rod.base == BaseCondition::Free {
         return Vec::new();
     }
-    diagnostics(problem, coefficients).map_or_else(
-        |_| Vec::new(),
-        |found| charts(&found.t, &found.base_force, &found.base_moment),
-    )
+    let [mut t, mut force, mut moment] = [const { Vec::new() }; 3];
+    let stride = (problem.grid.n_steps + 1).div_ceil(ROWS);
+    let simulated = visit(problem, coefficients, stride, |time, found, _| {
+        t.push(time);
+        force.extend(found.reaction.force.iter());
+        moment.extend(found.reaction.moment.iter());
+    });
+    if simulated.is_err() {
+        return Vec::new();
+    }
+    charts(&t, &force, &moment)
 }
 
 /// Charts of forces (N, spatial) and moments (N m, frame of the base), three numbers a time.
 pub(super) fn charts(t: &[f64], force: &[f64], moment: &[f64]) -> Vec<ReportChart> {
-    let n = t.len();
-    let stride = n.div_ceil(ROWS).max(1);
-    let rows: Vec<usize> = (0..n).step_by(stride).collect();
-    let times: Vec<f64> = rows.iter().map(|&row| t[row]).collect();
+    let rows = 0..t.len();
     let series = |values: &[f64], letter: &str, names: [&str; 3]| {
         let at = |row: usize| Vector3::from_column_slice(&values[3 * row..]);
         let mut all = vec![curve(
             &format!("|{letter}|"),
             "norm",
-            times.clone(),
-            rows.iter().map(|&row| at(row).norm()).collect(),
+            t.to_vec(),
+            rows.clone().map(|row| at(row).norm()).collect(),
         )];
         for (axis, (name, color)) in names.into_iter().zip(["x", "y", "z"]).enumerate() {
-            let y = rows.iter().map(|&row| at(row)[axis]).collect();
-            all.push(curve(&format!("{letter}{name}"), color, times.clone(), y));
+            let y = rows.clone().map(|row| at(row)[axis]).collect();
+            all.push(curve(&format!("{letter}{name}"), color, t.to_vec(), y));
         }
         all
     };

@@ -75,7 +75,7 @@ pub(crate) fn simulation_page(
         target: None,
         via: Vec::new(),
         paths: Vec::new(),
-        arrows: arrows::given(rod, record, "load"),
+        arrows: arrows::given(rod, record, |_| arrows::LOAD),
         fields: fields::fields(rod, record),
         obstacles: obstacles(
             &limits,

@@ -76,7 +76,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         via: via(discrete),
         paths: paths(discrete, record),
         arrows: (arrows::controls(discrete, page.coefficients, record).into_iter())
-            .chain(arrows::given(&discrete.rod, record, "load"))
+            .chain(arrows::given(&discrete.rod, record, |_| arrows::LOAD))
             .collect(),
         fields: fields::fields(&discrete.rod, record),
         obstacles: obstacles(&task.limits, &discrete.rod, &discrete.radii, record),

@@ -87,7 +87,12 @@ fn what(problem: &OptimalControlProblem, certain: bool) -> String {
         text += &format!(" by way of {}", counted(on_the_way, "point", "points"));
     }
     if final_goals().any(|goal| goal.at_rest) {
-        text += " and comes to rest there";
+        let should = text.contains("should");
+        text += if should {
+            " and come to rest there"
+        } else {
+            " and comes to rest there"
+        };
     }
     text
 }
