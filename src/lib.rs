@@ -69,6 +69,7 @@ pub mod solve;
 pub mod sqp;
 pub mod stop;
 pub mod task;
+pub mod tradeoff;
 pub mod verify;
 
 pub use solve::solve;

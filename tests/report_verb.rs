@@ -421,6 +421,10 @@ fn what_cannot_be_shown_is_refused() {
     desk.refused(&["report", "empty"], USAGE, &["not the summary"]);
     fs::write(desk.path("empty/summary.json"), "{\n,").unwrap();
     desk.refused(&["report", "empty"], USAGE, &["summary.json:2"]);
+    let tradeoff = "{\"schema_version\": 1, \"tool\": \"softarm\", \"command\": \"tradeoff\"}";
+    fs::write(desk.path("empty/summary.json"), tradeoff).unwrap();
+    fs::copy(desk.path("solve.toml"), desk.path("empty/scene.toml")).unwrap();
+    desk.refused(&["report", "empty"], USAGE, &["a tradeoff"]);
     desk.refused(
         &["report", "run", "sag"],
         USAGE,

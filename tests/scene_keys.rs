@@ -267,7 +267,7 @@ const SCENES: [&[&str]; 5] = [
     ],
     &[
         "rod.length_m=0.3",
-        "rod.elements=12",
+        "rod.accuracy=0.002",
         "rod.material.preset='ecoflex-00-30'",
         "rod.section.diameter_base_m=0.02",
         "rod.section.diameter_tip_m=0.01",

@@ -356,8 +356,13 @@ fn gains_are_computed_again() {
     }
     // Gains of another regulator.
     let copy = Copy::new();
-    let weights = "\n[control.feedback]\nstate = 2.0\ninput = 1.0\ntolerance = 0.01\n";
-    fs::write(copy.path("scene.toml"), copy.text("scene.toml") + weights).unwrap();
+    let scene = copy.text("scene.toml");
+    let (weights, others) = (
+        "[control.feedback]\nstate = 1.0\n",
+        "[control.feedback]\nstate = 2.0\n",
+    );
+    assert!(scene.contains(weights));
+    fs::write(copy.path("scene.toml"), scene.replace(weights, others)).unwrap();
     let verified = copy.verify();
     assert_eq!(verified.code, REJECTED, "{}", verified.stderr);
     let failed = verified.summary["check"]["failed"].to_string();

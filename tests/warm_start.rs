@@ -77,7 +77,6 @@ fn other_sizes_are_refused() {
         multipliers: Multipliers::default(),
         working_rows: Vec::new(),
         elastic_weight: None,
-        trust_radius: 1.0,
     };
     let outcome = solve_warm(&program, start, &settings, &mut |_| {
         ControlFlow::Continue(())

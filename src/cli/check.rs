@@ -204,7 +204,7 @@ fn topples(rest: &RestSummary) -> Option<String> {
     })
 }
 
-fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
+pub(super) fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
     let steps = problem.grid.n_steps as f64;
     SolveTime::of(&problem.rod, steps, problem.n_variables())
 }

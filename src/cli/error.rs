@@ -11,6 +11,7 @@ use crate::paper::PaperError;
 use crate::scene::SceneError;
 use crate::solve::SavedError;
 use crate::stop::{Stop, StopSignal};
+use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
 
 /// An error of a verb.
@@ -46,6 +47,9 @@ pub(super) enum CliError {
     /// A closed loop that cannot begin.
     #[error("error: the controller has no first plan: {0}")]
     Mpc(#[from] MpcError),
+    /// A trade-off without its first run.
+    #[error("error: {0}")]
+    Sweep(SweepError),
     /// A plant that cannot be served.
     #[error("error: {0}")]
     Serve(ServeError),
@@ -84,6 +88,7 @@ impl CliError {
             Self::Step(_)
             | Self::Guess(_)
             | Self::Mpc(_)
+            | Self::Sweep(_)
             | Self::Serve(_)
             | Self::Check(_)
             | Self::SecondOpinion(SecondOpinionError::Start(_))

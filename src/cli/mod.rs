@@ -1,5 +1,6 @@
 //! The command line: one file a verb. Only here is anything printed.
 
+mod accuracy;
 mod check;
 mod console;
 mod derivatives;
@@ -14,6 +15,7 @@ mod schema;
 mod serve;
 mod simulate;
 mod solve;
+mod tradeoff;
 mod verify;
 
 use std::path::PathBuf;
@@ -65,6 +67,10 @@ struct Global {
     /// Override a scene key by its dotted path; any number of times
     #[arg(long, global = true, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Choose elements and time step such that no point of the arm is ever off by more than this part of the length; in the place of
+    /// rod.elements and time.step_s [default, where a scene has no rod.elements: 1e-3]
+    #[arg(long, global = true, value_name = "PART")]
+    accuracy: Option<f64>,
     /// Threads to compute with; changes the time, not the result [default: as many as the machine has cores]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -90,6 +96,8 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
+    /// Error against time over discretizations and settings of a scene; recommends one for a tolerance
+    Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
     /// Make the page of a result directory anew from its files, or one page that compares several
@@ -170,6 +178,10 @@ pub fn run() -> ExitCode {
             });
         }
     };
+    let mut cli = cli;
+    if let Some(accuracy) = cli.global.accuracy {
+        cli.global.set.push(format!("rod.accuracy={accuracy:e}"));
+    }
     let console = Console::new(&cli.global);
     let outcome = match &cli.command {
         Command::Check(argument) => check::run(&argument.scene, &cli.global, &console),
@@ -178,6 +190,7 @@ pub fn run() -> ExitCode {
         }
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
         Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
+        Command::Tradeoff(arguments) => tradeoff::run(arguments, &cli.global, &console),
         Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
         Command::Report(arguments) => report::run(arguments, &cli.global, &console),
         Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),

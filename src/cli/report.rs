@@ -11,8 +11,8 @@ use super::error::CliError;
 use super::{Global, Outcome, exit};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::{
-    Compared, ComparisonTable, OutputError, PAGE_MARK, ReportCommand, ResultKind, compare,
-    read_text, render_comparison, render_report,
+    Compared, ComparisonTable, OutputError, PAGE_MARK, compare, read_text, render_comparison,
+    render_report,
 };
 use crate::solve::{SavedPage, saved_page};
 
@@ -99,11 +99,7 @@ fn comparison(
             pages[other].kind.command()
         )));
     }
-    let command = match first {
-        ResultKind::Simulate => ReportCommand::Simulate,
-        ResultKind::Solve => ReportCommand::Solve,
-        ResultKind::Mpc => ReportCommand::Mpc,
-    };
+    let command = pages[0].data.command;
     let results = (names(directories).into_iter().zip(pages))
         .map(|(name, page)| Compared {
             name,

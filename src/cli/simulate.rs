@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::accuracy::of_simulation as accurate;
 use super::check::{output_size, size_warning, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
@@ -21,7 +22,7 @@ use crate::output::{
     ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
     ResultDirectory, ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
-use crate::scene::{Scene, SceneSource, Simulation, TimeStep};
+use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::solve::{causes, simulation_page};
 use crate::stop::StopSignal;
 
@@ -40,12 +41,15 @@ pub(super) fn run(
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
     let stop = stop_signal(None);
     let target = arguments.directory("simulate");
+    let mut accuracy = None;
     let (directory, setup, found) = if resume {
         let directory = Found::directory(&target)?;
         let found = Found::beside(&directory, &target, &scene)?;
         let setup = continued(&scene, &source, &found.checkpoint, &stop)?;
         (directory, setup, Some(found))
     } else {
+        let (scene, chosen) = accurate(scene.clone(), &source, &stop, console)?;
+        accuracy = chosen;
         let setup = (scene.simulation_until(&source, &stop))
             .map_err(|error| CliError::of_scene(error, &stop))?;
         let directory = RunDirectory::open(&target, ResultKind::Simulate)?;
@@ -101,7 +105,10 @@ pub(super) fn run(
     };
     let wall = started.elapsed().as_secs_f64();
 
-    let summary = run.summarize(arguments, &end, first_step, wall, &target);
+    let summary = SimulateSummary {
+        accuracy,
+        ..run.summarize(arguments, &end, first_step, wall, &target)
+    };
     let written = directory
         .publish(|result| run.write(result, &scene, &end, &summary))
         .map_err(kept)?;
@@ -168,7 +175,11 @@ impl Found {
 
     /// A run that was killed, or else one that wrote its result.
     fn beside(directory: &RunDirectory, target: &Path, scene: &Scene) -> Result<Self, CliError> {
-        let most_bytes = Checkpoint::most_bytes(scene.rod.elements + 1, scene.to_toml().len());
+        let elements = match scene.accuracy() {
+            Some(_) => MOST_ELEMENTS,
+            None => scene.rod.elements,
+        };
+        let most_bytes = Checkpoint::most_bytes(elements + 1, scene.to_toml().len());
         for (folder, killed) in [(directory.path(), true), (target, false)] {
             if let Some(checkpoint) = Checkpoint::read(folder, most_bytes)? {
                 return Ok(Self { checkpoint, killed });
@@ -194,6 +205,9 @@ fn continued(
 ) -> Result<Simulation, CliError> {
     let (earlier, _) = Scene::from_toml("the scene of the checkpoint", &checkpoint.scene, &[])?;
     let mut scene = scene.clone();
+    if scene.accuracy().is_some() {
+        scene = scene.with_grid(&earlier.discretization());
+    }
     if scene.time.step_s == TimeStep::Auto {
         scene.time.step_s = earlier.time.step_s;
     }
@@ -632,6 +646,7 @@ impl<'a> Run<'a> {
             },
             dilatation: extremes.dilatation,
             length_m: extremes.length,
+            accuracy: None,
             directory: target.display().to_string(),
         }
     }

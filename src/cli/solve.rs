@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 
+use super::accuracy::Refinement;
 use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
@@ -13,7 +14,8 @@ use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
-    Attempt, OptimalControlProblem, Search, SearchEvent, TrackingError, search_telling,
+    ActuatedNode, Attempt, OptimalControlProblem, Search, SearchEvent, TrackingError,
+    search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
@@ -73,52 +75,74 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let target = arguments.scene.directory("solve");
     let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
-    if let Some(expected) = expectation(&described, global.n_threads()) {
-        console.say(&expected);
-    }
-    announce(&described, console);
-    let plan = Search {
-        previous,
-        starts,
-        seed: global.seed(),
-        n_threads: global.n_threads(),
-        ..described.search.clone()
-    };
-    let alone = plan.starts == 1;
-    let attempts = search_telling(&described.problem, &described.settings, &plan, &|event| {
-        match event {
-            SearchEvent::Begins { from, before, .. } if alone => {
-                if let Some(last) = before.last() {
-                    let number = before.len() + 1;
-                    let (earlier, ended) = (&last.from, &last.ended);
-                    console.say(&format!(
-                        "attempt {number}, from {from}; the one before, from {earlier}: {ended}"
-                    ));
-                }
-            }
-            SearchEvent::Row { row, .. } if alone => console.say(&table_row(row)),
-            SearchEvent::Ends(attempt) if !alone => console.say(&start_row(attempt)),
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    })?;
-    let posed = described.posed();
+    let alone = starts == 1;
+    let mut refinement = Refinement::of(&scene);
     let Chosen {
         solution,
         examined,
         starts,
         spent,
-    } = choose(
-        &posed,
-        &described.settings,
-        attempts,
-        plan.starts,
-        &Examination {
-            feedback: described.feedback.as_ref(),
-            deep: arguments.deep,
+    } = loop {
+        if let Some(expected) = expectation(&described, global.n_threads()) {
+            console.say(&expected);
+        }
+        announce(&described, console);
+        let plan = Search {
+            previous: previous.take(),
+            starts,
+            seed: global.seed(),
             n_threads: global.n_threads(),
-        },
-    );
+            ..described.search.clone()
+        };
+        let attempts = search_telling(&described.problem, &described.settings, &plan, &|event| {
+            match event {
+                SearchEvent::Begins { from, before, .. } if alone => {
+                    if let Some(last) = before.last() {
+                        let number = before.len() + 1;
+                        let (earlier, ended) = (&last.from, &last.ended);
+                        console.say(&format!(
+                            "attempt {number}, from {from}; the one before, from {earlier}: {ended}"
+                        ));
+                    }
+                }
+                SearchEvent::Row { row, .. } if alone => console.say(&table_row(row)),
+                SearchEvent::Ends(attempt) if !alone => console.say(&start_row(attempt)),
+                _ => {}
+            }
+            ControlFlow::Continue(())
+        })?;
+        let posed = described.posed();
+        let chosen = choose(
+            &posed,
+            &described.settings,
+            attempts,
+            plan.starts,
+            &Examination {
+                feedback: described.feedback.as_ref(),
+                deep: arguments.deep,
+                n_threads: global.n_threads(),
+            },
+        );
+        let Some(refinement) = (refinement.as_mut()).filter(|_| chosen.solution.has_converged())
+        else {
+            break chosen;
+        };
+        let solved = &chosen.solution.problem;
+        let check = chosen.examined.check.as_ref();
+        let grid = &solved.discretization;
+        match refinement.next(&scene, &source, grid, check, &stop, console)? {
+            None => break chosen,
+            Some(next) => {
+                memory::require(&of_solve(&next, starts, global.n_threads()), &source)?;
+                let coarse = Earlier {
+                    problem: solved.discrete.clone(),
+                    coefficients: chosen.solution.coefficients,
+                };
+                described = coarse.timed(next);
+                previous = Some(coarse.controls(&described.problem));
+            }
+        }
+    };
     for warning in &examined.warnings {
         console.warn(warning);
     }
@@ -145,6 +169,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         &target,
     );
     summary.second_opinion = other;
+    summary.accuracy = refinement.and_then(Refinement::summary);
     let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(problem, &solution.coefficients))
         .and_then(|found| {
@@ -186,6 +211,13 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     console.summary(&summary);
     written?;
+    if let Some(accuracy) = &summary.accuracy {
+        if !accuracy.met {
+            console.always(&accuracy.why);
+            return Ok(exit::REJECTED);
+        }
+        console.say(&accuracy.why);
+    }
     Ok(exit_code(&solution, &examined))
 }
 
@@ -268,18 +300,27 @@ impl Earlier {
         setup.with_time_scale(duration / setup.problem.grid.duration())
     }
 
-    /// The coefficients at the times of a problem's.
+    /// The coefficients at the times of a problem's, of actuators at the same places of the arm.
     fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
         let earlier = &self.problem;
         let n = earlier.actuators.len();
         let last = earlier.grid.n_steps;
-        let nodes = earlier.actuated_nodes();
+        let [n_wrenches, n_earlier] = [problem, earlier].map(|p| p.wrench_actuators().len());
+        let [elements, before] = [problem, earlier].map(|p| p.rod.n_elements());
+        let found = |(index, actuator): (usize, &ActuatedNode)| {
+            if index >= n_wrenches {
+                // Controls of actuators of one's own follow those of the nodes.
+                return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
+            }
+            let same = |other: &ActuatedNode| other.node * elements == actuator.node * before;
+            earlier.wrench_actuators().iter().position(same)
+        };
+        let places: Vec<_> = problem.actuators.iter().enumerate().map(found).collect();
         let mut out = Vec::new();
         for t in problem.control.coefficient_times() {
             let k = ((t / earlier.grid.step).round() as usize).min(last);
-            out.extend(problem.actuators.iter().map(|actuator| {
-                let found = nodes.iter().position(|node| *node == actuator.node);
-                found.map_or_else(Wrench::default, |a| {
+            out.extend(places.iter().map(|place| {
+                place.map_or_else(Wrench::default, |a| {
                     (earlier.control).value(k, |j| self.coefficients[j * n + a])
                 })
             }));

@@ -475,13 +475,6 @@ impl<'a> DurationSearch<'a> {
                 .map(|(row, _)| row)
                 .collect(),
             elastic_weight: None,
-            trust_radius: point
-                .variables
-                .iter()
-                .map(|v| v * v)
-                .sum::<f64>()
-                .sqrt()
-                .max(1.0),
         };
         let duration = self.problem.grid.duration() * time_scale;
         let price = self.price(time_scale);

@@ -64,6 +64,7 @@ pub mod lanes;
 pub mod linearization;
 #[doc(hidden)]
 pub mod load;
+pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
 pub mod rotation;

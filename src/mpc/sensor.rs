@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::error::MpcError;
 use super::estimator::{Disturbance, Kind, Reader};
 use super::signal::{Measurement, Reading, Signal};
-use super::transfer::node_places;
+use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 

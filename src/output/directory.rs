@@ -26,11 +26,13 @@ pub enum ResultKind {
     Solve,
     /// `softarm mpc`
     Mpc,
+    /// `softarm tradeoff`
+    Tradeoff,
 }
 
 impl ResultKind {
     /// Every kind.
-    pub const ALL: [Self; 3] = [Self::Simulate, Self::Solve, Self::Mpc];
+    pub const ALL: [Self; 4] = [Self::Simulate, Self::Solve, Self::Mpc, Self::Tradeoff];
 
     /// The word of the command line.
     #[must_use]
@@ -39,6 +41,7 @@ impl ResultKind {
             Self::Simulate => "simulate",
             Self::Solve => "solve",
             Self::Mpc => "mpc",
+            Self::Tradeoff => "tradeoff",
         }
     }
 
@@ -74,6 +77,14 @@ impl ResultKind {
                 "report.html",
                 SUMMARY,
             ],
+            Self::Tradeoff => &[
+                "scene.toml",
+                "recommended.toml",
+                "points.csv",
+                "front.svg",
+                "report.html",
+                SUMMARY,
+            ],
         }
     }
 
@@ -83,7 +94,7 @@ impl ResultKind {
             Self::Simulate => &["node_steps_per_s", "strain", "directory"],
             Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
             // All of them name their tool.
-            Self::Mpc => &["tool"],
+            Self::Mpc | Self::Tradeoff => &["tool"],
         }
     }
 

@@ -18,6 +18,9 @@ mod rows;
 mod running;
 #[doc(hidden)]
 pub mod summary;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod tradeoff;
 
 #[doc(hidden)]
 pub use checkpoint::Checkpoint;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
+use crate::tradeoff::Level;
 use crate::verify::files::Mismatch;
 use crate::verify::kkt::KktPart;
 
@@ -270,8 +271,30 @@ pub struct SimulateSummary {
     pub dilatation: Range,
     /// Length of the polygon of nodes over the run, m.
     pub length_m: Range,
+    /// How the grid was chosen; absent where the scene gives it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
+}
+
+/// How elements and step were chosen where a scene asks for an accuracy; all errors are over the length.
+#[derive(Clone, Debug, Serialize)]
+pub struct AccuracySummary {
+    /// What the scene asks for.
+    pub asked: f64,
+    /// Estimated error of any place of the arm at any time.
+    pub error: f64,
+    /// Whether that is no more than what is asked.
+    pub met: bool,
+    /// The part of the error that elements make.
+    pub error_of_elements: f64,
+    /// The part that steps make.
+    pub error_of_steps: f64,
+    /// The grids that were tried, in order.
+    pub levels: Vec<Level>,
+    /// What was chosen, and why.
+    pub why: String,
 }
 
 /// Seconds per phase of a solve.
@@ -600,6 +623,9 @@ pub struct SolveSummary {
     pub tracking: Vec<TrackingError>,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckRecord>,
+    /// How the grid was chosen; absent where the scene gives it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<AccuracySummary>,
     /// Whether residuals were still falling at the end of a solve that was stopped.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,

@@ -1,18 +1,19 @@
 //! Ranges of keys and relations between them that the types of a scene cannot express.
 
+use super::accuracy::{COARSEST, FINEST};
 use super::keys::{Checked, Keys};
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Continuation, Control, Distributed, DistributedLoad,
     FreeDuration, Initial, Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene,
     Section, Solver, Task, Time, TimeStep, Via,
 };
-use super::values::{self, Positive, digits};
+use super::values::{self, Number, Positive, digits};
 use super::{SceneError, SceneSource};
 use crate::mechanics::RodModel;
 use crate::task::MOST_STEPS;
 
 /// Elements beyond this number are a typing error rather than a wish.
-pub(super) const MOST_ELEMENTS: usize = 5000;
+pub(crate) const MOST_ELEMENTS: usize = 5000;
 
 /// Blocks and iterations beyond this number are a typing error rather than a wish.
 pub(super) const LARGEST_COUNT: usize = 1_000_000;
@@ -68,6 +69,16 @@ impl Scene {
 impl Keys<'_> {
     fn check_rod(&self, rod: &Rod) -> Checked {
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
+        if let Some(accuracy) = rod.accuracy.map(Number::get)
+            && !(FINEST..=COARSEST).contains(&accuracy)
+        {
+            let message = format!("{} is out of range", digits(accuracy));
+            return Err(
+                (self.source.error_at("rod.accuracy", message, None)).expecting(format!(
+                    "expected {FINEST:e} to {COARSEST}, in lengths of the arm"
+                )),
+            );
+        }
         match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
             (Some(material), Some(section), None, None) => {
                 self.check_material(material)?;

@@ -39,6 +39,7 @@ impl Scene {
         let mut rod = Rod {
             length_m: known(arm.length),
             elements: chosen.elements,
+            accuracy: None,
             strain: chosen.strain_rule,
             model: arm.model,
             rotary_inertia: chosen

@@ -20,6 +20,7 @@
 //!
 //! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scenes.md` explains every key.
 
+mod accuracy;
 pub mod builtin;
 mod check;
 mod check_closed_loop;
@@ -41,6 +42,8 @@ mod source;
 pub mod translate;
 mod values;
 
+#[cfg(feature = "cli")]
+pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;
 pub use error::SceneError;
@@ -93,9 +96,13 @@ impl Scene {
         }
         let mut table = toml::from_str::<toml::Table>(&source.text)
             .map_err(|error| source.syntax_error(&error))?;
-        for text in overrides {
-            Override::parse(text)?.apply(&mut table)?;
+        let setters = (overrides.iter())
+            .map(|text| Override::parse(text))
+            .collect::<Result<Vec<_>, _>>()?;
+        for setter in &setters {
+            setter.clone().apply(&mut table)?;
         }
+        accuracy::complete(&mut table, &setters, &source)?;
         // Most loops have one sensor, which may be written as a section.
         if let Some(sensor @ toml::Value::Table(_)) = table.get_mut("sensor") {
             let only = sensor.clone();

@@ -11,7 +11,7 @@ use crate::task::{DiscretizeError, Obstruction};
 
 impl Scene {
     /// What cannot be discretized, by the key of the scene that says it, with a remedy that a scene can follow.
-    pub(super) fn discretize_error(
+    pub(crate) fn discretize_error(
         &self,
         source: &SceneSource,
         error: DiscretizeError,

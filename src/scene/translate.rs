@@ -153,9 +153,6 @@ impl OptimalControl {
     }
 }
 
-/// Elements up to which gains are computed unasked: they take time with the cube of the number, and a part of a solve's up to here.
-const MOST_FEEDBACK_ELEMENTS: usize = 40;
-
 impl Scene {
     /// The forward simulation that the scene describes.
     ///
@@ -307,17 +304,11 @@ impl Scene {
                 },
                 ..Search::default()
             },
-            feedback: match feedback {
-                Some(feedback) => Some(FeedbackWeights {
-                    state: feedback.state.get(),
-                    input: feedback.input.get(),
-                    tolerance: feedback.tolerance.get(),
-                }),
-                None if self.rod.elements <= MOST_FEEDBACK_ELEMENTS => {
-                    Some(FeedbackWeights::default())
-                }
-                None => None,
-            },
+            feedback: feedback.map(|feedback| FeedbackWeights {
+                state: feedback.state.get(),
+                input: feedback.input.get(),
+                tolerance: feedback.tolerance.get(),
+            }),
             diagnostics: (self.output.as_ref()).is_some_and(|output| output.diagnostics),
             resolved,
         })
@@ -565,6 +556,7 @@ impl Scene {
     /// This scene with material, integrator, rotary inertia and time step as they are.
     pub(super) fn resolved(&self, discretization: &Discretization) -> Scene {
         let mut resolved = self.with_material_resolved();
+        resolved.rod.accuracy = None;
         if let Some(step) = discretization.step {
             resolved.time.step_s = TimeStep::Seconds(step);
         }
@@ -722,7 +714,7 @@ fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
 }
 
 /// The rod's integrator, by its name in scenes.
-fn integrator(scheme: TimeScheme) -> model::TimeScheme {
+pub(super) fn integrator(scheme: TimeScheme) -> model::TimeScheme {
     match scheme {
         TimeScheme::Explicit => model::TimeScheme::Explicit,
         TimeScheme::Implicit => model::TimeScheme::Implicit,
@@ -730,7 +722,7 @@ fn integrator(scheme: TimeScheme) -> model::TimeScheme {
 }
 
 /// The rod's rotary inertia, by its name in scenes.
-fn rotary_inertia(inertia: RotaryInertia) -> model::RotaryInertia {
+pub(super) fn rotary_inertia(inertia: RotaryInertia) -> model::RotaryInertia {
     match inertia {
         RotaryInertia::Section => model::RotaryInertia::Section,
         RotaryInertia::Segment => model::RotaryInertia::Segment,

@@ -275,6 +275,7 @@ quantities! {
     Factor: "factor", "";
     Weight: "weight", "";
     Tolerance: "tolerance", "";
+    Accuracy: "accuracy", "";
     GainedPart: "part", "";
     Part: "fraction", "";
     PriceOfTime: "price", "per second";

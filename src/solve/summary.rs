@@ -73,6 +73,7 @@ pub(crate) fn summarize(
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         tracking: tracking_errors(problem, &outcome.point.trajectory),
+        accuracy: None,
         check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
             .or_else(|| examined.unchecked.map(CheckRecord::not_checked)),
         progress: match outcome.status {

@@ -34,4 +34,5 @@ blocks = 5
 hold = \"constant\"
 force_max_n = 20.0
 moment_max_n_m = 5.0
+[control.feedback]
 ";

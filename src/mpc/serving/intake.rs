@@ -3,12 +3,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::message::{Line, ReadingLine, Rows, Vector, rows};
+use crate::mechanics::place::node_places;
 use crate::mechanics::rod::BaseCondition;
 use crate::mechanics::rotation::{log, orthonormalized};
 use crate::mechanics::{Configuration, Rod, State};
 use crate::mpc::sensor::SensorSettings;
 use crate::mpc::signal::{Measurement, Reading, Signal};
-use crate::mpc::transfer::node_places;
 
 /// Why something is refused: where it stands, what is wrong with it, and what to do.
 #[derive(Clone, Debug, PartialEq)]

@@ -29,7 +29,7 @@ use self::message::{
 };
 use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
 use super::error::MpcError;
-use super::transfer::node_places;
+use crate::mechanics::place::node_places;
 use crate::output::summary::TOOL;
 
 pub use self::message::Served;

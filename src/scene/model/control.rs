@@ -38,7 +38,7 @@ pub struct Control {
     /// Couples along the arm. Absent: there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distributed: Option<Distributed>,
-    /// Weights of the feedback gains along the solution. Absent: 1, 1 and 0.01 for arms of at most 40 elements, no gains for others.
+    /// Weights of the feedback gains along the solution. Absent: no gains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }

@@ -17,9 +17,14 @@ use crate::mechanics::{RodModel, StrainRule};
 pub struct Rod {
     /// Rest length in m, positive.
     pub length_m: Positive<values::Length>,
-    /// Number of elements, 1 to 5000; there is one node more than elements.
+    /// Number of elements, 1 to 5000; there is one node more than elements. Absent: chosen for `accuracy`.
+    #[serde(default = "first_elements")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     pub elements: usize,
+    /// Largest error of any point of the arm at any time that elements and time step may make, in lengths of the arm, 1e-8 to 0.1; in the
+    /// place of `elements` and `time.step_s`, which are then chosen. Default, where there are no elements: 1e-3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<Positive<values::Accuracy>>,
     /// How strains follow from the nodes.
     #[serde(default)]
     pub strain: StrainRule,
@@ -47,6 +52,11 @@ pub struct Rod {
     /// Stress-free shape. Absent: straight and unstretched.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<Reference>,
+}
+
+/// What [`complete`](super::super::accuracy::complete) replaces.
+fn first_elements() -> usize {
+    crate::tradeoff::first_elements(1e-3)
 }
 
 /// The rotary inertia of the nodes.

@@ -62,6 +62,11 @@ pub(crate) fn saved_page(directory: &Path, stop: &StopSignal) -> Result<SavedPag
         ResultKind::Solve => files.solve(),
         ResultKind::Simulate => files.simulation(),
         ResultKind::Mpc => files.closed_loop(),
+        ResultKind::Tradeoff => Err(SavedError::Output(OutputError::Refused {
+            path: directory.to_path_buf(),
+            reason: "a tradeoff, whose page only its run makes; name a simulate, solve or mpc"
+                .into(),
+        })),
     }?;
     Ok(SavedPage {
         kind,

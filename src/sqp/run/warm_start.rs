@@ -15,8 +15,6 @@ pub struct WarmStart<P> {
     pub working_rows: Vec<usize>,
     /// Weight of infeasible rows in the subproblem.
     pub elastic_weight: Option<f64>,
-    /// Trust radius.
-    pub trust_radius: f64,
 }
 
 impl<P: LiftedProgram> Run<'_, P> {
@@ -35,7 +33,8 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.best.multipliers = start.multipliers.clone();
         self.working_set.last.clone_from(&start.working_rows);
         self.elastic_weight = start.elastic_weight;
-        self.trust_region.radius = start.trust_radius;
+        // The radius of the last steps says nothing about a program that has changed.
+        self.trust_region.radius = norm(self.variables()).max(1.0);
         self.iterate.has_multipliers = true;
         Ok(())
     }
@@ -47,8 +46,6 @@ impl<P: LiftedProgram> Run<'_, P> {
             multipliers: self.iterate.multipliers.clone(),
             working_rows: self.working_set.last.clone(),
             elastic_weight: self.elastic_weight,
-            // The radius of the last steps says nothing about a program that has changed.
-            trust_radius: (self.trust_region.radius).max(norm(self.variables()).max(1.0)),
         }
     }
 }

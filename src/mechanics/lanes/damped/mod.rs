@@ -10,6 +10,7 @@
 
 mod chain;
 mod coupling;
+mod instant;
 mod step;
 
 use std::marker::PhantomData;
@@ -19,9 +20,8 @@ use pulp::Arch;
 
 use self::chain::Chain;
 pub use self::coupling::DampedRule;
-use self::step::{
-    DampedStep, EQUATION_ROWS, INSTANT_ROWS, ORDERS, Outcome, RATE_ROWS, Settle, TRIAL_ROWS,
-};
+use self::instant::{INSTANT_ROWS, Settle};
+use self::step::{DampedStep, EQUATION_ROWS, ORDERS, Outcome, RATE_ROWS, TRIAL_ROWS};
 use super::base::HeldBase;
 use super::constants::Constants;
 use super::place::Slots;

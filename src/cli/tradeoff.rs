@@ -1,0 +1,356 @@
+//! `softarm tradeoff SCENE [--out DIR] [--tolerance T] [--budget TIME] [--apply[=FILE]] [--resume]`: error against time, and a recommendation.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use super::console::{Console, stop_signal};
+use super::error::CliError;
+use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::output::summary::{SCHEMA_VERSION, TOOL};
+use crate::output::tradeoff::{TradeoffSummary, page, picture, write_points};
+use crate::output::{OutputError, ResultKind, RunDirectory, read_text};
+use crate::scene::{Scene, SceneSource};
+use crate::stop::{Stop, StopSignal};
+use crate::tradeoff::{
+    Fate, News, Point, Recommendation, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
+};
+
+#[derive(Debug, Args)]
+pub(super) struct TradeoffArguments {
+    #[command(flatten)]
+    scene: SceneAndOut,
+    /// Largest error that is good enough, in lengths of the arm
+    #[arg(long, value_name = "PART", default_value_t = 1e-3, value_parser = tolerance)]
+    tolerance: f64,
+    /// How long the sweep may take, as in 90s, 5min or 1h; what has begun is finished
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = budget)]
+    budget: Duration,
+    /// Write the scene with the recommended setting to this file, or without a name to SCENE, if that is a file, and to the current folder, if
+    /// it is a built-in scene
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
+    apply: Option<Option<PathBuf>>,
+    /// Go on with an earlier sweep of the same scene: its points are not run again
+    #[arg(long)]
+    resume: bool,
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_string())?;
+    if value > 0.0 && value < 1.0 {
+        Ok(value)
+    } else {
+        Err("not between 0 and 1 lengths of the arm".into())
+    }
+}
+
+fn budget(text: &str) -> Result<Duration, String> {
+    let unit = text.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+    let factor = match unit.trim() {
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("expected a time as in 90s, 5min or 1h".into()),
+    };
+    let number: f64 = (text[..text.len() - unit.len()].trim().parse())
+        .map_err(|_| "expected a time as in 90s, 5min or 1h".to_string())?;
+    let seconds = factor * number;
+    if !(seconds > 0.0) {
+        return Err("expected a time above 0".into());
+    }
+    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
+}
+
+pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Console) -> Outcome {
+    let started = Instant::now();
+    console.catch_interrupts();
+    let name = &arguments.scene.scene;
+    let (scene, source) = Scene::load(name, &global.set)?;
+    let stop = stop_signal(None);
+    let target = arguments.scene.directory("tradeoff");
+    let earlier = (arguments.resume)
+        .then(|| Earlier::read(&target, &scene))
+        .transpose()?;
+    let applied = (arguments.apply.as_ref()).map(|file| place(file.as_deref(), name));
+    let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
+
+    console.say(&format!(
+        "{}: at most {:e} of the length, within {:.0} s",
+        match Subject::of(&scene) {
+            Subject::Motion => "a motion",
+            Subject::OptimalControl => "an optimal-control problem",
+            Subject::ClosedLoop => "a closed loop",
+        },
+        arguments.tolerance,
+        arguments.budget.as_secs_f64()
+    ));
+    let (known, known_reference) = earlier.unwrap_or_default();
+    if arguments.resume {
+        console.say(&format!("{} points are there already", known.len()));
+    }
+    let mut usual = None;
+    let mut tell = |news: News| match news {
+        News::Words(words) => console.say(&words),
+        News::Point(point, own) => {
+            usual.get_or_insert_with(|| {
+                console.say("      time     error  setting");
+                own.clone()
+            });
+            console.say(&row(point, own));
+        }
+    };
+    let found = Sweep {
+        scene: &scene,
+        source: &source,
+        tolerance: arguments.tolerance,
+        budget: arguments.budget,
+        known,
+        known_reference,
+        stop: &stop,
+        tell: &mut tell,
+    }
+    .run();
+    let found = match found {
+        Ok(found) => found,
+        Err(error) => {
+            directory.remove()?;
+            return Err(refused(&scene, &source, error, &stop));
+        }
+    };
+    let Some(usual) = usual else {
+        directory.remove()?;
+        let words = "nothing was run: a larger --budget";
+        return Err(stop
+            .raised()
+            .map_or_else(|| CliError::Directory(words.into()), CliError::Stopped));
+    };
+
+    let recommended = found.recommended.as_ref().map(|recommended| {
+        let step = (recommended.point.setting.step_over_automatic != 1.0)
+            .then_some(recommended.point.step_s);
+        recommended.point.setting.applied(&scene, step)
+    });
+    let sentence = sentence(&found, &usual);
+    let short_name = scene_name(name);
+    let summarize = |directory: &Path| TradeoffSummary {
+        schema_version: SCHEMA_VERSION,
+        tool: TOOL,
+        command: "tradeoff",
+        scene: &short_name,
+        status: status(&found, stop.raised()),
+        budget_s: arguments.budget.as_secs_f64(),
+        wall_s: started.elapsed().as_secs_f64(),
+        found: &found,
+        usual: &usual,
+        directory: directory.display().to_string(),
+    };
+    let svg = picture(&found, &usual);
+    let written = directory.publish_or_rescue(|result| {
+        let summary = summarize(result.place());
+        result.write_text("scene.toml", &scene.to_toml())?;
+        write_points(&result.path().join("points.csv"), &found.points)?;
+        if let Some(recommended) = &recommended {
+            result.write_text("recommended.toml", &recommended.to_toml())?;
+        }
+        if let Ok(svg) = &svg {
+            result.write_text("front.svg", svg)?;
+        }
+        let drawn = svg.as_deref().unwrap_or_default();
+        result.write_text("report.html", &page(&summary, &sentence, drawn))?;
+        result.write_json("summary.json", &summary)
+    });
+    conclude(&found, &usual, &sentence, console);
+    if let Ok(directory) = &written {
+        console.say(&format!(
+            "report: {}",
+            directory.join("report.html").display()
+        ));
+    }
+    console.summary(&summarize(&target));
+    written?;
+    if let (Some(place), Some(recommended)) = (&applied, &recommended) {
+        write_scene(place, recommended)?;
+        console.say(&format!(
+            "the scene with the recommended setting: {}",
+            place.display()
+        ));
+    }
+    Ok(match (stop.raised(), &found.recommended) {
+        (Some(stop), _) => {
+            console.always(&format!(
+                "{stop}; what was run is written, and --resume goes on"
+            ));
+            exit::STOPPED
+        }
+        (None, Some(recommended)) if recommended.checked => exit::DONE,
+        (None, _) => exit::NOT_CONVERGED,
+    })
+}
+
+fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSignal) -> CliError {
+    if let Some(stop) = stop.raised() {
+        return CliError::Stopped(stop);
+    }
+    match error {
+        SweepError::Scene(error) => CliError::Scene(error),
+        SweepError::Run(RunError::Discretize(error)) => {
+            CliError::Scene(scene.discretize_error(source, error))
+        }
+        SweepError::Run(RunError::Step(error)) => CliError::Step(error),
+        SweepError::Mpc(error) => match scene.mpc_error(source, &error) {
+            Some(error) => CliError::Scene(error),
+            None => CliError::Mpc(error),
+        },
+        error @ SweepError::Start(_) => CliError::Sweep(error),
+    }
+}
+
+/// Where the scene with the recommended setting goes.
+fn place(file: Option<&Path>, scene: &str) -> PathBuf {
+    match file {
+        Some(file) => file.into(),
+        None if Path::new(scene).is_file() => scene.into(),
+        None => PathBuf::from(format!("{scene}.toml")),
+    }
+}
+
+/// Writes a scene beside its place and renames it.
+fn write_scene(place: &Path, scene: &Scene) -> Result<(), OutputError> {
+    let unwritten = || OutputError::unwritten(place, "cannot write");
+    let folder = match place.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(unwritten())?;
+    file.write_all(scene.to_toml().as_bytes())
+        .map_err(unwritten())?;
+    file.persist(place)
+        .map_err(|error| unwritten()(error.error))?;
+    Ok(())
+}
+
+/// Points of an earlier sweep, and the elements of its reference.
+struct Earlier;
+
+impl Earlier {
+    fn read(target: &Path, scene: &Scene) -> Result<(Vec<Point>, Option<usize>), CliError> {
+        let refuse = |why: &str| {
+            CliError::Directory(format!(
+                "cannot resume: {}: {why}; run without --resume",
+                target.display()
+            ))
+        };
+        if !target.join("summary.json").is_file() {
+            return Err(refuse("holds no sweep"));
+        }
+        let text = read_text(&target.join("scene.toml"), LARGEST)?;
+        let (earlier, _) = Scene::from_toml("the scene of the sweep", &text, &[])?;
+        if earlier != *scene {
+            return Err(refuse("the scene has changed"));
+        }
+        let text = read_text(&target.join("summary.json"), LARGEST)?;
+        let summary: serde_json::Value =
+            serde_json::from_str(&text).map_err(|_| refuse("summary.json is not one"))?;
+        let points = summary["points"].as_array().cloned().unwrap_or_default();
+        // What failed is tried again.
+        let points = (points.into_iter())
+            .filter_map(|point| serde_json::from_value::<Point>(point).ok())
+            .filter(|point| point.status == Fate::Done)
+            .collect();
+        let elements = summary["reference"]["elements"].as_u64();
+        Ok((points, elements.map(|elements| elements as usize)))
+    }
+}
+
+/// Bytes of the largest file of a sweep that is read.
+const LARGEST: u64 = 1 << 24;
+
+fn row(point: &Point, usual: &Setting) -> String {
+    let error = match (point.error, point.status) {
+        (Some(error), _) => format!("{error:9.2e}"),
+        (None, Fate::NotConverged) => "   (none)".into(),
+        (None, _) => "   failed".into(),
+    };
+    let time = if point.wall_s.is_finite() {
+        format!("{:7.2} ms", 1e3 * point.wall_s)
+    } else {
+        " ".repeat(10)
+    };
+    let mut text = format!("{time} {error}  {}", point.setting.differences(usual));
+    if let Some(why) = &point.why {
+        text.push_str(": ");
+        text.push_str(why);
+    }
+    text
+}
+
+fn status(found: &Tradeoff, stop: Option<Stop>) -> &'static str {
+    match stop {
+        Some(Stop::Interrupted) => "interrupted",
+        Some(Stop::Deadline) => "deadline",
+        None if found.complete => "completed",
+        None => "cut",
+    }
+}
+
+fn sentence(found: &Tradeoff, usual: &Setting) -> String {
+    let tolerance = found.tolerance;
+    match &found.recommended {
+        Some(Recommendation {
+            point,
+            checked_error,
+            checked,
+        }) => format!(
+            "Recommended for {tolerance:e} of the length: {}, which takes {:.3} ms and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
+            point.setting.differences(usual),
+            1e3 * point.wall_s,
+            point.error.unwrap_or(f64::NAN),
+            match found.subject {
+                Subject::ClosedLoop => "against an arm with twice the elements",
+                _ => "against a run finer by four in space and time",
+            },
+            if *checked {
+                "within the tolerance"
+            } else {
+                "NOT within the tolerance"
+            }
+        ),
+        None => format!("No setting is recommended for {tolerance:e} of the length."),
+    }
+}
+
+fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console) {
+    let mut front: Vec<&Point> = found.points.iter().filter(|point| point.on_front).collect();
+    front.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+    console.say("the front: nothing else is both faster and more accurate");
+    for point in front {
+        console.say(&row(point, usual));
+    }
+    for model in &found.models.error {
+        console.say(&format!(
+            "error of {}: order {:.2} in the length of an element (points off by {:.0} %)",
+            model.of,
+            model.order,
+            100.0 * model.residual
+        ));
+    }
+    for model in &found.models.cost {
+        console.say(&format!(
+            "time of {}: elements^{:.2}{} (points off by {:.0} %)",
+            model.of,
+            model.elements,
+            (model.steps).map_or(String::new(), |steps| format!(" steps^{steps:.2}")),
+            100.0 * model.residual
+        ));
+    }
+    for finding in &found.findings {
+        console.say(finding);
+    }
+    let good = found
+        .recommended
+        .as_ref()
+        .is_some_and(|recommended| recommended.checked);
+    console.verdict(good, sentence);
+}

@@ -1,0 +1,128 @@
+//! Poses, frames and strains of an arm at one instant, and the stresses that follow from them.
+
+use std::marker::PhantomData;
+
+use pulp::{Simd, WithSimd};
+
+use super::coupling::{DampedRule, Instant};
+use crate::mechanics::lanes::element::{Chord, Pose, excess, proportional};
+use crate::mechanics::lanes::rule::{STRAINED_ROWS, Strained, Stress};
+use crate::mechanics::lanes::sweep::{POSITION, STATE_ROWS};
+use crate::mechanics::lanes::vector::{Frame, Quaternion, Row, Vec3, blocks, blocks_mut};
+
+/// Rows of a block at one instant: frames of the nodes, then strains of the elements.
+pub const INSTANT_ROWS: usize = STRAINED + STRAINED_ROWS;
+pub(super) const STRAINED: usize = 9;
+
+/// Frames and strains of a state.
+pub struct Settle<'a, R> {
+    pub state: &'a [f64],
+    pub instant: &'a mut [f64],
+    pub rule: PhantomData<R>,
+}
+
+impl<R: DampedRule> WithSimd for Settle<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let state = blocks::<S, STATE_ROWS>(self.state);
+        let instant = blocks_mut::<S, INSTANT_ROWS>(self.instant);
+        let n_blocks = state.len();
+        for i in 0..n_blocks {
+            let a = pose(simd, &state[i], POSITION);
+            let b = if i + 1 < n_blocks {
+                pose(simd, &state[i + 1], POSITION)
+            } else {
+                next_lane(pose(simd, &state[0], POSITION))
+            };
+            let chord = Chord::between(a.position, b.position);
+            a.frame.store(&mut instant[i], 0);
+            let strained = R::strained(&a, &b, &chord);
+            R::store(&strained, &mut instant[i][STRAINED..]);
+        }
+    }
+}
+
+#[inline(always)]
+pub(super) fn pose<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> Pose<S> {
+    Pose::of(
+        Vec3::load(simd, rows, at),
+        Quaternion::load(simd, rows, at + 3),
+    )
+}
+
+#[inline(always)]
+pub(super) fn next_lane<S: Simd>(pose: Pose<S>) -> Pose<S> {
+    Pose {
+        position: pose.position.next_lane(),
+        rotation: pose.rotation.next_lane(),
+        frame: pose.frame.next_lane(),
+    }
+}
+
+#[inline(always)]
+pub(super) fn framed<S: Simd>(simd: S, trial: &[Row<S>], end: &[Row<S>]) -> Pose<S> {
+    Pose {
+        position: Vec3::load(simd, trial, 0),
+        rotation: Quaternion::load(simd, trial, 3),
+        frame: Frame::load(simd, end, 0),
+    }
+}
+
+/// The elements to the right of a block of nodes.
+#[inline(always)]
+pub(super) fn instant<S: Simd, R: DampedRule>(
+    simd: S,
+    rows: &[[Row<S>; INSTANT_ROWS]],
+    block: usize,
+) -> Instant<S> {
+    let a = Frame::load(simd, &rows[block], 0);
+    let b = match rows.get(block + 1) {
+        Some(next) => Frame::load(simd, next, 0),
+        None => Frame::load(simd, &rows[0], 0).next_lane(),
+    };
+    Instant {
+        strained: R::load(simd, &rows[block][STRAINED..]),
+        to_body: [a.transposed(), b.transposed()],
+    }
+}
+
+/// `τ/h C` times the change of the strain.
+#[inline(always)]
+pub(super) fn interval_stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    before: &Strained<S>,
+    after: &Strained<S>,
+    rate: f64,
+) -> Stress<S> {
+    let near = (after.linear[0] - before.linear[0]) * rate;
+    let far = (after.linear[1] - before.linear[1]) * rate;
+    let turn = (after.psi - before.psi) * rate;
+    stress::<S, R>(constants, [near, far], turn)
+}
+
+/// Of a strain at both ends, or at the one that the rule has.
+#[inline(always)]
+fn stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    linear: [Vec3<S>; 2],
+    angular: Vec3<S>,
+) -> Stress<S> {
+    let (linear, angular) = if R::ENDS == 1 {
+        let ([n], m) = proportional(constants, [linear[0]], angular);
+        ([n; 2], m)
+    } else {
+        proportional(constants, linear, angular)
+    };
+    Stress { linear, angular }
+}
+
+#[inline(always)]
+pub(super) fn elastic_stress<S: Simd, R: DampedRule>(
+    constants: &[Row<S>],
+    strained: &Strained<S>,
+) -> Stress<S> {
+    let (linear, angular) = excess(constants, strained.linear, strained.psi);
+    stress::<S, R>(constants, linear, angular)
+}

@@ -1,0 +1,390 @@
+//! What `softarm tradeoff` writes: summary, table of points, picture, page.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use plotters::prelude::*;
+use serde::Serialize;
+
+use super::OutputError;
+use crate::tradeoff::{Fate, Point, Setting, Subject, Tradeoff};
+
+/// `summary.json` of `softarm tradeoff`.
+#[derive(Debug, Serialize)]
+pub struct TradeoffSummary<'a> {
+    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+    pub schema_version: u32,
+    /// [`TOOL`](super::summary::TOOL)
+    pub tool: &'static str,
+    /// `tradeoff`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: &'a str,
+    /// `completed`, `cut` by the budget, `interrupted`, or `deadline`.
+    pub status: &'static str,
+    /// The budget, s.
+    pub budget_s: f64,
+    /// Wall time, s.
+    pub wall_s: f64,
+    /// What was found.
+    #[serde(flatten)]
+    pub found: &'a Tradeoff,
+    /// The setting of the scene itself.
+    pub usual: &'a Setting,
+    /// The result directory.
+    pub directory: String,
+}
+
+/// Writes `points.csv`: one row a setting, in the order in which they were run.
+pub fn write_points(path: &Path, points: &[Point]) -> Result<(), OutputError> {
+    let text = table(points).map_err(|error| OutputError::malformed(path, error.to_string()))?;
+    std::fs::write(path, text).map_err(OutputError::unwritten(path, "cannot write"))
+}
+
+fn table(points: &[Point]) -> Result<Vec<u8>, csv::Error> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record([
+        "elements",
+        "strain",
+        "integrator",
+        "step_s",
+        "rotary_inertia",
+        "model",
+        "blocks",
+        "hold",
+        "tolerance",
+        "hessian",
+        "horizon_s",
+        "block_s",
+        "iterations",
+        "estimator",
+        "status",
+        "error",
+        "tip_end",
+        "tip",
+        "orientation_rad",
+        "energy",
+        "curvature",
+        "objective",
+        "wall_s",
+        "memory_mb",
+        "on_front",
+    ])?;
+    for point in points {
+        let setting = &point.setting;
+        let word = |value: Option<serde_json::Value>| match value {
+            Some(serde_json::Value::String(word)) => word,
+            Some(serde_json::Value::Null) | None => String::new(),
+            Some(other) => other.to_string(),
+        };
+        let of = |value: &dyn erased::Json| word(value.json());
+        let errors = point.errors.as_ref();
+        writer.write_record([
+            of(&setting.elements),
+            of(&setting.strain),
+            of(&setting.integrator),
+            of(&point.step_s),
+            of(&setting.rotary_inertia),
+            of(&setting.model),
+            of(&setting.blocks),
+            of(&setting.hold),
+            of(&setting.tolerance),
+            of(&setting.hessian),
+            of(&setting.horizon_s),
+            of(&setting.block_s),
+            of(&setting.iterations),
+            of(&setting.estimator),
+            of(&point.status),
+            of(&point.error),
+            of(&errors.map(|e| e.tip_end)),
+            of(&errors.map(|e| e.tip)),
+            of(&errors.map(|e| e.orientation_rad)),
+            of(&errors.map(|e| e.energy)),
+            of(&errors.map(|e| e.curvature)),
+            of(&point.objective),
+            of(&point.wall_s),
+            of(&point.memory_mb),
+            of(&point.on_front),
+        ])?;
+    }
+    writer.flush()?;
+    Ok(writer.into_inner().unwrap_or_default())
+}
+
+/// Values of different types in one table.
+mod erased {
+    pub(super) trait Json {
+        fn json(&self) -> Option<serde_json::Value>;
+    }
+
+    impl<T: serde::Serialize> Json for T {
+        fn json(&self) -> Option<serde_json::Value> {
+            serde_json::to_value(self).ok()
+        }
+    }
+}
+
+/// Size of the picture, in its own units.
+const SIZE: (u32, u32) = (960, 600);
+/// Colors that are told apart by most eyes, on light and dark ground.
+const COLORS: [RGBColor; 11] = [
+    RGBColor(0x1f, 0x77, 0xb4),
+    RGBColor(0xe6, 0x6a, 0x00),
+    RGBColor(0x2c, 0x9f, 0x4b),
+    RGBColor(0xc0, 0x3a, 0x8b),
+    RGBColor(0x8c, 0x6b, 0xb1),
+    RGBColor(0x9a, 0x6a, 0x3a),
+    RGBColor(0x00, 0x9e, 0xa6),
+    RGBColor(0xb0, 0x9b, 0x00),
+    RGBColor(0xd6, 0x6d, 0x80),
+    RGBColor(0x4a, 0x55, 0xd8),
+    RGBColor(0x80, 0x80, 0x80),
+];
+const INK: RGBColor = RGBColor(0x78, 0x78, 0x78);
+
+/// What distinguishes a setting from the usual one besides its elements, in words.
+fn family(setting: &Setting, usual: &Setting) -> String {
+    let own = Setting {
+        elements: usual.elements,
+        ..setting.clone()
+    };
+    let words = own.differences(usual);
+    match words.split_once(", ") {
+        Some((_, rest)) => rest.into(),
+        None => "as the scene".into(),
+    }
+}
+
+/// Error and time of all points, logarithmic: families that differ in their elements alone are lines, the front is marked, and what has no error
+/// stands at the right edge.
+///
+/// # Errors
+/// A sentence where the picture cannot be drawn.
+pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
+    let done: Vec<&Point> = (found.points.iter())
+        .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
+        .filter(|point| point.wall_s > 0.0)
+        .collect();
+    if done.is_empty() {
+        return Err("no point has an error and a time".into());
+    }
+    let range = |values: &mut dyn Iterator<Item = f64>| {
+        let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| {
+            (low.min(v), high.max(v))
+        });
+        low / 1.6..high * 1.6
+    };
+    let errors = range(
+        &mut done
+            .iter()
+            .filter_map(|point| point.error)
+            .chain([found.tolerance]),
+    );
+    let times = range(&mut done.iter().map(|point| 1e3 * point.wall_s));
+    let mut svg = String::new();
+    draw(&mut svg, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
+    Ok(svg)
+}
+
+fn draw(
+    svg: &mut String,
+    found: &Tradeoff,
+    usual: &Setting,
+    done: &[&Point],
+    errors: std::ops::Range<f64>,
+    times: std::ops::Range<f64>,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let x_name = match found.subject {
+        Subject::ClosedLoop => "distance of the tip from its reference (rms) / length",
+        _ => "largest error of any place at any time / length",
+    };
+    let y_name = match found.subject {
+        Subject::Motion => "time of the simulation, ms",
+        Subject::OptimalControl => "time of the solve, ms",
+        Subject::ClosedLoop => "time of a sample, ms",
+    };
+    let (right, top) = (errors.end, times.end);
+    let mut chart = ChartBuilder::on(&root)
+        .margin(14)
+        .x_label_area_size(52)
+        .y_label_area_size(74)
+        .build_cartesian_2d(
+            errors.clone().log_scale().with_key_points(decades(&errors)),
+            times.clone().log_scale().with_key_points(decades(&times)),
+        )?;
+    let text = ("sans-serif", 15).into_font().color(&INK);
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.25))
+        .axis_style(INK)
+        .label_style(text.clone())
+        .x_label_formatter(&|value| format!("{value:e}"))
+        .y_label_formatter(&|value| format!("{value}"))
+        .x_desc(x_name)
+        .y_desc(y_name)
+        .axis_desc_style(text.clone())
+        .draw()?;
+    chart.draw_series(LineSeries::new(
+        [(found.tolerance, times.start), (found.tolerance, top)],
+        INK.stroke_width(2),
+    ))?;
+
+    let mut names: Vec<String> = Vec::new();
+    for point in done {
+        let name = family(&point.setting, usual);
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    for (index, name) in names.iter().enumerate() {
+        let color = COLORS[index.min(COLORS.len() - 1)];
+        let mut own: Vec<&&Point> = (done.iter())
+            .filter(|point| family(&point.setting, usual) == *name)
+            .collect();
+        own.sort_by_key(|point| point.setting.elements);
+        let at = |point: &Point| (point.error.unwrap_or(right), 1e3 * point.wall_s);
+        chart
+            .draw_series(LineSeries::new(
+                own.iter().map(|point| at(point)),
+                color.mix(0.7).stroke_width(2),
+            ))?
+            .label(name.clone())
+            .legend(move |(x, y)| Circle::new((x + 8, y), 5, color.filled()));
+        chart.draw_series(own.iter().map(|point| {
+            let style = if point.on_front {
+                color.filled()
+            } else {
+                color.stroke_width(1)
+            };
+            Circle::new(at(point), if point.on_front { 6 } else { 4 }, style)
+        }))?;
+        chart.draw_series(own.iter().filter(|point| point.on_front).map(|point| {
+            let (x, y) = at(point);
+            Text::new(
+                point.setting.elements.to_string(),
+                (x * 1.05, y * 1.07),
+                text.clone(),
+            )
+        }))?;
+    }
+    let failed = (found.points.iter())
+        .filter(|point| point.status != Fate::Done && point.wall_s > 0.0)
+        .map(|point| 1e3 * point.wall_s);
+    chart.draw_series(failed.filter(|t| times.contains(t)).map(|t| {
+        Cross::new(
+            (right / 1.05, t),
+            5,
+            RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
+        )
+    }))?;
+    if let Some(recommended) = &found.recommended {
+        let point = &recommended.point;
+        chart.draw_series([Circle::new(
+            (point.error.unwrap_or(right), 1e3 * point.wall_s),
+            12,
+            RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
+        )])?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .label_font(text)
+        .border_style(INK.mix(0.4))
+        .draw()?;
+    root.present()?;
+    Ok(())
+}
+
+/// The powers of ten of a range; with two and five times these, where there are few.
+fn decades(range: &std::ops::Range<f64>) -> Vec<f64> {
+    let powers = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
+    let wide = range.end / range.start > 1e3;
+    let factors: &[f64] = if wide { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    powers
+        .flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power)))
+        .filter(|value| range.contains(value))
+        .collect()
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+/// The page of a trade-off, which opens without a network.
+#[must_use]
+pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
+    let found = summary.found;
+    let mut rows = String::new();
+    let mut points: Vec<&Point> = found.points.iter().collect();
+    points.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+    for point in points {
+        let class = if point.on_front {
+            " class=\"front\""
+        } else {
+            ""
+        };
+        let error = match (point.error, &point.why) {
+            (Some(error), _) => format!("{error:.2e}"),
+            (None, Some(why)) => escaped(why),
+            (None, None) => "none".into(),
+        };
+        let objective = (point.objective).map_or(String::new(), |value| format!("{value:.6}"));
+        let _ = writeln!(
+            rows,
+            "<tr{class}><td>{}</td><td>{}</td><td>{error}</td><td>{objective}</td></tr>",
+            escaped(&point.setting.differences(summary.usual)),
+            milliseconds(point.wall_s),
+        );
+    }
+    let mut models = String::new();
+    for model in &found.models.error {
+        let _ = writeln!(
+            models,
+            "<li>error of {}: order {:.2} in the length of an element; the points are off by {:.0} %</li>",
+            escaped(&model.of),
+            model.order,
+            100.0 * model.residual
+        );
+    }
+    for model in &found.models.cost {
+        let _ = writeln!(
+            models,
+            "<li>time of {}: grows with the elements to the power {:.2}{}; the points are off by {:.0} %</li>",
+            escaped(&model.of),
+            model.elements,
+            (model.steps).map_or(String::new(), |steps| format!(
+                ", and with the steps to the power {steps:.2}"
+            )),
+            100.0 * model.residual
+        );
+    }
+    let findings: String = (found.findings.iter())
+        .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
+        .collect();
+    let reference = found.reference.as_ref().map_or(String::new(), |reference| {
+        format!(
+            "<p>Errors are measured against {} elements, whose own error is {:.1e} of the length.</p>",
+            reference.elements, reference.error
+        )
+    });
+    include_str!("tradeoff_template.html")
+        .replace("{{title}}", &escaped(summary.scene))
+        .replace("{{sentence}}", &escaped(sentence))
+        .replace("{{reference}}", &reference)
+        .replace("{{findings}}", &findings)
+        .replace("{{models}}", &models)
+        .replace("{{rows}}", &rows)
+        .replace("{{svg}}", svg)
+}
+
+fn milliseconds(seconds: f64) -> String {
+    if seconds.is_finite() {
+        format!("{:.3} ms", 1e3 * seconds)
+    } else {
+        String::new()
+    }
+}

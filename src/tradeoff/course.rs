@@ -1,0 +1,195 @@
+//! A motion as any discretization shows it: poses at the same places of the arm and at the same times.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::mechanics::place::{locate, node_places, pose};
+use crate::mechanics::rotation::log;
+use crate::mechanics::{
+    Configuration, ControlSignal, Energy, NodeWrenches, Rod, State, StepError, Stepper, TimeGrid,
+};
+use crate::stop::StopSignal;
+
+/// Places along the arm at which motions are compared: fractions `0, 1/8, …, 1` of the length at rest.
+const PLACES: usize = 8;
+
+/// Intervals between the times at which motions are compared.
+pub(super) const TIMES: usize = 48;
+
+/// The motion at one time.
+#[derive(Clone, Debug)]
+struct Glimpse {
+    /// Positions at the places, m.
+    positions: [Vector3<f64>; PLACES + 1],
+    /// Rotation of the tip.
+    tip: Matrix3<f64>,
+    /// Kinetic and elastic energy, J.
+    energy: f64,
+}
+
+/// A motion, sampled.
+#[derive(Clone, Debug)]
+pub struct Course {
+    glimpses: Vec<Glimpse>,
+    /// Largest angle between neighboring nodes over their distance at rest, at any of the times, 1/m.
+    curvature: f64,
+}
+
+/// How far a motion is from another one of the same arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Errors {
+    /// Distance of the tips at the end, over the length.
+    pub tip_end: f64,
+    /// Largest distance of the tips at any time, over the length.
+    pub tip: f64,
+    /// Largest distance of any place at any time, over the length; what a tolerance is about.
+    pub shape: f64,
+    /// Largest angle between the tips at any time, rad.
+    pub orientation_rad: f64,
+    /// Largest difference of kinetic and elastic energy at any time, over the largest such energy.
+    pub energy: f64,
+    /// Difference of the largest curvature, over that curvature.
+    pub curvature: f64,
+}
+
+impl Errors {
+    /// All of them times a factor.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self {
+            tip_end: factor * self.tip_end,
+            tip: factor * self.tip,
+            shape: factor * self.shape,
+            orientation_rad: factor * self.orientation_rad,
+            energy: factor * self.energy,
+            curvature: factor * self.curvature,
+        }
+    }
+
+    fn is_finite(&self) -> bool {
+        // Sums of positive numbers are finite only where all are.
+        (self.tip_end + self.shape + self.orientation_rad + self.energy + self.curvature)
+            .is_finite()
+    }
+}
+
+impl Course {
+    /// Simulates a rod under a control, with the times of the comparison at `grid.n_steps / `[`TIMES`] steps from each other.
+    ///
+    /// # Errors
+    /// [`StepError`] with node, step and time, also where `stop` is raised.
+    pub(super) fn of(
+        rod: &Rod,
+        grid: TimeGrid,
+        initial: &State,
+        control: Option<&ControlSignal>,
+        stop: &StopSignal,
+    ) -> Result<Self, StepError> {
+        Self::of_times(rod, grid, initial, control, TIMES, stop)
+    }
+
+    /// The same with `times` intervals between the times of the comparison, a part of the steps.
+    pub(super) fn of_times(
+        rod: &Rod,
+        grid: TimeGrid,
+        initial: &State,
+        control: Option<&ControlSignal>,
+        times: usize,
+        stop: &StopSignal,
+    ) -> Result<Self, StepError> {
+        debug_assert!(grid.n_steps.is_multiple_of(times));
+        let every = (grid.n_steps / times).max(1);
+        let places = node_places(rod);
+        let places: [(usize, f64); PLACES + 1] =
+            std::array::from_fn(|i| locate(&places, i as f64 / PLACES as f64));
+        let mut course = Self {
+            glimpses: Vec::with_capacity(times + 1),
+            curvature: 0.0,
+        };
+        advance(rod, grid, initial, control, stop, |k, stepper| {
+            if k.is_multiple_of(every) {
+                course.see(rod, &places, &stepper.state());
+            }
+        })?;
+        Ok(course)
+    }
+
+    fn see(&mut self, rod: &Rod, places: &[(usize, f64)], state: &State) {
+        let at: &Configuration = &state.configuration;
+        let mut positions = [Vector3::zeros(); PLACES + 1];
+        for (x, &(q, s)) in positions.iter_mut().zip(places) {
+            *x = pose(at, q, s).0;
+        }
+        let energy = Energy::of(rod, state);
+        self.glimpses.push(Glimpse {
+            positions,
+            tip: at.rotations[rod.tip()],
+            energy: energy.kinetic + energy.elastic,
+        });
+        for (q, element) in rod.elements.iter().enumerate() {
+            let turn = log(&at.rotations[q].tr_mul(&at.rotations[q + 1])).norm();
+            self.curvature = self.curvature.max(turn / element.length);
+        }
+    }
+
+    /// How far this motion is from `other`, of an arm of `length` m; infinite where either is not finite.
+    #[must_use]
+    pub fn errors(&self, other: &Self, length: f64) -> Errors {
+        let mut out = Errors::default();
+        let mut largest_energy = f64::MIN_POSITIVE;
+        for (own, theirs) in self.glimpses.iter().zip(&other.glimpses) {
+            for (a, b) in own.positions.iter().zip(&theirs.positions) {
+                out.shape = worse(out.shape, (a - b).norm() / length);
+            }
+            out.tip_end = (own.positions[PLACES] - theirs.positions[PLACES]).norm() / length;
+            out.tip = worse(out.tip, out.tip_end);
+            let turn = log(&own.tip.tr_mul(&theirs.tip)).norm();
+            out.orientation_rad = worse(out.orientation_rad, turn);
+            out.energy = worse(out.energy, (own.energy - theirs.energy).abs());
+            largest_energy = largest_energy.max(theirs.energy.abs());
+        }
+        out.energy /= largest_energy;
+        let curvature = other.curvature.max(f64::MIN_POSITIVE);
+        out.curvature = (self.curvature - other.curvature).abs() / curvature;
+        if out.is_finite() {
+            out
+        } else {
+            Errors {
+                tip_end: f64::INFINITY,
+                tip: f64::INFINITY,
+                shape: f64::INFINITY,
+                orientation_rad: f64::INFINITY,
+                energy: f64::INFINITY,
+                curvature: f64::INFINITY,
+            }
+        }
+    }
+}
+
+/// The larger one, and not a number where either is none.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() {
+        f64::NAN
+    } else {
+        a.max(b)
+    }
+}
+
+/// Steps through a motion; `see` looks at every time node.
+pub(super) fn advance(
+    rod: &Rod,
+    grid: TimeGrid,
+    initial: &State,
+    control: Option<&ControlSignal>,
+    stop: &StopSignal,
+    mut see: impl FnMut(usize, &Stepper),
+) -> Result<(), StepError> {
+    let mut stepper = Stepper::new(rod, grid, initial.clone());
+    see(0, &stepper);
+    for k in 0..grid.n_steps {
+        stop.check_at(k).map_err(StepError::Stopped)?;
+        let at = |k| control.map_or(NodeWrenches::NONE, |control| control.at(k));
+        stepper.advance([at(k), at(k + 1)])?;
+        see(k + 1, &stepper);
+    }
+    Ok(())
+}

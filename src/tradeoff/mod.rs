@@ -1,0 +1,17 @@
+//! Speed against accuracy: errors of discretizations beside the time that they take, and the coarsest grid that is accurate enough.
+//!
+//! A [`Motion`] is simulated on one grid after the other, and [`Course::errors`] compares what comes out at the same places and times.
+//! [`choose`] finds the grid for an accuracy.
+
+mod choice;
+mod course;
+mod motion;
+mod sweep;
+
+pub use choice::{Choice, ChoiceError, Level, choose, finer, first_elements};
+pub use course::{Course, Errors};
+pub use motion::{Motion, Run, RunError};
+pub use sweep::{
+    CostModel, ErrorModel, Fate, Models, News, Point, Recommendation, Reference, Setting, Subject,
+    Sweep, SweepError, Tradeoff,
+};

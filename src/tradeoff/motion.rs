@@ -1,0 +1,125 @@
+//! One motion, simulated with one discretization after the other.
+
+use std::time::Instant;
+
+use super::course::{Course, TIMES, advance};
+use crate::mechanics::{Rod, State, StepError, TimeGrid};
+use crate::stop::StopSignal;
+use crate::task::prediction::simulation_seconds;
+use crate::task::{Arm, Discretization, DiscretizeError, Start};
+
+/// A motion that discretizations are compared on: an arm, its start, and a duration.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// The arm.
+    pub arm: Arm,
+    /// Its state at time 0.
+    pub start: Start,
+    /// Duration, s.
+    pub duration: f64,
+}
+
+/// Why a motion was not simulated to its end.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum RunError {
+    /// The arm cannot be discretized so.
+    #[error(transparent)]
+    Discretize(#[from] DiscretizeError),
+    /// The motion broke down.
+    #[error(transparent)]
+    Step(#[from] StepError),
+}
+
+impl RunError {
+    /// Whether somebody asked for the end.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        matches!(self, Self::Step(StepError::Stopped(_)))
+    }
+}
+
+/// A motion on one grid.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// The discretization; nothing in it is left open.
+    pub discretization: Discretization,
+    /// Steps taken.
+    pub n_steps: usize,
+    /// The motion.
+    pub course: Course,
+    /// Time of the simulation without start and files, s.
+    pub seconds: f64,
+}
+
+impl Run {
+    /// The time step, s.
+    #[must_use]
+    pub fn step(&self) -> f64 {
+        self.discretization.step.unwrap_or(f64::NAN)
+    }
+}
+
+/// Rod, grid and state of a motion.
+pub(super) struct Setup {
+    pub discretization: Discretization,
+    pub rod: Rod,
+    pub grid: TimeGrid,
+    initial: State,
+}
+
+impl Setup {
+    /// What a simulation of it is predicted to take, s.
+    pub fn predicted(&self) -> f64 {
+        simulation_seconds(&self.rod, self.grid.n_steps as f64)
+    }
+
+    pub fn run(&self, stop: &StopSignal) -> Result<Run, StepError> {
+        let clock = Instant::now();
+        let course = Course::of(&self.rod, self.grid, &self.initial, None, stop)?;
+        Ok(Run {
+            discretization: self.discretization,
+            n_steps: self.grid.n_steps,
+            course,
+            seconds: clock.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// Seconds of the simulation alone.
+    pub fn time(&self, stop: &StopSignal) -> Result<f64, StepError> {
+        let clock = Instant::now();
+        advance(&self.rod, self.grid, &self.initial, None, stop, |_, _| ())?;
+        Ok(clock.elapsed().as_secs_f64())
+    }
+}
+
+impl Motion {
+    /// The step of `discretization`, or the automatic one; no longer than `longest`, s, and dividing the times of the comparison.
+    pub(super) fn setup(
+        &self,
+        discretization: &Discretization,
+        longest: f64,
+        stop: &StopSignal,
+    ) -> Result<Setup, DiscretizeError> {
+        let found = self.arm.discretize(self.duration, discretization)?;
+        let grid = TimeGrid::covering(self.duration, found.grid.step.min(longest), TIMES);
+        let initial = self.start.state(&found.rod, stop)?;
+        Ok(Setup {
+            discretization: Discretization {
+                step: Some(grid.step),
+                ..found.discretization
+            },
+            rod: found.rod,
+            grid,
+            initial,
+        })
+    }
+
+    /// Simulates with this discretization, whose step may be shortened: to that of the stable step, and to a part of the times at which
+    /// motions are compared.
+    ///
+    /// # Errors
+    /// [`RunError`]
+    pub fn run(&self, discretization: &Discretization, stop: &StopSignal) -> Result<Run, RunError> {
+        Ok(self.setup(discretization, f64::INFINITY, stop)?.run(stop)?)
+    }
+}

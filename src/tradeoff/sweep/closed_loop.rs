@@ -1,0 +1,320 @@
+//! The sweep of a closed loop: distance of the tip from its reference beside the time of a sample.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use super::super::course::Errors;
+use super::{
+    Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work, fit,
+};
+use crate::mpc::{Contender, Outcome};
+use crate::scene::EstimatorKind;
+
+/// Part of the budget that one run may take, so that there are enough of them.
+const OF_A_RUN: f64 = 0.08;
+/// Samples that count, at least.
+const FEWEST_SAMPLES: f64 = 50.0;
+/// Settings that are combined from those that are good by themselves.
+const COMBINED: usize = 12;
+/// A change counts as good where the error grows by no more than this factor.
+const AS_GOOD: f64 = 1.5;
+
+impl Work<'_, '_> {
+    pub(super) fn closed_loop(mut self) -> Result<Tradeoff, SweepError> {
+        let usual = self.usual.clone();
+        let began = Instant::now();
+        let first = self.looped(&usual, None, 1)?;
+        self.duration(began.elapsed().as_secs_f64());
+        let duration = self.loop_duration();
+        let known = self.sweep.known.iter().any(|known| known.setting == usual);
+        // Where the run is not shorter than the scene's own, its point is there already.
+        let is_whole = duration >= self.sweep.scene_duration();
+        let ready = is_whole.then_some(first).filter(|_| !known);
+        self.point(&usual, |work| {
+            ready.unwrap_or_else(|| work.looped_point(&usual, Some(duration)))
+        });
+        let reference = self.loop_reference(&usual, duration);
+
+        let singles = self.loop_settings();
+        for setting in &singles {
+            if self.is_over() || self.sweep.stop.is_raised() {
+                self.cut = true;
+                break;
+            }
+            self.point(setting, |work| work.looped_point(setting, Some(duration)));
+        }
+        for setting in self.combinations() {
+            if self.is_over() {
+                self.cut = true;
+                break;
+            }
+            self.point(&setting, |work| work.looped_point(&setting, Some(duration)));
+        }
+        let models = Models {
+            cost: (fit::cost(
+                "samples",
+                (self.points.iter()).map(|point| {
+                    let setting = &point.setting;
+                    let blocks = setting.horizon_s.zip(setting.block_s).map(|(h, b)| h / b);
+                    (point, None, blocks)
+                }),
+            ))
+            .into_iter()
+            .collect(),
+            error: Vec::new(),
+        };
+        let recommended = self.recommend_loop(duration);
+        self.loop_findings(reference.as_ref(), recommended.as_ref(), duration);
+        Ok(self.finish(reference, models, recommended))
+    }
+
+    /// Shortens the runs where the budget does not hold enough of them.
+    fn duration(&mut self, seconds: f64) {
+        let allowed = OF_A_RUN * self.sweep.budget.as_secs_f64();
+        let own = self.sweep.scene_duration();
+        let Some(mpc) = &self.sweep.scene.mpc else {
+            return;
+        };
+        let period = mpc.period_s.get();
+        let counted = mpc.counted_from_s.map_or(period, |counted| counted.get());
+        let fitting = own * (allowed / seconds).min(1.0);
+        let shortest = counted + FEWEST_SAMPLES * period;
+        let duration = fitting.max(shortest).min(own);
+        if duration < own {
+            let words =
+                format!("runs last {duration:.3} s of the {own} s of the scene, to fit the budget");
+            self.say(words.clone());
+            self.finding(words);
+        }
+        self.run_s = duration;
+    }
+
+    fn loop_duration(&self) -> f64 {
+        self.run_s
+    }
+
+    /// A run, with `finer` times the elements of the arm as it is.
+    fn run_loop(
+        &self,
+        setting: &Setting,
+        duration: Option<f64>,
+        finer: usize,
+    ) -> Result<(Outcome, f64, f64), SweepError> {
+        let mut scene = self.scene(setting);
+        if let Some(duration) = duration {
+            scene.set_duration(duration);
+        }
+        let own = self.sweep.scene;
+        let plant = own.plant.as_ref().and_then(|plant| plant.elements);
+        scene.set_plant_elements(finer * plant.unwrap_or(own.rod.elements));
+        let stop = self.sweep.stop;
+        let setup = scene.closed_loop(self.sweep.source, 0, stop)?;
+        let run = setup.experiment.run(Contender::Mpc, &mut |_, _| {
+            if stop.is_raised() {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        })?;
+        let step = setup.experiment.discretization.step.unwrap_or(f64::NAN);
+        Ok((run, setup.experiment.arm.length, step))
+    }
+
+    fn looped(
+        &self,
+        setting: &Setting,
+        duration: Option<f64>,
+        finer: usize,
+    ) -> Result<Point, SweepError> {
+        let (run, length, step) = self.run_loop(setting, duration, finer)?;
+        let point = Point {
+            step_s: step,
+            wall_s: run.tally.sample_s.p50,
+            sample_p99_s: Some(run.tally.sample_s.p99),
+            ..Point::new(setting)
+        };
+        if let Some(error) = &run.broke_down {
+            return Ok(point.failed(error));
+        }
+        let fallbacks: usize = run.tally.fallbacks.values().sum();
+        if fallbacks > run.tally.samples / 2 {
+            let most = run.tally.fallbacks.iter().max_by_key(|(_, n)| **n);
+            let cause = most.map_or("", |(cause, _)| cause.as_str());
+            let words = format!("{fallbacks} samples without a command of their own: {cause}");
+            return Ok(point.failed(words));
+        }
+        let rms = run.tip_error.rms / length;
+        if !rms.is_finite() {
+            return Ok(point.failed("no error counts: mpc.counted_from_s is after the end"));
+        }
+        Ok(Point {
+            status: Fate::Done,
+            errors: Some(Errors {
+                tip_end: run.tip_error.last / length,
+                tip: run.tip_error.max / length,
+                shape: rms,
+                ..Errors::default()
+            }),
+            error: Some(rms),
+            ..point
+        })
+    }
+
+    fn looped_point(&self, setting: &Setting, duration: Option<f64>) -> Point {
+        match self.looped(setting, duration, 1) {
+            Ok(point) => point,
+            Err(error) => Point::new(setting).failed(error),
+        }
+    }
+
+    /// The scene's own loop around an arm with twice the elements: by how much its error depends on them.
+    fn loop_reference(&mut self, usual: &Setting, duration: f64) -> Option<Reference> {
+        let own = self.points.first()?.error?;
+        let finer = self.looped(usual, Some(duration), 2).ok()?;
+        let scene = self.sweep.scene;
+        let plant = (scene.plant.as_ref()).and_then(|plant| plant.elements);
+        let errors = finer.errors?;
+        Some(Reference {
+            elements: 2 * plant.unwrap_or(scene.rod.elements),
+            step_s: f64::NAN,
+            order: None,
+            error: (finer.error? - own).abs(),
+            errors,
+            objective: None,
+            wall_s: finer.wall_s,
+        })
+    }
+
+    /// One change at a time.
+    fn loop_settings(&self) -> Vec<Setting> {
+        let usual = &self.usual;
+        let mut settings = Vec::new();
+        let mut add = |change: &dyn Fn(&mut Setting)| {
+            let mut setting = usual.clone();
+            change(&mut setting);
+            if setting != *usual && !settings.contains(&setting) {
+                settings.push(setting);
+            }
+        };
+        let own = usual.elements as f64;
+        for part in [0.4, 0.6, 0.8, 1.5, 2.0] {
+            let elements = (part * own).round().max(2.0) as usize;
+            if self.sweep.scene.names_nodes_of(elements) {
+                add(&|setting| setting.elements = elements);
+            }
+        }
+        if let (Some(horizon), Some(block)) = (usual.horizon_s, usual.block_s) {
+            for part in [0.5, 2.0] {
+                add(&|setting| setting.block_s = Some(part * block));
+            }
+            for part in [0.6, 1.6] {
+                let whole = (part * horizon / block).round().max(2.0) * block;
+                // Without the rounding of the product.
+                let whole = (whole * 1e9).round() / 1e9;
+                add(&|setting| setting.horizon_s = Some(whole));
+            }
+        }
+        for iterations in [1, 2, 3] {
+            add(&|setting| setting.iterations = Some(iterations));
+        }
+        if usual.estimator.is_some() {
+            for kind in [EstimatorKind::Observer, EstimatorKind::Kalman] {
+                add(&|setting| setting.estimator = Some(kind));
+            }
+        }
+        settings
+    }
+
+    /// Pairs of changes that are faster by themselves and nearly as good, the fastest first.
+    fn combinations(&self) -> Vec<Setting> {
+        let Some(own) = self.points.first().filter(|point| point.error.is_some()) else {
+            return Vec::new();
+        };
+        let error = own.error.unwrap_or(f64::NAN).max(self.sweep.tolerance);
+        let mut good: Vec<&Point> = (self.points.iter().skip(1))
+            .filter(|point| point.wall_s < own.wall_s)
+            .filter(|point| point.error.is_some_and(|e| e <= AS_GOOD * error))
+            .collect();
+        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        let mut settings: Vec<Setting> = Vec::new();
+        for (index, a) in good.iter().enumerate() {
+            for b in &good[index + 1..] {
+                let both = both(&self.usual, &a.setting, &b.setting);
+                let is_new = !settings.contains(&both)
+                    && !self.points.iter().any(|point| point.setting == both);
+                if is_new {
+                    settings.push(both);
+                }
+            }
+        }
+        settings.truncate(COMBINED);
+        settings
+    }
+
+    /// The setting with the fastest samples that meets the tolerance, run once more with twice the elements of the arm.
+    fn recommend_loop(&self, duration: f64) -> Option<Recommendation> {
+        let tolerance = self.sweep.tolerance;
+        let best = (self.points.iter())
+            .filter(|point| point.meets(tolerance))
+            .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))?;
+        let checked_error = self
+            .looped(&best.setting, Some(duration), 2)
+            .ok()
+            .and_then(|point| point.error)
+            .unwrap_or(f64::NAN);
+        Some(Recommendation {
+            point: best.clone(),
+            checked_error,
+            checked: checked_error <= tolerance,
+        })
+    }
+
+    fn loop_findings(
+        &mut self,
+        reference: Option<&Reference>,
+        recommended: Option<&Recommendation>,
+        duration: f64,
+    ) {
+        let tolerance = self.sweep.tolerance;
+        if let Some(reference) = reference
+            && reference.error > 0.2 * tolerance
+        {
+            self.finding(format!(
+                "the error of the loop depends on the elements of the arm as it is by {:.1e} of the length: raise plant.elements",
+                reference.error
+            ));
+        }
+        match recommended {
+            Some(found) if !found.checked => self.finding(format!(
+                "the fastest setting that meets the tolerance has an error of {:.1e} with twice the elements of the arm as it is",
+                found.checked_error
+            )),
+            Some(_) => {}
+            None => {
+                let best = (self.points.iter())
+                    .filter_map(|point| point.error)
+                    .fold(f64::INFINITY, f64::min);
+                self.finding(format!(
+                    "no setting meets a tolerance of {tolerance:e}: the best of {} has {best:.1e} (root mean square, over {duration} s); what is left is \
+                     of the task, the sensors and what the model does not know of the arm",
+                    self.points.len()
+                ));
+            }
+        }
+    }
+}
+
+/// Both changes of a setting.
+fn both(usual: &Setting, a: &Setting, b: &Setting) -> Setting {
+    fn pick<T: PartialEq + Clone>(usual: &T, a: &T, b: &T) -> T {
+        if a == usual { b.clone() } else { a.clone() }
+    }
+    Setting {
+        elements: pick(&usual.elements, &a.elements, &b.elements),
+        horizon_s: pick(&usual.horizon_s, &a.horizon_s, &b.horizon_s),
+        block_s: pick(&usual.block_s, &a.block_s, &b.block_s),
+        iterations: pick(&usual.iterations, &a.iterations, &b.iterations),
+        estimator: pick(&usual.estimator, &a.estimator, &b.estimator),
+        ..usual.clone()
+    }
+}

@@ -1,0 +1,401 @@
+//! The sweep of an optimal-control problem: what the controls do on a finer grid, and what they cost.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use super::super::course::{Course, Errors};
+use super::{
+    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
+    fit, least_time,
+};
+use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
+use crate::mechanics::stability::automatic_step;
+use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid, Wrench};
+use crate::memory::of_solve;
+use crate::scene::{OptimalControl, Scene, TimeScheme};
+use crate::sqp::{HessianChoice, SqpStatus};
+use crate::task::Discretization;
+use crate::task::prediction::SolveTime;
+
+/// Part of the objective by which a setting may be worse than the finest grid, and still be recommended.
+const WORSE: f64 = 0.01;
+/// Most times at which motions are compared.
+const MOST_TIMES: usize = 96;
+/// Settings that are checked before none is recommended.
+const CHECKS: usize = 3;
+/// Elements that no solve of a sweep goes beyond.
+const MOST_ELEMENTS: usize = 160;
+
+/// What a solve came to.
+struct Solved {
+    setup: OptimalControl,
+    attempt: Attempt,
+    seconds: f64,
+}
+
+impl Work<'_, '_> {
+    pub(super) fn optimal_control(mut self) -> Result<Tradeoff, SweepError> {
+        let mut largest_rest = Errors::default();
+        let mut plan = self.control_settings();
+        while let Some(setting) = self.next_setting(&mut plan) {
+            if self.is_over() {
+                self.cut = true;
+                break;
+            }
+            let mut rest = Errors::default();
+            self.point(&setting, |work| match work.solved(&setting) {
+                Ok((point, uncertain)) => {
+                    rest = uncertain;
+                    point
+                }
+                Err(error) => Point::new(&setting).failed(error),
+            });
+            if rest.shape > largest_rest.shape {
+                largest_rest = rest;
+            }
+        }
+        let reference = self.control_reference(largest_rest);
+        let models = self.control_models(reference.as_ref());
+        let recommended = self.recommend_control(reference.as_ref());
+        self.control_findings(reference.as_ref(), &models, recommended.as_ref());
+        Ok(self.finish(reference, models, recommended))
+    }
+
+    /// The settings, those of one kind after the other, the last one first.
+    fn control_settings(&self) -> Vec<Setting> {
+        let usual = &self.usual;
+        let mut elements: Vec<usize> = (LADDER.iter().copied())
+            .filter(|k| (3..=MOST_ELEMENTS).contains(k))
+            .chain([usual.elements])
+            .filter(|k| self.sweep.scene.names_nodes_of(*k))
+            .collect();
+        elements.sort_unstable();
+        elements.dedup();
+        let mut settings: Vec<Setting> = (elements.into_iter())
+            .map(|elements| Setting {
+                elements,
+                ..usual.clone()
+            })
+            .collect();
+        let mut add = |change: &dyn Fn(&mut Setting)| {
+            let mut setting = usual.clone();
+            change(&mut setting);
+            if !settings.contains(&setting) {
+                settings.push(setting);
+            }
+        };
+        for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
+            add(&|setting| setting.hessian = Some(hessian));
+        }
+        for tolerance in [1e-4, 1e-8] {
+            add(&|setting| setting.tolerance = Some(tolerance));
+        }
+        for hold in [Hold::Constant, Hold::Linear, Hold::Cubic] {
+            add(&|setting| setting.hold = Some(hold));
+        }
+        if let Some(blocks) = usual.blocks {
+            for blocks in [blocks.div_ceil(2).max(2), 2 * blocks] {
+                add(&|setting| setting.blocks = Some(blocks));
+            }
+        }
+        let is_implicit = usual.integrator == TimeScheme::Implicit;
+        let parts: &[f64] = if is_implicit { &[2.0, 0.5] } else { &[0.5] };
+        for &part in parts {
+            add(&|setting| setting.step_over_automatic = part);
+        }
+        add(&|setting| setting.strain = StrainRule::Trapezoidal);
+        settings
+    }
+
+    /// The setting that is predicted to take the least time, if the budget allows it.
+    fn next_setting(&mut self, plan: &mut Vec<Setting>) -> Option<Setting> {
+        let seconds = |setting: &Setting| {
+            let scene = self.scene(setting);
+            let posed = scene.optimal_control_until(self.sweep.source, self.sweep.stop);
+            posed.map_or(0.0, |setup| {
+                let n = setup.problem.n_variables();
+                SolveTime::of(&setup.problem.rod, setup.problem.grid.n_steps as f64, n).total()
+            })
+        };
+        let best = (plan.iter().enumerate())
+            .map(|(index, setting)| (index, seconds(setting)))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        let (index, seconds) = best?;
+        if seconds > self.left() {
+            self.cut = true;
+            return None;
+        }
+        Some(plan.remove(index))
+    }
+
+    fn setup(&self, setting: &Setting) -> Result<OptimalControl, SweepError> {
+        let (source, stop) = (self.sweep.source, self.sweep.stop);
+        let open = self.scene(setting);
+        let setup = open.optimal_control_until(source, stop)?;
+        if setting.step_over_automatic == 1.0 {
+            return Ok(setup);
+        }
+        let step = setting.step_over_automatic * setup.problem.grid.step;
+        let scene: Scene = setting.applied(self.sweep.scene, Some(step));
+        Ok(scene.optimal_control_until(source, stop)?)
+    }
+
+    fn solve(&self, setup: &OptimalControl) -> Result<(Attempt, f64), SweepError> {
+        let clock = Instant::now();
+        let attempts = search(&setup.problem, &setup.settings, &setup.search, &|_, _| {
+            ControlFlow::Continue(())
+        });
+        let seconds = clock.elapsed().as_secs_f64();
+        match attempts {
+            Ok(mut attempts) => Ok((attempts.swap_remove(0), seconds)),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// A setting, solved, with the errors of its controls on finer grids, and what is uncertain about these.
+    fn solved(&mut self, setting: &Setting) -> Result<(Point, Errors), SweepError> {
+        let setup = self.setup(setting)?;
+        let (attempt, seconds) = self.solve(&setup)?;
+        let mut point = Point {
+            step_s: setup.problem.grid.step,
+            solver_iterations: Some(attempt.iterations()),
+            memory_mb: 1e-6 * of_solve(&setup, 1, 1).total(),
+            wall_s: seconds,
+            ..Point::new(setting)
+        };
+        if attempt.outcome.status != SqpStatus::Converged {
+            point.status = Fate::NotConverged;
+            point.why = Some(words(&attempt.outcome.status));
+            return Ok((point, Errors::default()));
+        }
+        point.wall_s = least_time(seconds, || self.solve(&setup).map(|(_, seconds)| seconds));
+        let solved = Solved {
+            setup,
+            attempt,
+            seconds,
+        };
+        point.objective = Some(solved.attempt.outcome.objective);
+        debug_assert!(solved.seconds >= point.wall_s);
+        match solved.errors(self) {
+            Ok((errors, rest)) => {
+                point.status = Fate::Done;
+                point.errors = Some(errors);
+                point.error = Some(errors.shape);
+                Ok((point, rest))
+            }
+            Err(error) => Ok((point.failed(error), Errors::default())),
+        }
+    }
+
+    /// The finest grid that was solved on.
+    fn control_reference(&self, rest: Errors) -> Option<Reference> {
+        let usual = |point: &&Point| {
+            let elements = point.setting.elements;
+            let same = Setting {
+                elements,
+                ..self.usual.clone()
+            };
+            point.setting == same && point.status == Fate::Done
+        };
+        let mut grids: Vec<&Point> = self.points.iter().filter(usual).collect();
+        grids.sort_by_key(|point| point.setting.elements);
+        let finest = grids.last()?;
+        Some(Reference {
+            elements: 4 * finest.setting.elements,
+            step_s: 0.25 * finest.step_s,
+            order: None,
+            error: rest.shape,
+            errors: rest,
+            objective: finest.objective,
+            wall_s: finest.wall_s,
+        })
+    }
+
+    fn control_models(&self, reference: Option<&Reference>) -> Models {
+        let mut models = Models::default();
+        let duration = self.sweep.scene.task.as_ref().and_then(|task| task.at_s);
+        let duration = duration.map_or(self.sweep.scene.time.end_s.get(), |at| at.get());
+        let own = (self.points.iter()).filter(|point| point.status == Fate::Done);
+        let counted = own.map(|point| {
+            let blocks = point.setting.blocks.map(|blocks| blocks as f64);
+            (point, Some(duration / point.step_s), blocks)
+        });
+        models.cost.extend(fit::cost("solves", counted));
+        let own = (self.points.iter()).filter(|point| {
+            let elements = point.setting.elements;
+            point.setting
+                == Setting {
+                    elements,
+                    ..self.usual.clone()
+                }
+        });
+        let floor = reference.map_or(0.0, |reference| 0.1 * reference.error);
+        (models.error).extend(fit::error(self.usual.strain.name(), own, floor));
+        models
+    }
+
+    /// The fastest setting with the scene's own controls whose motion meets the tolerance, at an objective that is not worse.
+    fn recommend_control(&mut self, reference: Option<&Reference>) -> Option<Recommendation> {
+        let best = reference?.objective?;
+        let limit = best + WORSE * best.abs();
+        let tolerance = self.sweep.tolerance;
+        let mut good: Vec<Point> = (self.points.iter())
+            .filter(|point| point.meets(tolerance))
+            .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
+            .cloned()
+            .collect();
+        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        let mut last = None;
+        for point in good.into_iter().take(CHECKS) {
+            // Solved once more: what is recommended is what somebody else will get.
+            let checked_error = match self.solved(&point.setting) {
+                Ok((again, _)) => again.error.unwrap_or(f64::NAN),
+                Err(_) => f64::NAN,
+            };
+            let checked = checked_error <= tolerance;
+            last = Some(Recommendation {
+                point,
+                checked_error,
+                checked,
+            });
+            if checked {
+                break;
+            }
+        }
+        last
+    }
+
+    fn control_findings(
+        &mut self,
+        reference: Option<&Reference>,
+        models: &Models,
+        recommended: Option<&Recommendation>,
+    ) {
+        let tolerance = self.sweep.tolerance;
+        if reference.is_none() {
+            self.finding("no setting converged with an error that could be found".into());
+            return;
+        }
+        if let (Some(reference), Some(usual)) = (reference, self.usual.blocks) {
+            let best = reference.objective.unwrap_or(f64::NAN);
+            let more = (self.points.iter())
+                .find(|point| point.setting.blocks.is_some_and(|blocks| blocks > usual))
+                .and_then(|point| point.objective);
+            if let Some(objective) = more
+                && objective < best - WORSE * best.abs()
+            {
+                self.finding(format!(
+                    "twice the blocks lower the objective by {:.1} %: the resolution of the controls matters more here than that of the arm",
+                    100.0 * (1.0 - objective / best)
+                ));
+            }
+        }
+        if recommended.is_none() {
+            let needed = models.error.first().map_or(String::new(), |model| {
+                let elements = ((model.constant - tolerance.ln()) / model.order).exp();
+                format!("; by the model of the error it takes about {elements:.0} elements")
+            });
+            self.finding(format!(
+                "no setting that was solved within the budget meets a tolerance of {tolerance:e} at an objective within {:.0} % of the finest \
+                 grid's{needed}: give a larger --budget",
+                100.0 * WORSE
+            ));
+        }
+    }
+}
+
+impl Solved {
+    /// The errors of the motion against the same controls with four times the elements and a quarter of the step, and those of that motion by
+    /// Richardson's extrapolation.
+    fn errors(&self, work: &Work) -> Result<(Errors, Errors), SweepError> {
+        let posed = self.setup.posed();
+        let problem = if self.attempt.time_scale == 1.0 {
+            posed
+        } else {
+            posed.with_time_scale(self.attempt.time_scale)
+        };
+        let discrete = &problem.discrete;
+        let coefficients = discrete.wrenches(&self.attempt.outcome.point.variables);
+        let n_blocks = discrete.control.n_blocks();
+        let times = times(discrete.grid.n_steps, n_blocks);
+        let mut courses = Vec::new();
+        for factor in [1, 2, 4] {
+            let (rod, start) = if factor == 1 {
+                (discrete.rod.clone(), discrete.initial.clone())
+            } else {
+                let finer = Discretization {
+                    strain_rule: StrainRule::Helical,
+                    elements: factor * problem.discretization.elements,
+                    ..problem.discretization
+                };
+                let rod = (problem.arm.rod(&finer))
+                    .map_err(|error| super::RunError::Discretize(error.into()))?;
+                let start = (problem.task.start.state(&rod, work.sweep.stop))
+                    .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
+                (rod, start)
+            };
+            let needed = (discrete.grid.step / automatic_step(&rod) * (1.0 - 1e-9)).ceil() as usize;
+            let parts = if rod.scheme == crate::mechanics::TimeScheme::Implicit {
+                factor
+            } else {
+                factor.max(if factor == 1 { 1 } else { needed })
+            };
+            let course = replay(
+                discrete,
+                &coefficients,
+                &rod,
+                &start,
+                (factor, parts),
+                times,
+                work,
+            );
+            courses.push(course.map_err(super::RunError::from)?);
+        }
+        let length = problem.arm.length;
+        let rest = courses[1].errors(&courses[2], length).times(1.0 / 3.0);
+        Ok((courses[0].errors(&courses[2], length), rest))
+    }
+}
+
+fn words(status: &SqpStatus) -> String {
+    match status {
+        SqpStatus::Converged => "converged".into(),
+        SqpStatus::LocallyInfeasible => "locally infeasible".into(),
+        SqpStatus::IterationLimit => "iteration limit".into(),
+        SqpStatus::StepTooSmall => "step too small".into(),
+        SqpStatus::Stopped(stop) => stop.to_string(),
+        SqpStatus::Failed(words) => words.clone(),
+    }
+}
+
+/// Intervals between the times of a comparison: as many as divide the steps, and whole blocks or parts of them.
+fn times(n_steps: usize, n_blocks: usize) -> usize {
+    let in_block = n_steps / n_blocks;
+    let parts = (1..=in_block.min((MOST_TIMES / n_blocks).max(1)))
+        .rev()
+        .find(|parts| in_block.is_multiple_of(*parts));
+    n_blocks * parts.unwrap_or(1)
+}
+
+/// The controls of a problem on a rod with `factor` times the elements and `parts` steps in the place of one.
+fn replay(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    rod: &Rod,
+    start: &State,
+    (factor, parts): (usize, usize),
+    times: usize,
+    work: &Work,
+) -> Result<Course, StepError> {
+    let control: ControlGrid = problem.control.refined(parts);
+    let mut signal: ControlSignal = problem.signal(&control, coefficients);
+    for node in &mut signal.nodes {
+        *node *= factor;
+    }
+    let grid = TimeGrid {
+        step: problem.grid.step / parts as f64,
+        n_steps: problem.grid.n_steps * parts,
+        ..problem.grid
+    };
+    Course::of_times(rod, grid, start, Some(&signal), times, work.sweep.stop)
+}

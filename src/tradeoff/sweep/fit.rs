@@ -1,0 +1,135 @@
+//! Models of time and error: powers, fitted to the logarithms of the points.
+
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+
+use super::{Fate, Point};
+
+/// `seconds = exp(constant) elements^p steps^q variables^r`.
+#[derive(Clone, Debug, Serialize)]
+pub struct CostModel {
+    /// The points that it is of.
+    pub of: String,
+    /// Logarithm of the seconds at 1.
+    pub constant: f64,
+    /// Power of the elements.
+    pub elements: f64,
+    /// Power of the steps, of what is integrated over time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<f64>,
+    /// Power of the variables, of what is solved for them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub variables: Option<f64>,
+    /// Root mean square of the logarithms of the time over that of the model: 0.1 is ten percent.
+    pub residual: f64,
+    /// Number of points.
+    pub points: usize,
+}
+
+/// `error = exp(constant) elements^-order`.
+#[derive(Clone, Debug, Serialize)]
+pub struct ErrorModel {
+    /// The points that it is of.
+    pub of: String,
+    /// Logarithm of the error with one element.
+    pub constant: f64,
+    /// Observed order in the length of an element.
+    pub order: f64,
+    /// Root mean square of the logarithms of the error over that of the model.
+    pub residual: f64,
+    /// Number of points.
+    pub points: usize,
+}
+
+/// Least squares; `None` where the rows do not determine the unknowns.
+fn fit(rows: &[(Vec<f64>, f64)]) -> Option<(Vec<f64>, f64)> {
+    let n = rows.first()?.0.len();
+    if rows.len() <= n {
+        return None;
+    }
+    let a = DMatrix::from_fn(rows.len(), n, |i, j| rows[i].0[j]);
+    let b = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.1));
+    let svd = a.clone().svd(true, true);
+    let (least, largest) = (svd.singular_values.min(), svd.singular_values.max());
+    if !(least > 1e-6 * largest) {
+        return None;
+    }
+    let x = svd.solve(&b, 0.0).ok()?;
+    let residual = ((&a * &x - &b).norm_squared() / rows.len() as f64).sqrt();
+    Some((x.iter().copied().collect(), residual))
+}
+
+/// A model of the time of some points, with the number of steps and variables of each where there are any.
+pub(super) fn cost<'a>(
+    of: &str,
+    points: impl Iterator<Item = (&'a Point, Option<f64>, Option<f64>)>,
+) -> Option<CostModel> {
+    let rows: Vec<(Vec<f64>, f64)> = points
+        .filter(|(point, ..)| point.status == Fate::Done && point.wall_s > 0.0)
+        .map(|(point, steps, variables)| {
+            let mut row = vec![1.0, (point.setting.elements as f64 + 1.0).ln()];
+            row.extend([steps, variables].iter().flatten().map(|count| count.ln()));
+            (row, point.wall_s.ln())
+        })
+        .collect();
+    let has = rows.first()?.0.len();
+    // Counts that never change, or change with the elements alone, say nothing of their own.
+    let (mut x, residual) = fit(&rows).or_else(|| {
+        let short: Vec<_> = (rows.iter())
+            .map(|(row, value)| (row[..2].to_vec(), *value))
+            .collect();
+        fit(&short)
+    })?;
+    x.resize(has.max(2), 0.0);
+    Some(CostModel {
+        of: of.into(),
+        constant: x[0],
+        elements: x[1],
+        steps: x.get(2).copied(),
+        variables: x.get(3).copied(),
+        residual,
+        points: rows.len(),
+    })
+}
+
+/// A model of the error of points whose step is the automatic one.
+pub(super) fn error<'a>(
+    of: &str,
+    points: impl Iterator<Item = &'a Point>,
+    floor: f64,
+) -> Option<ErrorModel> {
+    // What is not above the error of the reference says nothing about its order.
+    let rows: Vec<(Vec<f64>, f64)> = points
+        .filter(|point| point.setting.elements >= 4)
+        .filter_map(|point| Some((point.setting.elements as f64, point.error?)))
+        .filter(|(_, error)| error.is_finite() && *error > 3.0 * floor && *error < 0.3)
+        .map(|(elements, error)| (vec![1.0, -elements.ln()], error.ln()))
+        .collect();
+    let (x, residual) = fit(&rows)?;
+    Some(ErrorModel {
+        of: of.into(),
+        constant: x[0],
+        order: x[1],
+        residual,
+        points: rows.len(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Powers are found again from points that follow them, and what does not determine them gives none.
+    #[test]
+    fn powers_are_found() {
+        let rows: Vec<(Vec<f64>, f64)> = (1..6)
+            .map(|k| (vec![1.0, f64::from(k).ln()], 2.0 - 1.5 * f64::from(k).ln()))
+            .collect();
+        let (x, residual) = fit(&rows).unwrap();
+        assert!((x[0] - 2.0).abs() < 1e-10 && (x[1] + 1.5).abs() < 1e-10);
+        assert!(residual < 1e-10);
+        assert!(fit(&rows[..2]).is_none());
+        let same = vec![(vec![1.0, 1.0], 2.0); 5];
+        assert!(fit(&same).is_none());
+    }
+}

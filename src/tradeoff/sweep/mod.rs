@@ -1,0 +1,544 @@
+//! Errors and times of many discretizations of one scene, the front of those that nothing else beats, and a recommendation.
+//!
+//! A motion is compared with one on a much finer grid, whose own error is known. An optimal-control problem is solved with every setting, and
+//! its controls are simulated on grids twice and four times as fine. A closed loop is run with every setting, and its error is that of its tip.
+
+mod closed_loop;
+mod control;
+mod fit;
+mod front;
+mod motion;
+
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+
+pub use self::fit::{CostModel, ErrorModel};
+pub use self::front::mark_front;
+use super::course::Errors;
+use super::motion::RunError;
+use crate::control::{GuessError, Hold};
+use crate::mechanics::{RodModel, StrainRule};
+use crate::mpc::MpcError;
+use crate::scene::{EstimatorKind, RotaryInertia, Scene, SceneError, SceneSource, TimeScheme};
+use crate::sqp::HessianChoice;
+use crate::stop::StopSignal;
+use crate::task::{Discretization, prediction::simulation_seconds};
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Subject {
+    /// A forward simulation.
+    Motion,
+    /// An optimal-control problem.
+    OptimalControl,
+    /// A closed loop.
+    ClosedLoop,
+}
+
+impl Subject {
+    /// What a scene describes most of: a loop, or else a problem, or else a motion.
+    #[must_use]
+    pub fn of(scene: &Scene) -> Self {
+        let tracks =
+            (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
+        if scene.mpc.is_some() {
+            Self::ClosedLoop
+        } else if scene.control.is_some() && (scene.task.is_some() || tracks) {
+            Self::OptimalControl
+        } else {
+            Self::Motion
+        }
+    }
+}
+
+/// How a scene is discretized and solved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Setting {
+    /// Strain rule.
+    pub strain: StrainRule,
+    /// Elements.
+    pub elements: usize,
+    /// Integrator.
+    pub integrator: TimeScheme,
+    /// Time step over the automatic one.
+    pub step_over_automatic: f64,
+    /// Rotary inertia.
+    pub rotary_inertia: RotaryInertia,
+    /// Model of the section.
+    pub model: RodModel,
+    /// Blocks of the controls.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blocks: Option<usize>,
+    /// Their course within a block.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hold: Option<Hold>,
+    /// Tolerance of the solver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<f64>,
+    /// Hessian of the solver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hessian: Option<HessianChoice>,
+    /// Horizon of a controller, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub horizon_s: Option<f64>,
+    /// Length of its blocks, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub block_s: Option<f64>,
+    /// Its iterations a sample.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Its estimator.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimator: Option<EstimatorKind>,
+}
+
+impl Setting {
+    /// In words, without what is as `usual`.
+    #[must_use]
+    pub fn differences(&self, usual: &Self) -> String {
+        let mut words = vec![format!("{} elements", self.elements)];
+        let mut add = |differs: bool, text: String| {
+            if differs {
+                words.push(text);
+            }
+        };
+        add(self.strain != usual.strain, self.strain.name().into());
+        add(
+            self.integrator != usual.integrator,
+            format!("{:?}", self.integrator).to_lowercase(),
+        );
+        add(
+            self.step_over_automatic != usual.step_over_automatic,
+            format!("step x {}", self.step_over_automatic),
+        );
+        add(
+            self.rotary_inertia != usual.rotary_inertia,
+            format!("inertia of {:?}s", self.rotary_inertia).to_lowercase(),
+        );
+        add(
+            self.model != usual.model,
+            format!("{} model", self.model.name()),
+        );
+        let number = |own: Option<f64>| own.unwrap_or(f64::NAN);
+        let count = |own: Option<usize>| own.unwrap_or(0);
+        add(
+            self.blocks != usual.blocks,
+            format!("{} blocks", count(self.blocks)),
+        );
+        if let Some(hold) = self.hold {
+            add(
+                self.hold != usual.hold,
+                format!("{hold:?} hold").to_lowercase(),
+            );
+        }
+        add(
+            self.tolerance != usual.tolerance,
+            format!("tolerance {:e}", number(self.tolerance)),
+        );
+        if let Some(hessian) = self.hessian {
+            add(
+                self.hessian != usual.hessian,
+                format!("{} Hessian", hessian.name()),
+            );
+        }
+        add(
+            self.horizon_s != usual.horizon_s,
+            format!("horizon {} s", number(self.horizon_s)),
+        );
+        add(
+            self.block_s != usual.block_s,
+            format!("blocks of {} s", number(self.block_s)),
+        );
+        add(
+            self.iterations != usual.iterations,
+            format!("{} iterations", count(self.iterations)),
+        );
+        if let Some(estimator) = self.estimator {
+            add(
+                self.estimator != usual.estimator,
+                format!("estimator {estimator:?}").to_lowercase(),
+            );
+        }
+        words.join(", ")
+    }
+}
+
+/// How a setting fared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Fate {
+    /// It has an error and a time.
+    Done,
+    /// The solver did not converge.
+    NotConverged,
+    /// The motion broke down, or the setting cannot be taken.
+    Failed,
+}
+
+/// A setting, its error and its time.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Point {
+    /// The setting.
+    #[serde(flatten)]
+    pub setting: Setting,
+    /// Its time step, s.
+    pub step_s: f64,
+    /// How it fared.
+    pub status: Fate,
+    /// Why it has no error.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+    /// Errors against the reference.
+    pub errors: Option<Errors>,
+    /// What a tolerance is compared with, over the length: of motions the largest distance of any place at any time, of a closed loop that of its
+    /// tip, root mean square.
+    pub error: Option<f64>,
+    /// Value of the objective.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub objective: Option<f64>,
+    /// Iterations of the solver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub solver_iterations: Option<usize>,
+    /// Least time of several runs, s; of a closed loop that of a sample, in the middle of all samples.
+    pub wall_s: f64,
+    /// Of a closed loop: the time that 99 of 100 samples do not exceed, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sample_p99_s: Option<f64>,
+    /// Memory that the work is estimated to need, MB.
+    pub memory_mb: f64,
+    /// Whether nothing else is both faster and more accurate.
+    pub on_front: bool,
+}
+
+impl Point {
+    fn new(setting: &Setting) -> Self {
+        Self {
+            setting: setting.clone(),
+            step_s: f64::NAN,
+            status: Fate::Failed,
+            why: None,
+            errors: None,
+            error: None,
+            objective: None,
+            solver_iterations: None,
+            wall_s: f64::NAN,
+            sample_p99_s: None,
+            memory_mb: f64::NAN,
+            on_front: false,
+        }
+    }
+
+    fn failed(mut self, why: impl ToString) -> Self {
+        self.why = Some(why.to_string());
+        self
+    }
+
+    /// Whether it has an error up to `tolerance`.
+    fn meets(&self, tolerance: f64) -> bool {
+        self.error.is_some_and(|error| error <= tolerance)
+    }
+}
+
+/// What errors are measured against.
+#[derive(Clone, Debug, Serialize)]
+pub struct Reference {
+    /// Elements of the finest grid.
+    pub elements: usize,
+    /// Its step, s.
+    pub step_s: f64,
+    /// Observed order of convergence of the last three grids, each twice as fine as the one before in space and time.
+    pub order: Option<f64>,
+    /// Its own error, over the length: Richardson's.
+    pub error: f64,
+    /// Its own errors of all kinds.
+    pub errors: Errors,
+    /// Value of the objective on the finest grid that a problem was solved on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub objective: Option<f64>,
+    /// Seconds of the finest run.
+    pub wall_s: f64,
+}
+
+/// The fastest setting that is accurate enough.
+#[derive(Clone, Debug, Serialize)]
+pub struct Recommendation {
+    /// The point.
+    #[serde(flatten)]
+    pub point: Point,
+    /// Its error against a run that is finer by four in space and in time, over the length; of a closed loop, with twice the elements of the
+    /// plant.
+    pub checked_error: f64,
+    /// Whether that is within the tolerance.
+    pub checked: bool,
+}
+
+/// What a sweep found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Tradeoff {
+    /// What was compared.
+    pub subject: Subject,
+    /// The tolerance, over the length.
+    pub tolerance: f64,
+    /// The reference; absent where it could not be made.
+    pub reference: Option<Reference>,
+    /// All settings that were tried, those that failed among them.
+    pub points: Vec<Point>,
+    /// Fitted models.
+    pub models: Models,
+    /// The fastest setting that meets the tolerance.
+    pub recommended: Option<Recommendation>,
+    /// What there is to say, in sentences.
+    pub findings: Vec<String>,
+    /// Whether everything was tried that was planned.
+    pub complete: bool,
+}
+
+/// Fitted models of time and error.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Models {
+    /// Of the time.
+    pub cost: Vec<CostModel>,
+    /// Of the error.
+    pub error: Vec<ErrorModel>,
+}
+
+/// Why there is no sweep.
+#[derive(Debug, thiserror::Error)]
+pub enum SweepError {
+    /// The scene cannot be set up.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The scene's own motion breaks down.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The controller has no first plan.
+    #[error(transparent)]
+    Mpc(#[from] MpcError),
+    /// The solver has no first point.
+    #[error("no start for the solver: {0}")]
+    Start(#[from] GuessError),
+}
+
+/// A sweep over the settings of a scene.
+pub struct Sweep<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Where it came from.
+    pub source: &'a SceneSource,
+    /// The tolerance, over the length.
+    pub tolerance: f64,
+    /// How long the sweep may take.
+    pub budget: Duration,
+    /// Points of an earlier sweep of the same scene, which are not run again.
+    pub known: Vec<Point>,
+    /// Elements of that sweep's reference.
+    pub known_reference: Option<usize>,
+    /// The signal that ends the work early.
+    pub stop: &'a StopSignal,
+    /// Sees every point as it comes, and other news.
+    pub tell: &'a mut dyn FnMut(News),
+}
+
+/// What happens in a sweep.
+#[derive(Clone, Debug)]
+pub enum News<'a> {
+    /// A sentence.
+    Words(String),
+    /// A point, and what is usual in this sweep.
+    Point(&'a Point, &'a Setting),
+}
+
+/// A sweep on its way.
+struct Work<'a, 'b> {
+    sweep: &'b mut Sweep<'a>,
+    began: Instant,
+    usual: Setting,
+    points: Vec<Point>,
+    findings: Vec<String>,
+    /// Whether something that was planned was left out.
+    cut: bool,
+    /// Duration of the runs of a closed loop, s.
+    run_s: f64,
+}
+
+impl Sweep<'_> {
+    /// Runs the sweep. What is stopped, or out of time, returns what there is.
+    ///
+    /// # Errors
+    /// [`SweepError`] where the scene as it is cannot be run.
+    pub fn run(&mut self) -> Result<Tradeoff, SweepError> {
+        let usual = self.usual()?;
+        let work = Work {
+            sweep: self,
+            began: Instant::now(),
+            usual,
+            points: Vec::new(),
+            findings: Vec::new(),
+            cut: false,
+            run_s: f64::NAN,
+        };
+        match Subject::of(work.sweep.scene) {
+            Subject::Motion => work.motion(),
+            Subject::OptimalControl => work.optimal_control(),
+            Subject::ClosedLoop => work.closed_loop(),
+        }
+    }
+
+    /// Duration of a closed loop as the scene has it, s.
+    fn scene_duration(&self) -> f64 {
+        let own = self.scene.mpc.as_ref().and_then(|mpc| mpc.duration_s);
+        own.map_or(self.scene.time.end_s.get(), |duration| duration.get())
+    }
+
+    /// The scene's own setting.
+    fn usual(&self) -> Result<Setting, SweepError> {
+        let (scene, source) = (self.scene, self.source);
+        let subject = Subject::of(scene);
+        let open = scene.with_grid(&Discretization {
+            step: None,
+            ..scene.discretization()
+        });
+        let (resolved, loops) = match subject {
+            Subject::Motion => (open.simulation_until(source, self.stop)?.resolved, None),
+            Subject::OptimalControl => (
+                open.optimal_control_until(source, self.stop)?.resolved,
+                None,
+            ),
+            Subject::ClosedLoop => {
+                let resolved = open.closed_loop(source, 0, self.stop)?.resolved;
+                let mpc = resolved.mpc.clone();
+                (resolved, mpc)
+            }
+        };
+        let controlled = subject == Subject::OptimalControl;
+        let control = scene.control.as_ref().filter(|_| controlled);
+        let solver = scene.solver.clone().unwrap_or_default();
+        Ok(Setting {
+            strain: resolved.rod.strain,
+            elements: resolved.rod.elements,
+            integrator: resolved.time.integrator,
+            step_over_automatic: 1.0,
+            rotary_inertia: resolved.rod.rotary_inertia,
+            model: resolved.rod.model,
+            blocks: control.map(|control| control.blocks),
+            hold: control.map(|control| control.hold),
+            tolerance: controlled.then(|| solver.tolerance.get()),
+            hessian: controlled.then_some(solver.hessian),
+            horizon_s: loops.as_ref().and_then(|mpc| Some(mpc.horizon_s?.get())),
+            block_s: loops.as_ref().and_then(|mpc| Some(mpc.block_s?.get())),
+            iterations: loops.as_ref().map(|mpc| mpc.iterations),
+            estimator: loops
+                .as_ref()
+                .and(scene.estimator.as_ref().map(|estimator| estimator.kind)),
+        })
+    }
+}
+
+/// Seconds within which a run is made again twice, and once.
+const TWICE_S: f64 = 0.5;
+const ONCE_S: f64 = 2.0;
+
+impl Work<'_, '_> {
+    fn left(&self) -> f64 {
+        self.sweep.budget.as_secs_f64() - self.began.elapsed().as_secs_f64()
+    }
+
+    fn say(&mut self, words: String) {
+        (self.sweep.tell)(News::Words(words));
+    }
+
+    fn finding(&mut self, words: String) {
+        self.findings.push(words);
+    }
+
+    fn is_over(&self) -> bool {
+        self.sweep.stop.is_raised() || self.left() <= 0.0
+    }
+
+    /// The point of a setting, from an earlier sweep or by `run`.
+    fn point(&mut self, setting: &Setting, run: impl FnOnce(&mut Self) -> Point) -> &Point {
+        let known = self
+            .sweep
+            .known
+            .iter()
+            .find(|known| known.setting == *setting);
+        let point = match known {
+            Some(known) => known.clone(),
+            None => run(self),
+        };
+        (self.sweep.tell)(News::Point(&point, &self.usual));
+        self.points.push(point);
+        &self.points[self.points.len() - 1]
+    }
+
+    /// The scene with a setting, its step open where it is the automatic one.
+    fn scene(&self, setting: &Setting) -> Scene {
+        setting.applied(self.sweep.scene, None)
+    }
+
+    fn finish(
+        mut self,
+        reference: Option<Reference>,
+        models: Models,
+        recommended: Option<Recommendation>,
+    ) -> Tradeoff {
+        mark_front(&mut self.points);
+        Tradeoff {
+            subject: Subject::of(self.sweep.scene),
+            tolerance: self.sweep.tolerance,
+            reference,
+            points: self.points,
+            models,
+            recommended,
+            findings: self.findings,
+            complete: !self.cut && !self.sweep.stop.is_raised(),
+        }
+    }
+}
+
+impl Setting {
+    /// A scene with this setting, and with a step of its own in s where one is given.
+    #[must_use]
+    pub fn applied(&self, scene: &Scene, step: Option<f64>) -> Scene {
+        let own = scene.discretization();
+        let mut out = scene.with_grid(&Discretization {
+            elements: self.elements,
+            strain_rule: self.strain,
+            step,
+            hold: self.hold.unwrap_or(own.hold),
+            blocks: self.blocks.unwrap_or(own.blocks),
+            scheme: None,
+            rotary_inertia: None,
+            ..own
+        });
+        out.time.integrator = self.integrator;
+        out.rod.rotary_inertia = self.rotary_inertia;
+        out.rod.model = self.model;
+        out.set_solver(self.tolerance, self.hessian);
+        out.set_loop(
+            self.horizon_s,
+            self.block_s,
+            self.iterations,
+            self.estimator,
+        );
+        out
+    }
+}
+
+/// The least of some times: that of a run, and those of more runs where it is short.
+fn least_time<E>(first: f64, mut again: impl FnMut() -> Result<f64, E>) -> f64 {
+    let more = match first {
+        t if t < TWICE_S => 2,
+        t if t < ONCE_S => 1,
+        _ => 0,
+    };
+    (0..more).fold(first, |least, _| again().map_or(least, |t| least.min(t)))
+}
+
+/// Elements that are tried.
+const LADDER: [usize; 30] = [
+    2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192,
+    224, 256, 320, 400, 500, 640,
+];

@@ -1,0 +1,501 @@
+//! The sweep of a forward simulation.
+
+use super::super::course::{Course, Errors};
+use super::super::motion::{Motion, Run, RunError};
+use super::{
+    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
+    fit, least_time, simulation_seconds,
+};
+use crate::mechanics::{RodModel, StrainRule};
+use crate::memory::of_simulation;
+use crate::scene::{RotaryInertia, Scene, TimeScheme};
+use crate::task::{Discretization, DiscretizeError};
+
+/// Part of the budget that the reference may take.
+const FOR_REFERENCE: f64 = 0.3;
+/// The reference is refined until it is this much more accurate than the tolerance.
+const BETTER: f64 = 30.0;
+/// Elements of the coarsest grid of the reference.
+const COARSEST: usize = 8;
+/// Grids of the reference.
+const MOST_GRIDS: usize = 8;
+/// A family of settings ends where it is this much more accurate than the tolerance.
+const ENOUGH: f64 = 10.0;
+/// Settings that are checked before none is recommended.
+const CHECKS: usize = 3;
+
+/// The motion of a scene.
+fn motion_of(scene: &Scene, work: &Work) -> Result<Motion, SweepError> {
+    Ok(Motion {
+        arm: scene.arm(work.sweep.source)?,
+        start: scene.start(),
+        duration: scene.time.end_s.get(),
+    })
+}
+
+/// A reference on its way.
+struct Finest {
+    runs: Vec<Run>,
+    length: f64,
+}
+
+impl Finest {
+    fn course(&self) -> &Course {
+        &self.runs[self.runs.len() - 1].course
+    }
+
+    fn difference(&self, back: usize) -> Option<Errors> {
+        let last = self.runs.len().checked_sub(back)?;
+        let coarse = last.checked_sub(2)?;
+        Some(
+            self.runs[coarse]
+                .course
+                .errors(&self.runs[last - 1].course, self.length),
+        )
+    }
+
+    fn order(&self) -> Option<f64> {
+        let (last, before) = (self.difference(0)?, self.difference(1)?);
+        Some((before.shape / last.shape).log2())
+    }
+
+    /// Richardson's error of the finest grid, with the observed order, from 1 to 2.
+    fn errors(&self) -> Errors {
+        let order = self.order().unwrap_or(1.0).clamp(1.0, 2.0);
+        let rest = 1.0 / (order.exp2() - 1.0);
+        match self.difference(0) {
+            Some(errors) => errors.times(rest),
+            None => Errors {
+                shape: f64::INFINITY,
+                ..Errors::default()
+            },
+        }
+    }
+}
+
+/// Settings that differ in their elements alone, from few to many.
+struct Family {
+    setting: Setting,
+    rungs: Vec<usize>,
+}
+
+impl Work<'_, '_> {
+    pub(super) fn motion(mut self) -> Result<Tradeoff, SweepError> {
+        let motion = motion_of(&self.scene(&self.usual), &self)?;
+        let finest = self.finest(&motion)?;
+        let reference = self.reference(&finest);
+        self.say(format!(
+            "reference: {} elements, steps of {:.3e} s, itself off by {:.1e} of the length{}",
+            reference.elements,
+            reference.step_s,
+            reference.error,
+            (reference.order).map_or(String::new(), |order| format!(
+                " (observed order {order:.2})"
+            ))
+        ));
+        self.sections(&motion);
+
+        let mut families = self.families(reference.elements);
+        while let Some(next) = self.next(&mut families, &motion) {
+            if self.is_over() {
+                self.cut = true;
+                break;
+            }
+            let Some((family, elements)) = next else {
+                continue;
+            };
+            let setting = Setting {
+                elements,
+                ..families[family].setting.clone()
+            };
+            let tolerance = self.sweep.tolerance;
+            let point = self.point(&setting, |work| work.simulated(&setting, finest.course()));
+            let enough = point.error.is_some_and(|error| error < tolerance / ENOUGH);
+            if enough {
+                families[family].rungs.clear();
+            }
+        }
+        let models = self.motion_models(&reference);
+        let recommended = self.recommend_motion(&reference);
+        self.motion_findings(&reference, &models, recommended.as_ref());
+        Ok(self.finish(Some(reference), models, recommended))
+    }
+
+    /// Grids that are refined in space and time together, until the finest is accurate enough or takes too long.
+    fn finest(&mut self, motion: &Motion) -> Result<Finest, SweepError> {
+        let mut open = self.scene(&self.usual).discretization();
+        let mut finest = Finest {
+            runs: Vec::new(),
+            length: motion.arm.length,
+        };
+        let limit = FOR_REFERENCE * self.sweep.budget.as_secs_f64();
+        let mut longest = f64::INFINITY;
+        open.elements = COARSEST;
+        for grid in 0..MOST_GRIDS {
+            let setup = (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
+            let spent = self.began.elapsed().as_secs_f64();
+            let known = (self.sweep.known_reference).is_some_and(|known| open.elements <= known);
+            if grid >= 3 && !known && spent + setup.predicted() > limit {
+                break;
+            }
+            match setup.run(self.sweep.stop) {
+                Ok(run) => {
+                    longest = 0.5 * run.step();
+                    open.scheme = run.discretization.scheme;
+                    open.rotary_inertia = run.discretization.rotary_inertia;
+                    finest.runs.push(run);
+                }
+                // A coarse grid may break down where finer ones do not.
+                Err(error)
+                    if finest.runs.is_empty() && grid < 4 && !self.sweep.stop.is_raised() =>
+                {
+                    self.say(format!("{} elements: {error}", open.elements));
+                    longest = 0.5 * setup.grid.step;
+                }
+                Err(error) if finest.runs.is_empty() => return Err(RunError::from(error).into()),
+                Err(_) => break,
+            }
+            open.elements *= 2;
+            if finest.runs.len() >= 3
+                && !known
+                && finest.errors().shape < self.sweep.tolerance / BETTER
+            {
+                break;
+            }
+        }
+        Ok(finest)
+    }
+
+    fn reference(&self, finest: &Finest) -> Reference {
+        let last = &finest.runs[finest.runs.len() - 1];
+        let errors = finest.errors();
+        Reference {
+            elements: last.discretization.elements,
+            step_s: last.step(),
+            order: finest.order(),
+            error: errors.shape,
+            errors,
+            objective: None,
+            wall_s: last.seconds,
+        }
+    }
+
+    /// Says by how much the model of the section changes the motion, on one grid.
+    fn sections(&mut self, motion: &Motion) {
+        if self.usual.model != RodModel::Standard || self.usual.integrator == TimeScheme::Implicit {
+            return;
+        }
+        let open = Discretization {
+            elements: 2 * COARSEST,
+            ..self.scene(&self.usual).discretization()
+        };
+        let mut other = motion.clone();
+        other.arm.model = RodModel::Consistent;
+        let stop = self.sweep.stop;
+        let (Ok(a), Ok(b)) = (motion.run(&open, stop), other.run(&open, stop)) else {
+            return;
+        };
+        let change = b.course.errors(&a.course, motion.arm.length).shape;
+        if change > self.sweep.tolerance {
+            let words = format!(
+                "whether the section thins as the arm stretches (rod.model = \"consistent\") changes the motion by {change:.1e} of the length: a \
+                 tolerance below that is about numbers, not about an arm"
+            );
+            self.finding(words);
+        }
+    }
+
+    fn families(&self, finest: usize) -> Vec<Family> {
+        let usual = &self.usual;
+        let rungs: Vec<usize> = (LADDER.iter().copied())
+            .chain([usual.elements])
+            .filter(|elements| self.sweep.scene.names_nodes_of(*elements))
+            .collect();
+        let mut settings = vec![usual.clone()];
+        let mut add = |change: &dyn Fn(&mut Setting)| {
+            let mut setting = usual.clone();
+            change(&mut setting);
+            if !settings.contains(&setting) {
+                settings.push(setting);
+            }
+        };
+        let is_implicit = usual.integrator == TimeScheme::Implicit;
+        let parts: &[f64] = if is_implicit {
+            &[4.0, 2.0, 0.5, 0.25]
+        } else {
+            &[0.5]
+        };
+        for &part in parts {
+            add(&|setting| setting.step_over_automatic = part);
+        }
+        add(&|setting| setting.strain = StrainRule::Trapezoidal);
+        add(&|setting| setting.strain = StrainRule::Helical);
+        add(&|setting| setting.rotary_inertia = RotaryInertia::Segment);
+        add(&|setting| setting.rotary_inertia = RotaryInertia::Section);
+        add(&|setting| setting.model = RodModel::Standard);
+        if usual.model == RodModel::Standard {
+            add(&|setting| {
+                setting.integrator = if is_implicit {
+                    TimeScheme::Explicit
+                } else {
+                    TimeScheme::Implicit
+                };
+            });
+        }
+        (settings.into_iter())
+            .map(|setting| {
+                let mut rungs = rungs.clone();
+                // What is that much stiffer is far from the reference, however fine it is.
+                let is_far = setting.strain == StrainRule::Trapezoidal;
+                rungs.retain(|elements| is_far || *elements < finest);
+                rungs.sort_unstable();
+                rungs.dedup();
+                rungs.reverse();
+                Family { setting, rungs }
+            })
+            .collect()
+    }
+
+    /// The family whose next setting is predicted to take the least time, with that setting's elements. `None`: there is none left, or none
+    /// that the budget allows; `Some(None)`: one was dropped.
+    fn next(&mut self, families: &mut [Family], motion: &Motion) -> Option<Option<(usize, usize)>> {
+        let mut best: Option<(usize, f64)> = None;
+        for (index, family) in families.iter().enumerate() {
+            let Some(&elements) = family.rungs.last() else {
+                continue;
+            };
+            let seconds = self.predicted(&family.setting, elements, motion);
+            if best.is_none_or(|(_, least)| seconds < least) {
+                best = Some((index, seconds));
+            }
+        }
+        let (index, seconds) = best?;
+        if seconds > self.left() {
+            families[index].rungs.clear();
+            self.cut = true;
+            return Some(None);
+        }
+        families[index]
+            .rungs
+            .pop()
+            .map(|elements| Some((index, elements)))
+    }
+
+    /// Seconds of a run; none where it cannot be set up, so that it is tried and fails at once.
+    fn predicted(&self, setting: &Setting, elements: usize, motion: &Motion) -> f64 {
+        let setting = Setting {
+            elements,
+            ..setting.clone()
+        };
+        let open = self.scene(&setting).discretization();
+        match motion.arm.discretize(motion.duration, &open) {
+            Ok(found) => {
+                let steps = found.grid.n_steps as f64 / setting.step_over_automatic;
+                simulation_seconds(&found.rod, steps)
+            }
+            Err(_) => 0.0,
+        }
+    }
+
+    /// A setting, simulated.
+    fn simulated(&mut self, setting: &Setting, truth: &Course) -> Point {
+        let point = Point::new(setting);
+        let scene = self.scene(setting);
+        let found = motion_of(&scene, self).and_then(|motion| {
+            let open = self.open(&motion, &scene, setting)?;
+            let setup =
+                (motion.setup(&open, f64::INFINITY, self.sweep.stop)).map_err(RunError::from)?;
+            let run = setup.run(self.sweep.stop).map_err(RunError::from)?;
+            let seconds = least_time(run.seconds, || setup.time(self.sweep.stop));
+            Ok((run, seconds, motion.arm.length))
+        });
+        match found {
+            Ok((run, seconds, length)) => {
+                let errors = run.course.errors(truth, length);
+                let simulation = scene.simulation_until(self.sweep.source, self.sweep.stop);
+                Point {
+                    step_s: run.step(),
+                    status: Fate::Done,
+                    errors: Some(errors),
+                    error: Some(errors.shape),
+                    wall_s: seconds,
+                    memory_mb: simulation.map_or(f64::NAN, |s| 1e-6 * of_simulation(&s).total()),
+                    ..point
+                }
+            }
+            Err(error) => point.failed(error),
+        }
+    }
+
+    /// The discretization of a setting, its step that part of the automatic one.
+    fn open(
+        &self,
+        motion: &Motion,
+        scene: &Scene,
+        setting: &Setting,
+    ) -> Result<Discretization, RunError> {
+        let open = scene.discretization();
+        if setting.step_over_automatic == 1.0 {
+            return Ok(open);
+        }
+        let automatic: Result<_, DiscretizeError> = motion.arm.discretize(motion.duration, &open);
+        let found = automatic?;
+        Ok(Discretization {
+            step: Some(setting.step_over_automatic * found.grid.step),
+            ..found.discretization
+        })
+    }
+
+    fn motion_models(&self, reference: &Reference) -> Models {
+        let duration = self.sweep.scene.time.end_s.get();
+        let mut models = Models::default();
+        for integrator in [TimeScheme::Explicit, TimeScheme::Implicit] {
+            let own = (self.points.iter()).filter(|point| {
+                point.setting.integrator == integrator && point.setting.model == self.usual.model
+            });
+            let name = format!("{integrator:?} steps").to_lowercase();
+            let with_steps = own.map(|point| (point, Some(duration / point.step_s), None));
+            models.cost.extend(fit::cost(&name, with_steps));
+        }
+        for strain in [StrainRule::Helical, StrainRule::Trapezoidal] {
+            let usual = Setting {
+                strain,
+                ..self.usual.clone()
+            };
+            let own = (self.points.iter()).filter(|point| {
+                let elements = point.setting.elements;
+                point.setting
+                    == Setting {
+                        elements,
+                        ..usual.clone()
+                    }
+            });
+            (models.error).extend(fit::error(strain.name(), own, reference.error));
+        }
+        models
+    }
+
+    /// The fastest setting that meets the tolerance, also against a run that is finer by four.
+    fn recommend_motion(&mut self, reference: &Reference) -> Option<Recommendation> {
+        let allowed = self.sweep.tolerance - reference.error;
+        let mut good: Vec<Point> = (self.points.iter())
+            .filter(|point| point.meets(allowed))
+            .cloned()
+            .collect();
+        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        let mut last = None;
+        for point in good.into_iter().take(CHECKS) {
+            let checked_error = match self.against_finer(&point) {
+                Ok(error) => error,
+                Err(error) => {
+                    self.finding(format!(
+                        "the recommended setting could not be checked: {error}"
+                    ));
+                    f64::NAN
+                }
+            };
+            let checked = checked_error <= self.sweep.tolerance;
+            last = Some(Recommendation {
+                point,
+                checked_error,
+                checked,
+            });
+            if checked {
+                break;
+            }
+        }
+        last
+    }
+
+    /// The error of a setting against four times its elements and a quarter of its step.
+    fn against_finer(&self, point: &Point) -> Result<f64, SweepError> {
+        let scene = self.scene(&point.setting);
+        let own = motion_of(&scene, self)?;
+        let stop = self.sweep.stop;
+        let open = self.open(&own, &scene, &point.setting)?;
+        let coarse = own.run(&open, stop)?;
+        let truth = Setting {
+            strain: StrainRule::Helical,
+            elements: 4 * point.setting.elements,
+            model: self.usual.model,
+            step_over_automatic: 1.0,
+            ..point.setting.clone()
+        };
+        let scene = self.scene(&truth);
+        let motion = motion_of(&scene, self)?;
+        let setup = motion.setup(&scene.discretization(), 0.25 * coarse.step(), stop);
+        let fine = (setup.map_err(RunError::from)?.run(stop)).map_err(RunError::from)?;
+        Ok(coarse.course.errors(&fine.course, motion.arm.length).shape)
+    }
+
+    fn motion_findings(
+        &mut self,
+        reference: &Reference,
+        models: &Models,
+        recommended: Option<&Recommendation>,
+    ) {
+        let tolerance = self.sweep.tolerance;
+        self.equal_accuracy(tolerance);
+        let words = match recommended {
+            Some(found) if !found.checked => format!(
+                "{} elements are within {tolerance:e} of the reference but {:.1e} from a run finer by four",
+                found.point.setting.elements, found.checked_error
+            ),
+            Some(_) => return,
+            None if !(reference.error <= 0.5 * tolerance) => format!(
+                "the reference itself is only known to {:.1e} of the length, so that a tolerance of {tolerance:e} cannot be judged: give a larger \
+                 --budget{}",
+                reference.error,
+                match reference.order {
+                    Some(order) if order < 0.5 =>
+                        ", or a motion that depends less on its smallest details: finer grids change it as much as coarse ones",
+                    _ => "",
+                }
+            ),
+            None => {
+                let helical = models.error.iter().find(|model| model.of == "helical");
+                let needed = helical.map(|model| {
+                    let elements = ((model.constant - tolerance.ln()) / model.order).exp();
+                    format!(
+                        "; by the model of the error it takes about {elements:.0} helical elements"
+                    )
+                });
+                format!(
+                    "no setting that was run within the budget meets a tolerance of {tolerance:e}{}: give a larger --budget",
+                    needed.unwrap_or_default()
+                )
+            }
+        };
+        self.finding(words);
+    }
+
+    /// Says how many elements both strain rules take for the tolerance.
+    fn equal_accuracy(&mut self, tolerance: f64) {
+        let fewest = |strain| {
+            let usual = Setting {
+                strain,
+                ..self.usual.clone()
+            };
+            (self.points.iter())
+                .filter(|point| {
+                    let elements = point.setting.elements;
+                    point.setting
+                        == Setting {
+                            elements,
+                            ..usual.clone()
+                        }
+                        && point.meets(tolerance)
+                })
+                .map(|point| point.setting.elements)
+                .min()
+        };
+        let (helical, trapezoidal) = (fewest(StrainRule::Helical), fewest(StrainRule::Trapezoidal));
+        if let (Some(helical), Some(trapezoidal)) = (helical, trapezoidal) {
+            self.finding(format!(
+                "within {tolerance:e} of the length are {helical} helical elements, and {trapezoidal} by the trapezoidal rule of the paper, {:.1} times \
+                 as many",
+                trapezoidal as f64 / helical as f64
+            ));
+        }
+    }
+}

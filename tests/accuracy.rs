@@ -1,0 +1,198 @@
+//! An accuracy in the place of elements and time step: the grid that is chosen keeps its promise, or the refusal says why there is none.
+
+use nalgebra::Vector3;
+use softarm::mechanics::{LoadFrame, Material};
+use softarm::scene::Scene;
+use softarm::stop::StopSignal;
+use softarm::task::{Arm, Discretization, Place, PointLoad, Start, StartShape};
+use softarm::tradeoff::{ChoiceError, Motion, choose, finer, first_elements};
+
+fn silicone() -> Material {
+    Material::isotropic(1e6, 0.5, 1000.0)
+}
+
+fn pull(force: [f64; 3], profile: &[(f64, f64)]) -> PointLoad {
+    PointLoad {
+        at: Place::Tip,
+        force: force.into(),
+        frame: LoadFrame::Spatial,
+        profile: profile.to_vec(),
+        ..PointLoad::default()
+    }
+}
+
+/// A damped arm that a force pulls aside, a hanging tapered arm that is let go, and one with internal damping out of the plane.
+fn motions() -> [(&'static str, Motion); 3] {
+    let from_rest = |arm, duration| Motion {
+        arm,
+        start: Start::default(),
+        duration,
+    };
+    let pulled = Arm {
+        viscous_damping: 1.0,
+        loads: vec![pull([4.0, 0.0, 0.0], &[(0.0, 0.0), (0.3, 1.0), (9.0, 1.0)])],
+        ..Arm::cylinder(&silicone(), 1.0, 0.05)
+    };
+    let hanging = Arm {
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        viscous_damping: 2.0,
+        loads: vec![pull(
+            [0.05, 0.0, 0.0],
+            &[(0.0, 0.0), (0.2, 1.0), (0.4, 0.0)],
+        )],
+        ..Arm::cone(&silicone(), 0.3, [0.02, 0.01])
+    }
+    .pointing(Vector3::new(0.0, 0.0, -1.0));
+    let twisted = Arm {
+        internal_damping: 0.01,
+        rest_curvature: Vector3::new(0.8, 0.0, 1.5),
+        loads: vec![pull([1.0, 2.0, 0.5], &[(0.0, 0.0), (0.2, 1.0), (9.0, 1.0)])],
+        ..Arm::cylinder(&silicone(), 1.0, 0.05)
+    };
+    [
+        ("pulled", from_rest(pulled, 1.0)),
+        (
+            "hanging",
+            Motion {
+                start: Start {
+                    shape: StartShape::Equilibrium,
+                    ..Start::default()
+                },
+                ..from_rest(hanging, 0.8)
+            },
+        ),
+        ("twisted", from_rest(twisted, 0.6)),
+    ]
+}
+
+/// The motion on the chosen grid is as near as promised to that with four times the elements and a quarter of the step; and the grid is not
+/// needlessly fine: the error is not below a twentieth of what was asked, unless the coarsest grid is that good.
+#[test]
+fn grids_keep_their_promise() {
+    let stop = StopSignal::default();
+    for (name, motion) in motions() {
+        for accuracy in [1e-2, 1e-3] {
+            let choice = choose(&motion, &Discretization::default(), accuracy, &stop).unwrap();
+            let chosen = choice.discretization;
+            let own = motion.run(&chosen, &stop).unwrap();
+            let fine = Discretization {
+                elements: 4 * chosen.elements,
+                step: chosen.step.map(|step| 0.25 * step),
+                ..chosen
+            };
+            let truth = motion.run(&fine, &stop).unwrap();
+            let error = own.course.errors(&truth.course, motion.arm.length).shape;
+            assert!(error <= accuracy, "{name}: {error} for {accuracy}");
+            assert!(choice.error <= accuracy, "{name}");
+            let coarsest = chosen.elements <= first_elements(accuracy).div_ceil(2).max(4);
+            assert!(
+                coarsest || error > accuracy / 20.0,
+                "{name}: {error} for {accuracy}"
+            );
+        }
+    }
+}
+
+/// A grid is refined by what its errors ask for, by no more than twice at once, and only where they are too large.
+#[test]
+fn refinement_follows_the_errors() {
+    assert_eq!(finer(10, 0.01, [4e-4, 5e-4], 1e-3), None);
+    assert_eq!(finer(10, 0.01, [f64::NAN, 0.0], 1e-3), None);
+    let (elements, step) = finer(10, 0.01, [1.5e-3, 1e-5], 1e-3).unwrap();
+    // The elements alone are too few: their error may be 0.65 of the accuracy.
+    assert_eq!(elements, (10.0 * (1.5f64 / 0.65).sqrt()).ceil() as usize);
+    assert!(step >= 0.01 * (1.0 - 1e-12));
+    let (elements, step) = finer(10, 0.01, [1e-5, 3e-3], 1e-3).unwrap();
+    assert_eq!(elements, 10);
+    assert!(
+        (step / 0.01 - (0.65f64 / 3.0).sqrt()).abs() < 0.05,
+        "{step}"
+    );
+    let (elements, step) = finer(10, 0.01, [1.0, 1.0], 1e-3).unwrap();
+    assert_eq!((elements, step), (20, 0.005));
+}
+
+/// A steel wire to 1e-8 for a minute is refused with the time that it would take, at once.
+#[test]
+fn what_takes_hours_is_refused() {
+    let steel = Material::isotropic(2e11, 0.3, 7850.0);
+    let motion = Motion {
+        arm: Arm {
+            loads: vec![pull([1e-3, 0.0, 0.0], &[])],
+            ..Arm::cylinder(&steel, 0.5, 0.5e-3)
+        },
+        start: Start::default(),
+        duration: 60.0,
+    };
+    let refusal = choose(
+        &motion,
+        &Discretization::default(),
+        1e-8,
+        &StopSignal::default(),
+    );
+    let Err(error @ ChoiceError::TooLong { hours, .. }) = refusal else {
+        panic!("{refusal:?}");
+    };
+    assert!(hours > 1.0);
+    assert!(error.to_string().contains("hours"), "{error}");
+}
+
+const ARM: &str = "[rod]\nlength_m = 1.0\n[rod.material]\npreset = \"ecoflex-00-30\"\n[rod.section]\nradius_m = 0.02\n[time]\nend_s = 0.2\n";
+
+fn read(text: &str, overrides: &[&str]) -> Result<Scene, String> {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    (Scene::from_toml("scene", text, &overrides))
+        .map(|(scene, _)| scene)
+        .map_err(|error| error.to_string())
+}
+
+/// A scene without elements asks for 1e-3; keys of the command line take the place of those of the file; what contradicts is refused with
+/// the key.
+#[test]
+fn accuracies_and_elements_exclude_each_other() {
+    let scene = read(ARM, &[]).unwrap();
+    assert_eq!(scene.accuracy(), Some(1e-3));
+    assert_eq!(scene.rod.elements, first_elements(1e-3));
+    let with_elements = ARM.replace("[rod]\n", "[rod]\nelements = 7\n");
+    assert_eq!(read(&with_elements, &[]).unwrap().accuracy(), None);
+    let scene = read(&with_elements, &["rod.accuracy=1e-2"]).unwrap();
+    assert_eq!(scene.accuracy(), Some(1e-2));
+    let with_accuracy = ARM.replace("[rod]\n", "[rod]\naccuracy = 1e-2\n");
+    let scene = read(&with_accuracy, &["rod.elements=9"]).unwrap();
+    assert_eq!((scene.accuracy(), scene.rod.elements), (None, 9));
+    let both = with_accuracy.replace("[rod]\n", "[rod]\nelements = 7\n");
+    let with_step = format!("{ARM}step_s = 1e-4\n");
+    let with_index = format!("{ARM}[[load]]\nnode = 3\nforce_n = [1.0, 0.0, 0.0]\n");
+    for (text, words) in [
+        (both.as_str(), ["rod.accuracy", "contradicts rod.elements"]),
+        (with_step.as_str(), ["rod.elements", "time.step_s is given"]),
+        (with_index.as_str(), ["load.0.node", "without rod.elements"]),
+        (
+            &with_accuracy.replace("1e-2", "0.5"),
+            ["rod.accuracy", "1e-8 to 0.1"],
+        ),
+        (
+            &with_accuracy.replace("1e-2", "\"fine\""),
+            ["rod.accuracy", "number"],
+        ),
+    ] {
+        let error = read(text, &[]).unwrap_err();
+        for word in words {
+            assert!(error.contains(word), "{word}: {error}");
+        }
+    }
+}
+
+/// On another grid, nodes that are named by their index stay at their places.
+#[test]
+fn nodes_stay_at_their_places() {
+    let text = format!(
+        "{}[[load]]\nnode = 3\nforce_n = [1.0, 0.0, 0.0]\n[[load]]\nnode = \"tip\"\nforce_n = [1.0, 0.0, 0.0]\n",
+        ARM.replace("[rod]\n", "[rod]\nelements = 4\n")
+    );
+    let scene = read(&text, &[]).unwrap();
+    assert!(scene.names_nodes_of(8) && scene.names_nodes_of(12) && !scene.names_nodes_of(6));
+    let finer = scene.with_grid(&Discretization::with_elements(12));
+    assert_eq!(finer.load[0].node, softarm::scene::LoadNode::Index(9));
+    assert_eq!(finer.load[1].node, softarm::scene::LoadNode::Tip);
+}

@@ -1,0 +1,241 @@
+//! `softarm tradeoff`: what it recommends holds, what it writes can be used, and what it cannot do it says.
+
+#![cfg(feature = "cli")]
+
+mod tool;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use softarm::scene::Scene;
+use tempfile::TempDir;
+use tool::{DONE, NOT_CONVERGED, SCENE, USAGE};
+
+struct Desk(TempDir);
+
+impl Desk {
+    fn with(scene: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn run(&self, arguments: &[&str]) -> (i32, Value, String) {
+        let Output {
+            status,
+            stdout,
+            stderr,
+        } = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(arguments)
+            .arg("--json")
+            .current_dir(self.0.path())
+            .output()
+            .unwrap();
+        let summary = serde_json::from_slice(&stdout).unwrap_or(Value::Null);
+        let talk = String::from_utf8(stderr).unwrap();
+        (status.code().unwrap(), summary, talk)
+    }
+}
+
+/// A soft arm that a force pulls aside within a quarter of a second.
+const SWING: &str = "[rod]\nlength_m = 1.0\nelements = 8\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\n\
+    density_kg_m3 = 1000.0\n[rod.section]\nradius_m = 0.05\n[damping]\nviscous_1_s = 1.0\n[[load]]\nnode = \"tip\"\n\
+    force_n = [3.0, 0.0, 0.0]\nprofile = [[0.0, 0.0], [0.1, 1.0], [1.0, 1.0]]\n[time]\nend_s = 0.3\n";
+
+fn points(summary: &Value) -> &Vec<Value> {
+    summary["points"].as_array().unwrap()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+/// Reads a scene that was written.
+fn scene(path: &Path) -> Scene {
+    let (scene, _) = Scene::load(&path.to_string_lossy(), &[]).unwrap();
+    scene
+}
+
+/// The recommended setting of a motion is the fastest that meets the tolerance, holds against a run finer by four, and is the scene that is
+/// written; the front is a front; a sweep that goes on does not run its points again.
+#[test]
+fn a_motion() {
+    let desk = Desk::with(SWING);
+    let verb = [
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "4s",
+        "--tolerance",
+        "3e-3",
+        "--apply=applied.toml",
+    ];
+    let (code, summary, talk) = desk.run(&verb);
+    assert_eq!(code, DONE, "{talk}");
+    assert_eq!(summary["command"], "tradeoff");
+    let recommended = &summary["recommended"];
+    assert!(number(&recommended["checked_error"]) <= 3e-3);
+    assert_eq!(recommended["checked"], true);
+    let reference = number(&summary["reference"]["error"]);
+    assert!(reference < 3e-4, "{reference}");
+    for point in points(&summary) {
+        let Some(error) = point["error"].as_f64() else {
+            continue;
+        };
+        let time = number(&point["wall_s"]);
+        if error <= 3e-3 - reference {
+            assert!(time >= number(&recommended["wall_s"]));
+        }
+        if point["on_front"] == true {
+            let beats = |other: &Value| {
+                let (e, t) = (other["error"].as_f64(), other["wall_s"].as_f64());
+                e.zip(t).is_some_and(|(e, t)| e < error && t < time)
+            };
+            assert!(!points(&summary).iter().any(beats));
+        }
+    }
+    // Helical elements converge with the second order that they have.
+    let helical = |model: &&Value| model["of"] == "helical";
+    let models = summary["models"]["error"].as_array().unwrap();
+    let order = number(&models.iter().find(helical).unwrap()["order"]);
+    assert!((1.7..2.3).contains(&order), "{order}");
+    for name in [
+        "scene.toml",
+        "points.csv",
+        "front.svg",
+        "report.html",
+        "recommended.toml",
+    ] {
+        assert!(desk.path("run").join(name).is_file(), "{name}");
+    }
+    let applied = scene(&desk.path("applied.toml"));
+    assert_eq!(
+        applied.rod.elements as u64,
+        recommended["elements"].as_u64().unwrap()
+    );
+    assert_eq!(applied, scene(&desk.path("run/recommended.toml")));
+    let rows = fs::read_to_string(desk.path("run/points.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 1 + points(&summary).len());
+
+    let done = points(&summary)
+        .iter()
+        .filter(|point| point["status"] == "done")
+        .count();
+    let (code, again, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "4s",
+        "--tolerance",
+        "3e-3",
+        "--resume",
+    ]);
+    assert_eq!(code, DONE, "{talk}");
+    assert!(
+        talk.contains(&format!("{done} points are there already")),
+        "{talk}"
+    );
+    let find = |summary: &Value| points(summary)[0]["wall_s"].clone();
+    assert_eq!(find(&again), find(&summary), "a point was run again");
+
+    // Another scene has no part in this sweep.
+    let (code, _, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--resume",
+        "--set",
+        "time.end_s=0.2",
+    ]);
+    assert_eq!(code, USAGE);
+    assert!(talk.contains("the scene has changed"), "{talk}");
+}
+
+/// The recommended setting of an optimal-control problem has a motion within the tolerance under the same controls on a finer grid, at an
+/// objective that is no worse by a hundredth than the best grid's.
+#[test]
+fn an_optimal_control_problem() {
+    let desk = Desk::with(&SCENE.replace("[control.feedback]\n", ""));
+    let (code, summary, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "6s",
+        "--tolerance",
+        "1e-2",
+    ]);
+    assert_eq!(code, DONE, "{talk}");
+    let recommended = &summary["recommended"];
+    assert!(number(&recommended["checked_error"]) <= 1e-2);
+    let best = number(&summary["reference"]["objective"]);
+    assert!(number(&recommended["objective"]) <= best + 0.0101 * best.abs());
+    let kinds = |key: &str| {
+        let mut kinds: Vec<String> = points(&summary)
+            .iter()
+            .map(|point| point[key].to_string())
+            .collect();
+        kinds.sort();
+        kinds.dedup();
+        kinds.len()
+    };
+    assert!(
+        kinds("elements") > 4
+            && kinds("hold") == 3
+            && kinds("hessian") == 3
+            && kinds("strain") == 2
+    );
+}
+
+/// A tolerance that no budget reaches is refused in a sentence with an exit code of its own, and what was run is written.
+#[test]
+fn what_cannot_be_met_is_said() {
+    let desk = Desk::with(SWING);
+    let (code, summary, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "0.2s",
+        "--tolerance",
+        "1e-9",
+    ]);
+    assert_eq!(code, NOT_CONVERGED, "{talk}");
+    assert_eq!(summary["recommended"], Value::Null);
+    let findings = summary["findings"].to_string();
+    assert!(findings.contains("--budget"), "{findings}");
+    assert!(desk.path("run/summary.json").is_file());
+}
+
+/// Times and tolerances that are none are refused.
+#[test]
+fn wrong_options_are_refused() {
+    let desk = Desk::with(SWING);
+    for (option, words) in [
+        (["--budget", "soon"], "90s, 5min or 1h"),
+        (["--budget", "0"], "above 0"),
+        (["--tolerance", "2"], "between 0 and 1"),
+        (["--tolerance", "near"], "not a number"),
+    ] {
+        let (code, _, talk) = desk.run(&["tradeoff", "scene.toml", option[0], option[1]]);
+        assert_eq!(code, USAGE);
+        assert!(talk.contains(words), "{talk}");
+    }
+    let (code, _, talk) = desk.run(&["tradeoff", "scene.toml", "--out", "none", "--resume"]);
+    assert_eq!(code, USAGE);
+    assert!(talk.contains("holds no sweep"), "{talk}");
+    assert!(!desk.path("none").exists());
+}
