@@ -239,3 +239,35 @@ fn wrong_options_are_refused() {
     assert!(talk.contains("holds no sweep"), "{talk}");
     assert!(!desk.path("none").exists());
 }
+
+/// Every feature of a motion is measured with and without; what the scene has is marked.
+#[test]
+fn features_have_a_price() {
+    let desk = Desk::with(SWING);
+    let (_, summary, talk) = desk.run(&[
+        "tradeoff",
+        "scene.toml",
+        "--out",
+        "run",
+        "--budget",
+        "4s",
+        "--tolerance",
+        "1e-2",
+    ]);
+    let features = summary["features"].as_array().unwrap();
+    let of = |name: &str| {
+        let found = features.iter().find(|cost| cost["feature"] == name);
+        found.unwrap_or_else(|| panic!("{name}: {talk}"))
+    };
+    assert_eq!(of("viscous damping")["in_scene"], true);
+    assert_eq!(of("gravity")["in_scene"], false);
+    for cost in features {
+        assert!(
+            number(&cost["with"]) > 0.0 && number(&cost["without"]) > 0.0,
+            "{cost}"
+        );
+    }
+    // A step that is solved for costs more than one that is not.
+    let damped = of("internal damping");
+    assert!(number(&damped["with"]) > number(&damped["without"]));
+}

@@ -24,6 +24,7 @@ static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 /// Where a verb talks.
 pub(super) struct Console {
     json: bool,
+    json_lines: bool,
     quiet: bool,
     color: bool,
     terminal: bool,
@@ -37,6 +38,7 @@ impl Console {
         let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
         Self {
             json: global.json,
+            json_lines: global.json_lines,
             quiet: global.quiet,
             color: terminal && !no_color,
             terminal,
@@ -86,8 +88,24 @@ impl Console {
         let _ = writeln!(io::stderr(), "{error}");
     }
 
+    /// Something that happened, as a line of JSON on stdout, if that was asked for.
+    pub(super) fn event(&self, kind: &'static str, value: &impl Serialize) {
+        #[derive(Serialize)]
+        struct Event<'a, T> {
+            event: &'static str,
+            #[serde(flatten)]
+            value: &'a T,
+        }
+        if self.json_lines
+            && let Ok(text) = serde_json::to_string(&Event { event: kind, value })
+        {
+            self.print(&text);
+        }
+    }
+
     /// The summary object on stdout, if it was asked for.
     pub(super) fn summary(&self, summary: &impl Serialize) {
+        self.event("summary", summary);
         if self.json
             && let Ok(text) = serde_json::to_string_pretty(summary)
         {
@@ -97,7 +115,7 @@ impl Console {
 
     /// Whether the summary object is all that stdout may hold.
     pub(super) fn json(&self) -> bool {
-        self.json
+        self.json || self.json_lines
     }
 
     /// A line of data on stdout.

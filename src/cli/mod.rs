@@ -6,6 +6,7 @@ mod console;
 mod derivatives;
 mod error;
 mod example;
+mod export;
 mod memory;
 mod mpc;
 mod paper;
@@ -21,7 +22,7 @@ mod verify;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
 
 use console::Console;
 use error::CliError;
@@ -61,6 +62,9 @@ struct Global {
     /// Print the summary object, and nothing else, on stdout
     #[arg(long, global = true)]
     json: bool,
+    /// Print one JSON object a line on stdout as things happen, with the kind in `event`, and the summary as the last line
+    #[arg(long, global = true, conflicts_with = "json")]
+    json_lines: bool,
     /// No talk on stderr but errors
     #[arg(long, global = true)]
     quiet: bool,
@@ -109,8 +113,20 @@ enum Command {
         /// Name of a built-in scene
         name: Option<String>,
     },
+    /// Write the motion of a result for other programs: VTK for ParaView, or one CSV table
+    Export(export::ExportArguments),
     /// Print the JSON Schema of the scene file
     Schema,
+    /// Print the completions of a shell; in bash: source <(softarm completions bash)
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page, of a verb or of all; softarm man | man -l -
+    Man {
+        /// The verb
+        verb: Option<String>,
+    },
     /// Run the experiments of the paper's section 5 and set every printed number beside ours
     Paper(paper::PaperArguments),
 }
@@ -195,6 +211,14 @@ pub fn run() -> ExitCode {
         Command::Report(arguments) => report::run(arguments, &cli.global, &console),
         Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
+        Command::Export(arguments) => export::run(arguments, &console),
+        Command::Completions { shell } => {
+            let mut text = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "softarm", &mut text);
+            console.print(String::from_utf8_lossy(&text).trim_end());
+            Ok(exit::DONE)
+        }
+        Command::Man { verb } => manual(verb.as_deref(), &console),
         Command::Schema => schema::run(&console),
         Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),
     };
@@ -205,6 +229,27 @@ pub fn run() -> ExitCode {
             ExitCode::from(error.exit_code())
         }
     }
+}
+
+/// Prints the manual page of a verb, or of the program.
+fn manual(verb: Option<&str>, console: &Console) -> Outcome {
+    let program = Cli::command();
+    let page = match verb {
+        None => program,
+        Some(verb) => {
+            let found = program.find_subcommand(verb).cloned();
+            let Some(found) = found else {
+                let words = format!("man: there is no verb `{verb}`; softarm --help lists them");
+                return Err(CliError::Directory(words));
+            };
+            found.name("softarm").bin_name(format!("softarm {verb}"))
+        }
+    };
+    let mut text = Vec::new();
+    // Writing to memory does not fail.
+    let _ = clap_mangen::Man::new(page).render(&mut text);
+    console.print(String::from_utf8_lossy(&text).trim_end());
+    Ok(exit::DONE)
 }
 
 /// What a verb returns: an exit code, or an error that has one.

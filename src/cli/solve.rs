@@ -23,8 +23,8 @@ use crate::output::summary::{NOT_CHECKED, SecondOpinionSummary, SolveSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{
-    Chosen, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
-    status_words, step_kind, summarize, write,
+    Chosen, Examination, Examined, Solution, choose, diagnostics, findings, help, iteration_row,
+    legend, status_words, step_kind, summarize, write,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::verify::ForwardCheck;
@@ -105,7 +105,12 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
                         ));
                     }
                 }
-                SearchEvent::Row { row, .. } if alone => console.say(&table_row(row)),
+                SearchEvent::Row { row, .. } => {
+                    console.event("iteration", &iteration_row(row));
+                    if alone {
+                        console.say(&table_row(row));
+                    }
+                }
                 SearchEvent::Ends(attempt) if !alone => console.say(&start_row(attempt)),
                 _ => {}
             }

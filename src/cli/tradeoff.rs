@@ -99,6 +99,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
                 own.clone()
             });
             console.say(&row(point, own));
+            console.event("point", point);
         }
     };
     let found = Sweep {
@@ -344,6 +345,25 @@ fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console
             (model.steps).map_or(String::new(), |steps| format!(" steps^{steps:.2}")),
             100.0 * model.residual
         ));
+    }
+    if let Some(first) = found.features.first() {
+        console.say(&format!(
+            "what features of the model cost, {}              with   without  ratio",
+            first.unit
+        ));
+    }
+    for cost in &found.features {
+        console.say(&format!(
+            "  {}{:38} {:12.2} {:9.2} {:6.2}",
+            if cost.in_scene { '*' } else { ' ' },
+            cost.feature,
+            cost.with,
+            cost.without,
+            cost.with / cost.without
+        ));
+    }
+    if !found.features.is_empty() {
+        console.say("  * the scene has it");
     }
     for finding in &found.findings {
         console.say(finding);

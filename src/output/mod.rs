@@ -7,6 +7,9 @@ mod controls;
 mod diagnostics;
 mod directory;
 mod error;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod export;
 mod extremes;
 mod feedback;
 mod motion;

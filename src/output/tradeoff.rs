@@ -362,6 +362,31 @@ pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
             100.0 * model.residual
         );
     }
+    let mut features = String::new();
+    if let Some(first) = found.features.first() {
+        let _ = writeln!(
+            features,
+            "<h2>What features of the model cost, {}</h2>\n<div class=\"table\"><table>\n<thead><tr><th>feature</th><th>with</th><th>without</th>\
+             <th>ratio</th></tr></thead>\n<tbody>",
+            first.unit
+        );
+        for cost in &found.features {
+            let _ = writeln!(
+                features,
+                "<tr{}><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                if cost.in_scene {
+                    " class=\"front\""
+                } else {
+                    ""
+                },
+                escaped(cost.feature),
+                cost.with,
+                cost.without,
+                cost.with / cost.without
+            );
+        }
+        features.push_str("</tbody>\n</table></div>\n<p>The scene has those in bold.</p>\n");
+    }
     let findings: String = (found.findings.iter())
         .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
         .collect();
@@ -377,6 +402,7 @@ pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
         .replace("{{reference}}", &reference)
         .replace("{{findings}}", &findings)
         .replace("{{models}}", &models)
+        .replace("{{features}}", &features)
         .replace("{{rows}}", &rows)
         .replace("{{svg}}", svg)
 }

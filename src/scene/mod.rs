@@ -27,6 +27,7 @@ mod check_closed_loop;
 mod closed_loop;
 mod describe;
 mod error;
+mod features;
 mod file;
 mod keys;
 mod materials;

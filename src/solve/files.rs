@@ -17,6 +17,7 @@ use crate::output::{
     render_report, write_controls, write_feedback,
 };
 use crate::scene::{DescribeError, Scene};
+use crate::sqp::IterationRecord;
 
 /// Why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
@@ -153,8 +154,9 @@ fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec
         .collect()
 }
 
+/// A row of `iterations.csv`, and of the lines of JSON.
 #[derive(Serialize)]
-struct IterationRow<'a> {
+pub(crate) struct IterationRow<'a> {
     iteration: usize,
     objective: f64,
     stationarity: f64,
@@ -171,8 +173,34 @@ struct IterationRow<'a> {
     contraction: Option<f64>,
     qp_iterations: u32,
     elapsed_s: f64,
-    attempt: usize,
-    from: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attempt: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    from: Option<&'a str>,
+}
+
+/// What an iteration did.
+pub(crate) fn iteration_row<'a>(row: &IterationRecord) -> IterationRow<'a> {
+    IterationRow {
+        iteration: row.iteration,
+        objective: row.objective,
+        stationarity: row.residual.stationarity,
+        feasibility: row.residual.feasibility,
+        complementarity: row.residual.complementarity,
+        infeasibility: row.infeasibility,
+        step_norm: row.step_norm,
+        trust_radius: row.trust_radius,
+        kind: step_kind(row),
+        elastic_weight: row.elastic_weight,
+        slack: row.slack,
+        linearized_rows: row.linearized_rows,
+        working_rows: row.working_rows,
+        contraction: row.contraction,
+        qp_iterations: row.qp_iterations,
+        elapsed_s: row.elapsed,
+        attempt: None,
+        from: None,
+    }
 }
 
 /// The rows of all attempts, one after the other.
@@ -186,24 +214,9 @@ fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError>
     for (number, solve, row) in rows {
         writer
             .serialize(IterationRow {
-                iteration: row.iteration,
-                objective: row.objective,
-                stationarity: row.residual.stationarity,
-                feasibility: row.residual.feasibility,
-                complementarity: row.residual.complementarity,
-                infeasibility: row.infeasibility,
-                step_norm: row.step_norm,
-                trust_radius: row.trust_radius,
-                kind: step_kind(row),
-                elastic_weight: row.elastic_weight,
-                slack: row.slack,
-                linearized_rows: row.linearized_rows,
-                working_rows: row.working_rows,
-                contraction: row.contraction,
-                qp_iterations: row.qp_iterations,
-                elapsed_s: row.elapsed,
-                attempt: number + 1,
-                from: &solve.from,
+                attempt: Some(number + 1),
+                from: Some(&solve.from),
+                ..iteration_row(row)
             })
             .map_err(cannot_write)?;
     }

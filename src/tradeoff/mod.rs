@@ -12,6 +12,6 @@ pub use choice::{Choice, ChoiceError, Level, choose, finer, first_elements};
 pub use course::{Course, Errors};
 pub use motion::{Motion, Run, RunError};
 pub use sweep::{
-    CostModel, ErrorModel, Fate, Models, News, Point, Recommendation, Reference, Setting, Subject,
-    Sweep, SweepError, Tradeoff,
+    CostModel, ErrorModel, Fate, FeatureCost, Models, News, Point, Recommendation, Reference,
+    Setting, Subject, Sweep, SweepError, Tradeoff,
 };

@@ -19,6 +19,8 @@ use crate::task::prediction::SolveTime;
 
 /// Part of the objective by which a setting may be worse than the finest grid, and still be recommended.
 const WORSE: f64 = 0.01;
+/// Elements are accurate enough for the other settings to be tried that make this part of the tolerance.
+const ENOUGH: f64 = 2.0;
 /// Most times at which motions are compared.
 const MOST_TIMES: usize = 96;
 /// Settings that are checked before none is recommended.
@@ -107,7 +109,8 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// The setting that is predicted to take the least time, if the budget allows it.
+    /// The setting that is predicted to take the least time, if the budget allows it: first of those that differ in their elements alone, until one is
+    /// accurate enough, then of the others, and last of what is finer still.
     fn next_setting(&mut self, plan: &mut Vec<Setting>) -> Option<Setting> {
         let seconds = |setting: &Setting| {
             let scene = self.scene(setting);
@@ -117,15 +120,33 @@ impl Work<'_, '_> {
                 SolveTime::of(&setup.problem.rod, setup.problem.grid.n_steps as f64, n).total()
             })
         };
+        let enough = self.sweep.tolerance / ENOUGH;
+        let is_met =
+            (self.points.iter()).any(|point| self.is_usual(&point.setting) && point.meets(enough));
+        let phase = |setting: &Setting| match (self.is_usual(setting), is_met) {
+            (true, false) => 0,
+            (false, _) => 1,
+            (true, true) => 2,
+        };
         let best = (plan.iter().enumerate())
-            .map(|(index, setting)| (index, seconds(setting)))
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        let (index, seconds) = best?;
+            .map(|(index, setting)| (index, phase(setting), seconds(setting)))
+            .min_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
+        let (index, _, seconds) = best?;
         if seconds > self.left() {
             self.cut = true;
             return None;
         }
         Some(plan.remove(index))
+    }
+
+    /// Whether a setting differs from the scene's in its elements alone.
+    fn is_usual(&self, setting: &Setting) -> bool {
+        let elements = setting.elements;
+        *setting
+            == Setting {
+                elements,
+                ..self.usual.clone()
+            }
     }
 
     fn setup(&self, setting: &Setting) -> Result<OptimalControl, SweepError> {
@@ -189,14 +210,7 @@ impl Work<'_, '_> {
 
     /// The finest grid that was solved on.
     fn control_reference(&self, rest: Errors) -> Option<Reference> {
-        let usual = |point: &&Point| {
-            let elements = point.setting.elements;
-            let same = Setting {
-                elements,
-                ..self.usual.clone()
-            };
-            point.setting == same && point.status == Fate::Done
-        };
+        let usual = |point: &&Point| self.is_usual(&point.setting) && point.status == Fate::Done;
         let mut grids: Vec<&Point> = self.points.iter().filter(usual).collect();
         grids.sort_by_key(|point| point.setting.elements);
         let finest = grids.last()?;
@@ -221,14 +235,7 @@ impl Work<'_, '_> {
             (point, Some(duration / point.step_s), blocks)
         });
         models.cost.extend(fit::cost("solves", counted));
-        let own = (self.points.iter()).filter(|point| {
-            let elements = point.setting.elements;
-            point.setting
-                == Setting {
-                    elements,
-                    ..self.usual.clone()
-                }
-        });
+        let own = (self.points.iter()).filter(|point| self.is_usual(&point.setting));
         let floor = reference.map_or(0.0, |reference| 0.1 * reference.error);
         (models.error).extend(fit::error(self.usual.strain.name(), own, floor));
         models

@@ -5,6 +5,7 @@
 
 mod closed_loop;
 mod control;
+mod features;
 mod fit;
 mod front;
 mod motion;
@@ -13,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+pub use self::features::FeatureCost;
 pub use self::fit::{CostModel, ErrorModel};
 pub use self::front::mark_front;
 use super::course::Errors;
@@ -289,6 +291,8 @@ pub struct Tradeoff {
     pub models: Models,
     /// The fastest setting that meets the tolerance.
     pub recommended: Option<Recommendation>,
+    /// What features of the model cost.
+    pub features: Vec<FeatureCost>,
     /// What there is to say, in sentences.
     pub findings: Vec<String>,
     /// Whether everything was tried that was planned.
@@ -485,7 +489,9 @@ impl Work<'_, '_> {
         recommended: Option<Recommendation>,
     ) -> Tradeoff {
         mark_front(&mut self.points);
+        let features = self.features();
         Tradeoff {
+            features,
             subject: Subject::of(self.sweep.scene),
             tolerance: self.sweep.tolerance,
             reference,

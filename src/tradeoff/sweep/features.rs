@@ -1,0 +1,124 @@
+//! What a feature of the model costs: the same work with and without it, in turns.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::super::motion::Motion;
+use super::{Subject, Work};
+use crate::control::{Guess, Search, search};
+use crate::scene::Scene;
+use crate::sqp::SqpSettings;
+
+/// A feature, and what it costs.
+#[derive(Clone, Debug, Serialize)]
+pub struct FeatureCost {
+    /// Its name.
+    pub feature: &'static str,
+    /// Whether the scene has it.
+    pub in_scene: bool,
+    /// What is measured.
+    pub unit: &'static str,
+    /// With the feature.
+    pub with: f64,
+    /// Without it.
+    pub without: f64,
+}
+
+/// Times that every one of both is measured, in turns.
+const ROUNDS: usize = 5;
+/// Iterations of a solve that are timed.
+const ITERATIONS: usize = 3;
+/// A motion is cut to about so many steps.
+const STEPS: f64 = 2000.0;
+
+impl Work<'_, '_> {
+    /// Features of a motion or of an optimal-control problem with their costs, as far as the budget goes.
+    pub(super) fn features(&mut self) -> Vec<FeatureCost> {
+        let scene = self.scene(&self.usual);
+        let subject = Subject::of(self.sweep.scene);
+        let rod = (scene.arm(self.sweep.source).ok())
+            .and_then(|arm| arm.rod(&scene.discretization()).ok());
+        let Some(rod) = rod.filter(|_| subject != Subject::ClosedLoop) else {
+            return Vec::new();
+        };
+        let mut costs = Vec::new();
+        for feature in scene.features(rod.scales.time) {
+            if self.is_over() {
+                self.cut = true;
+                break;
+            }
+            let is_solved = subject == Subject::OptimalControl;
+            let measure = |scene: &Scene| {
+                if is_solved {
+                    self.iteration_ms(scene)
+                } else {
+                    self.step_ns(scene)
+                }
+            };
+            let mut least = [f64::INFINITY; 2];
+            for _ in 0..ROUNDS {
+                for (least, scene) in least.iter_mut().zip([&feature.with, &feature.without]) {
+                    *least = least.min(measure(scene).unwrap_or(f64::INFINITY));
+                }
+                // What takes long is not measured often.
+                if least[0] * 1e-3 > 1.0 && is_solved || self.is_over() {
+                    break;
+                }
+            }
+            if least.iter().all(|value| value.is_finite()) {
+                costs.push(FeatureCost {
+                    feature: feature.name,
+                    in_scene: feature.in_scene,
+                    unit: if is_solved {
+                        "ms per iteration"
+                    } else {
+                        "ns per node and step"
+                    },
+                    with: least[0],
+                    without: least[1],
+                });
+            }
+        }
+        costs
+    }
+
+    /// Nanoseconds of a node's step; `None` where the motion breaks down.
+    fn step_ns(&self, scene: &Scene) -> Option<f64> {
+        let stop = self.sweep.stop;
+        let mut motion = Motion {
+            arm: scene.arm(self.sweep.source).ok()?,
+            start: scene.start(),
+            duration: scene.time.end_s.get(),
+        };
+        let open = scene.discretization();
+        let found = motion.arm.discretize(motion.duration, &open).ok()?;
+        motion.duration = motion.duration.min(STEPS * found.grid.step);
+        let setup = motion.setup(&open, f64::INFINITY, stop).ok()?;
+        let seconds = setup.time(stop).ok()?;
+        let count = setup.rod.n_nodes() * setup.grid.n_steps;
+        Some(1e9 * seconds / count as f64)
+    }
+
+    /// Milliseconds of one of the first iterations of a solve from rest; `None` where there is none.
+    fn iteration_ms(&self, scene: &Scene) -> Option<f64> {
+        let stop = self.sweep.stop;
+        let setup = scene.optimal_control_until(self.sweep.source, stop).ok()?;
+        let settings = SqpSettings {
+            max_iterations: ITERATIONS,
+            ..setup.settings.clone()
+        };
+        let from_rest = Search {
+            guess: Some(Guess::Rest),
+            ..setup.search.clone()
+        };
+        let clock = Instant::now();
+        let attempts = search(&setup.problem, &settings, &from_rest, &|_, _| {
+            ControlFlow::Continue(())
+        });
+        let seconds = clock.elapsed().as_secs_f64();
+        let n = attempts.ok()?.first()?.iterations();
+        (n > 0).then(|| 1e3 * seconds / n as f64)
+    }
+}
