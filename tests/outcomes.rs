@@ -848,7 +848,8 @@ fn timeless(folder: &std::path::Path, name: &str) -> Vec<u8> {
                 let (_, after) = rest.split_once(to).unwrap();
                 [before, after].concat()
             };
-            let text = without(text(), "[\"wall time\",", "]");
+            let text = without(text(), "; computed in ", "\"");
+            let text = without(text, "[\"wall time\",", "]");
             let text = without(text, "\"wall_s\":", "\"kkt\":");
             without(text, "\"directory\":", "}").into_bytes()
         }

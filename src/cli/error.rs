@@ -9,6 +9,7 @@ use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::paper::PaperError;
 use crate::scene::SceneError;
+use crate::solve::SavedError;
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
@@ -55,6 +56,15 @@ pub(super) enum CliError {
     /// A result directory that does not hold what a verb needs.
     #[error("error: {0}")]
     Directory(String),
+}
+
+impl From<SavedError> for CliError {
+    fn from(error: SavedError) -> Self {
+        match error {
+            SavedError::Scene(error) => Self::Scene(error),
+            SavedError::Output(error) => Self::Output(error),
+        }
+    }
 }
 
 impl CliError {

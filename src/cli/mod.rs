@@ -11,6 +11,7 @@ mod memory;
 mod mpc;
 mod paper;
 mod quantity;
+mod report;
 mod schema;
 mod serve;
 mod simulate;
@@ -111,6 +112,8 @@ enum Command {
     Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
+    /// Make the page of a result directory anew from its files, or one page that compares several
+    Report(report::ReportArguments),
     /// Check every analytic derivative of a scene, with a verdict
     Derivatives(SceneArgument),
     /// List the built-in scenes, or print one, commented
@@ -213,6 +216,7 @@ pub fn run() -> ExitCode {
         Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
         Command::Tradeoff(arguments) => tradeoff::run(arguments, &cli.global, &console),
         Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
+        Command::Report(arguments) => report::run(arguments, &cli.global, &console),
         Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
         Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
         Command::Export(arguments) => export::run(arguments, &console),

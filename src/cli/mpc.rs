@@ -16,7 +16,7 @@ use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::Hold;
 use crate::mechanics::{Energy, Rod, State, Wrench};
 use crate::mpc::{ClosedLoop, Contender, Outcome as Run, Percentiles, Sample, TipError};
-use crate::output::closed_loop::{BaselineSummary, MpcSummary, write_samples};
+use crate::output::closed_loop::{BaselineSummary, MpcSummary, SampleRow, write_samples};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RowFiles, RunDirectory,
@@ -339,7 +339,9 @@ fn write(
     write_controls(&path("controls.csv"), &recording.controls)?;
     result.write_text("scene.toml", &setup.resolved.to_toml())?;
     let record = recording.thinned.clone().finish(&recording.row);
-    let page = closed_loop_page(setup, samples, &record, summary);
+    let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
+    let value = serde_json::to_value(summary).unwrap_or_default();
+    let page = closed_loop_page(setup, &rows, &record, &value);
     result.write_text("report.html", &render_report(&page))?;
     result.write_json("summary.json", summary)
 }

@@ -19,8 +19,8 @@ use crate::output::summary::{
     EnergySummary, Range, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose,
 };
 use crate::output::{
-    ArrayView, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError, ResultDirectory,
-    ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
+    ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
+    ResultDirectory, ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::solve::{causes, simulation_page};
@@ -573,7 +573,12 @@ impl<'a> Run<'a> {
         result.write_text("scene.toml", &self.setup.resolved.to_toml())?;
         result.write_json("summary.json", summary)?;
         let record = self.thinned.finish(&self.row);
-        let page = simulation_page(scene, self.setup, &record, summary);
+        let diagnostics = result.path().join("diagnostics.npz");
+        let base = (self.diagnostics.is_some())
+            .then(|| BaseReaction::read(&diagnostics, self.trajectory.n_rows()))
+            .transpose()?;
+        let summary = serde_json::to_value(summary).unwrap_or_default();
+        let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref());
         result.write_text("report.html", &render_report(&page))
     }
 

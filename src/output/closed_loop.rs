@@ -8,6 +8,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::OutputError;
+use super::reading::read_text;
 use crate::mpc::{Disturbance, Percentiles, Sample, TipError};
 
 /// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
@@ -164,6 +165,153 @@ pub fn write_samples(path: &Path, samples: &[Sample]) -> Result<(), OutputError>
         .map_err(unwritten())
 }
 
+/// What a page shows of a sample: some columns of `samples.csv`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleRow {
+    /// When the sample began, s.
+    pub t: f64,
+    /// When its command began to act, s.
+    pub acts_from: f64,
+    /// Where the tip should have been, m.
+    pub reference: Option<[f64; 3]>,
+    /// Distance of the tip from there, m; NaN without a reference.
+    pub error: f64,
+    /// First force of the command, spatial, N.
+    pub force: [f64; 3],
+    /// First moment of the command, body frame, N m.
+    pub moment: [f64; 3],
+    /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness.
+    pub disturbance: [f64; 10],
+    /// Its standard deviations.
+    pub deviation: [f64; 10],
+    /// Times of estimation, prediction, feedback, preparation and of the whole sample, ms.
+    pub times_ms: [f64; 5],
+}
+
+impl SampleRow {
+    /// Of a sample that was run.
+    #[must_use]
+    pub fn of(sample: &Sample) -> Self {
+        let numbers = |d: &Disturbance| {
+            let mut out = [d.stiffness; 10];
+            out[..3].copy_from_slice(d.tip.force.as_slice());
+            out[3..6].copy_from_slice(d.tip.moment.as_slice());
+            out[6..9].copy_from_slice(d.distributed.as_slice());
+            out
+        };
+        Self {
+            t: sample.t,
+            acts_from: sample.acts_from,
+            reference: sample.reference,
+            error: sample.tip_error(),
+            force: sample.wrench.force.into(),
+            moment: sample.wrench.moment.into(),
+            disturbance: numbers(&sample.disturbance),
+            deviation: numbers(&sample.deviation),
+            times_ms: milliseconds(sample),
+        }
+    }
+}
+
+/// Times of the parts of a sample, and of the whole, ms.
+fn milliseconds(sample: &Sample) -> [f64; 5] {
+    [
+        sample.estimate_s,
+        sample.predict_s,
+        sample.feedback_s,
+        sample.prepare_s,
+        sample.sample_s,
+    ]
+    .map(|s| 1e3 * s)
+}
+
+/// Bytes of a row, at most: fifty numbers.
+const LARGEST_ROW: u64 = 1 << 11;
+
+/// Reads at most `most` rows of what [`write_samples`] writes, as far as a page shows it.
+///
+/// # Errors
+/// [`OutputError`] for a missing column, and for a number that is none.
+pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputError> {
+    let malformed = |line: Option<u64>, reason: String| OutputError::Malformed {
+        path: path.to_path_buf(),
+        line,
+        reason,
+    };
+    let broken =
+        |error: csv::Error| malformed(error.position().map(csv::Position::line), error.to_string());
+    let text = read_text(path, LARGEST_ROW.saturating_mul(most as u64 + 1))?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let header = reader.headers().map_err(broken)?.clone();
+    let column = |name: &str| {
+        (header.iter().position(|known| known == name))
+            .ok_or_else(|| malformed(Some(1), format!("no column {name}")))
+    };
+    // Columns that follow each other in the file are found by the first of them.
+    let [
+        t,
+        acts_from,
+        reference,
+        error,
+        force,
+        estimated,
+        deviation,
+        times,
+    ] = [
+        "t",
+        "acts_from",
+        "reference_x",
+        "error",
+        "fx",
+        "estimated_tip_fx",
+        "deviation_tip_fx",
+        "estimate_ms",
+    ]
+    .map(column);
+    let (t, acts_from, reference, error) = (t?, acts_from?, reference?, error?);
+    let (force, estimated, deviation, times) = (force?, estimated?, deviation?, times?);
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(broken)?;
+        let line = record.position().map(csv::Position::line);
+        let text = |at: usize| record.get(at).unwrap_or_default();
+        let number = |at: usize| {
+            text(at).parse::<f64>().map_err(|_| {
+                let name = header.get(at).unwrap_or_default();
+                malformed(line, format!("{name}: `{}` is not a number", text(at)))
+            })
+        };
+        let three = |at| Ok([number(at)?, number(at + 1)?, number(at + 2)?]);
+        let has_reference = !text(reference).is_empty();
+        let mut row = SampleRow {
+            t: number(t)?,
+            acts_from: number(acts_from)?,
+            reference: has_reference.then(|| three(reference)).transpose()?,
+            error: if has_reference {
+                number(error)?
+            } else {
+                f64::NAN
+            },
+            force: three(force)?,
+            moment: three(force + 3)?,
+            disturbance: [0.0; 10],
+            deviation: [0.0; 10],
+            times_ms: [0.0; 5],
+        };
+        for (i, value) in row.disturbance.iter_mut().enumerate() {
+            *value = number(estimated + i)?;
+        }
+        for (i, value) in row.deviation.iter_mut().enumerate() {
+            *value = number(deviation + i)?;
+        }
+        for (i, value) in row.times_ms.iter_mut().enumerate() {
+            *value = number(times + i)?;
+        }
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
 /// What stands under [`COLUMNS`].
 fn row(sample: &Sample) -> Vec<String> {
     let mut row = Row(Vec::with_capacity(COLUMNS.len()));
@@ -196,14 +344,7 @@ fn row(sample: &Sample) -> Vec<String> {
     }
     row.disturbance(&sample.disturbance);
     row.disturbance(&sample.deviation);
-    let seconds = [
-        sample.estimate_s,
-        sample.predict_s,
-        sample.feedback_s,
-        sample.prepare_s,
-        sample.sample_s,
-    ];
-    row.numbers(&seconds.map(|s| 1e3 * s));
+    row.numbers(&milliseconds(sample));
     row.0.push(sample.is_overrun.to_string());
     row.0
 }

@@ -45,6 +45,54 @@ pub struct DiagnosticsRecord {
     pub power: Vec<f64>,
 }
 
+/// The reaction of the base at some rows of `diagnostics.npz`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BaseReaction {
+    /// `[n]` times, s.
+    pub t: Vec<f64>,
+    /// `[n, 3]` force, spatial, N.
+    pub force: Vec<f64>,
+    /// `[n, 3]` moment, frame of the base, N m.
+    pub moment: Vec<f64>,
+}
+
+impl BaseReaction {
+    /// Rows of a curve, at most.
+    const MOST_ROWS: usize = 600;
+
+    /// At most 600 rows, evenly spread, of a file of `n_rows` rows.
+    ///
+    /// # Errors
+    /// [`OutputError`] for a missing array, and for one of another shape.
+    pub fn read(path: &Path, n_rows: usize) -> Result<Self, OutputError> {
+        let mut archive = npz::open(path)?;
+        let malformed = |name: &str| {
+            let name = name.to_string();
+            move |reason| OutputError::malformed(path, format!("array {name}: {reason}"))
+        };
+        let (shape, t) =
+            npz::read_array(&mut archive, "t", &[Some(n_rows)]).map_err(malformed("t"))?;
+        let stride = shape[0].div_ceil(Self::MOST_ROWS).max(1);
+        let mut read = |name: &str| {
+            let (mut index, mut values) = (0, Vec::new());
+            npz::visit_array(&mut archive, name, &[Some(t.len()), Some(3)], |value| {
+                if (index / 3) % stride == 0 {
+                    values.push(value);
+                }
+                index += 1;
+                Ok(())
+            })
+            .map_err(malformed(name))?;
+            Ok(values)
+        };
+        Ok(Self {
+            force: read("base_force")?,
+            moment: read("base_moment")?,
+            t: t.into_iter().step_by(stride).collect(),
+        })
+    }
+}
+
 impl DiagnosticsRecord {
     /// A record without rows.
     pub fn empty(n_elements: usize) -> Self {

@@ -7,10 +7,13 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::OutputError;
+use super::reading::read_text;
 use super::summary::TOOL;
 
 /// The summary of a result: the last file to be put in place.
 pub(super) const SUMMARY: &str = "summary.json";
+/// Status of a result whose files are being replaced.
+pub(super) const UNFINISHED: &str = "unfinished";
 /// Bytes of the largest summary that is looked at.
 const LARGEST_SUMMARY: u64 = 1 << 24;
 
@@ -106,6 +109,46 @@ impl ResultKind {
             None => (kind.signature().iter()).all(|key| summary.contains_key(*key)),
         };
         is_ours.then_some(kind)
+    }
+
+    /// The kind of result in `directory`, and its summary.
+    ///
+    /// # Errors
+    /// [`OutputError`] for what is no result directory of softarm, and for one whose files are being replaced.
+    pub fn read(directory: &Path) -> Result<(Self, Value), OutputError> {
+        if !directory.is_dir() {
+            return Err(OutputError::refused(
+                directory,
+                "no such directory; name the result directory of a simulate, solve or mpc",
+            ));
+        }
+        let path = directory.join(SUMMARY);
+        if !path.is_file() {
+            return Err(OutputError::refused(
+                directory,
+                "no result of softarm: there is no summary.json in it; `softarm solve SCENE --out DIR` makes one",
+            ));
+        }
+        let text = read_text(&path, LARGEST_SUMMARY)?;
+        let summary: Value =
+            serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
+                path: path.clone(),
+                line: Some(error.line() as u64),
+                reason: error.to_string(),
+            })?;
+        let Some(kind) = Self::of_summary(&summary) else {
+            return Err(OutputError::malformed(
+                &path,
+                "not the summary of a simulate, solve or mpc of softarm",
+            ));
+        };
+        if summary["status"] == UNFINISHED {
+            return Err(OutputError::refused(
+                directory,
+                "its files are being replaced, or were when a run was killed; run it again",
+            ));
+        }
+        Ok((kind, summary))
     }
 
     /// The kind of result in `directory`; `None` if it holds none.

@@ -124,6 +124,20 @@ pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedAr
         .collect()
 }
 
+/// The growth of a perturbation up to every edge of the blocks, without and with the regulator, of gains over `n_edges - 1` blocks.
+///
+/// # Errors
+/// [`OutputError`] for a missing array, and for another number of edges.
+pub fn read_sensitivity(path: &Path, n_edges: usize) -> Result<[Vec<f64>; 2], OutputError> {
+    let mut archive = npz::open(path)?;
+    let mut read = |name: &str| {
+        read_array(&mut archive, name, &[Some(n_edges)])
+            .map(|(_, values)| values)
+            .map_err(|reason| OutputError::malformed(path, format!("array {name}: {reason}")))
+    };
+    Ok([read("sensitivity")?, read("sensitivity_closed_loop")?])
+}
+
 fn rows(matrix: &Mat<f64>) -> Vec<f64> {
     (0..matrix.nrows())
         .flat_map(|i| (0..matrix.ncols()).map(move |j| matrix[(i, j)]))

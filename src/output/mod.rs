@@ -30,22 +30,28 @@ pub mod tradeoff;
 #[doc(hidden)]
 pub use checkpoint::Checkpoint;
 pub use controls::{ControlRow, read_controls, write_controls};
-pub use diagnostics::DiagnosticsRecord;
+pub use diagnostics::{BaseReaction, DiagnosticsRecord};
 pub use directory::{ResultDirectory, ResultKind};
 pub use error::OutputError;
 #[doc(hidden)]
 pub use extremes::Extremes;
-pub use feedback::{NamedArray, feedback_arrays, read_feedback, write_feedback};
+pub use feedback::{NamedArray, feedback_arrays, read_feedback, read_sensitivity, write_feedback};
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 #[doc(hidden)]
 pub use reading::read_text;
 #[doc(hidden)]
 pub use report::{
-    Bound, Hold, ReportArm, ReportAttempt, ReportChart, ReportCheck, ReportCommand, ReportControls,
-    ReportCurve, ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportObstacle,
-    ReportObstacles, ReportPath, ReportSensitivity, ReportShape, ReportTarget, ReportVerdict,
-    render_report,
+    ArrowKind, Bound, Hold, ReportArm, ReportArrow, ReportAttempt, ReportChart, ReportCheck,
+    ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy, ReportField,
+    ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
+    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict, ReportVia, figure, render_report,
+};
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub use report::{
+    Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, PAGE_MARK,
+    TradeoffPoint, compare, render_comparison,
 };
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};

@@ -1,5 +1,7 @@
 use std::path::Path;
 
+use nalgebra::Vector3;
+
 use super::npz::{self, read_array, write_array};
 use super::{ArrayView, OutputError};
 use crate::mechanics::{Energy, State, Wrench};
@@ -66,6 +68,12 @@ impl MotionRecord {
         }
     }
 
+    /// Position of a node in a row, m.
+    pub(crate) fn position(&self, row: usize, node: usize) -> Vector3<f64> {
+        let at = 3 * (row * self.n_nodes + node);
+        Vector3::from_column_slice(&self.x[at..at + 3])
+    }
+
     /// Number of sampled times.
     pub fn n_rows(&self) -> usize {
         self.t.len()
@@ -88,12 +96,79 @@ impl MotionRecord {
 
     /// The same of `n_rows` rows of `n_nodes` nodes; no more is read than they take.
     pub fn read_npz_of(path: &Path, n_rows: usize, n_nodes: usize) -> Result<Self, OutputError> {
+        let archive = Self::open_within(path, n_rows, n_nodes)?;
+        Self::read(path, archive, Some(n_rows), Some(n_nodes))
+    }
+
+    /// Opens an archive that is no larger than one of so many rows and nodes.
+    fn open_within(
+        path: &Path,
+        n_rows: usize,
+        n_nodes: usize,
+    ) -> Result<npz::Archive, OutputError> {
         // Numbers per row: time, two vectors, three energies; twelve a node, one an element.
         let per_row = n_nodes.saturating_mul(13).saturating_add(9);
         let mut sizes = [0; 7];
         sizes[0] = n_rows.saturating_mul(per_row);
-        let archive = npz::open_within(path, npz::largest_archive(&sizes))?;
-        Self::read(path, archive, Some(n_rows), Some(n_nodes))
+        npz::open_within(path, npz::largest_archive(&sizes))
+    }
+
+    /// The rows `keep(n)`, in increasing order, of the `n ≤ most_rows` rows of `n_nodes` nodes of what [`write_npz`](Self::write_npz)
+    /// writes; only these are held in memory.
+    ///
+    /// # Errors
+    /// [`OutputError`] as [`read_npz_of`](Self::read_npz_of), and for more rows.
+    pub fn read_npz_rows(
+        path: &Path,
+        most_rows: usize,
+        n_nodes: usize,
+        keep: impl FnOnce(usize) -> Vec<usize>,
+    ) -> Result<Self, OutputError> {
+        let mut archive = Self::open_within(path, most_rows, n_nodes)?;
+        let malformed = |name: &str, reason: String| {
+            OutputError::malformed(path, format!("array {name}: {reason}"))
+        };
+        let (shape, t) = read_array(&mut archive, "t", &[None]).map_err(|r| malformed("t", r))?;
+        let n = shape[0];
+        if n > most_rows {
+            let reason = format!("{n} rows; scene.toml describes at most {most_rows}");
+            return Err(malformed("t", reason));
+        }
+        let kept = keep(n);
+        let mut record = Self::empty(n_nodes);
+        record.t = kept.iter().filter_map(|&row| t.get(row).copied()).collect();
+        let elements = n_nodes.saturating_sub(1);
+        for (name, inner) in [
+            ("x", &[n_nodes, 3][..]),
+            ("R", &[n_nodes, 3, 3][..]),
+            ("tip_force", &[3][..]),
+            ("tip_moment", &[3][..]),
+            ("energy", &[3][..]),
+            ("dilatation", &[elements][..]),
+        ] {
+            let width: usize = inner.iter().product::<usize>().max(1);
+            let expected: Vec<_> = [n].iter().chain(inner).copied().map(Some).collect();
+            let mut index = 0;
+            let mut values = Vec::new();
+            npz::visit_array(&mut archive, name, &expected, |value| {
+                if kept.binary_search(&(index / width)).is_ok() {
+                    values.push(value);
+                }
+                index += 1;
+                Ok(())
+            })
+            .map_err(|reason| malformed(name, reason))?;
+            match name {
+                "x" => record.x = values,
+                "R" => record.rotation = values,
+                "tip_force" => record.tip_force = values,
+                "tip_moment" => record.tip_moment = values,
+                "energy" => record.energy = values,
+                _ => record.dilatation = values,
+            }
+        }
+        record.validate(path)?;
+        Ok(record)
     }
 
     fn read(
@@ -246,6 +321,26 @@ impl ThinnedMotion {
             stride: 1,
             n_seen: 0,
         }
+    }
+
+    /// The numbers of the rows that are kept of `n`, and of the last one.
+    pub fn rows_of(n: usize) -> Vec<usize> {
+        let (mut rows, mut stride) = (Vec::new(), 1);
+        for row in 0..n {
+            if row % stride == 0 && rows.len() == Self::MOST_ROWS {
+                stride *= 2;
+                rows.retain(|kept| kept % stride == 0);
+            }
+            if row % stride == 0 {
+                rows.push(row);
+            }
+        }
+        if let Some(last) = n.checked_sub(1)
+            && rows.last() != Some(&last)
+        {
+            rows.push(last);
+        }
+        rows
     }
 
     /// Takes note of the next row: a record of one.
@@ -531,6 +626,31 @@ pub(super) mod tests {
             .unwrap_err()
             .to_string();
         assert!(error.contains("100000 bytes or more"), "{error}");
+    }
+
+    /// Rows that are read from a file are those that a run keeps while it writes them: the same numbers, whatever their count.
+    #[test]
+    fn rows_of_a_file_are_those_that_were_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectory.npz");
+        for n in [1, 2, 480, 481, 962, 2000] {
+            let whole = record(n, 3);
+            whole.write_npz(&path).unwrap();
+            let mut thinned = ThinnedMotion::new(3);
+            let mut row = MotionRecord::empty(3);
+            for i in 0..n {
+                row = MotionRecord::empty(3);
+                for (to, (_, _, from)) in row.arrays_mut().into_iter().zip(whole.arrays()) {
+                    let width = from.len() / n;
+                    to.extend_from_slice(&from[i * width..(i + 1) * width]);
+                }
+                thinned.push(&row);
+            }
+            let read = MotionRecord::read_npz_rows(&path, n, 3, ThinnedMotion::rows_of).unwrap();
+            assert_eq!(read, thinned.finish(&row), "{n}");
+            let refused = MotionRecord::read_npz_rows(&path, n - 1, 3, ThinnedMotion::rows_of);
+            assert!(refused.is_err(), "{n}");
+        }
     }
 
     proptest! {

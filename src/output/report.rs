@@ -1,3 +1,19 @@
+//! What `report.html` shows, and the page itself.
+
+#[cfg(feature = "cli")]
+mod comparison;
+mod field;
+mod render;
+
+#[cfg(feature = "cli")]
+pub use self::comparison::{
+    Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, TradeoffPoint, compare,
+};
+pub use self::field::{ReportField, ReportFields};
+#[cfg(feature = "cli")]
+pub use self::render::{PAGE_MARK, render_comparison};
+pub use self::render::{figure, render_report};
+
 use serde::Serialize;
 use serde_json::Value;
 
@@ -12,7 +28,15 @@ pub struct ReportData {
     pub command: ReportCommand,
     /// The outcome, beside the title.
     pub verdict: ReportVerdict,
-    /// Label and value pairs.
+    /// What moved where, with which force, and what became of it: one sentence.
+    pub lead: String,
+    /// Why that can be trusted, or why not: one sentence.
+    pub trust: String,
+    /// The arm, in pairs of label and value.
+    pub arm_facts: Vec<(String, String)>,
+    /// What acts on it, likewise.
+    pub acting: Vec<(String, String)>,
+    /// The run, likewise.
     pub facts: Vec<(String, String)>,
     /// The summary, shown as it is in a folded section.
     pub summary: Value,
@@ -22,8 +46,14 @@ pub struct ReportData {
     pub motion: ReportMotion,
     /// The target of the tip.
     pub target: Option<ReportTarget>,
+    /// Points that nodes should be at on the way.
+    pub via: Vec<ReportVia>,
     /// Paths that nodes should follow.
     pub paths: Vec<ReportPath>,
+    /// Forces and moments at the frames of the motion.
+    pub arrows: Vec<ReportArrow>,
+    /// Strains, stresses and speed over arc length and time.
+    pub fields: Option<ReportFields>,
     /// The obstacles.
     pub obstacles: Option<ReportObstacles>,
     /// Force and moment on the tip.
@@ -74,6 +104,10 @@ pub struct ReportArm {
     pub base: Option<[f64; 3]>,
     /// Acceleration of gravity in m/s²: the picture's vertical; zero means that z is up.
     pub gravity: [f64; 3],
+    /// Rest length in meters.
+    pub length: f64,
+    /// Mass of the body at the tip in kilograms; zero where there is none.
+    pub payload: f64,
 }
 
 /// The frames of the picture: `n` times of `K + 1` nodes.
@@ -81,7 +115,7 @@ pub struct ReportArm {
 pub struct ReportMotion {
     /// `[n]` times in seconds.
     pub t: Vec<f64>,
-    /// `[n][K+1]` positions in meters, as accurate as a picture needs.
+    /// `[n][K+1]` positions in meters, to six decimals of the largest: more than a picture shows.
     pub x: Vec<Vec<[f32; 3]>>,
     /// `[n][K+1]` first directors: unit vectors across the arm.
     pub d1: Vec<Vec<[f32; 3]>>,
@@ -89,25 +123,46 @@ pub struct ReportMotion {
     pub tip: Vec<[f64; 3]>,
 }
 
+/// Last decimal of a position in the picture, over the power of ten of the largest.
+const POSITION_DIGIT: f64 = 1e-6;
+/// Last decimal of a director in the picture.
+const DIRECTOR_DIGIT: f64 = 1e-4;
+
+/// A multiple of `unit`; the value itself where there is none.
+fn rounded(value: f64, unit: f64) -> f64 {
+    let multiple = (value / unit).round() * unit;
+    if multiple.is_finite() {
+        multiple
+    } else {
+        value
+    }
+}
+
 impl ReportMotion {
     /// At most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_frames: usize) -> Self {
         let nodes = record.n_nodes;
-        let node_vectors = |values: &[f64], row: usize, stride: usize, parts: [usize; 3]| {
-            (0..nodes)
-                .map(|node| parts.map(|part| values[(row * nodes + node) * stride + part] as f32))
-                .collect()
-        };
+        let node_vectors =
+            |values: &[f64], row: usize, stride: usize, parts: [usize; 3], unit: f64| {
+                let number = |node: usize, part: usize| {
+                    rounded(values[(row * nodes + node) * stride + part], unit) as f32
+                };
+                (0..nodes)
+                    .map(|node| parts.map(|part| number(node, part)))
+                    .collect()
+            };
         let rows = record.thinned_rows(max_frames);
+        let largest = record.x.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let unit = 10_f64.powf(largest.log10().floor()) * POSITION_DIGIT;
         Self {
             t: rows.iter().map(|&row| record.t[row]).collect(),
             x: rows
                 .iter()
-                .map(|&row| node_vectors(&record.x, row, 3, [0, 1, 2]))
+                .map(|&row| node_vectors(&record.x, row, 3, [0, 1, 2], unit))
                 .collect(),
             d1: rows
                 .iter()
-                .map(|&row| node_vectors(&record.rotation, row, 9, [0, 3, 6]))
+                .map(|&row| node_vectors(&record.rotation, row, 9, [0, 3, 6], DIRECTOR_DIGIT))
                 .collect(),
             tip: rows
                 .iter()
@@ -126,6 +181,46 @@ pub struct ReportTarget {
     pub directions: Option<[[f64; 3]; 3]>,
 }
 
+/// A point that a node should be at.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportVia {
+    /// Name in the scene.
+    pub name: String,
+    /// The node.
+    pub node: usize,
+    /// When, in seconds.
+    pub t: f64,
+    /// Position in meters.
+    pub position: [f64; 3],
+}
+
+/// Whether an arrow is a force or a moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ArrowKind {
+    /// In newtons.
+    Force,
+    /// In newton meters.
+    Moment,
+}
+
+/// A force or a moment over the frames of the motion.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportArrow {
+    /// What acts, as in "control".
+    pub name: String,
+    /// Force or moment.
+    pub kind: ArrowKind,
+    /// The node that it acts on; `None` where `at` says the place.
+    pub node: Option<usize>,
+    /// `[n]` places in meters; empty where it acts on a node.
+    pub at: Vec<[f32; 3]>,
+    /// `[n]` vectors in the spatial frame.
+    pub vectors: Vec<[f32; 3]>,
+    /// Largest magnitude, at the frames or between them.
+    pub peak: f64,
+}
+
 /// A path that a node should follow.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportPath {
@@ -135,6 +230,8 @@ pub struct ReportPath {
     pub t: Vec<f64>,
     /// `[n]` corners in meters; straight in between, at constant speed.
     pub x: Vec<[f64; 3]>,
+    /// Distances of the node from where it should be at the frames of the motion, in meters.
+    pub off: Vec<f64>,
 }
 
 /// The obstacles, and how near the arm comes to them.
@@ -286,6 +383,8 @@ impl ReportEnergy {
 /// Curves in one picture.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportChart {
+    /// Heading of the section that it is in.
+    pub section: String,
     /// What they show.
     pub title: String,
     /// Unit of their values; may be empty.
@@ -373,182 +472,4 @@ pub struct ReportCheck {
     pub ok: bool,
     /// The meaning of the criterion, in a sentence.
     pub meaning: String,
-}
-
-const TEMPLATE: &str = include_str!("report_template.html");
-
-/// The page: one HTML document that loads nothing else and works from a file.
-///
-/// The same data give the same text. Non-finite numbers become gaps in the charts.
-pub fn render_report(data: &ReportData) -> String {
-    let json = serde_json::to_string(data).expect("structs, vectors and JSON values serialize");
-    // The data first: a title that spells a placeholder is then only text.
-    TEMPLATE
-        .replacen("{{data}}", &escape_json(&json), 1)
-        .replacen("{{title}}", &escape_html(&data.title), 1)
-}
-
-/// JSON that means the same and cannot end or open anything in a `<script>` element.
-fn escape_json(json: &str) -> String {
-    json.replace('<', "\\u003c")
-        .replace('>', "\\u003e")
-        .replace('&', "\\u0026")
-        .replace('\u{2028}', "\\u2028")
-        .replace('\u{2029}', "\\u2029")
-}
-
-fn escape_html(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::motion::tests::record;
-    use super::*;
-
-    fn data() -> ReportData {
-        let motion = record(5, 3);
-        ReportData {
-            title: "reach".into(),
-            command: ReportCommand::Solve,
-            verdict: ReportVerdict {
-                text: "certified".into(),
-                ok: true,
-            },
-            facts: vec![("elements".into(), "2".into())],
-            summary: serde_json::json!({"schema_version": 1}),
-            arm: ReportArm {
-                radius: vec![0.01; 3],
-                base: Some([0.0; 3]),
-                gravity: [0.0, 0.0, -9.81],
-            },
-            motion: ReportMotion::thinned(&motion, 240),
-            target: Some(ReportTarget {
-                position: Some([0.3, 0.0, 0.1]),
-                directions: None,
-            }),
-            paths: vec![],
-            obstacles: None,
-            controls: None,
-            energy: Some(ReportEnergy::thinned(&motion, 240)),
-            sensitivity: None,
-            charts: Vec::new(),
-            iterations: vec![],
-            attempts: vec![],
-            kinds: vec![],
-            checks: vec![],
-        }
-    }
-
-    fn embedded_json(page: &str) -> Value {
-        let (_, rest) = page
-            .split_once(r#"<script id="data" type="application/json">"#)
-            .unwrap();
-        let (json, _) = rest.split_once("</script>").unwrap();
-        serde_json::from_str(json).unwrap()
-    }
-
-    /// Strings that end scripts, open comments or spell placeholders arrive as text, and open no element.
-    #[test]
-    fn hostile_strings_stay_text() {
-        let hostile = "</script><script>alert(1)</script><!-- <img src=x onerror=alert(2)> \
-                       & \u{2028} {{title}} {{data}} ]]> \" ' \\";
-        let mut spoiled = data();
-        spoiled.title = hostile.into();
-        spoiled.verdict.text = hostile.into();
-        spoiled.facts = vec![(hostile.into(), hostile.into())];
-        spoiled.summary = serde_json::json!({ hostile: hostile });
-        spoiled.obstacles = Some(ReportObstacles {
-            t: vec![0.0],
-            bodies: vec![ReportObstacle {
-                name: hostile.into(),
-                shape: ReportShape::HalfSpace {
-                    point: [0.0; 3],
-                    normal: [0.0, 0.0, 1.0],
-                },
-                margin: 0.0,
-                clearance: vec![0.5],
-            }],
-        });
-        let page = render_report(&spoiled);
-        let tags = |text: &str| text.matches('<').count();
-        assert_eq!(tags(&page), tags(TEMPLATE));
-        assert!(!page.contains("<!--"));
-        let json = embedded_json(&page);
-        assert_eq!(json["title"], hostile);
-        assert_eq!(json["verdict"]["text"], hostile);
-        assert_eq!(json["facts"][0][1], hostile);
-        assert_eq!(json["summary"][hostile], hostile);
-        let body = &json["obstacles"]["bodies"][0];
-        assert_eq!(body["name"], hostile);
-        assert_eq!(body["shape"]["kind"], "half_space");
-    }
-
-    /// The same data give the same bytes.
-    #[test]
-    fn page_is_deterministic() {
-        assert_eq!(render_report(&data()), render_report(&data()));
-    }
-
-    /// Nothing in the page names another resource, and its policy forbids loading one.
-    #[test]
-    fn page_is_self_contained() {
-        let page = render_report(&data());
-        for load in [
-            "http://", "https://", "src=", "href=", "url(", "@import", "import(",
-        ] {
-            assert!(!page.contains(load), "{load}");
-        }
-        assert!(page.contains("default-src 'none'"));
-    }
-
-    /// Non-finite numbers become null, so that the page still parses.
-    #[test]
-    fn non_finite_numbers_become_null() {
-        let mut spoiled = data();
-        if let Some(energy) = &mut spoiled.energy {
-            energy.kinetic[1] = f64::NAN;
-            energy.elastic[1] = f64::INFINITY;
-        }
-        let json = embedded_json(&render_report(&spoiled));
-        assert!(json["energy"]["kinetic"][1].is_null());
-        assert!(json["energy"]["elastic"][1].is_null());
-    }
-
-    /// Frames take positions, the first column of the rotations, and the tip from the rows that are kept.
-    #[test]
-    fn frames_are_rows_of_the_record() {
-        let record = record(9, 3);
-        let motion = ReportMotion::thinned(&record, 3);
-        assert_eq!(motion.t, [record.t[0], record.t[4], record.t[8]]);
-        let (row, node) = (4, 1);
-        let at = (row * 3 + node) * 9;
-        let d1 = [0, 3, 6].map(|part| record.rotation[at + part] as f32);
-        assert_eq!(motion.d1[1][node], d1);
-        let tip = (row * 3 + 2) * 3;
-        assert_eq!(motion.tip[1], record.x[tip..tip + 3]);
-        assert_eq!(motion.x[1][2], motion.tip[1].map(|part| part as f32));
-    }
-
-    /// Blocks become edges and values: one edge more than values.
-    #[test]
-    fn rows_become_blocks() {
-        let row = |t_start, fx| ControlRow {
-            t_start,
-            t_end: t_start + 0.5,
-            fx,
-            fy: 0.0,
-            fz: 0.0,
-            mx: 0.0,
-            my: 0.0,
-            mz: 1.0,
-            node: 4,
-        };
-        let controls = ReportControls::held(&[row(0.0, 1.0), row(0.5, 2.0)]);
-        assert_eq!(controls.t, [0.0, 0.5, 1.0]);
-        assert_eq!(controls.force, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
-        assert_eq!(controls.moment, [[0.0, 0.0, 1.0]; 2]);
-    }
 }

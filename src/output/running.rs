@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::OutputError;
 use super::checkpoint::{CHECKPOINT_FILE, FRESH_CHECKPOINT_FILE};
-use super::directory::{ResultDirectory, ResultKind, SUMMARY, locate, permit};
+use super::directory::{ResultDirectory, ResultKind, SUMMARY, UNFINISHED, locate, permit};
 use super::summary::{SCHEMA_VERSION, TOOL};
 
 const LOCK_FILE: &str = "lock";
@@ -260,7 +260,7 @@ impl RunDirectory {
             "schema_version": SCHEMA_VERSION,
             "tool": TOOL,
             "command": kind.command(),
-            "status": "unfinished",
+            "status": UNFINISHED,
             "message": "softarm was stopped while it replaced the files of this directory; its next run into it completes them",
         });
         fs::write(&placeholder, format!("{text:#}\n"))

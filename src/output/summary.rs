@@ -415,6 +415,25 @@ pub struct CheckOutcome {
     pub verdict: &'static str,
     /// Names of the criteria that failed.
     pub failed: Vec<&'static str>,
+    /// Every criterion with its value and its limit, in the order of the terminal.
+    pub criteria: Vec<CriterionSummary>,
+}
+
+/// A criterion of the certificate.
+#[derive(Clone, Debug, Serialize)]
+pub struct CriterionSummary {
+    /// Its name.
+    pub name: &'static str,
+    /// The value that was found, in `unit`.
+    pub value: f64,
+    /// The largest value that is acceptable, in `unit`.
+    pub limit: f64,
+    /// Unit of both; empty for pure numbers.
+    pub unit: &'static str,
+    /// Whether it holds.
+    pub holds: bool,
+    /// Its meaning, in a sentence.
+    pub meaning: &'static str,
 }
 
 /// A path constraint at its worst on the finest replay.

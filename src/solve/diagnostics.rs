@@ -7,28 +7,50 @@ use crate::mechanics::{
     Diagnostics, Load, LoadFrame, NodeWrenches, PowerBalance, Rod, State, StateView, StepError,
     Stepper, Wrench,
 };
+#[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 
 /// Diagnostics at every time node of the motion that the controls make, as a simulation of the same motion writes them.
 ///
 /// # Errors
 /// [`StepError`] of the integrator.
+#[cfg(feature = "cli")]
 pub(crate) fn diagnostics(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
 ) -> Result<DiagnosticsRecord, StepError> {
+    let mut record = DiagnosticsRecord::empty(problem.rod.n_elements());
+    visit(problem, coefficients, 1, |t, found, power| {
+        record.append(&DiagnosticsRecord::row(t, found, power));
+    })?;
+    Ok(record)
+}
+
+/// Passes time, diagnostics and power of every `stride`-th time node and of the last one of that motion to `see`.
+///
+/// # Errors
+/// [`StepError`] of the integrator.
+pub(super) fn visit(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    stride: usize,
+    mut see: impl FnMut(f64, &Diagnostics, &PowerBalance),
+) -> Result<(), StepError> {
     let (grid, h) = (problem.grid, problem.grid.step);
     let control = problem.signal(&problem.control, coefficients);
     let mut loaded = problem.rod.clone();
     let n_own = loaded.loads.len();
     let mut stepper = Stepper::new(&problem.rod, grid, problem.initial.clone());
-    let mut record = DiagnosticsRecord::empty(problem.rod.n_elements());
     let mut before = None;
     for k in 0..=grid.n_steps {
         let t = grid.time(k);
         if let Some(earlier) = k.checked_sub(1) {
-            before = Some(stepper.state());
+            let is_seen = k.is_multiple_of(stride) || k == grid.n_steps;
+            before = is_seen.then(|| stepper.state());
             stepper.advance([control.at(earlier), control.at(k)])?;
+            if !is_seen {
+                continue;
+            }
         }
         let state = stepper.state();
         loaded.loads.truncate(n_own);
@@ -57,10 +79,9 @@ pub(crate) fn diagnostics(
             .map_or_else(PowerBalance::default, |before| {
                 PowerBalance::over_step(&loaded, h, t, before, &state)
             });
-        let found = Diagnostics::of(&loaded, h, t, &state);
-        record.append(&DiagnosticsRecord::row(t, &found, &power));
+        see(t, &Diagnostics::of(&loaded, h, t, &state), &power);
     }
-    Ok(record)
+    Ok(())
 }
 
 /// All that the control does at a state: nodes and wrenches.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::examined::{Examined, Spent, beside};
-use super::report::{SolvePage, solve_page};
+use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::Solution;
 use super::step_kind::step_kind;
 use super::summary::summarize;
@@ -86,11 +86,16 @@ pub(crate) fn write(
         if let Some(problem) = &outcome.failed_subproblem {
             directory.write_text("failed-subproblem.json", problem)?;
         }
-        let page = solve_page(&SolvePage {
-            solution,
-            examined,
+        let rows = (solution.attempt.solves.iter().enumerate())
+            .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)));
+        let page = solve_page(SolvePage {
+            problem: &solution.problem,
+            coefficients: &solution.coefficients,
             record: &record,
-            summary,
+            summary: &serde_json::to_value(summary).unwrap_or_default(),
+            iterations: rows.collect(),
+            sensitivity: (examined.feedback.as_ref())
+                .map(|found| sensitivity(problem, &found.open_loop, &found.closed_loop)),
         });
         directory.write_text("report.html", &render_report(&page))
     };

@@ -3,16 +3,11 @@
 mod causes;
 #[cfg(feature = "cli")]
 mod choice;
-#[cfg(feature = "cli")]
-mod closed_loop_page;
 mod constraints;
-#[cfg(feature = "cli")]
 mod diagnostics;
 mod examined;
 mod files;
-mod report;
-#[cfg(feature = "cli")]
-mod simulation_page;
+mod page;
 mod solution;
 mod step_kind;
 mod summary;
@@ -21,12 +16,10 @@ mod summary;
 pub(crate) use self::{
     causes::causes,
     choice::{Chosen, Examination, choose},
-    closed_loop_page::closed_loop_page,
     diagnostics::diagnostics,
     examined::Examined,
     files::{iteration_row, write},
-    report::findings,
-    simulation_page::simulation_page,
+    page::{SavedError, SavedPage, closed_loop_page, findings, saved_page, simulation_page},
     step_kind::{help, legend, step_kind},
     summary::{check_outcome, status_words, summarize},
 };

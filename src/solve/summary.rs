@@ -7,9 +7,9 @@ use super::examined::{Examined, Spent};
 use super::solution::Solution;
 use crate::control::{Attempt, SolveLog, observe, tracking_errors};
 use crate::output::summary::{
-    AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, EnergyAccount, GrowthSummary,
-    MomentumAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION, SecondOrderSummary,
-    SensitivitySummary, SolveSummary, StartSummary, StrainSummary, TOOL,
+    AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
+    GrowthSummary, MomentumAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION,
+    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary, TOOL,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
@@ -170,6 +170,16 @@ pub(crate) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
             .iter()
             .filter(|item| !item.holds())
             .map(|item| item.name)
+            .collect(),
+        criteria: (check.items.iter())
+            .map(|item| CriterionSummary {
+                name: item.name,
+                value: item.value,
+                limit: item.limit,
+                unit: item.unit,
+                holds: item.holds(),
+                meaning: item.meaning,
+            })
             .collect(),
     }
 }

@@ -1,0 +1,162 @@
+//! `softarm report DIR...`: the page of a result made anew from its files, or one page that compares several results.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::console::{Console, stop_signal};
+use super::error::CliError;
+use super::{Global, Outcome, exit};
+use crate::output::summary::{SCHEMA_VERSION, TOOL};
+use crate::output::{
+    Compared, ComparisonTable, OutputError, PAGE_MARK, compare, read_text, render_comparison,
+    render_report,
+};
+use crate::solve::{SavedPage, saved_page};
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub(super) struct ReportArguments {
+    /// Result directories of one verb: of one, its report.html is made anew; several are compared on one page
+    #[arg(value_name = "DIR", required = true)]
+    directories: Vec<PathBuf>,
+    /// Where the page goes [default: DIR/report.html; comparison.html of several]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary {
+    schema_version: u32,
+    tool: &'static str,
+    command: &'static str,
+    /// The directories, in their order.
+    directories: Vec<String>,
+    /// The page.
+    report: String,
+    /// What differs between several results.
+    differences: Vec<ComparisonTable>,
+}
+
+pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Console) -> Outcome {
+    console.catch_interrupts();
+    if let Some(key) = global.set.first() {
+        return Err(CliError::Directory(format!(
+            "--set {key}: a report shows a result as it is; solve or simulate with --set, and report on that"
+        )));
+    }
+    let stop = stop_signal(None);
+    let directories = &arguments.directories;
+    let mut pages = Vec::new();
+    for directory in directories {
+        pages.push(saved_page(directory, &stop)?);
+    }
+    let mut differences = Vec::new();
+    let (path, page) = if let ([directory], [page]) = (&directories[..], &pages[..]) {
+        let own = directory.join("report.html");
+        let path = arguments.out.clone().unwrap_or(own);
+        (path, render_report(&page.data))
+    } else {
+        let data = comparison(directories, pages)?;
+        differences.clone_from(&data.tables);
+        let path = (arguments.out.clone()).unwrap_or_else(|| "comparison.html".into());
+        (path, render_comparison(&data))
+    };
+    replace_page(&path, &page)?;
+    for table in &differences {
+        let n = table.rows.len();
+        console.say(&format!("{}: {n} differ", table.title.to_lowercase()));
+    }
+    console.say(&format!("report: {}", path.display()));
+    console.summary(&Summary {
+        schema_version: SCHEMA_VERSION,
+        tool: TOOL,
+        command: "report",
+        directories: (directories.iter())
+            .map(|directory| directory.display().to_string())
+            .collect(),
+        report: path.display().to_string(),
+        differences,
+    });
+    Ok(exit::DONE)
+}
+
+/// The results beside each other, if they are of one kind.
+fn comparison(
+    directories: &[PathBuf],
+    pages: Vec<SavedPage>,
+) -> Result<crate::output::ComparisonData, CliError> {
+    let first = pages[0].kind;
+    if let Some(other) = pages.iter().position(|page| page.kind != first) {
+        return Err(CliError::Directory(format!(
+            "{} holds a {}, and {} a {}: only results of one verb can be compared",
+            directories[0].display(),
+            first.command(),
+            directories[other].display(),
+            pages[other].kind.command()
+        )));
+    }
+    let command = pages[0].data.command;
+    let results = (names(directories).into_iter().zip(pages))
+        .map(|(name, page)| Compared {
+            name,
+            summary: page.summary,
+            scene: page.scene,
+            data: page.data,
+        })
+        .collect();
+    Ok(compare(command, results))
+}
+
+/// The last part of every path, or the whole path where two end alike; a directory that is named twice gets a number.
+fn names(directories: &[PathBuf]) -> Vec<String> {
+    let last = |path: &Path| {
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        name.to_string_lossy().into_owned()
+    };
+    let short: Vec<String> = directories.iter().map(|path| last(path)).collect();
+    let alike = |names: &[String], i: usize| names.iter().filter(|n| **n == names[i]).count() > 1;
+    let full: Vec<String> = (directories.iter().enumerate())
+        .map(|(i, path)| match alike(&short, i) {
+            true => path.display().to_string(),
+            false => short[i].clone(),
+        })
+        .collect();
+    (0..full.len())
+        .map(|i| match alike(&full, i) {
+            true => format!("{} ({})", full[i], i + 1),
+            false => full[i].clone(),
+        })
+        .collect()
+}
+
+/// Bytes of a page that is looked at before it is replaced.
+const LARGEST_PAGE: u64 = 1 << 30;
+
+/// Puts a page in the place of an earlier one, or of nothing: written beside it, then renamed, so that no half page is ever there.
+fn replace_page(path: &Path, page: &str) -> Result<(), CliError> {
+    let unwritten = || OutputError::unwritten(path, "cannot write");
+    if path.exists() {
+        let is_page = path.is_file()
+            && read_text(path, LARGEST_PAGE)
+                .is_ok_and(|text| text.contains(PAGE_MARK) || text.contains("<script id=\"data\""));
+        if !is_page {
+            return Err(CliError::Directory(format!(
+                "{}: exists and is no page of softarm; choose another --out, or remove it",
+                path.display()
+            )));
+        }
+    }
+    let mut name = std::ffi::OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(format!(".{}", std::process::id()));
+    let draft = path.with_file_name(name);
+    let written = fs::write(&draft, page).and_then(|()| fs::rename(&draft, path));
+    if written.is_err() {
+        let _ = fs::remove_file(&draft);
+    }
+    Ok(written.map_err(unwritten())?)
+}

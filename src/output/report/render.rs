@@ -1,0 +1,310 @@
+//! The page as text: the template with its data, and numbers in words of a few digits.
+
+use serde::Serialize;
+
+#[cfg(feature = "cli")]
+use super::ComparisonData;
+use super::ReportData;
+
+/// The document, with places for title, data and the script that draws them.
+const TEMPLATE: &str = concat!(
+    include_str!("head.html"),
+    include_str!("style.css"),
+    include_str!("body.html"),
+    include_str!("base.js"),
+    include_str!("stage.js"),
+    include_str!("bodies.js"),
+    include_str!("arm.js"),
+    include_str!("view.js"),
+    include_str!("charts.js"),
+    include_str!("image.js"),
+    include_str!("sections.js"),
+    include_str!("main.js"),
+    include_str!("foot.html"),
+);
+
+#[cfg(feature = "cli")]
+/// The words by which a page of softarm is told from other files.
+pub const PAGE_MARK: &str = "<meta name=\"generator\" content=\"softarm\">";
+
+/// The page: one HTML document that loads nothing else and works from a file.
+///
+/// The same data give the same text. Non-finite numbers become gaps in the charts.
+pub fn render_report(data: &ReportData) -> String {
+    render(data, &data.title)
+}
+
+#[cfg(feature = "cli")]
+/// The page of several results, made as that of one.
+pub fn render_comparison(data: &ComparisonData) -> String {
+    render(data, &data.title)
+}
+
+fn render(data: &impl Serialize, title: &str) -> String {
+    let json = serde_json::to_string(data).expect("structs, vectors and JSON values serialize");
+    // The data first: a title that spells a placeholder is then only text.
+    TEMPLATE
+        .replacen("{{data}}", &escape_json(&json), 1)
+        .replacen("{{title}}", &escape_html(title), 1)
+}
+
+/// A number as text: with `digits` significant digits, zeros at the end left out, and a power of ten where it is very small or large.
+pub fn figure(value: f64, digits: usize) -> String {
+    if !value.is_finite() {
+        return "–".into();
+    }
+    if value == 0.0 {
+        return "0".into();
+    }
+    let digits = digits.max(1);
+    let scientific = format!("{value:.*e}", digits - 1);
+    let (mantissa, exponent) = scientific.split_once('e').unwrap_or((&scientific, "0"));
+    let exponent: i32 = exponent.parse().unwrap_or(0);
+    let trimmed = |text: &str| {
+        let text = match text.contains('.') {
+            true => text.trim_end_matches('0').trim_end_matches('.'),
+            false => text,
+        };
+        text.replace('-', "\u{2212}")
+    };
+    if (-3..6).contains(&exponent) {
+        let decimals = (digits as i32 - 1 - exponent).max(0) as usize;
+        // Rounded first: before the point there may be more places than digits.
+        let rounded: f64 = scientific.parse().unwrap_or(value);
+        return trimmed(&format!("{rounded:.decimals$}"));
+    }
+    let plain = exponent.to_string();
+    let superscript = plain.chars().map(|c| match c {
+        '-' => '\u{207b}',
+        '1' => '\u{b9}',
+        '2' => '\u{b2}',
+        '3' => '\u{b3}',
+        digit => char::from_u32(0x2070 + digit.to_digit(10).unwrap_or(0)).unwrap_or(digit),
+    });
+    let power: String = superscript.collect();
+    format!("{}\u{b7}10{power}", trimmed(mantissa))
+}
+
+/// JSON that means the same and cannot end or open anything in a `<script>` element.
+fn escape_json(json: &str) -> String {
+    json.replace('<', "\\u003c")
+        .replace('>', "\\u003e")
+        .replace('&', "\\u0026")
+        .replace('\u{2028}', "\\u2028")
+        .replace('\u{2029}', "\\u2029")
+}
+
+fn escape_html(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::Value;
+
+    use super::super::*;
+    use super::*;
+    use crate::output::motion::tests::record;
+
+    fn data() -> ReportData {
+        let motion = record(5, 3);
+        ReportData {
+            title: "reach".into(),
+            command: ReportCommand::Solve,
+            verdict: ReportVerdict {
+                text: "certified".into(),
+                ok: true,
+            },
+            lead: "The tip moves.".into(),
+            trust: "Nobody checked.".into(),
+            arm_facts: vec![],
+            acting: vec![],
+            facts: vec![("elements".into(), "2".into())],
+            summary: serde_json::json!({"schema_version": 1}),
+            arm: ReportArm {
+                radius: vec![0.01; 3],
+                base: Some([0.0; 3]),
+                gravity: [0.0, 0.0, -9.81],
+                length: 1.0,
+                payload: 0.0,
+            },
+            motion: ReportMotion::thinned(&motion, 240),
+            target: Some(ReportTarget {
+                position: Some([0.3, 0.0, 0.1]),
+                directions: None,
+            }),
+            via: vec![],
+            paths: vec![],
+            arrows: vec![],
+            fields: None,
+            obstacles: None,
+            controls: None,
+            energy: Some(ReportEnergy::thinned(&motion, 240)),
+            sensitivity: None,
+            charts: Vec::new(),
+            iterations: vec![],
+            attempts: vec![],
+            kinds: vec![],
+            checks: vec![],
+        }
+    }
+
+    fn embedded_json(page: &str) -> Value {
+        let (_, rest) = page
+            .split_once(r#"<script id="data" type="application/json">"#)
+            .unwrap();
+        let (json, _) = rest.split_once("</script>").unwrap();
+        serde_json::from_str(json).unwrap()
+    }
+
+    /// Strings that end scripts, open comments or spell placeholders arrive as text, and open no element.
+    #[test]
+    fn hostile_strings_stay_text() {
+        let hostile = "</script><script>alert(1)</script><!-- <img src=x onerror=alert(2)> \
+                       & \u{2028} {{title}} {{data}} ]]> \" ' \\";
+        let mut spoiled = data();
+        spoiled.title = hostile.into();
+        spoiled.verdict.text = hostile.into();
+        spoiled.facts = vec![(hostile.into(), hostile.into())];
+        spoiled.summary = serde_json::json!({ hostile: hostile });
+        spoiled.obstacles = Some(ReportObstacles {
+            t: vec![0.0],
+            bodies: vec![ReportObstacle {
+                name: hostile.into(),
+                shape: ReportShape::HalfSpace {
+                    point: [0.0; 3],
+                    normal: [0.0, 0.0, 1.0],
+                },
+                margin: 0.0,
+                clearance: vec![0.5],
+            }],
+        });
+        let page = render_report(&spoiled);
+        let tags = |text: &str| text.matches('<').count();
+        assert_eq!(tags(&page), tags(TEMPLATE));
+        assert!(!page.contains("<!--"));
+        let json = embedded_json(&page);
+        assert_eq!(json["title"], hostile);
+        assert_eq!(json["verdict"]["text"], hostile);
+        assert_eq!(json["facts"][0][1], hostile);
+        assert_eq!(json["summary"][hostile], hostile);
+        let body = &json["obstacles"]["bodies"][0];
+        assert_eq!(body["name"], hostile);
+        assert_eq!(body["shape"]["kind"], "half_space");
+    }
+
+    /// The same data give the same bytes.
+    #[test]
+    fn page_is_deterministic() {
+        assert_eq!(render_report(&data()), render_report(&data()));
+    }
+
+    /// Nothing in the page names another resource, and its policy forbids loading one.
+    #[test]
+    fn page_is_self_contained() {
+        let page = render_report(&data());
+        for load in [
+            "http://", "https://", "src=", "href=", "url(", "@import", "import(",
+        ] {
+            assert!(!page.contains(load), "{load}");
+        }
+        assert!(page.contains("default-src 'none'"));
+    }
+
+    /// Non-finite numbers become null, so that the page still parses.
+    #[test]
+    fn non_finite_numbers_become_null() {
+        let mut spoiled = data();
+        if let Some(energy) = &mut spoiled.energy {
+            energy.kinetic[1] = f64::NAN;
+            energy.elastic[1] = f64::INFINITY;
+        }
+        let json = embedded_json(&render_report(&spoiled));
+        assert!(json["energy"]["kinetic"][1].is_null());
+        assert!(json["energy"]["elastic"][1].is_null());
+    }
+
+    /// Frames take positions, the first column of the rotations, and the tip from the rows that are kept; the tip with all digits, the
+    /// rest rounded.
+    #[test]
+    fn frames_are_rows_of_the_record() {
+        let mut record = record(9, 3);
+        for values in [&mut record.x, &mut record.rotation] {
+            (0..values.len()).for_each(|i| values[i] = (i as f64).sin());
+        }
+        let motion = ReportMotion::thinned(&record, 3);
+        assert_eq!(motion.t, [record.t[0], record.t[4], record.t[8]]);
+        let (row, node) = (4, 1);
+        let at = (row * 3 + node) * 9;
+        for (axis, part) in [0, 3, 6].into_iter().enumerate() {
+            let off = f64::from(motion.d1[1][node][axis]) - record.rotation[at + part];
+            assert!(off.abs() < 0.6 * DIRECTOR_DIGIT);
+        }
+        let tip = (row * 3 + 2) * 3;
+        assert_eq!(motion.tip[1], record.x[tip..tip + 3]);
+        for (x, tip) in motion.x[1][2].into_iter().zip(motion.tip[1]) {
+            assert!((f64::from(x) - tip).abs() < 0.6 * POSITION_DIGIT);
+        }
+        // What has no size to round by stays as it is.
+        assert_eq!(rounded(3.0, f64::NAN), 3.0);
+        assert_eq!(rounded(0.0, 0.0), 0.0);
+    }
+
+    /// Three digits, no zeros at the end, powers of ten outside of what reads well.
+    #[test]
+    fn figures_have_the_digits_that_were_asked_for() {
+        for (value, text) in [
+            (0.0, "0"),
+            (0.5, "0.5"),
+            (2.4361, "2.44"),
+            (-12.0, "\u{2212}12"),
+            (333_333.3, "333000"),
+            (1234567.0, "1.23\u{b7}10\u{2076}"),
+            (0.001, "0.001"),
+            (3.284e-11, "3.28\u{b7}10\u{207b}\u{b9}\u{b9}"),
+            (1e-20, "1\u{b7}10\u{207b}\u{b2}\u{2070}"),
+            (f64::NAN, "–"),
+        ] {
+            assert_eq!(figure(value, 3), text);
+        }
+    }
+
+    /// A field takes its codes back to its values within half a step, and what is only noise is none.
+    #[test]
+    fn fields_are_coded_to_three_digits() {
+        let values = vec![vec![0.0, 0.25], vec![-2.0, 1.5]];
+        let field = ReportField::of("twist", "1/m", false, Some(0.0), 1e-9, &values).unwrap();
+        assert_eq!([field.low, field.high], [-2.0, 2.0]);
+        let step = (field.high - field.low) / f64::from(ReportField::CODES);
+        for (codes, row) in field.codes.iter().zip(&values) {
+            for (code, value) in codes.iter().zip(row) {
+                let back = field.low + step * f64::from(*code);
+                assert!((back - value).abs() <= 0.5 * step * (1.0 + 1e-12));
+            }
+        }
+        let noise = vec![vec![1e-12, -1e-13]];
+        assert!(ReportField::of("twist", "1/m", false, Some(0.0), 1e-9, &noise).is_none());
+    }
+
+    /// Blocks become edges and values: one edge more than values.
+    #[test]
+    fn rows_become_blocks() {
+        let row = |t_start, fx| ControlRow {
+            t_start,
+            t_end: t_start + 0.5,
+            fx,
+            fy: 0.0,
+            fz: 0.0,
+            mx: 0.0,
+            my: 0.0,
+            mz: 1.0,
+            node: 4,
+        };
+        let controls = ReportControls::held(&[row(0.0, 1.0), row(0.5, 2.0)]);
+        assert_eq!(controls.t, [0.0, 0.5, 1.0]);
+        assert_eq!(controls.force, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        assert_eq!(controls.moment, [[0.0, 0.0, 1.0]; 2]);
+    }
+}
