@@ -300,7 +300,11 @@ fn growth(page: &mut String) {
         ("steps", &["time.step_s=1.25e-4"], 1),
         ("variables", &["control.blocks=10"], 1),
         ("variables", &["control.blocks=40"], 1),
-        ("internal damping", &["damping.internal_s=0.001"], 1),
+        (
+            "internal damping",
+            &["damping.internal_s=0.001", "time.integrator=\"explicit\""],
+            1,
+        ),
     ];
     for (what, overrides, n_threads) in cases {
         let (setup, ms) = iteration(overrides, n_threads);
@@ -331,6 +335,14 @@ fn samples(page: &mut String) {
             let overrides = [
                 format!("rod.elements={elements}"),
                 format!("estimator.kind={estimator}"),
+                // An observer estimates a wrench at the tip, or nothing.
+                if estimator == "none" {
+                    "estimator.disturbances=[]".into()
+                } else if estimator == "kalman" {
+                    "estimator.disturbances=[\"tip_force\", \"tip_moment\", \"distributed\", \"stiffness\"]".into()
+                } else {
+                    "estimator.disturbances=[\"tip_force\", \"tip_moment\"]".into()
+                },
                 "time.end_s=2.0".into(),
                 "mpc.counted_from_s=1.0".into(),
             ];

@@ -414,6 +414,8 @@ fn a_place_that_is_taken_does_not_lose_a_solve() {
     .concat();
     let lock = desk.path(".run.running/lock");
     let child = desk.start(&solve, || lock.exists());
+    // The lock is there a moment before the place is looked at.
+    std::thread::sleep(std::time::Duration::from_millis(300));
     fs::create_dir(desk.path("run")).unwrap();
     fs::write(desk.path("run/letters"), "mine").unwrap();
     signal(&child, "INT");
