@@ -26,6 +26,9 @@ use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::solve::{causes, simulation_page};
 use crate::stop::StopSignal;
 
+/// Steps between two at which the energy is looked at, besides those with a row; a divisor of [`Stepper::SEAT`], so that a motion that goes on
+/// looks at the same ones.
+const ENERGY_EVERY: usize = 8;
 /// At most this much work is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
 /// Relative difference below which two step lengths are one: roundings of a quotient.
@@ -305,6 +308,8 @@ struct Run<'a> {
     diagnostics: Option<RowFiles>,
     /// The rows of both at the last step from which the run can be resumed.
     resumable: (RowPrefix, Option<RowPrefix>, Extremes),
+    /// The last state that was looked at without a row.
+    seen: State,
     /// The last row.
     row: MotionRecord,
     thinned: ThinnedMotion,
@@ -334,6 +339,7 @@ impl<'a> Run<'a> {
             },
             resumable: (RowPrefix::default(), None, Extremes::EMPTY),
             stepping: Duration::ZERO,
+            seen: setup.initial.clone(),
             thinned: ThinnedMotion::new(row.n_nodes),
             row,
             tally: Tally::default(),
@@ -401,6 +407,7 @@ impl<'a> Run<'a> {
             diagnostics,
             resumable: (RowPrefix::default(), None, Extremes::EMPTY),
             stepping: Duration::ZERO,
+            seen: setup.initial.clone(),
             row,
             thinned,
             tally,
@@ -490,22 +497,30 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Counts a step that has no row among the extremes.
+    /// Counts a step that has no row among the extremes; its energy only at some steps, because it takes several times as long as the step.
     fn count(&mut self) -> Result<(), StepError> {
         let rod = &self.setup.rod;
-        let state = self.integrator.state();
-        let energy = Energy::of(rod, &state).total();
-        if !energy.is_finite() {
-            return Err(StepError::NotFinite {
-                node: rod.tip(),
-                step: self.integrator.step(),
-                time: self.integrator.time(),
-                quantity: "energy",
-            });
+        if self.integrator.step().is_multiple_of(ENERGY_EVERY) {
+            self.integrator.write_state(&mut self.seen);
+            let energy = Energy::of(rod, &self.seen).total();
+            if !energy.is_finite() {
+                return Err(StepError::NotFinite {
+                    node: rod.tip(),
+                    step: self.integrator.step(),
+                    time: self.integrator.time(),
+                    quantity: "energy",
+                });
+            }
+            self.tally.extremes.energy.include(energy);
         }
-        let dilatation = rod.dilatation(&state.configuration.positions);
-        let lengths = rod.elements.iter().map(|element| element.length);
-        (self.tally.extremes).include(energy, dilatation.into_iter().zip(lengths));
+        let mut before = self.integrator.position(0);
+        let elements = rod.elements.iter().enumerate().map(|(q, element)| {
+            let next = self.integrator.position(q + 1);
+            let chord = (next - before).norm();
+            before = next;
+            (chord / element.length, element.length)
+        });
+        self.tally.extremes.include_lengths(elements);
         Ok(())
     }
 

@@ -2,7 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use super::summary::Range;
 
-/// Smallest and largest values of a motion, over every step, whether it has a row or not.
+/// Smallest and largest values of a motion: of dilatation and length over every step, whether it has a row or not, and of the energy over the rows
+/// and every eighth step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Extremes {
     /// Total energy, J.
@@ -24,6 +25,11 @@ impl Extremes {
     /// Counts a step: its energy, and the dilatation of every element with its length at rest.
     pub fn include(&mut self, energy: f64, elements: impl Iterator<Item = (f64, f64)>) {
         self.energy.include(energy);
+        self.include_lengths(elements);
+    }
+
+    /// The same without an energy.
+    pub fn include_lengths(&mut self, elements: impl Iterator<Item = (f64, f64)>) {
         let mut length = 0.0;
         for (dilatation, rest) in elements {
             self.dilatation.include(dilatation);
