@@ -129,8 +129,8 @@ fn simulate(folder: &std::path::Path, arguments: &[&str]) -> (serde_json::Value,
     (serde_json::from_slice(&output.stdout).unwrap(), said)
 }
 
-/// Smallest and largest energy, dilatation and length count every step: with five rows in a thousand steps they are those of a run that
-/// writes every step, to the bit, and a run that is continued has them from before it was interrupted.
+/// Smallest and largest dilatation and length count every step, and energies every eighth, whatever has a row: with five rows in a thousand steps
+/// they are those of a run that writes every step, to the bit, and a run that is continued has them from before it was interrupted.
 #[cfg(feature = "cli")]
 #[test]
 fn extremes_are_over_every_step() {

@@ -26,8 +26,7 @@ use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::solve::{causes, simulation_page};
 use crate::stop::StopSignal;
 
-/// Steps between two at which the energy is looked at, besides those with a row; a divisor of [`Stepper::SEAT`], so that a motion that goes on
-/// looks at the same ones.
+/// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same ones.
 const ENERGY_EVERY: usize = 8;
 /// At most this much work is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
@@ -386,7 +385,8 @@ impl<'a> Run<'a> {
                     array.clone_from(values);
                 }
                 thinned.push(&row);
-                tally.include(&row, &setup.rod);
+                // The checkpoint has the energies that count.
+                tally.include(&row, &setup.rod, false);
             },
         )?;
         tally.extremes.widen(&checkpoint.extremes);
@@ -492,7 +492,8 @@ impl<'a> Run<'a> {
         }
         self.trajectory.push(&row.arrays())?;
         self.thinned.push(&row);
-        self.tally.include(&row, rod);
+        let counts = self.integrator.step().is_multiple_of(ENERGY_EVERY);
+        self.tally.include(&row, rod, counts);
         self.row = row;
         Ok(())
     }
@@ -629,7 +630,8 @@ impl<'a> Run<'a> {
         };
         let q = quaternion(&rotation);
         let steps = self.integrator.step();
-        let extremes = self.tally.extremes;
+        let mut extremes = self.tally.extremes;
+        extremes.energy.include(self.tally.last);
         SimulateSummary {
             schema_version: SCHEMA_VERSION,
             tool: TOOL,
@@ -687,7 +689,8 @@ impl Default for Tally {
 }
 
 impl Tally {
-    fn include(&mut self, row: &MotionRecord, rod: &Rod) {
+    /// A row, and whether its energy is among those that count as extremes: these do not depend on what has a row.
+    fn include(&mut self, row: &MotionRecord, rod: &Rod, counts: bool) {
         let energy = row.energy[0] + row.energy[1] + row.energy[2];
         if self.n_rows == 0 {
             self.initial = energy;
@@ -696,7 +699,10 @@ impl Tally {
         self.last = energy;
         let lengths = rod.elements.iter().map(|element| element.length);
         let elements = row.dilatation.iter().copied().zip(lengths);
-        self.extremes.include(energy, elements);
+        self.extremes.include_lengths(elements);
+        if counts {
+            self.extremes.energy.include(energy);
+        }
     }
 }
 

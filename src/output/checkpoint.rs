@@ -298,7 +298,8 @@ mod tests {
             checksum: 1 << 31,
         };
         let mut extremes = Extremes::EMPTY;
-        extremes.include(0.1 + 0.2, [(0.7, 0.1), (1.0 / 3.0, 0.1)].into_iter());
+        extremes.energy.include(0.1 + 0.2);
+        extremes.include_lengths([(0.7, 0.1), (1.0 / 3.0, 0.1)].into_iter());
         Checkpoint::new(
             12345,
             0.1 + 0.2,

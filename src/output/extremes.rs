@@ -2,8 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use super::summary::Range;
 
-/// Smallest and largest values of a motion: of dilatation and length over every step, whether it has a row or not, and of the energy over the rows
-/// and every eighth step.
+/// Smallest and largest values of a motion: of dilatation and length over every step, whether it has a row or not, and of the energy over
+/// every eighth step and the last.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Extremes {
     /// Total energy, J.
@@ -22,13 +22,7 @@ impl Extremes {
         length: Range::EMPTY,
     };
 
-    /// Counts a step: its energy, and the dilatation of every element with its length at rest.
-    pub fn include(&mut self, energy: f64, elements: impl Iterator<Item = (f64, f64)>) {
-        self.energy.include(energy);
-        self.include_lengths(elements);
-    }
-
-    /// The same without an energy.
+    /// Counts the dilatation of every element of a step, with its length at rest.
     pub fn include_lengths(&mut self, elements: impl Iterator<Item = (f64, f64)>) {
         let mut length = 0.0;
         for (dilatation, rest) in elements {

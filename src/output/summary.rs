@@ -264,7 +264,7 @@ pub struct SimulateSummary {
     pub node_steps_per_s: f64,
     /// Tip at the end; in a failed run, in the last row.
     pub tip: TipPose,
-    /// Energy over the run, at its rows and every eighth step.
+    /// Energy over the run, at every eighth step and the last.
     #[serde(rename = "energy_J")]
     pub energy: EnergySummary,
     /// Dilatation of any element over the run.
