@@ -102,11 +102,9 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
             };
             let lasts = motion.t.last().copied().unwrap_or(0.0);
             let seconds = arguments.seconds.unwrap_or(lasts.clamp(2.0, 10.0));
-            if ![view.azimuth, view.elevation, view.turn]
-                .iter()
-                .all(|angle| angle.is_finite())
-                || !(seconds > 0.0 && seconds.is_finite())
-            {
+            let angles = [view.azimuth, view.elevation, view.turn];
+            let are_finite = angles.into_iter().all(f64::is_finite);
+            if !(are_finite && seconds > 0.0 && seconds.is_finite()) {
                 let words = "--azimuth, --elevation and --turn are finite angles, and --seconds is a time above 0";
                 return Err(CliError::Directory(words.into()));
             }
