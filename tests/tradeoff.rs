@@ -173,7 +173,7 @@ fn an_optimal_control_problem() {
         "--out",
         "run",
         "--budget",
-        "6s",
+        "12s",
         "--tolerance",
         "1e-2",
     ]);
@@ -250,7 +250,7 @@ fn features_have_a_price() {
         "--out",
         "run",
         "--budget",
-        "4s",
+        "20s",
         "--tolerance",
         "1e-2",
     ]);
