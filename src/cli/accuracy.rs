@@ -24,11 +24,7 @@ pub(super) fn of_simulation(
         return Ok((scene, None));
     };
     let clock = Instant::now();
-    let motion = Motion {
-        arm: scene.arm(source)?,
-        start: scene.start(),
-        duration: scene.time.end_s.get(),
-    };
+    let motion = Motion::of_scene(&scene, source)?;
     if !(motion.duration > 0.0) {
         let elements = scene.discretization();
         return Ok((scene.with_grid(&elements), None));

@@ -5,7 +5,7 @@ use toml::{Table, Value};
 use super::model::{EstimatorKind, LoadNode, Scene, TimeStep};
 use super::overrides::Override;
 use super::translate::{integrator, rotary_inertia};
-use super::values::{Number, known};
+use super::values::{Number, digits, known};
 use super::{SceneError, SceneSource};
 use crate::sqp::HessianChoice;
 use crate::task::Discretization;
@@ -15,9 +15,9 @@ use crate::tradeoff::first_elements;
 const DEFAULT: f64 = 1e-3;
 
 /// Least accuracy that a grid can be chosen for: below, rounding of long motions and the number of elements decide.
-pub(super) const FINEST: f64 = 1e-8;
+const FINEST: f64 = 1e-8;
 /// Largest one: above, no shape is resolved.
-pub(super) const COARSEST: f64 = 0.1;
+const COARSEST: f64 = 0.1;
 
 /// A key that a table has.
 struct Given {
@@ -106,6 +106,24 @@ pub(super) fn complete(
         rod.insert("accuracy".into(), value);
     }
     Ok(())
+}
+
+/// Whether an accuracy is in its range.
+///
+/// # Errors
+/// [`SceneError`] with the range.
+pub(super) fn check_range(accuracy: Option<f64>, source: &SceneSource) -> Result<(), SceneError> {
+    match accuracy {
+        Some(accuracy) if !(FINEST..=COARSEST).contains(&accuracy) => {
+            let message = format!("{} is out of range", digits(accuracy));
+            Err(
+                (source.error_at("rod.accuracy", message, None)).expecting(format!(
+                    "expected {FINEST:e} to {COARSEST}, in lengths of the arm"
+                )),
+            )
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The dotted path of a `node` that is an index.

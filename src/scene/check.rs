@@ -1,6 +1,6 @@
 //! Ranges of keys and relations between them that the types of a scene cannot express.
 
-use super::accuracy::{COARSEST, FINEST};
+use super::accuracy::check_range;
 use super::keys::{Checked, Keys};
 use super::model::{
     Base, BaseKind, BaseMotion, Bound, Continuation, Control, Distributed, DistributedLoad,
@@ -69,16 +69,7 @@ impl Scene {
 impl Keys<'_> {
     fn check_rod(&self, rod: &Rod) -> Checked {
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
-        if let Some(accuracy) = rod.accuracy.map(Number::get)
-            && !(FINEST..=COARSEST).contains(&accuracy)
-        {
-            let message = format!("{} is out of range", digits(accuracy));
-            return Err(
-                (self.source.error_at("rod.accuracy", message, None)).expecting(format!(
-                    "expected {FINEST:e} to {COARSEST}, in lengths of the arm"
-                )),
-            );
-        }
+        check_range(rod.accuracy.map(Number::get), self.source)?;
         match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
             (Some(material), Some(section), None, None) => {
                 self.check_material(material)?;

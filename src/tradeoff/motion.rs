@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::course::{Course, TIMES, advance};
 use crate::mechanics::{Rod, State, StepError, TimeGrid};
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::prediction::simulation_seconds;
 use crate::task::{Arm, Discretization, DiscretizeError, Start};
@@ -93,6 +94,18 @@ impl Setup {
 }
 
 impl Motion {
+    /// The motion of a scene.
+    ///
+    /// # Errors
+    /// As [`Scene::arm`].
+    pub fn of_scene(scene: &Scene, source: &SceneSource) -> Result<Self, SceneError> {
+        Ok(Self {
+            arm: scene.arm(source)?,
+            start: scene.start(),
+            duration: scene.time.end_s.get(),
+        })
+    }
+
     /// The step of `discretization`, or the automatic one; no longer than `longest`, s, and dividing the times of the comparison.
     pub(super) fn setup(
         &self,

@@ -25,7 +25,7 @@ impl Work<'_, '_> {
         let began = Instant::now();
         let first = self.looped(&usual, None, 1)?;
         self.duration(began.elapsed().as_secs_f64());
-        let duration = self.loop_duration();
+        let duration = self.run_s;
         let known = self.sweep.known.iter().any(|known| known.setting == usual);
         // Where the run is not shorter than the scene's own, its point is there already.
         let is_whole = duration >= self.sweep.scene_duration();
@@ -37,7 +37,7 @@ impl Work<'_, '_> {
 
         let singles = self.loop_settings();
         for setting in &singles {
-            if self.is_over() || self.sweep.stop.is_raised() {
+            if self.is_over() {
                 self.cut = true;
                 break;
             }
@@ -87,10 +87,6 @@ impl Work<'_, '_> {
             self.finding(words);
         }
         self.run_s = duration;
-    }
-
-    fn loop_duration(&self) -> f64 {
-        self.run_s
     }
 
     /// A run, with `finer` times the elements of the arm as it is.

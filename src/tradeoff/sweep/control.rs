@@ -23,8 +23,6 @@ const WORSE: f64 = 0.01;
 const ENOUGH: f64 = 2.0;
 /// Most times at which motions are compared.
 const MOST_TIMES: usize = 96;
-/// Settings that are checked before none is recommended.
-const CHECKS: usize = 3;
 /// Elements that no solve of a sweep goes beyond.
 const MOST_ELEMENTS: usize = 160;
 
@@ -32,7 +30,6 @@ const MOST_ELEMENTS: usize = 160;
 struct Solved {
     setup: OptimalControl,
     attempt: Attempt,
-    seconds: f64,
 }
 
 impl Work<'_, '_> {
@@ -141,12 +138,7 @@ impl Work<'_, '_> {
 
     /// Whether a setting differs from the scene's in its elements alone.
     fn is_usual(&self, setting: &Setting) -> bool {
-        let elements = setting.elements;
-        *setting
-            == Setting {
-                elements,
-                ..self.usual.clone()
-            }
+        setting.is_but_for_elements(&self.usual)
     }
 
     fn setup(&self, setting: &Setting) -> Result<OptimalControl, SweepError> {
@@ -190,13 +182,8 @@ impl Work<'_, '_> {
             return Ok((point, Errors::default()));
         }
         point.wall_s = least_time(seconds, || self.solve(&setup).map(|(_, seconds)| seconds));
-        let solved = Solved {
-            setup,
-            attempt,
-            seconds,
-        };
+        let solved = Solved { setup, attempt };
         point.objective = Some(solved.attempt.outcome.objective);
-        debug_assert!(solved.seconds >= point.wall_s);
         match solved.errors(self) {
             Ok((errors, rest)) => {
                 point.status = Fate::Done;
@@ -246,30 +233,16 @@ impl Work<'_, '_> {
         let best = reference?.objective?;
         let limit = best + WORSE * best.abs();
         let tolerance = self.sweep.tolerance;
-        let mut good: Vec<Point> = (self.points.iter())
+        let good = (self.points.iter())
             .filter(|point| point.meets(tolerance))
             .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
             .cloned()
             .collect();
-        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-        let mut last = None;
-        for point in good.into_iter().take(CHECKS) {
-            // Solved once more: what is recommended is what somebody else will get.
-            let checked_error = match self.solved(&point.setting) {
-                Ok((again, _)) => again.error.unwrap_or(f64::NAN),
-                Err(_) => f64::NAN,
-            };
-            let checked = checked_error <= tolerance;
-            last = Some(Recommendation {
-                point,
-                checked_error,
-                checked,
-            });
-            if checked {
-                break;
-            }
-        }
-        last
+        // Solved once more: what is recommended is what somebody else will get.
+        self.first_that_holds(good, |work, point| {
+            let (again, _) = work.solved(&point.setting)?;
+            Ok(again.error.unwrap_or(f64::NAN))
+        })
     }
 
     fn control_findings(

@@ -87,11 +87,7 @@ impl Work<'_, '_> {
     /// Nanoseconds of a node's step; `None` where the motion breaks down.
     fn step_ns(&self, scene: &Scene) -> Option<f64> {
         let stop = self.sweep.stop;
-        let mut motion = Motion {
-            arm: scene.arm(self.sweep.source).ok()?,
-            start: scene.start(),
-            duration: scene.time.end_s.get(),
-        };
+        let mut motion = Motion::of_scene(scene, self.sweep.source).ok()?;
         let open = scene.discretization();
         let found = motion.arm.discretize(motion.duration, &open).ok()?;
         motion.duration = motion.duration.min(STEPS * found.grid.step);

@@ -440,6 +440,8 @@ impl Sweep<'_> {
     }
 }
 
+/// Settings that are checked before none is recommended.
+const CHECKS: usize = 3;
 /// Seconds within which a run is made again twice, and once.
 const TWICE_S: f64 = 0.5;
 const ONCE_S: f64 = 2.0;
@@ -482,6 +484,34 @@ impl Work<'_, '_> {
         setting.applied(self.sweep.scene, None)
     }
 
+    /// The fastest of some points whose error also holds when it is found by `check`; the last one that was checked where none does.
+    fn first_that_holds(
+        &mut self,
+        mut good: Vec<Point>,
+        mut check: impl FnMut(&mut Self, &Point) -> Result<f64, SweepError>,
+    ) -> Option<Recommendation> {
+        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        let mut last = None;
+        for point in good.into_iter().take(CHECKS) {
+            let checked_error = check(self, &point).unwrap_or_else(|error| {
+                self.finding(format!(
+                    "the recommended setting could not be checked: {error}"
+                ));
+                f64::NAN
+            });
+            let checked = checked_error <= self.sweep.tolerance;
+            last = Some(Recommendation {
+                point,
+                checked_error,
+                checked,
+            });
+            if checked {
+                break;
+            }
+        }
+        last
+    }
+
     fn finish(
         mut self,
         reference: Option<Reference>,
@@ -505,6 +535,16 @@ impl Work<'_, '_> {
 }
 
 impl Setting {
+    /// Whether it differs from another in its elements alone, if at all.
+    fn is_but_for_elements(&self, other: &Self) -> bool {
+        let elements = self.elements;
+        *self
+            == Self {
+                elements,
+                ..other.clone()
+            }
+    }
+
     /// A scene with this setting, and with a step of its own in s where one is given.
     #[must_use]
     pub fn applied(&self, scene: &Scene, step: Option<f64>) -> Scene {

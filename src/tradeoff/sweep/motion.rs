@@ -21,17 +21,6 @@ const COARSEST: usize = 8;
 const MOST_GRIDS: usize = 8;
 /// A family of settings ends where it is this much more accurate than the tolerance.
 const ENOUGH: f64 = 10.0;
-/// Settings that are checked before none is recommended.
-const CHECKS: usize = 3;
-
-/// The motion of a scene.
-fn motion_of(scene: &Scene, work: &Work) -> Result<Motion, SweepError> {
-    Ok(Motion {
-        arm: scene.arm(work.sweep.source)?,
-        start: scene.start(),
-        duration: scene.time.end_s.get(),
-    })
-}
 
 /// A reference on its way.
 struct Finest {
@@ -81,7 +70,7 @@ struct Family {
 
 impl Work<'_, '_> {
     pub(super) fn motion(mut self) -> Result<Tradeoff, SweepError> {
-        let motion = motion_of(&self.scene(&self.usual), &self)?;
+        let motion = Motion::of_scene(&self.scene(&self.usual), self.sweep.source)?;
         let finest = self.finest(&motion)?;
         let reference = self.reference(&finest);
         self.say(format!(
@@ -135,7 +124,7 @@ impl Work<'_, '_> {
             let setup = (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
             let spent = self.began.elapsed().as_secs_f64();
             let known = (self.sweep.known_reference).is_some_and(|known| open.elements <= known);
-            if grid >= 3 && !known && spent + setup.predicted() > limit {
+            if grid >= 3 && !finest.runs.is_empty() && !known && spent + setup.predicted() > limit {
                 break;
             }
             match setup.run(self.sweep.stop) {
@@ -301,14 +290,16 @@ impl Work<'_, '_> {
     fn simulated(&mut self, setting: &Setting, truth: &Course) -> Point {
         let point = Point::new(setting);
         let scene = self.scene(setting);
-        let found = motion_of(&scene, self).and_then(|motion| {
-            let open = self.open(&motion, &scene, setting)?;
-            let setup =
-                (motion.setup(&open, f64::INFINITY, self.sweep.stop)).map_err(RunError::from)?;
-            let run = setup.run(self.sweep.stop).map_err(RunError::from)?;
-            let seconds = least_time(run.seconds, || setup.time(self.sweep.stop));
-            Ok((run, seconds, motion.arm.length))
-        });
+        let found = Motion::of_scene(&scene, self.sweep.source)
+            .map_err(SweepError::from)
+            .and_then(|motion| {
+                let open = self.open(&motion, &scene, setting)?;
+                let setup = (motion.setup(&open, f64::INFINITY, self.sweep.stop))
+                    .map_err(RunError::from)?;
+                let run = setup.run(self.sweep.stop).map_err(RunError::from)?;
+                let seconds = least_time(run.seconds, || setup.time(self.sweep.stop));
+                Ok((run, seconds, motion.arm.length))
+            });
         match found {
             Ok((run, seconds, length)) => {
                 let errors = run.course.errors(truth, length);
@@ -362,14 +353,8 @@ impl Work<'_, '_> {
                 strain,
                 ..self.usual.clone()
             };
-            let own = (self.points.iter()).filter(|point| {
-                let elements = point.setting.elements;
-                point.setting
-                    == Setting {
-                        elements,
-                        ..usual.clone()
-                    }
-            });
+            let own =
+                (self.points.iter()).filter(|point| point.setting.is_but_for_elements(&usual));
             (models.error).extend(fit::error(strain.name(), own, reference.error));
         }
         models
@@ -378,39 +363,17 @@ impl Work<'_, '_> {
     /// The fastest setting that meets the tolerance, also against a run that is finer by four.
     fn recommend_motion(&mut self, reference: &Reference) -> Option<Recommendation> {
         let allowed = self.sweep.tolerance - reference.error;
-        let mut good: Vec<Point> = (self.points.iter())
+        let good = (self.points.iter())
             .filter(|point| point.meets(allowed))
             .cloned()
             .collect();
-        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-        let mut last = None;
-        for point in good.into_iter().take(CHECKS) {
-            let checked_error = match self.against_finer(&point) {
-                Ok(error) => error,
-                Err(error) => {
-                    self.finding(format!(
-                        "the recommended setting could not be checked: {error}"
-                    ));
-                    f64::NAN
-                }
-            };
-            let checked = checked_error <= self.sweep.tolerance;
-            last = Some(Recommendation {
-                point,
-                checked_error,
-                checked,
-            });
-            if checked {
-                break;
-            }
-        }
-        last
+        self.first_that_holds(good, |work, point| work.against_finer(point))
     }
 
     /// The error of a setting against four times its elements and a quarter of its step.
     fn against_finer(&self, point: &Point) -> Result<f64, SweepError> {
         let scene = self.scene(&point.setting);
-        let own = motion_of(&scene, self)?;
+        let own = Motion::of_scene(&scene, self.sweep.source)?;
         let stop = self.sweep.stop;
         let open = self.open(&own, &scene, &point.setting)?;
         let coarse = own.run(&open, stop)?;
@@ -422,7 +385,7 @@ impl Work<'_, '_> {
             ..point.setting.clone()
         };
         let scene = self.scene(&truth);
-        let motion = motion_of(&scene, self)?;
+        let motion = Motion::of_scene(&scene, self.sweep.source)?;
         let setup = motion.setup(&scene.discretization(), 0.25 * coarse.step(), stop);
         let fine = (setup.map_err(RunError::from)?.run(stop)).map_err(RunError::from)?;
         Ok(coarse.course.errors(&fine.course, motion.arm.length).shape)
@@ -477,15 +440,7 @@ impl Work<'_, '_> {
                 ..self.usual.clone()
             };
             (self.points.iter())
-                .filter(|point| {
-                    let elements = point.setting.elements;
-                    point.setting
-                        == Setting {
-                            elements,
-                            ..usual.clone()
-                        }
-                        && point.meets(tolerance)
-                })
+                .filter(|point| point.setting.is_but_for_elements(&usual) && point.meets(tolerance))
                 .map(|point| point.setting.elements)
                 .min()
         };
