@@ -110,6 +110,8 @@ const STATE_FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns {
     tip_moment: false,
     distributed: false,
     stiffness: false,
+    payload: false,
+    viscous: false,
 });
 const OBSERVER: EstimatorChoice = EstimatorChoice::Observer {
     estimates_wrench: false,
@@ -207,7 +209,7 @@ fn circle(seconds: f64) -> Result<(), MpcError> {
         "Distance of the tip from its reference after the first turn, in % of the length, over {seconds} s: root mean square / largest. Open \
          loop, the law at the tip and \"state\" know the true state at once; \"no disturbance\" and \"filter\" have poses at three places with \
          0.2 mm and 0.2 degrees of noise and no velocities, 200 Hz, 5 ms old, and one period of delay, by a Kalman filter on the state alone, \
-         and with tip wrench, distributed force and stiffness as unknowns.\n"
+         and with tip wrench, distributed force, stiffness, payload and viscous damping as unknowns.\n"
     );
     println!(
         "| arm | open loop | law at the tip | state | no disturbance | filter | filter: last turn over second |"

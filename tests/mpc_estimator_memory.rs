@@ -61,6 +61,8 @@ fn estimates_allocate_nothing() {
         tip_moment: walk(0.1),
         distributed: walk(0.3),
         stiffness: walk(0.2),
+        payload: walk(0.1),
+        viscous: walk(0.5),
         ..KalmanSettings::of(&model)
     };
     let mut filter = KalmanFilter::new(&model, 0.0, &start, &settings).unwrap();

@@ -17,7 +17,8 @@ use softarm::mechanics::sensitivity::{RepeatedForward, transition};
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::strain_coordinates::{retract_shape, shape_difference};
 use softarm::mechanics::{
-    Configuration, Load, LoadFrame, NodeWrenches, Rod, State, Stepper, TimeGrid, Trajectory, Wrench,
+    Configuration, Load, LoadFrame, NodeInertia, NodeWrenches, Rod, State, Stepper, TimeGrid,
+    Trajectory, Wrench,
 };
 use softarm::mpc::{
     Disturbance, Estimator as _, KalmanFilter, KalmanSettings, Measurement, Predictor, Sensor,
@@ -133,7 +134,7 @@ fn slow_part(model: &Rod, shape: &Configuration, change: &[f64]) -> Vec<f64> {
 }
 
 /// What the filter carries its error with is the derivative of the motion that carries its estimate, along the state and along every
-/// disturbance, along the stiffness the slow part of it, and its covariance is `F P Fᵀ + Q`; over more steps than it linearizes at once as well.
+/// disturbance, along the parameters of the model the slow part of it, and its covariance is `F P Fᵀ + Q`; over more steps than it linearizes at once as well.
 #[test]
 fn predictions_are_the_linearized_motion() {
     for arm in [upright(), hanging()] {
@@ -183,7 +184,7 @@ fn predictions_are_the_linearized_motion() {
             let mut slope: Vec<f64> = (tangent.components_from(first))
                 .map(|value| value / (2.0 * step))
                 .collect();
-            if column == n - 1 {
+            if column >= n_state + 9 {
                 let end = filter.estimate().state.configuration.clone();
                 slope = slow_part(&model, &end, &slope);
             }
@@ -192,7 +193,7 @@ fn predictions_are_the_linearized_motion() {
                 (0..n_state).fold(1.0, |most: f64, row| most.max(scaled(row, own[row]).abs()));
             for (row, slope) in slope.iter().enumerate() {
                 let error = scaled(row, own[row] - slope);
-                // The differences, and those of the filter along the stiffness, are good to their square and to rounding over them.
+                // The differences, and those of the filter along the parameters, are good to their square and to rounding over them.
                 assert!(
                     error.abs() < 1e-6 * largest,
                     "{row} {column}: {error} of {largest}"
@@ -210,21 +211,25 @@ fn predictions_are_the_linearized_motion() {
             });
             compare(column, ends, step, size[column]);
         }
-        for i in 0..10 {
-            let unit = [
-                model.scales.force,
-                model.scales.moment,
-                model.scales.force / model.scales.length,
-                1.0,
-            ][i / 3];
+        for i in 0..12 {
+            let unit = match i {
+                0..3 => model.scales.force,
+                3..6 => model.scales.moment,
+                6..9 => model.scales.force / model.scales.length,
+                9 => 1.0,
+                10 => model.nodes[model.tip()].mass,
+                _ => 1.0 / model.scales.time,
+            };
             let step = STEP * unit;
             let ends = [-step, step].map(|step| {
                 let mut disturbance = Disturbance::NONE;
-                match i / 3 {
-                    0 => disturbance.tip.force[i] += step,
-                    1 => disturbance.tip.moment[i - 3] += step,
-                    2 => disturbance.distributed[i - 6] += step,
-                    _ => disturbance.stiffness += step,
+                match i {
+                    0..3 => disturbance.tip.force[i] += step,
+                    3..6 => disturbance.tip.moment[i - 3] += step,
+                    6..9 => disturbance.distributed[i - 6] += step,
+                    9 => disturbance.stiffness += step,
+                    10 => disturbance.payload += step,
+                    _ => disturbance.viscous += step,
                 }
                 end(state.clone(), &disturbance)
             });
@@ -277,6 +282,8 @@ fn noise(model: &Rod, settings: &KalmanSettings, n: usize) -> DVector<f64> {
         (settings.tip_moment, 3),
         (settings.distributed, 3),
         (settings.stiffness, 1),
+        (settings.payload, 1),
+        (settings.viscous, 1),
     ];
     let disturbances = (walks.into_iter())
         .filter_map(|(walk, size)| walk.map(|walk| (walk.change.powi(2), size)))
@@ -328,8 +335,16 @@ fn split(
             at += 3;
         }
     }
-    if settings.stiffness.is_some() {
-        change.stiffness = error[at];
+    let parameters = [
+        (settings.stiffness, &mut change.stiffness),
+        (settings.payload, &mut change.payload),
+        (settings.viscous, &mut change.viscous),
+    ];
+    for (walk, value) in parameters {
+        if walk.is_some() {
+            *value = error[at];
+            at += 1;
+        }
     }
     (tangent, change)
 }
@@ -350,7 +365,7 @@ fn along_strains(from: &State, tangent: &StateTangent) -> State {
 /// The rod as the truth has it: as stiff, and with what the distributed force does to the clamp.
 fn disturbed(model: &Rod, truth: &Truth) -> Rod {
     let mut rod = model.clone();
-    truth.disturbance.stiffen(model, &mut rod);
+    truth.disturbance.change_model(model, &mut rod);
     rod.loads.push(Load {
         node: 0,
         force: truth.disturbance.distributed * (0.5 * model.elements[0].length),
@@ -369,6 +384,8 @@ fn added(a: &Disturbance, b: &Disturbance) -> Disturbance {
         },
         distributed: a.distributed + b.distributed,
         stiffness: a.stiffness + b.stiffness,
+        payload: a.payload + b.payload,
+        viscous: a.viscous + b.viscous,
     }
 }
 
@@ -402,9 +419,12 @@ fn error_of(
             all.extend(value.iter());
         }
     }
-    if settings.stiffness.is_some() {
-        all.push(true_one.stiffness - found.stiffness);
-    }
+    let parameters = [
+        (settings.stiffness, true_one.stiffness - found.stiffness),
+        (settings.payload, true_one.payload - found.payload),
+        (settings.viscous, true_one.viscous - found.viscous),
+    ];
+    all.extend((parameters.into_iter()).filter_map(|(walk, value)| walk.map(|_| value)));
     DVector::from_vec(all)
 }
 
@@ -497,11 +517,16 @@ fn monte_carlo(
 }
 
 /// Where the model is right, the errors of state and disturbances and the innovations are as large as the filter says: their normalized squares
-/// are chi-square distributed, over seeded runs, by every sensor; with the stiffness by those that see slow motions, as the filter learns it from
-/// these. Told a wrong noise of the sensor, or of the forces, the same runs show it.
+/// are chi-square distributed, over seeded runs, by every sensor; with the parameters of the model by those that see slow motions, as the filter
+/// learns them from these. Told a wrong noise of the sensor, or of the forces, the same runs show it.
 #[test]
 fn errors_are_as_large_as_the_filter_says() {
-    for (name, arm) in [("upright", upright()), ("hanging", hanging())] {
+    for (name, mut arm) in [("upright", upright()), ("hanging", hanging())] {
+        // Less of it than the model has is a payload too.
+        arm.payload = Some(NodeInertia {
+            mass: 0.1 * rod(&arm, 4).mass(),
+            rotary: Vector3::zeros(),
+        });
         let model = rod(&arm, 4);
         let (length, force, moment) =
             (model.scales.length, model.scales.force, model.scales.moment);
@@ -516,6 +541,8 @@ fn errors_are_as_large_as_the_filter_says() {
         };
         let all = KalmanSettings {
             stiffness: walk(0.005, 0.001),
+            payload: walk(0.005 * model.mass(), 0.001 * model.mass()),
+            viscous: walk(0.05 / model.scales.time, 0.01 / model.scales.time),
             ..forces
         };
         let cases = [
@@ -673,5 +700,42 @@ fn coarse_models_find_the_stiffness() {
         let filter = follow(&plant, &model, disturbance, &settings, &sensor, 6.0);
         let found = filter.estimate().disturbance.stiffness;
         assert!((found - 0.8).abs() < 0.03, "{preset:?}: {found}");
+    }
+}
+
+/// A payload of a fifth of the arm's mass, or damping three times the model's, that a filter knows nothing of: it finds them, within what it says
+/// and to a twentieth of the mass and a fifth of the damping, hanging under gravity as upright without any.
+#[test]
+fn payloads_and_damping_are_found() {
+    for (name, arm) in [("upright", upright()), ("hanging", hanging())] {
+        let model = rod(&arm, 8);
+        let settings = KalmanSettings {
+            payload: walk(0.2 * model.mass(), 0.01 * model.mass()),
+            viscous: walk(1.0 / model.scales.time, 0.02 / model.scales.time),
+            ..KalmanSettings::of(&model)
+        };
+        let sensor = SensorPreset::Mocap.settings(&model);
+        for (payload, viscous) in [(0.2 * model.mass(), 0.0), (0.0, 2.0)] {
+            let disturbance = Disturbance {
+                payload,
+                viscous,
+                ..Disturbance::NONE
+            };
+            let duration = 8.0 * model.scales.time;
+            let filter = follow(&model, &model, disturbance, &settings, &sensor, duration);
+            let (found, sigma) = (filter.estimate().disturbance, filter.estimate().deviation);
+            let off = [found.payload - payload, found.viscous - viscous];
+            let most = [0.05 * model.mass(), 0.6];
+            for ((off, sigma), most) in off
+                .into_iter()
+                .zip([sigma.payload, sigma.viscous])
+                .zip(most)
+            {
+                assert!(
+                    off.abs() < (4.0 * sigma).min(most),
+                    "{name}, {payload} kg, {viscous}/s: {off}, {sigma}"
+                );
+            }
+        }
     }
 }

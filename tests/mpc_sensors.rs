@@ -119,7 +119,8 @@ fn derivatives_of_readings_are_derivatives() {
                     .collect();
                 compare(component, slopes, unit_size);
             }
-            // The tip's wrench says nothing at once; what the distributed force and the stiffness do, a rod says that has them.
+            // The tip's wrench says nothing at once; what the distributed force and the parameters of the model do, a rod says
+            // that has them.
             let read = |rod: &Rod| everything(rod, &state);
             let disturbed = |component: usize, rods: [Rod; 2], step: f64| {
                 let [minus, plus] = rods.map(|rod| read(&rod));
@@ -153,16 +154,29 @@ fn derivatives_of_readings_are_derivatives() {
                 });
                 disturbed(n_state + 6 + axis, loaded, 1.0);
             }
-            let stiffened = [-STEP, STEP].map(|change| {
-                let mut rod = model.clone();
-                Disturbance {
+            let parameters: [fn(f64) -> Disturbance; 3] = [
+                |change| Disturbance {
                     stiffness: 1.0 + change,
                     ..Disturbance::NONE
-                }
-                .stiffen(&model, &mut rod);
-                rod
-            });
-            disturbed(n - 1, stiffened, STEP);
+                },
+                |change| Disturbance {
+                    payload: change,
+                    ..Disturbance::NONE
+                },
+                |change| Disturbance {
+                    viscous: change,
+                    ..Disturbance::NONE
+                },
+            ];
+            let units = [1.0, model.nodes[model.tip()].mass, 1.0];
+            for (i, (of, unit)) in parameters.into_iter().zip(units).enumerate() {
+                let changed = [-STEP, STEP].map(|change| {
+                    let mut rod = model.clone();
+                    of(change * unit).change_model(&model, &mut rod);
+                    rod
+                });
+                disturbed(n - 3 + i, changed, STEP * unit);
+            }
         }
     }
 }

@@ -96,8 +96,8 @@ pub struct Controller {
     command: Command,
     state: State,
     prediction: Option<StepperMemory>,
-    /// Factor on the stiffness that its constants are for.
-    tuned: f64,
+    /// What is wrong with the model that its constants are for.
+    tuned: [f64; 3],
     steps_per_period: usize,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
@@ -174,7 +174,7 @@ impl Controller {
                 nodes,
             },
             prediction: Some(StepperMemory::new(&horizon.problem.rod, step)),
-            tuned: 1.0,
+            tuned: Disturbance::NONE.parameters(),
             state,
             steps_per_period,
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
@@ -231,11 +231,12 @@ impl Controller {
     }
 
     /// What the model expects to disturb the arm from the next [preparation](Self::prepare) on: its wrenches are part of every predicted motion,
-    /// and its factor on the stiffness makes the model another one. Effort is then counted from the control that cancels the wrench at the
-    /// tip, as far as it is actuated, so that no offset remains for its sake.
+    /// and its stiffness, payload and damping make the model another one. Effort is then counted from the control that cancels the wrench
+    /// at the tip and the weight of the payload, as far as it is actuated, so that no offset remains for its sake.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a number that is not finite, or a factor on the stiffness that is not positive; the model is then as it was.
+    /// [`MpcError::Setting`] for a number that is not finite, a factor on the stiffness or a mass of the tip that is not positive, and a
+    /// damping that is negative; the model is then as it was.
     pub fn disturb(&mut self, disturbance: &Disturbance) -> Result<(), MpcError> {
         let stiffness = disturbance.stiffness;
         if !(stiffness.is_finite() && stiffness > 0.0) {
@@ -245,6 +246,25 @@ impl Controller {
                 expected: "a positive number",
             });
         }
+        let model = self.horizon.model();
+        let lightest = -model.nodes[model.tip()].mass;
+        let payload = disturbance.payload;
+        if !(payload.is_finite() && payload > lightest) {
+            return Err(MpcError::Setting {
+                name: "disturbance.payload",
+                value: payload,
+                expected: "a finite mass that leaves the tip with some",
+            });
+        }
+        let viscous = disturbance.viscous;
+        if !(viscous.is_finite() && viscous >= -model.viscous_damping) {
+            return Err(MpcError::Setting {
+                name: "disturbance.viscous",
+                value: viscous,
+                expected: "a finite number that leaves no negative damping",
+            });
+        }
+        let weight = model.gravity * payload;
         let tip = &disturbance.tip;
         let numbers = (tip.force.iter().chain(&tip.moment)).chain(&disturbance.distributed);
         if let Some(value) = numbers.copied().find(|value| !value.is_finite()) {
@@ -263,7 +283,7 @@ impl Controller {
             let is_at_tip =
                 (wrenches.get(component.actuator)).is_some_and(|own| own.node == rod_tip);
             let value = match component.axis.checked_sub(3) {
-                None => tip.force[component.axis],
+                None => tip.force[component.axis] + weight[component.axis],
                 Some(axis) => tip.moment[axis],
             };
             *free = if is_at_tip { -value / scale } else { 0.0 };
@@ -642,9 +662,9 @@ impl Controller {
         let step = self.horizon.grid.step;
         let memory = self.prediction.take();
         let mut memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
-        if self.tuned != self.horizon.stiffness() {
+        if self.tuned != self.horizon.parameters() {
             memory.retune(rod, step);
-            self.tuned = self.horizon.stiffness();
+            self.tuned = self.horizon.parameters();
         }
         let mut stepper = memory.begin(rod, self.command.start, &self.state);
         let n_steps = ((self.command.end - self.command.start) / step).round() as usize;

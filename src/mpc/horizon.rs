@@ -112,11 +112,11 @@ pub(super) struct Horizon {
     pub nodes: Vec<usize>,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
-    /// The model without a factor on its stiffness.
+    /// The model without anything wrong with it.
     model: Rod,
-    stiffness: f64,
-    /// Factor on the stiffness that the constants in `memory` are for.
-    tuned: f64,
+    /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
+    parameters: [f64; 3],
+    tuned: [f64; 3],
     /// What disturbs every node, constant in time.
     disturbing: Vec<Wrench>,
     trajectory: Trajectory,
@@ -234,8 +234,8 @@ impl Horizon {
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             nodes: (0..n_nodes).collect(),
             model: problem.rod.clone(),
-            stiffness: 1.0,
-            tuned: 1.0,
+            parameters: Disturbance::NONE.parameters(),
+            tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
             trajectory,
             end: start.clone(),
@@ -321,15 +321,28 @@ impl Horizon {
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
-        if disturbance.stiffness != self.stiffness {
-            disturbance.stiffen(&self.model, &mut self.problem.rod);
-            self.stiffness = disturbance.stiffness;
+        let parameters = disturbance.parameters();
+        if parameters == self.parameters {
+            return;
+        }
+        disturbance.change_model(&self.model, &mut self.problem.rod);
+        self.parameters = parameters;
+        for (row, form) in self.rows.iter().zip(&mut self.forms) {
+            if let Quantity::Velocity { goal, .. } = row.quantity {
+                let node = self.problem.goals[goal].node;
+                form.terms[0].coefficient = row.factor / self.problem.rod.nodes[node].mass;
+            }
         }
     }
 
-    /// Factor on the stiffness of the model.
-    pub fn stiffness(&self) -> f64 {
-        self.stiffness
+    /// The model without anything wrong with it.
+    pub fn model(&self) -> &Rod {
+        &self.model
+    }
+
+    /// What is wrong with the model: equal numbers make equal models.
+    pub fn parameters(&self) -> [f64; 3] {
+        self.parameters
     }
 
     /// What disturbs every node.
@@ -378,9 +391,9 @@ impl Horizon {
         trajectory.push(&self.start.configuration);
         let memory = self.memory.take();
         let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
-        if self.tuned != self.stiffness {
+        if self.tuned != self.parameters {
             memory.retune(&problem.rod, grid.step);
-            self.tuned = self.stiffness;
+            self.tuned = self.parameters;
         }
         let mut stepper = memory.begin(&problem.rod, grid.start, &self.start);
         fill(0, now);

@@ -88,7 +88,7 @@ pub struct BaselineSummary {
 }
 
 /// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
-const COLUMNS: [&str; 51] = [
+const COLUMNS: [&str; 55] = [
     "t",
     "acts_from",
     "age",
@@ -124,6 +124,8 @@ const COLUMNS: [&str; 51] = [
     "estimated_distributed_y",
     "estimated_distributed_z",
     "estimated_stiffness",
+    "estimated_payload",
+    "estimated_viscous",
     "deviation_tip_fx",
     "deviation_tip_fy",
     "deviation_tip_fz",
@@ -134,6 +136,8 @@ const COLUMNS: [&str; 51] = [
     "deviation_distributed_y",
     "deviation_distributed_z",
     "deviation_stiffness",
+    "deviation_payload",
+    "deviation_viscous",
     "estimate_ms",
     "predict_ms",
     "feedback_ms",
@@ -180,10 +184,11 @@ pub struct SampleRow {
     pub force: [f64; 3],
     /// First moment of the command, body frame, N m.
     pub moment: [f64; 3],
-    /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness.
-    pub disturbance: [f64; 10],
+    /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
+    /// damping (1/s).
+    pub disturbance: [f64; 12],
     /// Its standard deviations.
-    pub deviation: [f64; 10],
+    pub deviation: [f64; 12],
     /// Times of estimation, prediction, feedback, preparation and of the whole sample, ms.
     pub times_ms: [f64; 5],
 }
@@ -193,10 +198,11 @@ impl SampleRow {
     #[must_use]
     pub fn of(sample: &Sample) -> Self {
         let numbers = |d: &Disturbance| {
-            let mut out = [d.stiffness; 10];
+            let mut out = [0.0; 12];
             out[..3].copy_from_slice(d.tip.force.as_slice());
             out[3..6].copy_from_slice(d.tip.moment.as_slice());
             out[6..9].copy_from_slice(d.distributed.as_slice());
+            out[9..].copy_from_slice(&[d.stiffness, d.payload, d.viscous]);
             out
         };
         Self {
@@ -294,8 +300,8 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
             },
             force: three(force)?,
             moment: three(force + 3)?,
-            disturbance: [0.0; 10],
-            deviation: [0.0; 10],
+            disturbance: [0.0; 12],
+            deviation: [0.0; 12],
             times_ms: [0.0; 5],
         };
         for (i, value) in row.disturbance.iter_mut().enumerate() {
@@ -372,7 +378,11 @@ impl Row {
         self.numbers(disturbance.tip.force.as_slice());
         self.numbers(disturbance.tip.moment.as_slice());
         self.numbers(disturbance.distributed.as_slice());
-        self.numbers(&[disturbance.stiffness]);
+        self.numbers(&[
+            disturbance.stiffness,
+            disturbance.payload,
+            disturbance.viscous,
+        ]);
     }
 }
 

@@ -144,7 +144,7 @@ impl Keys<'_> {
                 EstimatorKind::None => "without an estimator nothing is estimated",
                 _ => "an observer estimates both \"tip_force\" and \"tip_moment\", or nothing",
             };
-            let help = "give estimator.kind = \"kalman\" for a choice of all four".to_string();
+            let help = "give estimator.kind = \"kalman\" for a choice of all of them".to_string();
             let key = "estimator.disturbances";
             return Err(self.source.error_at(key, message, Some(help)));
         }

@@ -386,6 +386,8 @@ impl Scene {
                 tip_moment: has(Unknown::TipMoment),
                 distributed: has(Unknown::Distributed),
                 stiffness: has(Unknown::Stiffness),
+                payload: has(Unknown::Payload),
+                viscous: has(Unknown::Viscous),
             }),
         };
         Sensing::Estimated {

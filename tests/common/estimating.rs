@@ -158,6 +158,8 @@ pub fn all_disturbances(model: &Rod) -> KalmanSettings {
         tip_moment: walk(0.02 * model.scales.moment, 0.0),
         distributed: walk(0.1 * force / model.scales.length, 0.0),
         stiffness: walk(0.1, 0.01),
+        payload: walk(0.1 * model.mass(), 0.01 * model.mass()),
+        viscous: walk(0.5 / model.scales.time, 0.05 / model.scales.time),
         ..KalmanSettings::of(model)
     }
 }

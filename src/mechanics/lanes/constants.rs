@@ -38,7 +38,12 @@ impl Constants {
                 &mut node_block,
                 &mut element_block,
             );
-            kinds.push([nodes.of(node_block), elements.of(element_block)]);
+            // The mass of the tip may change alone.
+            let has_tip = block == slots.place(rod.tip()).block;
+            kinds.push([
+                nodes.of(node_block, has_tip),
+                elements.of(element_block, false),
+            ]);
         }
         Self {
             nodes: nodes.into_buffer(),
@@ -47,8 +52,8 @@ impl Constants {
         }
     }
 
-    /// Those of another step length, and of a rod whose elements are stiffer or softer, all of them by the same factor: what was equal
-    /// still is.
+    /// Those of another step length, and of a rod whose elements are stiffer or softer, all of them by the same factor, and whose tip is
+    /// heavier or lighter: what was equal still is.
     pub fn rewrite(&mut self, rod: &Rod, slots: Slots, time_step: f64) {
         let node_size = NODE_ROWS * slots.n_lanes;
         let element_size = element_rows(rod) * slots.n_lanes;
@@ -101,19 +106,24 @@ fn write_block(
 
 /// Different blocks one after the other.
 #[derive(Default)]
-struct Kinds(Vec<Vec<f64>>);
+struct Kinds {
+    blocks: Vec<Vec<f64>>,
+    /// Whether the last one stands for itself alone.
+    alone: bool,
+}
 
 impl Kinds {
-    /// Index of a block, which is the last one where they are equal.
-    fn of(&mut self, block: Vec<f64>) -> usize {
-        if self.0.last() != Some(&block) {
-            self.0.push(block);
+    /// Index of a block, which is the last one where they are equal and neither is to stand alone.
+    fn of(&mut self, block: Vec<f64>, alone: bool) -> usize {
+        if alone || self.alone || self.blocks.last() != Some(&block) {
+            self.blocks.push(block);
         }
-        self.0.len() - 1
+        self.alone = alone;
+        self.blocks.len() - 1
     }
 
     fn into_buffer(self) -> Buffer {
-        let numbers = self.0.concat();
+        let numbers = self.blocks.concat();
         let mut buffer = Buffer::zeros(numbers.len());
         buffer.copy_from_slice(&numbers);
         buffer

@@ -146,12 +146,20 @@ fn every_vector_length_gives_the_same_bits() {
     }
 }
 
-/// Memory that is retuned to another step and to a softer rod moves as memory made for them, to the bit; with internal damping as without.
+/// Memory that is retuned to another step and to a softer rod with a heavier tip and more damping moves as memory made for them, to the bit;
+/// with internal damping as without, and where the tip was as heavy as its neighbors.
 #[test]
 fn retuned_memory_is_that_of_the_other_rod() {
-    for damping in [0.0, 3e-3] {
-        let first = rod(StrainRule::Helical, (RodModel::Standard, damping), 7, 1.0);
+    for (damping, alike) in [(0.0, false), (3e-3, false), (0.0, true)] {
+        let mut first = rod(StrainRule::Helical, (RodModel::Standard, damping), 7, 1.0);
+        if alike {
+            let inner = first.nodes[1];
+            first.nodes.fill(inner);
+        }
         let mut softer = first.clone();
+        let tip = first.tip();
+        softer.nodes[tip].mass *= 1.5;
+        softer.viscous_damping += 0.3;
         for element in &mut softer.elements {
             element.linear_stiffness *= 0.7;
             element.angular_stiffness *= 0.7;

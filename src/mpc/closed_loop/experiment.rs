@@ -93,6 +93,10 @@ pub struct Unknowns {
     pub distributed: bool,
     /// A factor on the stiffness.
     pub stiffness: bool,
+    /// A mass at the tip.
+    pub payload: bool,
+    /// Viscous damping.
+    pub viscous: bool,
 }
 
 impl Unknowns {
@@ -102,6 +106,8 @@ impl Unknowns {
         tip_moment: true,
         distributed: true,
         stiffness: true,
+        payload: true,
+        viscous: true,
     };
 }
 
@@ -110,6 +116,10 @@ impl Unknowns {
 const EXPECTED_DEFLECTION: f64 = 0.05;
 const CHANGE_OF_DEFLECTION: f64 = 0.02;
 const EXPECTED_STIFFNESS: [f64; 2] = [0.3, 0.1];
+/// Expected payload over the mass of the arm, and its change within a second.
+const EXPECTED_PAYLOAD: [f64; 2] = [0.1, 0.02];
+/// The same of the viscous damping, over one by the time scale of the arm: a tenth of the critical damping of a cantilever's first motion.
+const EXPECTED_DAMPING: [f64; 2] = [0.7, 0.1];
 /// Deflection over the length by what forces that nobody knows add within one second: what a coarse model has wrong about the faster waves
 /// of an arm must be less certain than what slow disturbances explain.
 const UNKNOWN_FORCES: f64 = 0.03;
@@ -130,13 +140,20 @@ impl Unknowns {
                 change: CHANGE_OF_DEFLECTION * size,
             })
         };
-        let [initial, change] = EXPECTED_STIFFNESS;
+        let parameter = |is_unknown: bool, [initial, change]: [f64; 2], unit: f64| {
+            is_unknown.then_some(RandomWalk {
+                initial: initial * unit,
+                change: change * unit,
+            })
+        };
         KalmanSettings {
             change: UNKNOWN_FORCES * length,
             tip_force: walk(self.tip_force, 3.0 * bending / (length * length)),
             tip_moment: walk(self.tip_moment, 2.0 * bending / length),
             distributed: walk(self.distributed, 8.0 * bending / length.powi(3)),
-            stiffness: self.stiffness.then_some(RandomWalk { initial, change }),
+            stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS, 1.0),
+            payload: parameter(self.payload, EXPECTED_PAYLOAD, model.mass()),
+            viscous: parameter(self.viscous, EXPECTED_DAMPING, 1.0 / model.scales.time),
             ..KalmanSettings::of(model)
         }
     }

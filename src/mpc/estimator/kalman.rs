@@ -19,7 +19,7 @@ use super::covariance::Covariance;
 use super::prediction::{Predictor, Steps};
 use super::readings::Layout;
 use super::slow::SlowPart;
-use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
+use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
 use super::{check_start, check_time, setting};
 
 /// A quantity that changes at random: each of its components.
@@ -47,6 +47,10 @@ pub struct KalmanSettings {
     pub distributed: Option<RandomWalk>,
     /// Factor on the elastic moduli. Estimates stay between 0.1 and 1.6, where the explicit scheme with the automatic step is stable.
     pub stiffness: Option<RandomWalk>,
+    /// Mass at the tip beyond the model's, kg. The payload stays between nothing and ten times the mass of the arm.
+    pub payload: Option<RandomWalk>,
+    /// Viscous damping beyond the model's, 1/s. The damping stays between none and 50 over the time scale of the arm, `L² sqrt(ρA/EI)`.
+    pub viscous: Option<RandomWalk>,
     /// Longest time step of the model, s.
     pub longest_step: f64,
 }
@@ -63,16 +67,20 @@ impl KalmanSettings {
             tip_moment: None,
             distributed: None,
             stiffness: None,
+            payload: None,
+            viscous: None,
             longest_step: automatic_step(model),
         }
     }
 
-    fn walks(&self) -> [Option<RandomWalk>; 4] {
+    fn walks(&self) -> [Option<RandomWalk>; 6] {
         [
             self.tip_force,
             self.tip_moment,
             self.distributed,
             self.stiffness,
+            self.payload,
+            self.viscous,
         ]
     }
 
@@ -84,7 +92,14 @@ impl KalmanSettings {
         positive("longest_step", self.longest_step)?;
         positive("initial", self.initial)?;
         at_least_zero("change", self.change)?;
-        let names = ["tip_force", "tip_moment", "distributed", "stiffness"];
+        let names = [
+            "tip_force",
+            "tip_moment",
+            "distributed",
+            "stiffness",
+            "payload",
+            "viscous",
+        ];
         for (name, walk) in names.into_iter().zip(self.walks()) {
             if let Some(walk) = walk {
                 at_least_zero(name, walk.initial)?;
@@ -95,10 +110,8 @@ impl KalmanSettings {
     }
 }
 
-/// Where an estimated stiffness stays: the step that is stable at 1 still is.
-const STIFFNESS_RANGE: [f64; 2] = [0.1, 1.6];
-/// Relative change of the stiffness in the differences of two motions along it: their error is its square.
-const STIFFNESS_CHANGE: f64 = 1e-4;
+/// Change of a parameter, in its unit, in the differences of two motions along it: their error is its square.
+const PARAMETER_CHANGE: f64 = 1e-4;
 /// Linearizations of a measurement, at most.
 const MOST_ITERATIONS: usize = 10;
 /// Difference of an innovation from its linearization, over the standard deviation of the noise, below which that is good enough.
@@ -116,8 +129,8 @@ const MOST_STEPS: usize = 15;
 /// after which the measurement is not where its linearization says is repeated from there (the iterated filter, Gauss and Newton's method for the
 /// most likely state; Bell and Cathey 1993), so that the arm is found from far as well.
 ///
-/// The error is carried by the exact linearization of the integrator's own steps, the one along the stiffness by differences of two
-/// motions, of which the slow part counts: what a wrong stiffness does to motions up to the fifth bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
+/// The error is carried by the exact linearization of the integrator's own steps, those along stiffness, payload and damping by differences of
+/// two motions, of which the slow part counts: what a wrong parameter does to motions up to the fifth bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
 ///
 /// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {
@@ -214,7 +227,7 @@ impl KalmanFilter {
     }
 
     /// Covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of those disturbances that are estimated: tip force,
-    /// tip moment, distributed force, stiffness.
+    /// tip moment, distributed force, stiffness, payload, viscous damping.
     #[must_use]
     pub fn covariance(&self) -> &Mat<f64> {
         &self.covariance.matrix
@@ -277,13 +290,13 @@ impl KalmanFilter {
             n_steps: steps.n,
         };
         let layout = self.layout;
-        let rod = predictor.stiffened(estimate.disturbance.stiffness);
+        let rod = predictor.changed(&estimate.disturbance);
         let motion = motion(rod, grid, &estimate.state);
         self.sweep.sweep(&motion, trajectory, &|_, visit| {
             visit_disturbances(&layout, rod, visit);
         })?;
         self.sweep.write(along_state, along_disturbance);
-        self.derive_stiffness(steps, command)?;
+        self.derive_parameters(steps, command)?;
         let [along_state, along_disturbance] = &self.transition;
         self.covariance.predict(along_state, along_disturbance);
         let duration = steps.step * steps.n as f64;
@@ -294,38 +307,38 @@ impl KalmanFilter {
         Ok(())
     }
 
-    /// The column of the stiffness, by the difference of two motions.
-    fn derive_stiffness(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
-        let Some(at) = self.layout.stiffness else {
-            return Ok(());
-        };
-        let column = at - self.layout.n_state;
-        let Estimate {
-            state, disturbance, ..
-        } = &self.estimate;
-        let out = self.transition[1].col_as_slice_mut(column);
-        let change = STIFFNESS_CHANGE * disturbance.stiffness;
-        for sign in [-1.0, 1.0] {
-            let moved = Disturbance {
-                stiffness: disturbance.stiffness + sign * change,
-                ..*disturbance
+    /// The columns of the parameters, by the difference of two motions.
+    fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
+        for parameter in Parameter::ALL {
+            let Some(at) = self.layout.parameter(parameter) else {
+                continue;
             };
-            (self.predictor).roll_out(state, steps, command, &moved, |_| ())?;
-            let end = self.predictor.end();
-            end.difference_into(&self.next, &mut self.tangent);
-            let tangent = self.tangent.components_from(self.layout.first_free_node);
-            for (out, value) in out.iter_mut().zip(tangent) {
-                let slope = sign * value / (2.0 * change);
-                *out = if sign < 0.0 { slope } else { *out + slope };
+            let column = at - self.layout.n_state;
+            let Estimate {
+                state, disturbance, ..
+            } = &self.estimate;
+            let out = self.transition[1].col_as_slice_mut(column);
+            let change = PARAMETER_CHANGE * parameter.unit(self.predictor.model());
+            for sign in [-1.0, 1.0] {
+                let mut moved = *disturbance;
+                *parameter.of_mut(&mut moved) += sign * change;
+                (self.predictor).roll_out(state, steps, command, &moved, |_| ())?;
+                let end = self.predictor.end();
+                end.difference_into(&self.next, &mut self.tangent);
+                let tangent = self.tangent.components_from(self.layout.first_free_node);
+                for (out, value) in out.iter_mut().zip(tangent) {
+                    let slope = sign * value / (2.0 * change);
+                    *out = if sign < 0.0 { slope } else { *out + slope };
+                }
             }
+            self.slow.leave(&self.next.configuration, out);
         }
-        self.slow.leave(&self.next.configuration, out);
         Ok(())
     }
 
     /// Compares a measurement with the point.
     fn compare(&mut self, measurement: &Measurement) -> Result<(), EstimateError> {
-        let rod = (self.predictor).stiffened(self.point.disturbance.stiffness);
+        let rod = (self.predictor).changed(&self.point.disturbance);
         let layout = Some(&self.layout);
         (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)
     }
@@ -365,8 +378,10 @@ impl KalmanFilter {
                 mean[at..at + 3].copy_from_slice(value.as_slice());
             }
         }
-        if let Some(at) = self.layout.stiffness {
-            mean[at] = there.disturbance.stiffness - here.disturbance.stiffness;
+        for parameter in Parameter::ALL {
+            if let Some(at) = self.layout.parameter(parameter) {
+                mean[at] = parameter.of(&there.disturbance) - parameter.of(&here.disturbance);
+            }
         }
         let transport = &mut self.transport;
         transport.between(&there.state.configuration, &here.state.configuration);
@@ -434,9 +449,12 @@ impl KalmanFilter {
                 *value += vector(correction, at);
             }
         }
-        if let Some(at) = self.layout.stiffness {
-            let [least, most] = STIFFNESS_RANGE;
-            disturbance.stiffness = (disturbance.stiffness + correction[at]).clamp(least, most);
+        for parameter in Parameter::ALL {
+            if let Some(at) = self.layout.parameter(parameter) {
+                let [least, most] = parameter.range(self.predictor.model());
+                let value = parameter.of_mut(disturbance);
+                *value = (*value + correction[at]).clamp(least, most);
+            }
         }
         std::mem::swap(&mut self.point.state, &mut self.next);
         part
@@ -465,7 +483,9 @@ impl KalmanFilter {
         deviation.tip.force = vector(self.layout.tip_force);
         deviation.tip.moment = vector(self.layout.tip_moment);
         deviation.distributed = vector(self.layout.distributed);
-        deviation.stiffness = self.layout.stiffness.map_or(0.0, sigma);
+        for parameter in Parameter::ALL {
+            *parameter.of_mut(deviation) = self.layout.parameter(parameter).map_or(0.0, sigma);
+        }
     }
 }
 
@@ -607,11 +627,14 @@ fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<M
 
 /// The random walk of a component of the error, where it is one of a disturbance.
 fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<RandomWalk> {
+    let [stiffness, payload, viscous] = layout.parameters;
     let starts = [
         (layout.tip_force, 3),
         (layout.tip_moment, 3),
         (layout.distributed, 3),
-        (layout.stiffness, 1),
+        (stiffness, 1),
+        (payload, 1),
+        (viscous, 1),
     ];
     (starts.into_iter().zip(settings.walks()))
         .find(|((at, size), _)| at.is_some_and(|at| (at..at + size).contains(&i)))

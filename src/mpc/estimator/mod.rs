@@ -28,6 +28,7 @@ mod covariance;
 mod inbox;
 mod kalman;
 mod observer;
+mod parameter;
 mod prediction;
 mod readings;
 mod slow;
@@ -35,6 +36,7 @@ mod slow;
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
 pub use self::observer::{BoundaryObserver, ObserverSettings};
+use self::parameter::Parameter;
 pub use self::prediction::Predictor;
 pub(super) use self::readings::{Kind, Reader};
 
@@ -47,10 +49,14 @@ pub struct Disturbance {
     pub distributed: Vector3<f64>,
     /// Factor on the model's elastic moduli; 1: those of the model.
     pub stiffness: f64,
+    /// Mass at the tip beyond the model's own, kg: it has weight and inertia, and no rotary inertia.
+    pub payload: f64,
+    /// Viscous damping beyond the model's own, 1/s.
+    pub viscous: f64,
 }
 
 impl Disturbance {
-    /// An undisturbed arm that is as stiff as its model.
+    /// An undisturbed arm that is its model.
     pub const NONE: Self = Self {
         tip: Wrench {
             force: Vector3::new(0.0, 0.0, 0.0),
@@ -58,6 +64,8 @@ impl Disturbance {
         },
         distributed: Vector3::new(0.0, 0.0, 0.0),
         stiffness: 1.0,
+        payload: 0.0,
+        viscous: 0.0,
     };
 
     /// Adds its wrenches to `wrenches`, one a node of the rod: that at the tip, and of the distributed force what acts on a node's halves of
@@ -73,12 +81,20 @@ impl Disturbance {
         tip.moment += self.tip.moment;
     }
 
-    /// Gives `rod`, a copy of `model`, the stiffness of the model times the factor.
-    pub fn stiffen(&self, model: &Rod, rod: &mut Rod) {
+    /// Gives `rod`, a copy of `model`, what is wrong with the model: the stiffness times its factor, the payload and the damping.
+    pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
         for (element, own) in rod.elements.iter_mut().zip(&model.elements) {
             element.linear_stiffness = own.linear_stiffness * self.stiffness;
             element.angular_stiffness = own.angular_stiffness * self.stiffness;
         }
+        let tip = model.tip();
+        rod.nodes[tip].mass = model.nodes[tip].mass + self.payload;
+        rod.viscous_damping = model.viscous_damping + self.viscous;
+    }
+
+    /// What [`change_model`](Self::change_model) takes from it: equal numbers make equal models.
+    pub(in crate::mpc) fn parameters(&self) -> [f64; 3] {
+        Parameter::ALL.map(|parameter| parameter.of(self))
     }
 }
 

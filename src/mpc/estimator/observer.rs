@@ -372,8 +372,7 @@ impl Estimator for BoundaryObserver {
 
     fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError> {
         check_time(measurement.time, self.estimate.time)?;
-        let stiffness = self.estimate.disturbance.stiffness;
-        let rod = self.predictor.stiffened(stiffness);
+        let rod = self.predictor.changed(&self.estimate.disturbance);
         let known = |signal: &crate::mpc::signal::Signal| {
             signal.place > 1.0 - AT_TIP
                 && matches!(

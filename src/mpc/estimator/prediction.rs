@@ -9,13 +9,13 @@ use super::{Disturbance, EstimateError};
 #[derive(Clone, Debug)]
 pub struct Predictor {
     model: Rod,
-    /// The model with a factor on its stiffness, and that factor.
+    /// The model with what is wrong with it, and the parameters that say so.
     rod: Rod,
-    stiffness: f64,
+    parameters: [f64; 3],
     longest_step: f64,
     memory: Option<StepperMemory>,
-    /// Step length and factor on the stiffness that the memory is for.
-    tuned: (f64, f64),
+    /// Step length and parameters that the memory is for.
+    tuned: (f64, [f64; 3]),
     nodes: Vec<usize>,
     /// One a node, of the two ends of a step.
     wrenches: [Vec<Wrench>; 2],
@@ -49,9 +49,9 @@ impl Predictor {
         let n = model.n_nodes();
         Self {
             memory: Some(StepperMemory::new(model, longest_step)),
-            tuned: (longest_step, 1.0),
+            tuned: (longest_step, Disturbance::NONE.parameters()),
             rod: model.clone(),
-            stiffness: 1.0,
+            parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
             longest_step,
             nodes: (0..n).collect(),
@@ -84,15 +84,12 @@ impl Predictor {
         &self.model
     }
 
-    /// The model with a factor on its stiffness.
-    pub(super) fn stiffened(&mut self, stiffness: f64) -> &Rod {
-        if self.stiffness != stiffness {
-            let disturbance = Disturbance {
-                stiffness,
-                ..Disturbance::NONE
-            };
-            disturbance.stiffen(&self.model, &mut self.rod);
-            self.stiffness = stiffness;
+    /// The model with what is wrong with it.
+    pub(super) fn changed(&mut self, disturbance: &Disturbance) -> &Rod {
+        let parameters = disturbance.parameters();
+        if self.parameters != parameters {
+            disturbance.change_model(&self.model, &mut self.rod);
+            self.parameters = parameters;
         }
         &self.rod
     }
@@ -161,7 +158,7 @@ impl Predictor {
         disturbance: &Disturbance,
         mut visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
-        let memory = self.memory_for(steps.step, disturbance.stiffness);
+        let memory = self.memory_for(steps.step, disturbance);
         let mut stepper = memory.begin(&self.rod, steps.start, from);
         let [now, next] = &mut self.wrenches;
         let at = |k: usize| steps.start + k as f64 * steps.step;
@@ -194,7 +191,7 @@ impl Predictor {
     ) -> Result<(), StepError> {
         self.end.clone_from(from);
         for k in 0..steps.n {
-            let memory = self.memory_for(steps.step, disturbance.stiffness);
+            let memory = self.memory_for(steps.step, disturbance);
             let at = |k: usize| steps.start + k as f64 * steps.step;
             let mut stepper = memory.begin(&self.rod, at(k), &self.end);
             let [now, next] = &mut self.wrenches;
@@ -210,14 +207,14 @@ impl Predictor {
         Ok(())
     }
 
-    /// Memory for steps of this length and the model with this factor on its stiffness.
-    fn memory_for(&mut self, step: f64, stiffness: f64) -> StepperMemory {
-        self.stiffened(stiffness);
+    /// Memory for steps of this length and the model with what is wrong with it.
+    fn memory_for(&mut self, step: f64, disturbance: &Disturbance) -> StepperMemory {
+        self.changed(disturbance);
         let memory = self.memory.take();
         let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&self.rod, step));
-        if self.tuned != (step, stiffness) {
+        if self.tuned != (step, self.parameters) {
             memory.retune(&self.rod, step);
-            self.tuned = (step, stiffness);
+            self.tuned = (step, self.parameters);
         }
         memory
     }

@@ -21,7 +21,7 @@ use crate::mechanics::strain::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::{Rod, State};
 use crate::mpc::signal::Reading;
 
-use super::Disturbance;
+use super::{Disturbance, Parameter};
 
 /// First component of a node's positions, rotations, linear and angular momenta.
 const POSITION: usize = 0;
@@ -40,14 +40,15 @@ pub(super) struct Layout {
     pub tip_force: Option<usize>,
     pub tip_moment: Option<usize>,
     pub distributed: Option<usize>,
-    pub stiffness: Option<usize>,
+    /// First component of each of [`Parameter::ALL`].
+    pub parameters: [Option<usize>; 3],
     /// All components.
     pub n: usize,
 }
 
 impl Layout {
-    /// With the disturbances that are there: tip force, tip moment, distributed force, stiffness.
-    pub fn new(rod: &Rod, estimated: [bool; 4]) -> Self {
+    /// With the disturbances that are there: tip force, tip moment, distributed force, and [`Parameter::ALL`].
+    pub fn new(rod: &Rod, estimated: [bool; 6]) -> Self {
         let first_free_node = rod.first_free_node();
         let n_state = NODE_COMPONENTS * (rod.n_nodes() - first_free_node);
         let mut n = n_state;
@@ -57,20 +58,25 @@ impl Layout {
                 n - size
             })
         };
-        let [tip_force, tip_moment, distributed, stiffness] = estimated;
+        let [tip_force, tip_moment, distributed, parameters @ ..] = estimated;
         let tip_force = place(tip_force, 3);
         let tip_moment = place(tip_moment, 3);
         let distributed = place(distributed, 3);
-        let stiffness = place(stiffness, 1);
+        let parameters = parameters.map(|is_there| place(is_there, 1));
         Self {
             first_free_node,
             n_state,
             tip_force,
             tip_moment,
             distributed,
-            stiffness,
+            parameters,
             n,
         }
+    }
+
+    /// Component of a parameter, where it is estimated.
+    pub fn parameter(&self, parameter: Parameter) -> Option<usize> {
+        self.parameters[parameter as usize]
     }
 
     /// Number of disturbances' components.
@@ -222,6 +228,12 @@ impl Reader {
                     let per_momentum = weight / rod.nodes[node].mass;
                     add(node, LINEAR, &Matrix3::from_diagonal_element(per_momentum));
                 }
+                let payload = layout.parameter(Parameter::Payload);
+                let tip = ends.into_iter().find(|(node, _)| *node == rod.tip());
+                if let (Some(at), Some((node, weight))) = (payload, tip) {
+                    let mass = rod.nodes[node].mass;
+                    terms.push((at, state.linear_momentum[node] * (-weight / (mass * mass))));
+                }
             }
             Kind::AngularVelocity => {
                 for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
@@ -265,7 +277,7 @@ impl Reader {
                     add(1, LINEAR, &(block(&rate, 0) / b.mass));
                     add(1, ANGULAR, &over(block(&rate, 6), &b.rotary));
                 }
-                if let Some(at) = layout.stiffness {
+                if let Some(at) = layout.parameter(Parameter::Stiffness) {
                     let [force, moment] = element.gradient();
                     let own = if kind == Kind::BaseForce {
                         force

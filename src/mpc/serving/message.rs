@@ -249,6 +249,8 @@ pub(super) struct DisturbanceLine {
     pub tip_moment_n_m: Vector,
     pub distributed_n_m: Vector,
     pub stiffness_factor: f64,
+    pub payload_kg: f64,
+    pub viscous_1_s: f64,
 }
 
 impl DisturbanceLine {
@@ -259,6 +261,8 @@ impl DisturbanceLine {
             tip_moment_n_m: array(disturbance.tip.moment),
             distributed_n_m: array(disturbance.distributed),
             stiffness_factor: disturbance.stiffness,
+            payload_kg: disturbance.payload,
+            viscous_1_s: disturbance.viscous,
         }
     }
 }

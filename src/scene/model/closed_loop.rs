@@ -226,6 +226,10 @@ pub enum Unknown {
     Distributed,
     /// A factor on the stiffness.
     Stiffness,
+    /// A mass on the tip, beyond that of `[payload]`.
+    Payload,
+    /// Viscous damping, beyond that of `[damping]`.
+    Viscous,
 }
 
 /// Jumps are dearer than by default in the library: a model coarser than the arm has its fast modes wrong, and must not chase them.

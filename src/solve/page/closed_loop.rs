@@ -417,20 +417,31 @@ fn disturbance_charts(samples: &[&SampleRow]) -> Vec<ReportChart> {
             .collect();
         out.push(over_time(ESTIMATES, title, unit, series));
     }
-    if samples.iter().any(|s| s.disturbance[STIFFNESS] != 1.0) {
-        let series = with_deviation("factor", "norm", samples, STIFFNESS);
-        out.push(over_time(
-            ESTIMATES,
-            "Estimated factor on the stiffness",
-            "",
-            series.into(),
-        ));
+    for (part, (title, unit, name, known)) in (PARAMETERS..).zip([
+        ("Estimated factor on the stiffness", "", "factor", 1.0),
+        (
+            "Estimated mass on the tip beyond the model's",
+            "kg",
+            "m",
+            0.0,
+        ),
+        (
+            "Estimated viscous damping beyond the model's",
+            "1/s",
+            "c",
+            0.0,
+        ),
+    ]) {
+        if samples.iter().any(|s| s.disturbance[part] != known) {
+            let series = with_deviation(name, "norm", samples, part);
+            out.push(over_time(ESTIMATES, title, unit, series.into()));
+        }
     }
     out
 }
 
-/// Index of the factor on the stiffness among the disturbances.
-const STIFFNESS: usize = 9;
+/// Index of the first parameter of the model among the disturbances.
+const PARAMETERS: usize = 9;
 
 fn with_deviation(
     name: &str,
