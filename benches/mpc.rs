@@ -71,6 +71,7 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
                 at: Place::Tip,
                 path: times.map(|t| (t, path(t))).collect(),
                 weight: Some(3e4),
+                from: 0.0,
             }],
             ..Cost::default()
         },
@@ -105,14 +106,7 @@ fn noisy(mut scene: Experiment, estimator: EstimatorChoice, preset: SensorPreset
 }
 
 const FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::ALL);
-const STATE_FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns {
-    tip_force: false,
-    tip_moment: false,
-    distributed: false,
-    stiffness: false,
-    payload: false,
-    viscous: false,
-});
+const STATE_FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::NONE);
 const OBSERVER: EstimatorChoice = EstimatorChoice::Observer {
     estimates_wrench: false,
 };

@@ -63,6 +63,7 @@ fn task() -> Task {
                 at: Place::Tip,
                 path: times.map(|t| (t, reference(t))).collect(),
                 weight: Some(1e5),
+                from: 0.0,
             }],
             ..Cost::default()
         },

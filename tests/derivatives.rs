@@ -90,6 +90,7 @@ energy = 0.3
                 node: 3,
                 path: vec![(0.0, Vector3::zeros()), (0.3, Vector3::new(0.1, 0.2, 0.9))],
                 weight: 2.0,
+                from: 0.0,
             }],
             samples: 30,
             ..problem.objective

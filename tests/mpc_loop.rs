@@ -259,6 +259,88 @@ fn loops_survive_their_sensors() {
     assert!(worst < 0.03, "{worst}");
 }
 
+/// Ten thousand samples with a push every five seconds, measurements that are lost, not finite, or finite and absurd, one at a time and in bursts:
+/// no panic, the motion stays finite, forces and moments within their bounds at every sample, every command that is not the controller's has its
+/// cause, failures of the controller's own among them, and between the troubles the tip is where it should be.
+#[test]
+fn ten_thousand_samples_are_survived() {
+    const SAMPLES: usize = 10_000;
+    let mut struck = scene();
+    struck.task.cost.tracks[0].path = (0..=2000)
+        .map(|i| 0.05 * f64::from(i))
+        .map(|t| (t, circle(t)))
+        .collect();
+    struck.duration = 100.0;
+    let profile = (0..20).flat_map(|i| {
+        let t = 5.0 * f64::from(i) + 0.5;
+        [(t, 0.0), (t + 0.01, 1.0), (t + 0.2, 1.0), (t + 0.21, 0.0)]
+    });
+    struck.plant.loads.push(PointLoad {
+        at: Place::Fraction(0.5),
+        force: Vector3::new(0.0, 5.0, 0.0),
+        profile: profile.collect(),
+        ..PointLoad::default()
+    });
+    let problem = (struck.task).discretize(&struck.plant, &struck.plant_discretization);
+    let rod = problem.unwrap().discrete.rod;
+    let mut dice = fastrand::Rng::with_seed(12);
+    // The first two of five seconds are troubled, in the last of every ten nothing is measured at all.
+    let tamper = move |measurement: &mut softarm::mpc::Measurement| {
+        let t = measurement.time;
+        let (phase, chance) = (t % 5.0, dice.f64());
+        if (9.0..9.5).contains(&(t % 10.0)) {
+            return false;
+        }
+        if phase > 2.0 {
+            return true;
+        }
+        for signal in &mut measurement.signals {
+            if let Reading::Position(x) = &mut signal.reading {
+                match chance {
+                    0.0..0.05 => x.x = f64::NAN,
+                    0.05..0.1 => x.z = f64::INFINITY,
+                    0.1..0.12 => *x *= 1e6,
+                    0.12..0.14 => *x = -*x,
+                    _ => {}
+                }
+            }
+        }
+        chance < 0.8
+    };
+    let fallback = FallbackSettings {
+        patience: 0.03,
+        plan_samples: 5,
+        ..FallbackSettings::default()
+    };
+    let mut closed = tampered(&struck, &rod, fallback, Box::new(tamper)).unwrap();
+    let (mut n, mut causes) = (0, std::collections::BTreeMap::new());
+    let (mut squares, mut quiet) = (0.0, 0);
+    let ended = closed.run(SAMPLES, &mut |sample, _| {
+        n += 1;
+        let force = sample.wrench.force.norm();
+        assert!(force <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
+        let moment = sample.wrench.moment.amax();
+        assert!(moment <= 2.0 * (1.0 + 1e-9), "{} {moment}", sample.t);
+        assert!(sample.tip.iter().all(|x| x.is_finite()), "{}", sample.t);
+        if let Some((cause, _)) = sample.fallback {
+            *causes.entry(cause).or_insert(0) += 1;
+        }
+        if (3.9..4.0).contains(&(sample.t % 5.0)) {
+            squares += sample.tip_error().powi(2);
+            quiet += 1;
+        }
+        ControlFlow::Continue(())
+    });
+    ended.unwrap();
+    assert_eq!(n, SAMPLES);
+    for cause in [Cause::NoMeasurement, Cause::BadMeasurement] {
+        assert!(causes.contains_key(&cause), "{causes:?}");
+    }
+    let rms = (squares / f64::from(quiet)).sqrt();
+    println!("{causes:?} {rms}");
+    assert!(rms < 0.02, "{rms}");
+}
+
 /// Settings out of range are refused with their name.
 #[test]
 fn settings_are_checked() {

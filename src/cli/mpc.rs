@@ -13,10 +13,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
-use crate::control::Hold;
-use crate::mechanics::{Energy, Rod, State, Wrench};
+use crate::control::{Hold, PathLimit, RodView};
+use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{ClosedLoop, Contender, Outcome as Run, Percentiles, Sample, TipError};
-use crate::output::closed_loop::{BaselineSummary, MpcSummary, SampleRow, write_samples};
+use crate::output::closed_loop::{
+    BaselineSummary, LimitPeak, MpcSummary, SampleRow, write_samples,
+};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RowFiles, RunDirectory,
@@ -89,6 +91,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     };
     let ended = stop.raised();
     let mut summary = summarize(arguments, &setup, &run, baselines, ended, started, &target);
+    summary.limits.clone_from(&recording.limits.peaks);
     let recording = RefCell::new(recording);
     let written = directory.publish_or_rescue(|result| {
         let summary = MpcSummary {
@@ -193,6 +196,65 @@ struct Recording {
     /// For the picture, with the last row.
     thinned: ThinnedMotion,
     row: MotionRecord,
+    limits: LimitWatch,
+}
+
+/// Looks at the limits of the task on the arm as it is.
+struct LimitWatch {
+    limits: Vec<PathLimit>,
+    radii: Vec<f64>,
+    peaks: Vec<LimitPeak>,
+}
+
+impl LimitWatch {
+    fn new(setup: &ClosedLoopSetup) -> Self {
+        let (own, rod) = (&setup.experiment, &setup.plant);
+        let radii = own.plant.radii_at_nodes(rod.n_elements());
+        let limits: Vec<_> = (own.task.limits.iter())
+            .map(|limit| limit.kind.on(rod, &radii))
+            .collect();
+        let peaks = (own.task.limits.iter().zip(&limits))
+            .map(|(named, limit)| LimitPeak {
+                name: named.name.clone(),
+                excess: f64::NEG_INFINITY,
+                unit: limit.unit(),
+                at_s: 0.0,
+                node: 0,
+            })
+            .collect();
+        Self {
+            limits,
+            radii,
+            peaks,
+        }
+    }
+
+    fn see(&mut self, rod: &Rod, t: f64, state: &State) {
+        if self.limits.is_empty() {
+            return;
+        }
+        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), 1);
+        trajectory.push(&state.configuration);
+        let view = RodView {
+            rod,
+            radii: &self.radii,
+            trajectory: &trajectory,
+            grid: TimeGrid {
+                start: t,
+                step: 0.0,
+                n_steps: 0,
+            },
+        };
+        for (limit, peak) in self.limits.iter().zip(&mut self.peaks) {
+            let (value, item) = limit.worst(&view, 0);
+            let excess = value * limit.scale(rod);
+            if excess > peak.excess {
+                peak.excess = excess;
+                peak.at_s = t;
+                peak.node = limit.node(rod, item);
+            }
+        }
+    }
 }
 
 impl Recording {
@@ -204,6 +266,7 @@ impl Recording {
             hold: setup.experiment.discretization.hold,
             thinned: ThinnedMotion::new(layout.n_nodes),
             row: layout,
+            limits: LimitWatch::new(setup),
         };
         recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
         Ok(recording)
@@ -216,6 +279,7 @@ impl Recording {
         state: &State,
         wrench: &Wrench,
     ) -> Result<(), OutputError> {
+        self.limits.see(rod, t, state);
         let mut row = MotionRecord::empty(rod.n_nodes());
         let energy = Energy::of(rod, state);
         let dilatation = rod.dilatation(&state.configuration.positions);
@@ -432,6 +496,7 @@ fn summarize(
         baselines,
         fallbacks: tally.fallbacks.clone(),
         bounded: tally.bounded,
+        limits: Vec::new(),
         transfer_error_m: run.transfer_error,
         seed: (setup.resolved.mpc.as_ref())
             .and_then(|mpc| mpc.seed)
@@ -472,6 +537,18 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     times("estimate", &summary.estimate_s);
     times("feedback", &summary.feedback_s);
     times("prepare", &summary.prepare_s);
+    for peak in &summary.limits {
+        let amount = format!("{:.3e} {}", peak.excess.abs(), peak.unit);
+        let verdict = if peak.excess > 0.0 {
+            format!("exceeded by {amount}")
+        } else {
+            format!("kept, {amount} to spare")
+        };
+        console.say(&format!(
+            "  {}: {verdict} at node {}, t = {:.3} s",
+            peak.name, peak.node, peak.at_s
+        ));
+    }
     for (cause, n) in &summary.fallbacks {
         console.say(&format!(
             "  {n} samples without a command of their own: {cause}"

@@ -58,7 +58,8 @@ pub fn cost_rows(
 ) -> Vec<CostRow> {
     let mut rows = Vec::new();
     let t = rod_view.grid.time(k);
-    for tracking in &problem.objective.tracking {
+    let tracked = &problem.objective.tracking;
+    for tracking in tracked.iter().filter(|tracking| tracking.counts(t)) {
         let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
         let distance = rod_view.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
         rows.extend((0..3).map(|axis| CostRow {

@@ -21,8 +21,10 @@ use crate::sqp::Softness;
 pub enum PathLimit {
     /// Points of the center line, with the arm's radius around them, stay `margin` clear of an obstacle.
     Clearance {
-        /// The obstacle.
+        /// The obstacle, where it is at t = 0.
         shape: Shape,
+        /// How it moves, m/s.
+        velocity: Vector3<f64>,
         /// Clearance, m.
         margin: f64,
         /// Points per element: its first node and others on the chord to the next, evenly spaced.
@@ -381,6 +383,17 @@ impl PathLimit {
         }
     }
 
+    /// A point as it is seen from an obstacle that moves.
+    fn point_from(
+        velocity: &Vector3<f64>,
+        rod_view: &RodView,
+        k: usize,
+        q: usize,
+        s: f64,
+    ) -> Vector3<f64> {
+        Self::point_position(rod_view, k, q, s) - velocity * rod_view.grid.time(k)
+    }
+
     /// Mean velocity of a node over the step that ends at `k`, m/s; zero at the start.
     fn velocity(rod_view: &RodView, k: usize, node: usize) -> Vector3<f64> {
         if k == 0 {
@@ -408,11 +421,12 @@ impl PathLimit {
         let excess = match self {
             Self::Clearance {
                 shape,
+                velocity,
                 margin,
                 points,
             } => {
                 let (q, s, radius) = Self::point(*points, item, rod_view);
-                let x = Self::point_position(rod_view, k, q, s);
+                let x = Self::point_from(velocity, rod_view, k, q, s);
                 radius + margin - shape.distance(&x).value
             }
             Self::Stretch { least, largest } => {
@@ -452,14 +466,29 @@ impl PathLimit {
         excess / self.scale(rod_view.rod)
     }
 
+    /// The largest scaled value of all rows at time node `k`, and its item.
+    #[must_use]
+    pub fn worst(&self, rod_view: &RodView, k: usize) -> (f64, usize) {
+        (0..self.n_items(rod_view.rod))
+            .map(|item| (self.value(rod_view, k, item), item))
+            .fold((f64::NEG_INFINITY, 0), |worst, row| {
+                if row.0 > worst.0 { row } else { worst }
+            })
+    }
+
     /// First derivative of a row.
     #[must_use]
     pub fn gradient(&self, rod_view: &RodView, k: usize, item: usize) -> RowGradient {
         let inverse = 1.0 / self.scale(rod_view.rod);
         match self {
-            Self::Clearance { shape, points, .. } => {
+            Self::Clearance {
+                shape,
+                velocity,
+                points,
+                ..
+            } => {
                 let (q, s, _) = Self::point(*points, item, rod_view);
-                let x = Self::point_position(rod_view, k, q, s);
+                let x = Self::point_from(velocity, rod_view, k, q, s);
                 let direction = -shape.distance(&x).gradient * inverse;
                 at(k, point_form(q, s, &direction))
             }
@@ -511,9 +540,14 @@ impl PathLimit {
         let inverse = 1.0 / self.scale(rod_view.rod);
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         match self {
-            Self::Clearance { shape, points, .. } => {
+            Self::Clearance {
+                shape,
+                velocity,
+                points,
+                ..
+            } => {
                 let (q, s, _) = Self::point(*points, item, rod_view);
-                let x = Self::point_position(rod_view, k, q, s);
+                let x = Self::point_from(velocity, rod_view, k, q, s);
                 RowCurvature {
                     forms: axes.map(|axis| at(k, point_form(q, s, &axis))).to_vec(),
                     matrix: dynamic(&(shape.distance(&x).curvature * -inverse)),

@@ -168,7 +168,10 @@ impl Goal {
     }
 }
 
-/// A weighted distance of a node from where it should be, over the whole horizon.
+/// Part of a second by which times that are the same may differ.
+const SAME_TIME: f64 = 1e-9;
+
+/// A weighted distance of a node from where it should be, from a time on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracking {
     /// The node.
@@ -177,9 +180,17 @@ pub struct Tracking {
     pub path: Vec<(f64, Vector3<f64>)>,
     /// Weight of `½ |x - x*|²/L²`, per second.
     pub weight: f64,
+    /// Time from which on the distance counts, s.
+    pub from: f64,
 }
 
 impl Tracking {
+    /// Whether the distance counts at time `t`.
+    #[must_use]
+    pub fn counts(&self, t: f64) -> bool {
+        t >= self.from - SAME_TIME * (1.0 + self.from.abs())
+    }
+
     /// Where the node should be at time `t`.
     #[must_use]
     pub fn position(&self, t: f64) -> Vector3<f64> {

@@ -8,9 +8,10 @@ use crate::mechanics::Trajectory;
 pub struct TrackingError {
     /// The node.
     pub node: usize,
-    /// `sqrt(1/T ∫ |x - x*|² dt)` over the horizon, by the trapezoidal rule over all time nodes, m.
+    /// `sqrt(1/T ∫ |x - x*|² dt)` over the time `T` in which the distance counts, by the trapezoidal rule over its time nodes, m; 0 where it
+    /// never counts.
     pub rms_m: f64,
-    /// Largest at any time node, m; NaN if any is.
+    /// Largest at any time node at which it counts, m; NaN if any is.
     pub max_m: f64,
     /// Time of the largest, s.
     pub max_at_s: f64,
@@ -24,11 +25,13 @@ pub fn tracking_errors(
 ) -> Vec<TrackingError> {
     let grid = problem.grid;
     let of = |tracking: &super::Tracking| {
-        let (mut sum, mut max_m, mut at) = (0.0, 0.0, 0);
-        for k in 0..=grid.n_steps {
+        let first = (0..=grid.n_steps).find(|&k| tracking.counts(grid.time(k)));
+        let first = first.unwrap_or(grid.n_steps);
+        let (mut sum, mut max_m, mut at) = (0.0, 0.0, first);
+        for k in (first..=grid.n_steps).filter(|&k| tracking.counts(grid.time(k))) {
             let should = tracking.position(grid.time(k));
             let off = (trajectory.positions_at(k)[tracking.node] - should).norm();
-            let is_end = k == 0 || k == grid.n_steps;
+            let is_end = k == first || k == grid.n_steps;
             sum += off * off * if is_end { 0.5 } else { 1.0 };
             if !(off <= max_m) && !f64::is_nan(max_m) {
                 (max_m, at) = (off, k);
@@ -36,7 +39,7 @@ pub fn tracking_errors(
         }
         TrackingError {
             node: tracking.node,
-            rms_m: (sum / grid.n_steps as f64).sqrt(),
+            rms_m: (sum / (grid.n_steps - first).max(1) as f64).sqrt(),
             max_m,
             max_at_s: grid.time(at),
         }

@@ -66,6 +66,8 @@ pub struct SampleRecord {
     pub change: f64,
     /// How the subproblem ended.
     pub subproblem: SubproblemEnd,
+    /// Largest violation of a limit that the plan is left with to first order, in the scale of the limit; 0 for none.
+    pub violation: f64,
 }
 
 /// A model-predictive controller on the full rod.
@@ -114,7 +116,7 @@ impl Controller {
 
     /// Discretizes the task over one horizon, and iterates from the task's start until the first plan does not change any more.
     ///
-    /// Tracks, targets (soft), effort, rate and bounds of the task's wrenches count; its duration does not. Hold and elements are those
+    /// Tracks, targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits but those of speed count; its duration does not. Hold and elements are those
     /// of `discretization`, steps are shortened so that they divide the sample period.
     ///
     /// # Errors
@@ -149,13 +151,18 @@ impl Controller {
         }
         let knots = Knots::new(discretization.hold, settings.block, problem.grid.duration())?;
         let weights = [problem.objective.effort, problem.objective.rate];
-        let horizon = Horizon::new(problem, knots.clone(), settings.target_weight)?;
+        let horizon = Horizon::new(
+            problem,
+            knots.clone(),
+            settings.target_weight,
+            settings.limit_price,
+        )?;
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let n_nodes = horizon.problem.rod.n_nodes();
         let nodes = horizon.actuated_nodes();
         let state = horizon.start.clone();
         let mut controller = Self {
-            subproblem: Subproblem::new(n, 2 * n),
+            subproblem: Subproblem::new(n, 2 * n, horizon.n_limit_rows()),
             plan: vec![0.0; n],
             before: vec![0.0; n],
             before_knots: knots,
@@ -188,6 +195,7 @@ impl Controller {
                     iterations: 0,
                     converged: true,
                 },
+                violation: 0.0,
             },
             settings: *settings,
             horizon,
@@ -546,6 +554,7 @@ impl Controller {
             }
         }
         self.constrain();
+        self.horizon.write_limits(&mut self.subproblem.soft);
         self.subproblem.factor()
     }
 
@@ -603,6 +612,7 @@ impl Controller {
             self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
         }
         self.start_rows();
+        (self.horizon).write_limit_values(&self.deviation, &mut self.subproblem.soft.values);
         let end = self.subproblem.solve(
             &self.gradient,
             &self.offsets,
@@ -621,6 +631,7 @@ impl Controller {
         self.record.predicted_cost = cost;
         self.record.change = largest;
         self.record.subproblem = end;
+        self.record.violation = self.subproblem.soft.largest(&self.change).max(0.0);
         Ok(())
     }
 

@@ -17,6 +17,9 @@ use nalgebra::Vector3;
 use super::error::MpcError;
 use super::estimator::Disturbance;
 use super::knots::Knots;
+use super::limits::{self, Limits};
+use super::soft_rows::SoftRows;
+use crate::control::path::RodView;
 use crate::control::{Component, OptimalControlProblem};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
@@ -50,6 +53,10 @@ enum Quantity {
     Spin {
         goal: usize,
         axis: usize,
+    },
+    /// A limit on the states, no residual but a row of the subproblem.
+    Limit {
+        index: usize,
     },
 }
 
@@ -126,6 +133,7 @@ pub(super) struct Horizon {
     memory: Option<StepperMemory>,
     sweep: RepeatedReverse,
     residuals: Vec<f64>,
+    limits: Limits,
     /// The residuals of the present horizon with the start moved.
     moved: Vec<f64>,
     /// `J` and `G`.
@@ -169,22 +177,19 @@ impl ControlColumns for Columns<'_> {
 }
 
 impl Horizon {
-    /// `weight` is what a unit of a target's scaled residual costs, squared and halved.
+    /// `weight` is what a unit of a target's scaled residual costs, squared and halved, `price` that of a violated limit.
     pub fn new(
         problem: OptimalControlProblem,
         mut knots: Knots,
         weight: f64,
+        price: f64,
     ) -> Result<Self, MpcError> {
         if !problem.objective.terms.is_empty() || problem.objective.energy != 0.0 {
             return Err(MpcError::Unsupported(
                 "the controller knows tracks, targets, effort and rate; leave out cost.energy and terms of one's own",
             ));
         }
-        if !problem.path_constraints().is_empty() {
-            return Err(MpcError::Unsupported(
-                "the controller knows bounds on the controls; leave out limits and obstacles",
-            ));
-        }
+        limits::check(&problem)?;
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -200,7 +205,10 @@ impl Horizon {
         let scales: Vec<f64> = (components.iter())
             .map(|component| problem.channel(component).scale)
             .collect();
-        let (rows, forms) = rows(&problem, weight);
+        let limited: Vec<_> = limits::samples(&problem)
+            .flat_map(|_| limits::rows_of_sample(&problem, price))
+            .collect();
+        let (rows, forms) = rows(&problem, weight, price);
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
@@ -227,7 +235,12 @@ impl Horizon {
             RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
         };
         let n_states = NODE_COMPONENTS * (n_nodes - problem.rod.first_free_node());
+        let places = (rows.iter().enumerate())
+            .filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }))
+            .map(|(place, _)| place);
+        let limits = Limits::new(limited, places, n_states);
         Ok(Self {
+            limits,
             memory: Some(StepperMemory::new(&problem.rod, grid.step)),
             form_nodes: forms.iter().map(|form| form.time_node).collect(),
             first_row: 0,
@@ -443,11 +456,21 @@ impl Horizon {
             for (row, value) in column[..forms.len()].iter_mut().enumerate() {
                 *value = self.sweep.along_column(row, j);
             }
+            for (_, row) in self.limits.present(self.first_row) {
+                column[row] = 0.0;
+            }
         }
         for i in 0..self.along_start.ncols() {
             let column = self.along_start.col_as_slice_mut(i);
             for (row, value) in column[..forms.len()].iter_mut().enumerate() {
                 *value = self.sweep.along_start(row, i);
+            }
+            for index in 0..self.limits.len() {
+                let Some(row) = self.limits.place(index, self.first_row) else {
+                    continue;
+                };
+                self.limits.set_along_start(index, i, column[row]);
+                column[row] = 0.0;
             }
         }
         let jacobian = self.jacobian.get(..forms.len(), ..n);
@@ -455,6 +478,30 @@ impl Horizon {
         let transposed = jacobian.transpose();
         matmul(square, Accum::Replace, transposed, jacobian, 1.0, Par::Seq);
         Ok(())
+    }
+
+    /// The limits of the present horizon as rows of a subproblem, but for their values.
+    pub fn write_limits(&self, soft: &mut SoftRows) {
+        self.limits.write(self.first_row, soft);
+        let n = self.n_present();
+        for (at, (_, row)) in self.limits.present(self.first_row).enumerate() {
+            let slopes = soft.slopes.col_as_slice_mut(at);
+            slopes[n..].fill(0.0);
+            for (j, slope) in slopes[..n].iter_mut().enumerate() {
+                *slope = self.sweep.along_column(row, j);
+            }
+        }
+    }
+
+    /// Their values where the start deviates.
+    pub fn write_limit_values(&self, deviation: &StateTangent, out: &mut [f64]) {
+        let free = self.problem.rod.first_free_node();
+        (self.limits).write_values(self.first_row, free, deviation, out);
+    }
+
+    /// Rows that limits have in the longest horizon.
+    pub fn n_limit_rows(&self) -> usize {
+        self.limits.len()
     }
 
     /// `Jᵀ (r + G δs)` over the present variables, and `½ |r + G δs|²`.
@@ -484,13 +531,31 @@ impl Horizon {
     fn evaluate(&mut self, at: usize) {
         let Row { quantity, factor } = self.rows[at];
         let form = &mut self.forms[at];
+        if let Quantity::Limit { index } = quantity {
+            let view = RodView {
+                rod: &self.problem.rod,
+                radii: &self.problem.radii,
+                trajectory: &self.trajectory,
+                grid: self.grid,
+            };
+            self.limits.evaluate(&self.problem, &view, index, form);
+            self.residuals[at] = 0.0;
+            return;
+        }
         let k = form.time_node;
         let goals = &self.problem.goals;
         let value = match quantity {
             Quantity::Track { index, axis } => {
                 let track = &self.problem.objective.tracking[index];
                 let x = self.trajectory.positions_at(k)[track.node];
-                (x - track.position(self.grid.time(k)))[axis]
+                let t = self.grid.time(k);
+                let counts = track.counts(t);
+                form.terms[0].coefficient = if counts { factor } else { 0.0 };
+                if counts {
+                    (x - track.position(t))[axis]
+                } else {
+                    0.0
+                }
             }
             Quantity::Position { goal, axis } => {
                 let goal = &goals[goal];
@@ -516,6 +581,7 @@ impl Horizon {
                 let node = goals[goal].node;
                 self.end.angular_momentum[node][axis] / self.problem.rod.nodes[node].rotary[axis]
             }
+            Quantity::Limit { .. } => 0.0,
         };
         self.residuals[at] = factor * value;
     }
@@ -532,7 +598,7 @@ pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrenc
 }
 
 /// All rows of the longest horizon, with their forms, in ascending order of time.
-fn rows(problem: &OptimalControlProblem, weight: f64) -> (Vec<Row>, Vec<StateForm>) {
+fn rows(problem: &OptimalControlProblem, weight: f64, price: f64) -> (Vec<Row>, Vec<StateForm>) {
     let rod = &problem.rod;
     let one = |node: usize, component: usize, coefficient: f64| FormTerm {
         node,
@@ -576,6 +642,11 @@ fn rows(problem: &OptimalControlProblem, weight: f64) -> (Vec<Row>, Vec<StateFor
                 push(k, Quantity::Spin { goal, axis }, factor, terms);
             }
         }
+    }
+    let limited = limits::samples(problem)
+        .flat_map(|node| limits::rows_of_sample(problem, price).map(move |_| node));
+    for (index, time_node) in limited.enumerate() {
+        push(time_node, Quantity::Limit { index }, 1.0, Vec::new());
     }
     out.sort_by_key(|(_, form)| form.time_node);
     out.into_iter().unzip()

@@ -4,7 +4,7 @@
 //! positions, rotations and momenta of all nodes, and returns the wrenches to apply until the next sample. The measured state is a
 //! parameter of its linearized model, so that the answer to a measurement is one small quadratic program; all that costs time is
 //! prepared before the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first
-//! allocates memory.
+//! allocates memory, but for the slopes of obstacles and limits.
 //!
 //! A [`Plant`] obeys commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
 //! carries to the model's nodes; hardware and other simulators implement the trait.
@@ -29,7 +29,7 @@
 //!     targets: Vec::new(),
 //!     cost: Cost {
 //!         effort: 0.01,
-//!         tracks: vec![Track { at: Place::Tip, path, weight: Some(1e4) }],
+//!         tracks: vec![Track { at: Place::Tip, path, weight: Some(1e4), from: 0.0 }],
 //!         ..Cost::default()
 //!     },
 //!     ..Task::reach(upright, 1.0, 20.0)
@@ -56,11 +56,13 @@ mod error;
 mod estimator;
 mod horizon;
 mod knots;
+mod limits;
 mod plant;
 mod sensor;
 mod serving;
 mod signal;
 mod simulated_arm;
+mod soft_rows;
 mod subproblem;
 mod transfer;
 

@@ -1,4 +1,5 @@
-//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in convex sets that hold zero.
+//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in convex sets that hold zero, and with
+//! [rows](super::soft_rows) that may be violated at a price.
 //!
 //! Where the unconstrained minimum is feasible it is the answer. Elsewhere a primal-dual interior-point method finds the minimum (Boyd and
 //! Vandenberghe 2004, section 11.7): one factorization of `n × n` an iteration, iterates strictly within their sets, so that a control
@@ -12,6 +13,7 @@ use faer::linalg::triangular_solve::{
 use faer::{Mat, Par, Spec};
 
 use super::error::MpcError;
+use super::soft_rows::SoftRows;
 
 /// Part of the way to zero that a multiplier may go, and of the product of multiplier and slack that the next is aimed at: Boyd and
 /// Vandenberghe 2004, pages 612 and 613.
@@ -84,6 +86,7 @@ pub(super) struct Subproblem {
     pub hessian: Mat<f64>,
     pub rows: Vec<Row>,
     pub sets: Vec<Set>,
+    pub soft: SoftRows,
     /// Cholesky factor of `H`, and of the matrix of an iteration.
     free: Mat<f64>,
     matrix: Mat<f64>,
@@ -108,13 +111,14 @@ impl std::fmt::Debug for Subproblem {
 }
 
 impl Subproblem {
-    /// For at most so many variables and rows.
-    pub fn new(n: usize, most_rows: usize) -> Self {
+    /// For at most so many variables, rows and soft rows.
+    pub fn new(n: usize, most_rows: usize, most_soft: usize) -> Self {
         let need = llt::factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
         Self {
             hessian: Mat::zeros(n, n),
             rows: Vec::with_capacity(most_rows),
             sets: Vec::with_capacity(most_rows),
+            soft: SoftRows::new(n, most_soft),
             free: Mat::zeros(n, n),
             matrix: Mat::zeros(n, n),
             scratch: MemBuffer::new(need),
@@ -161,14 +165,17 @@ impl Subproblem {
         if self
             .of_sets()
             .all(|(set, z)| set.excess(z) <= 0.0 && !fixed(set, z))
+            && self.soft.largest(x) <= 0.0
         {
             return Ok(SubproblemEnd {
                 iterations: 0,
                 converged: true,
             });
         }
-        let n_sets = self.sets.iter().filter(|set| set.bounds()).count() as f64;
-        self.start(a, promised / n_sets.max(1.0), x);
+        let promised = promised + self.soft.cost();
+        let n_sets = self.sets.iter().filter(|set| set.bounds()).count() + 2 * self.soft.len();
+        let n_sets = n_sets.max(1) as f64;
+        self.start(a, promised / n_sets, x);
         let enough = tolerance * promised.max(f64::MIN_POSITIVE);
         let mut iterations = 0;
         let mut converged = false;
@@ -183,6 +190,7 @@ impl Subproblem {
                     }
                 })
                 .sum();
+            let gap = gap + self.soft.gap();
             let target = CENTERING * gap / n_sets;
             self.assemble(g, x, target);
             factor(&mut self.matrix, &mut self.scratch)?;
@@ -223,6 +231,7 @@ impl Subproblem {
             first += set.len();
         }
         values(&self.rows, a, x, &mut self.z);
+        self.soft.start(x, product);
         let mut first = 0;
         for (index, set) in self.sets.iter().enumerate() {
             let z = &self.z[first..first + set.len()];
@@ -252,6 +261,7 @@ impl Subproblem {
         for i in 0..n {
             self.direction[(i, 0)] = -self.slope[i];
         }
+        (self.soft).assemble(target, &mut self.matrix, &mut self.direction);
         let most = (0..n).fold(0.0f64, |m, i| m.max(self.hessian[(i, i)]));
         let mut first = 0;
         for (index, set) in self.sets.iter().enumerate() {
@@ -318,7 +328,9 @@ impl Subproblem {
                 longest = longest.min(-y / change);
             }
         }
+        let soft = self.soft.step(self.direction.col_as_slice(0), target);
         let mut step = if longest < 1.0 { INSIDE * longest } else { 1.0 };
+        step = step.min(soft);
         loop {
             for (j, moved) in self.moved[..n].iter_mut().enumerate() {
                 *moved = x[j] + step * self.direction[(j, 0)];
@@ -348,6 +360,7 @@ impl Subproblem {
         }
         if step >= SHORTEST {
             x.copy_from_slice(&self.moved[..n]);
+            self.soft.advance(step);
             for (index, set) in self.sets.iter().enumerate() {
                 if set.bounds() {
                     self.y[index] += step * self.trial[index];
@@ -406,7 +419,7 @@ mod tests {
         for case in 0..60 {
             let size = 10f64.powi(case % 5 - 2);
             let root: Vec<f64> = (0..n * n).map(|_| dice.f64() - 0.5).collect();
-            let mut program = Subproblem::new(n, 3 * n);
+            let mut program = Subproblem::new(n, 3 * n, 0);
             for i in 0..n {
                 for j in 0..n {
                     let dot: f64 = (0..n).map(|k| root[i * n + k] * root[j * n + k]).sum();
@@ -473,6 +486,69 @@ mod tests {
             );
             for (set, z) in program.of_sets() {
                 assert!(set.excess(z) <= 0.0);
+            }
+        }
+    }
+
+    /// With rows that may be violated at a price, nothing near the minimum or far from it is cheaper: rows that are kept, that are given way and that
+    /// do not matter, with bounds and without, over ten orders of the prices.
+    #[test]
+    fn minima_with_prices_are_minima() {
+        let (n, m) = (10, 7);
+        let mut dice = fastrand::Rng::with_seed(11);
+        for case in 0..60 {
+            let mut program = Subproblem::new(n, n, m);
+            let root: Vec<f64> = (0..n * n).map(|_| dice.f64() - 0.5).collect();
+            for i in 0..n {
+                for j in 0..n {
+                    let dot: f64 = (0..n).map(|k| root[i * n + k] * root[j * n + k]).sum();
+                    program.hessian[(i, j)] = dot + if i == j { 0.02 } else { 0.0 };
+                }
+            }
+            if case % 2 == 0 {
+                for i in 0..n {
+                    program.rows.push([(i, 1.0), (i, 0.0)]);
+                    program.sets.push(Set::Interval { limit: 0.5 });
+                }
+            }
+            let price = 10f64.powi(case % 10 - 3);
+            for i in 0..m {
+                program.soft.values.push(2.0 * dice.f64() - 1.0);
+                program.soft.prices.push([price, price * dice.f64()]);
+                for k in 0..n {
+                    program.soft.slopes[(k, i)] = dice.f64() - 0.5;
+                }
+            }
+            let g: Vec<f64> = (0..n).map(|_| dice.f64() - 0.5).collect();
+            let a = vec![0.0; program.rows.len()];
+            program.factor().unwrap();
+            let mut x = vec![0.0; n];
+            let end = program.solve(&g, &a, 1e-12, 100, &mut x).unwrap();
+            assert!(end.converged, "{case}: {end:?}");
+            let cost = |x: &[f64]| -> f64 {
+                if case % 2 == 0 && x.iter().any(|x| x.abs() > 0.5) {
+                    return f64::INFINITY;
+                }
+                let mut slopes = vec![0.0; n];
+                slope(&program.hessian, &g, x, &mut slopes);
+                let smooth: f64 = (x.iter().zip(slopes.iter().zip(&g)))
+                    .map(|(x, (s, g))| 0.5 * x * (s + g))
+                    .sum();
+                let soft = &program.soft;
+                let priced = (0..m).map(|i| {
+                    let moved: f64 = (0..n).map(|k| soft.slopes[(k, i)] * x[k]).sum();
+                    let sigma = (soft.values[i] + moved).max(0.0);
+                    let [w1, w2] = soft.prices[i];
+                    sigma * (w1 + 0.5 * w2 * sigma)
+                });
+                smooth + priced.sum::<f64>()
+            };
+            let here = cost(&x);
+            let size = 1.0 + cost(&vec![0.0; n]).abs();
+            for trial in 0..4000 {
+                let reach = 10f64.powi(-(trial % 6));
+                let other: Vec<f64> = (x.iter()).map(|x| x + reach * (dice.f64() - 0.5)).collect();
+                assert!(cost(&other) >= here - 1e-11 * size, "{case} {trial}");
             }
         }
     }

@@ -62,6 +62,8 @@ pub struct MpcSummary {
     pub fallbacks: BTreeMap<String, usize>,
     /// Samples with active bounds.
     pub bounded: usize,
+    /// How nearly the arm kept obstacles and limits, at the ends of samples.
+    pub limits: Vec<LimitPeak>,
     /// How far the model's nodes were from describing the arm's shape at the end, m.
     pub transfer_error_m: f64,
     /// Seed of the noise.
@@ -70,6 +72,21 @@ pub struct MpcSummary {
     pub wall_s: f64,
     /// Where the result is.
     pub directory: String,
+}
+
+/// Where an arm was nearest to violating a limit, or farthest beyond it.
+#[derive(Clone, Debug, Serialize)]
+pub struct LimitPeak {
+    /// Name of the obstacle or limit.
+    pub name: String,
+    /// By how much the limit was exceeded, in its unit; negative: what was left.
+    pub excess: f64,
+    /// `m`, `1/m`, or nothing.
+    pub unit: &'static str,
+    /// When, s.
+    pub at_s: f64,
+    /// At which node of the arm as it is, or in the element after it.
+    pub node: usize,
 }
 
 /// What another law did on the same arm.

@@ -248,8 +248,10 @@ pub struct ReportObstacles {
 pub struct ReportObstacle {
     /// As the scene calls it.
     pub name: String,
-    /// The shape.
+    /// The shape, where it is at t = 0.
     pub shape: ReportShape,
+    /// How it moves, m/s.
+    pub velocity: [f64; 3],
     /// Distance in meters that should be kept.
     pub margin: f64,
     /// `[n]` distances in meters between its surface and that of the arm, negative where they overlap.

@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 19] = [
+const SCENES: [(&str, &str); 21] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -64,6 +64,14 @@ const SCENES: [(&str, &str); 19] = [
     (
         "mpc-delay",
         include_str!("../../examples/scenes/mpc-delay.toml"),
+    ),
+    (
+        "mpc-catch",
+        include_str!("../../examples/scenes/mpc-catch.toml"),
+    ),
+    (
+        "mpc-obstacle",
+        include_str!("../../examples/scenes/mpc-obstacle.toml"),
     ),
     (
         "mpc-elastica-case1",

@@ -497,6 +497,9 @@ impl Keys<'_> {
             ("box", obstacle.cuboid.is_some()),
         ];
         self.exactly_one(&format!("obstacle.{index}"), &shapes)?;
+        if let Some(velocity) = &obstacle.velocity_m_s {
+            self.finite(&key("velocity_m_s"), velocity)?;
+        }
         if let Some(sphere) = &obstacle.sphere {
             self.finite(&key("sphere.center_m"), &sphere.center_m)?;
         }

@@ -1,8 +1,9 @@
-//! Ranges and relations of the keys of a closed loop, and of circles.
+//! Ranges and relations of the keys of a closed loop, and of paths to follow.
 
 use super::check::{LARGEST_COUNT, MOST_ELEMENTS};
 use super::keys::{Checked, Keys};
-use super::model::{Circle, Estimator, EstimatorKind, Mpc, Plant, Scene, Sensor, Track, Unknown};
+use super::model::{Estimator, EstimatorKind, Mpc, Plant, Scene, Sensor, Track, Unknown};
+use super::path::Turns;
 use super::values::{Number, digits};
 
 impl Keys<'_> {
@@ -153,29 +154,29 @@ impl Keys<'_> {
 
     /// Exactly one of a table of points and a circle; `key` makes a key of the section's.
     pub(super) fn check_path(&self, key: &dyn Fn(&str) -> String, track: &Track) -> Checked {
-        let Some(circle) = &track.circle else {
-            if track.path_m.is_empty() {
-                let relation = "rows [t, x, y, z], or else give circle";
+        let table = (!track.path_m.is_empty()).then_some("path_m");
+        let circle = (track.circle.as_ref()).map(|circle| ("circle", Turns::from(circle)));
+        let eight = (track.figure_eight.as_ref()).map(|eight| ("figure_eight", Turns::from(eight)));
+        let names = (table.into_iter())
+            .chain(circle.as_ref().map(|(name, _)| *name))
+            .chain(eight.as_ref().map(|(name, _)| *name));
+        match names.collect::<Vec<_>>()[..] {
+            [] => {
+                let relation = "rows [t, x, y, z], or else give circle or figure_eight";
                 return Err(self.missing(&key("path_m"), relation));
             }
+            [_] => {}
+            [first, second, ..] => return Err(self.contradiction(&key(second), &key(first))),
+        }
+        let Some((name, turns)) = circle.or(eight) else {
             return self.table(&key("path_m"), &track.path_m, "a circle");
         };
-        if !track.path_m.is_empty() {
-            return Err(self.contradiction(&key("circle"), &key("path_m")));
-        }
-        let key = |name: &str| key(&format!("circle.{name}"));
-        let Circle {
-            center_m,
-            normal,
-            from_m,
-            ramp_s,
-            ..
-        } = circle;
-        self.finite(&key("center_m"), center_m)?;
-        self.nonzero(&key("normal"), normal)?;
-        match from_m {
+        let key = |part: &str| key(&format!("{name}.{part}"));
+        self.finite(&key("center_m"), &turns.center)?;
+        self.nonzero(&key("normal"), &turns.normal)?;
+        match &turns.from {
             Some(from) => self.finite(&key("from_m"), from),
-            None if ramp_s.is_some() => Err(self.missing(&key("from_m"), "goes with ramp_s")),
+            None if turns.ramp.is_some() => Err(self.missing(&key("from_m"), "goes with ramp_s")),
             None => Ok(()),
         }
     }

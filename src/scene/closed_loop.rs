@@ -47,7 +47,7 @@ impl Scene {
     /// initial state.
     ///
     /// # Errors
-    /// [`SceneError`] where `[mpc]`, `[control]` or what there is to do is missing, for what a controller does not know (obstacles, limits,
+    /// [`SceneError`] where `[mpc]`, `[control]` or what there is to do is missing, for what a controller does not know (limits of speed,
     /// points on the way, a free duration, energy, cubic blocks), and as [`Self::optimal_control`].
     pub fn closed_loop(
         &self,
@@ -85,6 +85,7 @@ impl Scene {
             block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
             jump: mpc.jump.get(),
             target_weight: mpc.target_weight.get(),
+            limit_price: mpc.limit_price.get(),
             iterations: mpc.iterations,
             ..MpcSettings::receding(horizon)
         };
@@ -112,7 +113,9 @@ impl Scene {
         let sensors = self.sensors(source, &model, &found.rod)?;
         let actuators = self.actuators();
         let loop_settings = loop_settings(mpc, actuators.delay);
-        let counted_from = mpc.counted_from_s.map_or(period, Number::get);
+        let followed = task.cost.tracks.iter().map(|track| track.from);
+        let counted_from =
+            (mpc.counted_from_s).map_or_else(|| followed.fold(period, f64::max), Number::get);
 
         let mut resolved = self.resolved(&discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
@@ -210,16 +213,10 @@ impl Scene {
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
         let refusals = [
             (
-                "obstacle",
-                !self.obstacle.is_empty(),
-                "a closed loop knows no obstacles",
-                "leave them out",
-            ),
-            (
                 "limit",
-                !self.limit.is_empty(),
-                "a closed loop knows no limits but those of [control]",
-                "leave them out",
+                self.limit.iter().any(|limit| limit.speed_max_m_s.is_some()),
+                "a closed loop knows no limits of speed",
+                "leave them out; obstacles and limits of stretch, curvature and twist it knows",
             ),
             (
                 "task.via",
@@ -388,6 +385,8 @@ impl Scene {
                 stiffness: has(Unknown::Stiffness),
                 payload: has(Unknown::Payload),
                 viscous: has(Unknown::Viscous),
+                wrench_change: (keys.wrench_change_1_s)
+                    .map_or(Unknowns::NONE.wrench_change, Number::get),
             }),
         };
         Sensing::Estimated {

@@ -145,7 +145,9 @@ impl Scene {
                         .map(|&(t, x)| [t, x.x, x.y, x.z])
                         .collect(),
                     circle: None,
+                    figure_eight: None,
                     weight: Some(known(discrete.weight)),
+                    from_s: (discrete.from > 0.0).then(|| known(discrete.from)),
                 })
                 .collect(),
                 samples: chosen.samples,
@@ -413,12 +415,19 @@ fn obstacle(limit: &task::Limit) -> Obstacle {
         capsule: None,
         half_space: None,
         cuboid: None,
+        velocity_m_s: None,
         margin_m: known(0.0),
         soft: price(limit.enforcement),
         rate_hz: limit.rate.map(known),
     };
-    if let LimitKind::Clearance { shape, margin } = limit.kind {
+    if let LimitKind::Clearance {
+        shape,
+        velocity,
+        margin,
+    } = limit.kind
+    {
         out.margin_m = known(margin);
+        out.velocity_m_s = (velocity != Vector3::zeros()).then(|| velocity.into());
         match shape {
             Shape::Sphere { center, radius } => {
                 out.sphere = Some(Sphere {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::Vector3;
 
-use super::model::{Base, Circle, Track};
+use super::model::{Base, Circle, FigureEight, Track};
 use super::values::Number;
 use crate::mechanics::rotation::from_quaternion;
 
@@ -14,31 +14,73 @@ const POINTS: f64 = 360.0;
 const MOST_POINTS: f64 = 1e6;
 
 impl Track {
-    /// Times in s and positions in m, up to `end` in s at least where the path is a circle.
+    /// Times in s and positions in m, up to `end` in s at least where the path turns.
     pub(super) fn path(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
-        match &self.circle {
-            Some(circle) => circle.points(end),
-            None => (self.path_m.iter())
+        if let Some(circle) = &self.circle {
+            let shape = |sin: f64, cos: f64| [cos, sin];
+            Turns::from(circle).points(end, shape)
+        } else if let Some(eight) = &self.figure_eight {
+            let shape = |sin: f64, cos: f64| [sin, sin * cos];
+            Turns::from(eight).points(end, shape)
+        } else {
+            (self.path_m.iter())
                 .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-                .collect(),
+                .collect()
         }
     }
 }
 
-impl Circle {
-    fn points(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
-        let ramp = self.ramp_s.map_or(self.turn_s.get(), Number::get);
-        let spacing = (self.turn_s.get().min(ramp) / POINTS).max(end / MOST_POINTS);
+/// A closed path in a plane, turned for ever.
+pub(super) struct Turns {
+    pub center: [f64; 3],
+    pub size: f64,
+    pub normal: [f64; 3],
+    pub turn: f64,
+    pub from: Option<[f64; 3]>,
+    pub ramp: Option<f64>,
+}
+
+impl From<&Circle> for Turns {
+    fn from(circle: &Circle) -> Self {
+        Self {
+            center: circle.center_m,
+            size: circle.radius_m.get(),
+            normal: circle.normal,
+            turn: circle.turn_s.get(),
+            from: circle.from_m,
+            ramp: circle.ramp_s.map(Number::get),
+        }
+    }
+}
+
+impl From<&FigureEight> for Turns {
+    fn from(eight: &FigureEight) -> Self {
+        Self {
+            center: eight.center_m,
+            size: eight.half_length_m.get(),
+            normal: eight.normal,
+            turn: eight.turn_s.get(),
+            from: eight.from_m,
+            ramp: eight.ramp_s.map(Number::get),
+        }
+    }
+}
+
+impl Turns {
+    /// `shape` gives the point in the plane, in units of the size, from sine and cosine of the phase.
+    fn points(&self, end: f64, shape: fn(f64, f64) -> [f64; 2]) -> Vec<(f64, Vector3<f64>)> {
+        let ramp = self.ramp.unwrap_or(self.turn);
+        let spacing = (self.turn.min(ramp) / POINTS).max(end / MOST_POINTS);
         let n = (end / spacing).ceil() as usize;
         (0..=n)
             .map(|i| {
                 let t = i as f64 * spacing;
-                (t, self.position(t, ramp))
+                (t, self.position(t, ramp, shape))
             })
             .collect()
     }
 
-    fn position(&self, t: f64, ramp: f64) -> Vector3<f64> {
+    fn position(&self, t: f64, ramp: f64, shape: fn(f64, f64) -> [f64; 2]) -> Vector3<f64> {
         let frame = from_quaternion(
             Base {
                 direction: Some(self.normal),
@@ -46,13 +88,13 @@ impl Circle {
             }
             .unit_quaternion(),
         );
-        let (sin, cos) = (TAU * t / self.turn_s.get()).sin_cos();
-        let on_circle = Vector3::from(self.center_m)
-            + frame * Vector3::new(cos, sin, 0.0) * self.radius_m.get();
-        let Some(from) = self.from_m.map(Vector3::from) else {
-            return on_circle;
+        let (sin, cos) = (TAU * t / self.turn).sin_cos();
+        let [x, y] = shape(sin, cos);
+        let on_path = Vector3::from(self.center) + frame * Vector3::new(x, y, 0.0) * self.size;
+        let Some(from) = self.from.map(Vector3::from) else {
+            return on_path;
         };
         let part = (t / ramp).min(1.0);
-        from + (on_circle - from) * (part * part * (3.0 - 2.0 * part))
+        from + (on_path - from) * (part * part * (3.0 - 2.0 * part))
     }
 }

@@ -498,6 +498,7 @@ impl Scene {
                         at: track.node.place(elements),
                         path: track.path(end),
                         weight: track.weight.map(Number::get),
+                        from: track.from_s.map_or(0.0, Number::get),
                     })
                     .collect(),
                 terms: Vec::new(),
@@ -634,6 +635,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
 fn clearance(obstacle: &model::Obstacle) -> Option<LimitKind> {
     Some(LimitKind::Clearance {
         shape: shape(obstacle)?,
+        velocity: (obstacle.velocity_m_s).map_or_else(Vector3::zeros, Vector3::from),
         margin: obstacle.margin_m.get(),
     })
 }

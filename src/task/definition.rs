@@ -71,7 +71,7 @@ pub struct Target {
     pub tolerances: Tolerances,
 }
 
-/// A place that should follow a path: `weight/2 ∫ |x - x*|²/L² dt` in the objective.
+/// A place that should follow a path: `weight/2 ∫ |x - x*|²/L² dt` in the objective, from a time on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// The place on the arm.
@@ -80,6 +80,8 @@ pub struct Track {
     pub path: Vec<(f64, Vector3<f64>)>,
     /// Weight, 1/s. `None`: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of itself.
     pub weight: Option<f64>,
+    /// Time from which on it should be there, s: the place meets what moves along the path, and goes along with it.
+    pub from: f64,
 }
 
 /// What is made as small as possible, in integrals over time:
@@ -122,8 +124,10 @@ impl Default for Cost {
 pub enum LimitKind {
     /// The arm, with its radius, stays `margin` in m clear of an obstacle.
     Clearance {
-        /// The obstacle.
+        /// The obstacle, where it is at t = 0.
         shape: Shape,
+        /// How it moves, m/s.
+        velocity: Vector3<f64>,
         /// Clearance, m.
         margin: f64,
     },

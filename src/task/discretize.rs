@@ -196,6 +196,7 @@ impl Task {
                         node: track.at.node(rod.tip()),
                         path: track.path.clone(),
                         weight: track.weight.unwrap_or(default_weight),
+                        from: track.from,
                     })
                     .collect(),
                 terms: self.cost.terms.clone(),
@@ -434,11 +435,16 @@ impl LimitKind {
     #[must_use]
     pub fn on(&self, rod: &Rod, radii: &[f64]) -> PathLimit {
         match self.clone() {
-            Self::Clearance { shape, margin } => {
+            Self::Clearance {
+                shape,
+                velocity,
+                margin,
+            } => {
                 let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
                 let radius = shape.least_radius() + thinnest(radii) + margin;
                 PathLimit::Clearance {
                     shape,
+                    velocity,
                     margin,
                     points: PathLimit::points_per_element(chord, radius),
                 }
@@ -587,12 +593,7 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
             continue;
         }
         let limit = &constraint.limit;
-        let worst = (0..limit.n_items(&problem.rod))
-            .map(|item| (limit.value(&rod_view, 0, item), item))
-            .fold(
-                (0.0, 0),
-                |worst, row| if row.0 > worst.0 { row } else { worst },
-            );
+        let worst = limit.worst(&rod_view, 0);
         if worst.0 <= START_TOLERANCE {
             continue;
         }
@@ -682,10 +683,16 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         };
         let radius = problem.radii.get(goal.node).copied().unwrap_or(0.0);
         for constraint in &problem.path {
-            if let PathLimit::Clearance { shape, margin, .. } = &constraint.limit
+            if let PathLimit::Clearance {
+                shape,
+                velocity,
+                margin,
+                ..
+            } = &constraint.limit
                 && constraint.enforcement == PathEnforcement::Hard
             {
-                let depth = radius + margin - shape.distance(position).value;
+                let seen = position - velocity * problem.grid.time(goal.time_node);
+                let depth = radius + margin - shape.distance(&seen).value;
                 if depth > distance {
                     let why = format!(
                         "too near to \"{}\" for node {}, whose radius is {radius:.3e} m",

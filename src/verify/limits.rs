@@ -117,6 +117,7 @@ impl Measure<'_> {
         match limit {
             PathLimit::Clearance {
                 shape,
+                velocity,
                 margin,
                 points,
             } => {
@@ -124,7 +125,8 @@ impl Measure<'_> {
                 let next = (q + 1).min(here.x.len() - 1);
                 let radius = |node: usize| self.radii.get(node).copied().unwrap_or(0.0);
                 let x = here.x[q] * (1.0 - s) + here.x[next] * s;
-                radius(q) * (1.0 - s) + radius(next) * s + margin - distance(shape, &x)
+                radius(q) * (1.0 - s) + radius(next) * s + margin
+                    - distance(shape, &(x - velocity * here.t))
             }
             PathLimit::Stretch { least, largest } => {
                 let q = item / 2;
@@ -255,7 +257,12 @@ impl Measure<'_> {
             return Vector3::zeros();
         }
         match limit {
-            PathLimit::Clearance { shape, points, .. } => {
+            PathLimit::Clearance {
+                shape,
+                velocity,
+                points,
+                ..
+            } => {
                 let (q, s) = (item / points, (item % points) as f64 / *points as f64);
                 let next = (q + 1).min(here.x.len() - 1);
                 let x = here.x[q] * (1.0 - s) + here.x[next] * s;
@@ -265,7 +272,7 @@ impl Measure<'_> {
                         share += part;
                     }
                 }
-                -away(shape, &x) * share
+                -away(shape, &(x - velocity * here.t)) * share
             }
             PathLimit::Stretch { .. } => {
                 let q = item / 2;
@@ -359,7 +366,7 @@ pub(super) fn add_state_cost(
 ) -> f64 {
     let (rod, objective) = (&problem.rod, &problem.objective);
     let mut cost = 0.0;
-    for tracking in &objective.tracking {
+    for tracking in objective.tracking.iter().filter(|own| own.counts(t)) {
         let off = (pose.x[tracking.node] - tracking.position(t)) / rod.scales.length;
         cost += 0.5 * tracking.weight * duration * off.norm_squared();
         cx[tracking.node] += off * (tracking.weight * duration / rod.scales.length);

@@ -41,6 +41,7 @@ pub fn task(largest_force: f64) -> Task {
                 at: Place::Tip,
                 path: corners.collect(),
                 weight: Some(1e4),
+                from: 0.0,
             }],
             ..Cost::default()
         },

@@ -14,6 +14,9 @@ use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{Disturbance, EstimateError, Estimator, Inbox, Predictor};
 use crate::mpc::signal::Measurement;
 
+/// Failures of an estimator one after the other, after which it starts anew from where the task begins.
+const MOST_FAILURES: usize = 3;
+
 /// Drives a plant of any kind: a simulated arm, another simulator, or hardware.
 ///
 /// A sample at `t_k = k T` is
@@ -44,6 +47,8 @@ pub struct Driver {
     /// Time to which the estimate has come, s, and that of the last measurement that it has used.
     known_at: f64,
     corrected_at: f64,
+    /// Failures of the estimator since the last measurement that it used.
+    failures: usize,
     index: usize,
     begin: Instant,
     /// Time that the sample before took to its command, s.
@@ -122,6 +127,7 @@ impl Driver {
             deviation: Disturbance::NONE,
             known_at: 0.0,
             corrected_at: 0.0,
+            failures: 0,
             index: 0,
             begin: Instant::now(),
             computing: 0.0,
@@ -317,10 +323,22 @@ impl Driver {
             match advanced.and_then(|()| estimator.correct(&self.measurement)) {
                 Ok(innovation) => {
                     n_used += 1;
+                    self.failures = 0;
                     self.corrected_at = self.measurement.time;
                     sample.innovation = Some(innovation);
                 }
-                Err(error) => cause = Some(Cause::of_estimate(&error)),
+                Err(error) => {
+                    let own = Cause::of_estimate(&error);
+                    self.failures += usize::from(own == Cause::Estimate);
+                    cause = Some(own);
+                }
+            }
+            if self.failures == MOST_FAILURES {
+                // An estimate that is wrong enough for the model to break down does not come back by itself.
+                let start = self.controller.initial();
+                if estimator.restart(self.measurement.time, start).is_ok() {
+                    self.failures = 0;
+                }
             }
         }
         let estimate = estimator.estimate();

@@ -83,7 +83,7 @@ pub enum EstimatorChoice {
 }
 
 /// What a Kalman filter estimates besides the state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknowns {
     /// A force at the tip.
     pub tip_force: bool,
@@ -97,9 +97,22 @@ pub struct Unknowns {
     pub payload: bool,
     /// Viscous damping.
     pub viscous: bool,
+    /// How fast unknown wrenches change: the deflection over the length that they cause more or less within a second. Larger, pushes are
+    /// followed faster, and the noise of sensors with them.
+    pub wrench_change: f64,
 }
 
 impl Unknowns {
+    /// None of them, and wrenches that change slowly.
+    pub const NONE: Self = Self {
+        tip_force: false,
+        tip_moment: false,
+        distributed: false,
+        stiffness: false,
+        payload: false,
+        viscous: false,
+        wrench_change: 0.007,
+    };
     /// All of them.
     pub const ALL: Self = Self {
         tip_force: true,
@@ -108,13 +121,13 @@ impl Unknowns {
         stiffness: true,
         payload: true,
         viscous: true,
+        ..Self::NONE
     };
 }
 
-/// Deflection over the length that an unknown wrench is expected to cause, and its change within a second; and the same of the factor on
-/// the stiffness.
+/// Deflection over the length that an unknown wrench is expected to cause.
 const EXPECTED_DEFLECTION: f64 = 0.05;
-const CHANGE_OF_DEFLECTION: f64 = 0.02;
+/// Expected factor on the stiffness beyond 1, and its change within a second.
 const EXPECTED_STIFFNESS: [f64; 2] = [0.3, 0.1];
 /// Expected payload over the mass of the arm, and its change within a second.
 const EXPECTED_PAYLOAD: [f64; 2] = [0.1, 0.02];
@@ -122,7 +135,7 @@ const EXPECTED_PAYLOAD: [f64; 2] = [0.1, 0.02];
 const EXPECTED_DAMPING: [f64; 2] = [0.7, 0.1];
 /// Deflection over the length by what forces that nobody knows add within one second: what a coarse model has wrong about the faster waves
 /// of an arm must be less certain than what slow disturbances explain.
-const UNKNOWN_FORCES: f64 = 0.03;
+const UNKNOWN_FORCES: f64 = 0.015;
 /// Time over the arm's own in which an observer's injection becomes a disturbance.
 const OBSERVER_INTEGRAL: f64 = 1.0;
 
@@ -137,7 +150,7 @@ impl Unknowns {
         let walk = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
                 initial: EXPECTED_DEFLECTION * size,
-                change: CHANGE_OF_DEFLECTION * size,
+                change: self.wrench_change * size,
             })
         };
         let parameter = |is_unknown: bool, [initial, change]: [f64; 2], unit: f64| {

@@ -19,6 +19,10 @@ pub struct MpcSettings {
     pub jump: f64,
     /// Weight of the squared scaled residuals of targets, halved: targets are soft.
     pub target_weight: f64,
+    /// Price of a unit of the violation of a limit that is to be kept, in its scale, for a second, and of half of its square. Limits are kept
+    /// as long as nothing is worth more: no plan fails for their sake. A price far above what keeps them, the weight of a track times the
+    /// distance over the length by which they hold its node back, makes commands jump for the sake of violations that are next to nothing.
+    pub limit_price: f64,
     /// Gauss-Newton iterations a sample, at least 1.
     pub iterations: usize,
     /// Most iterations of the subproblem.
@@ -39,6 +43,7 @@ impl MpcSettings {
             block: horizon / 10.0,
             jump: 100.0,
             target_weight: 1e4,
+            limit_price: 5e3,
             iterations: 1,
             subproblem_iterations: 40,
             subproblem_tolerance: 1e-6,
@@ -62,6 +67,7 @@ impl MpcSettings {
         positive("horizon", self.horizon)?;
         positive("block", self.block)?;
         positive("target_weight", self.target_weight)?;
+        positive("limit_price", self.limit_price)?;
         positive("subproblem_tolerance", self.subproblem_tolerance)?;
         let others = [
             ("start", self.start),

@@ -33,6 +33,7 @@ fn controller(bound: f64) -> Controller {
                 at: Place::Tip,
                 path,
                 weight: Some(1e4),
+                from: 0.0,
             }],
             ..Cost::default()
         },

@@ -15,6 +15,9 @@ const EXACT: f64 = 1e-6;
 /// `|RᵀR - I|` of a measured rotation, at most; what is below is taken to the nearest rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
 
+/// Distance of a measured position from the base, over the arm's length, at most.
+const FARTHEST: f64 = 2.0;
+
 /// Compares measurements with estimates, in memory that is kept.
 #[derive(Debug)]
 pub(super) struct Comparison {
@@ -58,6 +61,17 @@ impl Comparison {
     ) -> Result<(), EstimateError> {
         for (index, signal) in measurement.signals.iter().enumerate() {
             check(index, signal)?;
+            if let (Reading::Position(x), true) = (&signal.reading, rod.first_free_node() > 0) {
+                let distance = (x - estimate.state.configuration.positions[0]).norm();
+                if distance > FARTHEST * rod.scales.length {
+                    return Err(EstimateError::Signal {
+                        index,
+                        name: "the distance of its position from the base in m",
+                        value: distance,
+                        expected: "within twice the length of the arm",
+                    });
+                }
+            }
         }
         self.rows.clear();
         self.nearest = None;

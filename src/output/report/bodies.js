@@ -110,12 +110,12 @@ function bodyPieces(stage) {
   function all(pieces) {
     const shade = stage.shading();
     for (const body of bodies) {
-      const base = colors[body.color];
+      const base = colors[body.color], moved = mul(body.velocity, clock.now);
       for (const facet of body.facets) {
-        const eye = toViewer(facet.point);
+        const point = add(facet.point, moved), eye = toViewer(point);
         if (dot(facet.normal, eye) <= -0.02 * norm(eye)) continue;
-        const corners = facet.corners.map(project), fill = shade(base, facet.normal);
-        pieces.push({ depth: project(facet.point).depth, corners, body, draw() { polygon(corners, fill, fill); } });
+        const corners = facet.corners.map((corner) => project(add(corner, moved))), fill = shade(base, facet.normal);
+        pieces.push({ depth: project(point).depth, corners, body, draw() { polygon(corners, fill, fill); } });
       }
       if (body.patch) pieces.push(planePiece(body));
     }
@@ -123,7 +123,8 @@ function bodyPieces(stage) {
 
   /** Part of a plane. The arm is on its outer side: in front of it, or, seen from behind, beyond. */
   function planePiece(body) {
-    const { middle, a } = body.patch, b = cross(body.shape.normal, a), half = 0.55 * size;
+    const { a } = body.patch, b = cross(body.shape.normal, a), half = 0.55 * size;
+    const middle = add(body.patch.middle, mul(body.velocity, clock.now));
     const at = (u, v) => project(add(middle, add(mul(a, u * half), mul(b, v * half))));
     const corners = [at(-1, -1), at(1, -1), at(1, 1), at(-1, 1)];
     const outside = dot(body.shape.normal, toViewer(middle)) > 0;

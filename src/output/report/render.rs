@@ -177,6 +177,7 @@ mod tests {
                     point: [0.0; 3],
                     normal: [0.0, 0.0, 1.0],
                 },
+                velocity: [0.0; 3],
                 margin: 0.0,
                 clearance: vec![0.5],
             }],

@@ -31,6 +31,10 @@ pub struct Mpc {
     pub jump: NonNegative<values::Weight>,
     /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop.
     pub target_weight: Positive<values::Weight>,
+    /// Price of a violation of 1, in the scale of its limit, of obstacles and limits that are not `soft` themselves: linear for a second, and
+    /// of half of its square; positive, default 5000. What keeps a limit is the weight of a track times the distance over the length by which
+    /// it holds the node back; far above that, commands jump.
+    pub limit_price: Positive<values::Weight>,
     /// Gauss-Newton iterations a sample, at least 1, default 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub iterations: usize,
@@ -198,6 +202,10 @@ pub struct Estimator {
     /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Default: nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disturbances: Vec<Unknown>,
+    /// How fast the unknown wrenches of a Kalman filter change: the deflection over the length that they cause more or less within a second;
+    /// not negative. Larger, pushes are followed faster, and the noise of sensors with them. Absent: 0.007.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wrench_change_1_s: Option<NonNegative<values::Rate>>,
 }
 
 /// How the state becomes known.
@@ -245,6 +253,7 @@ impl Default for Mpc {
             block_s: None,
             jump: known(JUMP),
             target_weight: known(settings.target_weight),
+            limit_price: known(settings.limit_price),
             iterations: settings.iterations,
             duration_s: None,
             counted_from_s: None,

@@ -27,6 +27,9 @@ pub struct Obstacle {
     /// A box.
     #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
     pub cuboid: Option<Cuboid>,
+    /// How the obstacle moves, in m/s: what is given is where it is at t = 0. Absent: it stays there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity_m_s: Option<[f64; 3]>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
     pub margin_m: NonNegative<values::Clearance>,

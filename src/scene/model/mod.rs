@@ -19,7 +19,7 @@ pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere
 pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
 pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
-pub use self::solver::{Circle, Continuation, Guess, Objective, Qp, Solver, Track};
+pub use self::solver::{Circle, Continuation, FigureEight, Guess, Objective, Qp, Solver, Track};
 pub use self::task::{FreeDuration, Task, Via};
 pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
 

@@ -51,11 +51,17 @@ pub struct Track {
     /// A circle, instead of `path_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub circle: Option<Circle>,
+    /// A figure eight, instead of `path_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub figure_eight: Option<FigureEight>,
     /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
     /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
+    /// Time in s from which on the node should be there, not negative: it meets what moves along the path, and goes along with it. Absent: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<NonNegative<values::Time>>,
 }
 
 /// Turns on a circle, from t = 0 for as long as the scene lasts: c + r (cos φ a + sin φ b), φ = 2π t over `turn_s`, where a and b are the
@@ -84,6 +90,31 @@ pub struct Circle {
 
 fn upward() -> [f64; 3] {
     [0.0, 0.0, 1.0]
+}
+
+/// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂),
+/// φ = 2π t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from
+/// the spatial frame. It begins in its center.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct FigureEight {
+    /// Center c in m.
+    pub center_m: [f64; 3],
+    /// Half of its length a in m, positive.
+    pub half_length_m: Positive<values::Radius>,
+    /// Normal of its plane, of any length but zero. Default: [0, 0, 1].
+    #[serde(default = "upward")]
+    pub normal: [f64; 3],
+    /// Duration of a turn in s, positive.
+    pub turn_s: Positive<values::Duration>,
+    /// Where the path begins, in m: it goes over into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at the part p of
+    /// that time. Absent: on the figure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_m: Option<[f64; 3]>,
+    /// Time in s in which the path goes over into the figure, positive; only with `from_m`. Absent: one turn.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ramp_s: Option<Positive<values::Duration>>,
 }
 
 /// How the optimizer works.

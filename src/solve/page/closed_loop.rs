@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use super::obstacles::obstacles;
 use super::solve::drawn_bound;
 use super::summary::{Fields, counted, measure};
 use super::words::{acting_facts, arm_facts, at_most, cost};
@@ -89,7 +90,15 @@ pub(crate) fn closed_loop_page(
             .chain(arrows::given(&setup.plant, record, |i| load_name(setup, i)))
             .collect(),
         fields: fields::fields(&setup.plant, record),
-        obstacles: None,
+        obstacles: obstacles(
+            &task.limits,
+            &setup.plant,
+            &setup
+                .experiment
+                .plant
+                .radii_at_nodes(setup.plant.n_elements()),
+            record,
+        ),
         controls: Some(controls(setup, &thin)),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: None,

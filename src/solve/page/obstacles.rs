@@ -44,19 +44,24 @@ pub(super) fn obstacles(
             },
         };
         for ((_, limit), clearance) in limits.iter().zip(&mut clearances) {
-            let worst = (0..limit.n_items(rod))
-                .map(|item| limit.value(&rod_view, 0, item))
-                .fold(f64::NEG_INFINITY, f64::max);
+            let (worst, _) = limit.worst(&rod_view, 0);
             clearance.push(-worst * limit.scale(rod));
         }
     }
     let bodies = (limits.into_iter().zip(clearances)).filter_map(|((name, limit), beyond)| {
-        let PathLimit::Clearance { shape, margin, .. } = limit else {
+        let PathLimit::Clearance {
+            shape,
+            velocity,
+            margin,
+            ..
+        } = limit
+        else {
             return None;
         };
         Some(ReportObstacle {
             name: name.into(),
             shape: drawn(&shape),
+            velocity: velocity.into(),
             margin,
             clearance: beyond.iter().map(|c| (c + margin) as f32).collect(),
         })
