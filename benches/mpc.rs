@@ -201,20 +201,25 @@ fn circle(seconds: f64) -> Result<(), MpcError> {
     println!("## The circle, on arms that are not the model\n");
     println!(
         "Distance of the tip from its reference after the first turn, in % of the length, over {seconds} s: root mean square / largest. Open \
-         loop, the law at the tip and \"state\" know the true state at once; \"no disturbance\" and \"filter\" have poses at three places with \
+         loop, a linear-quadratic regulator about its plan, the law at the tip and \"state\" know the true state at once; \"no disturbance\" and \"filter\" have poses at three places with \
          0.2 mm and 0.2 degrees of noise and no velocities, 200 Hz, 5 ms old, and one period of delay, by a Kalman filter on the state alone, \
          and with tip wrench, distributed force, stiffness, payload and viscous damping as unknowns.\n"
     );
     println!(
-        "| arm | open loop | law at the tip | state | no disturbance | filter | filter: last turn over second |"
+        "| arm | open loop | regulator | law at the tip | state | no disturbance | filter | filter: last turn over second |"
     );
-    println!("|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|");
     for (name, plant) in arms() {
         let mut known = scene(seconds, 10);
         known.plant = plant;
         known.adjust = (name == SOFT_ELEMENT).then_some(soften as fn(&mut Rod));
         let mut row = format!("| {name} ");
-        for contender in [Contender::OpenLoop, Contender::TipPd, Contender::Mpc] {
+        for contender in [
+            Contender::OpenLoop,
+            Contender::Regulator,
+            Contender::TipPd,
+            Contender::Mpc,
+        ] {
             let found = run(&known, contender)?;
             row += &format!(
                 "| {} / {} ",
@@ -328,7 +333,12 @@ fn disturbances() -> Result<(), MpcError> {
         "| law | largest error, % | error one period after the push, % | within 1 % after, s |"
     );
     println!("|---|---|---|---|");
-    for contender in [Contender::OpenLoop, Contender::TipPd, Contender::Mpc] {
+    for contender in [
+        Contender::OpenLoop,
+        Contender::Regulator,
+        Contender::TipPd,
+        Contender::Mpc,
+    ] {
         let found = run(&pushed, contender)?;
         let after: Vec<_> = found.samples.iter().filter(|s| s.t >= 4.3).collect();
         let last_out = (after.iter().rev()).find(|s| s.tip_error() > 0.01);

@@ -32,7 +32,7 @@ use crate::stop::{Stop, StopSignal};
 pub(super) struct MpcArguments {
     #[command(flatten)]
     scene: SceneAndOut,
-    /// Also run the plan without feedback, a spring and a damper at the tip, the controller on an arm that is its model, and on an arm
+    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip, the controller on an arm that is its model, and on an arm
     /// that waits for it; print one table
     #[arg(long)]
     baselines: bool,
@@ -42,8 +42,9 @@ pub(super) struct MpcArguments {
 }
 
 /// What runs with `--baselines`.
-const BASELINES: [Contender; 4] = [
+const BASELINES: [Contender; 5] = [
     Contender::OpenLoop,
+    Contender::Regulator,
     Contender::TipPd,
     Contender::PlantIsModel,
     Contender::PlantWaits,
@@ -509,6 +510,7 @@ fn summarize(
 fn label(contender: Contender) -> &'static str {
     match contender {
         Contender::OpenLoop => "open loop",
+        Contender::Regulator => "regulator",
         Contender::TipPd => "PD at the tip",
         Contender::PlantIsModel => "MPC, plant = model",
         Contender::PlantWaits => "MPC, plant waits",

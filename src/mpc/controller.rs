@@ -476,6 +476,23 @@ impl Controller {
         Ok(&self.command)
     }
 
+    /// The first command that the linearized model has for a measured state, with the plan left as it was: that of a linear-quadratic regulator
+    /// about the motion of the plan, within the bounds.
+    ///
+    /// # Errors
+    /// As [`feedback`](Self::feedback).
+    pub(super) fn regulate(&mut self, measured: &State) -> Result<Command, MpcError> {
+        self.check(measured)?;
+        measured.difference_into(&self.horizon.start, &mut self.deviation);
+        let kept = (self.plan.clone(), self.acting.clone(), self.acts);
+        let outcome = self.correct();
+        self.issue(self.horizon.grid.start);
+        let command = self.command.clone();
+        (self.plan, self.acting, self.acts) = kept;
+        self.deviation.fill_zero();
+        outcome.map(|()| command)
+    }
+
     /// Prepares the next sample: the state at its start is predicted from the measured one under the command.
     ///
     /// # Errors

@@ -111,7 +111,7 @@ impl Driver {
         };
         let tip_law = match settings.law {
             Law::Tip(gains) => Some(TipLaw::new(&controller, gains)?),
-            Law::Mpc | Law::OpenLoop => None,
+            Law::Mpc | Law::OpenLoop | Law::Regulator => None,
         };
         let model = controller.rod();
         Ok(Self {
@@ -246,6 +246,7 @@ impl Driver {
                 self.controlled(acts_from)
             }
             (None, Law::Mpc) => self.controlled(acts_from),
+            (None, Law::Regulator) => self.regulated(acts_from),
             (None, Law::Tip(_)) => match &self.tip_law {
                 Some(law) => Ok(law.command(&self.controller, &self.state, acts_from)),
                 None => Err(Cause::NoMeasurement),
@@ -399,6 +400,14 @@ impl Driver {
         }
     }
 
+    /// What the regulator about the plan's own motion answers to the present state; the plan goes on as if that motion were measured.
+    fn regulated(&mut self, acts_from: f64) -> Result<Command, Cause> {
+        let response = self.controller.regulate(&self.state);
+        let response = response.map_err(|error| Cause::of_controller(&error))?;
+        self.state.clone_from(self.controller.expected());
+        self.controlled(acts_from).map(|_| response)
+    }
+
     /// Keeps a command for the estimates to come, and what the actuators are to be told.
     fn send(&mut self, mut command: Command, acts_from: f64) {
         let shift = acts_from - command.start;
@@ -416,10 +425,7 @@ impl Driver {
     }
 
     fn prepare_controller(&mut self) {
-        if self.settings.law != Law::Mpc && self.settings.law != Law::OpenLoop {
-            return;
-        }
-        if self.is_lost {
+        if matches!(self.settings.law, Law::Tip(_)) || self.is_lost {
             return;
         }
         let disturbs = self.settings.compensates && self.settings.law == Law::Mpc;

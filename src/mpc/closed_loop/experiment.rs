@@ -180,6 +180,8 @@ pub enum Contender {
     Mpc,
     /// The controller's plan without any measurement.
     OpenLoop,
+    /// That plan with a linear-quadratic regulator about its motion.
+    Regulator,
     /// A spring and a damper at the tip, and what holds the model at the reference.
     TipPd,
     /// The controller on an arm that is its model, with the true state at once.
@@ -190,9 +192,10 @@ pub enum Contender {
 
 impl Contender {
     /// All of them.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Mpc,
         Self::OpenLoop,
+        Self::Regulator,
         Self::TipPd,
         Self::PlantIsModel,
         Self::PlantWaits,
@@ -204,6 +207,7 @@ impl Contender {
         match self {
             Self::Mpc => "mpc",
             Self::OpenLoop => "open_loop",
+            Self::Regulator => "regulator",
             Self::TipPd => "pd",
             Self::PlantIsModel => "plant_is_model",
             Self::PlantWaits => "plant_waits",
@@ -264,6 +268,7 @@ impl Experiment {
         match contender {
             Contender::Mpc => own.settings.law = Law::Mpc,
             Contender::OpenLoop => own.settings.law = Law::OpenLoop,
+            Contender::Regulator => own.settings.law = Law::Regulator,
             Contender::TipPd => own.settings.law = Law::Tip(TipGains::default()),
             Contender::PlantIsModel => {
                 own.plant = self.arm.clone();

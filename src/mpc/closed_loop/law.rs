@@ -15,6 +15,9 @@ pub enum Law {
     Mpc,
     /// The controller's own plan for its undisturbed model, without any measurement.
     OpenLoop,
+    /// The same plan, and a linear law on the deviation from the motion that it is for: the first command of the linear-quadratic regulator over
+    /// the horizon (the controller's quadratic program with the measured deviation, about a plan that no measurement changes).
+    Regulator,
     /// A force at the tip: that which holds the model at the reference, and a spring and a damper towards it.
     Tip(TipGains),
 }
