@@ -61,7 +61,7 @@ fn limits(rod: &Rod) -> Vec<PathConstraint> {
         enforcement: PathEnforcement::Hard,
     };
     let clearance = |shape| PathLimit::Clearance {
-        velocity: Vector3::zeros(),
+        velocity: Vector3::new(0.02, -0.01, 0.005),
         shape,
         margin: 0.01,
         points: 2,
@@ -164,7 +164,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
                     (0.2, Vector3::new(0.1, 0.0, 0.7)),
                 ],
                 weight: 20.0,
-                from: 0.0,
+                from: 0.05,
             }],
             samples: 30,
         },
