@@ -16,7 +16,7 @@ use crate::mechanics::curvature::{
     InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, load_curvatures,
 };
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::integrator::{StepError, TimeScheme};
+use crate::mechanics::integrator::StepError;
 use crate::mechanics::lanes::tangent::{
     Blocks, Displacement, HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule,
     TrapezoidalTangent, drift, inertia_curvature, put_pose,
@@ -72,7 +72,7 @@ pub(super) fn linearize_in(
 ) -> Result<(), StepError> {
     let n_lanes = dispatch(arch, CountLanes);
     let mut none = None;
-    let lanes = if multipliers.is_some() && is_damped(motion) {
+    let lanes = if multipliers.is_some() && is_solved(motion) {
         &mut none
     } else {
         lanes
@@ -177,13 +177,13 @@ fn clear_step(
     Ok(step)
 }
 
-/// The lanes know the standard model with explicit steps.
+/// The lanes know the standard model.
 pub(super) fn is_possible(motion: &Motion) -> bool {
-    motion.rod.model == RodModel::Standard && motion.rod.scheme == TimeScheme::Explicit
+    motion.rod.model == RodModel::Standard
 }
 
 /// Whether a stress depends on both ends of an interval.
-pub(super) fn is_damped(motion: &Motion) -> bool {
+pub(super) fn is_solved(motion: &Motion) -> bool {
     IntervalWeights::of(motion.rod, motion.grid.step).is_some()
 }
 
@@ -193,9 +193,9 @@ pub(super) struct Workspace {
     /// [`POSE_ROWS`] of every node, and those a step later.
     pub poses: Buffer,
     pub next: Buffer,
-    /// Those a step earlier, of damped rods.
+    /// Those a step earlier, of steps that are solved for.
     pub before: Buffer,
-    /// Of damped rods.
+    /// Of steps that are solved for.
     pub solve: Option<SolveRows>,
     /// `λ` of every node times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends.
     multipliers: Buffer,
@@ -344,7 +344,7 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
         if group.workspace.solve.is_some() {
             group.prepare_solve(S::F64_LANES);
             let irregular =
-                group.spins(simd) + group.damped_elements::<S, R>(simd) + group.factors(simd);
+                group.spins(simd) + group.solved_elements::<S, R>(simd) + group.factors(simd);
             let both = group.zeros(irregular);
             return Regular {
                 drifts: both,
@@ -411,7 +411,7 @@ impl Group<'_> {
     fn prepare(&mut self) {
         let rod = self.motion.rod;
         let (motion, stretch) = (self.motion, self.stretch);
-        let damped = self.workspace.solve.is_some();
+        let solved = self.workspace.solve.is_some();
         let n_drifts = |k: usize| if k < *stretch.end() { rod.n_nodes() } else { 0 };
         for (step, k) in self.steps.iter_mut().zip(self.first..) {
             let kick = kick(motion, stretch, k);
@@ -427,7 +427,7 @@ impl Group<'_> {
             );
             step.first_free_node = rod.first_free_node();
             step.element_drifts.clear();
-            if damped {
+            if solved {
                 step.drifts.clear();
             } else {
                 step.solve.clear();
