@@ -102,11 +102,7 @@ fn unsolved(rod: &Rod, h: f64, n_steps: usize) -> f64 {
     let mass = largest(&mut rod.nodes.iter().map(|node| node.mass));
     let rotary = largest(&mut rod.nodes.iter().map(|node| node.rotary.max()));
     let step = strain * (force / (0.3 * mass)).max(moment / (3.0 * rotary));
-    let amplification = if rod.internal_damping < h {
-        1e2
-    } else {
-        1.0
-    };
+    let amplification = if rod.internal_damping < h { 1e2 } else { 1.0 };
     (1e-13 + step) * (n_steps as f64).sqrt() * amplification
 }
 
