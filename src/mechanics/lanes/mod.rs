@@ -6,6 +6,7 @@
 
 mod base;
 mod constants;
+pub(super) mod curved;
 mod element;
 mod failure;
 mod impulses;
