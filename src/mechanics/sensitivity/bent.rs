@@ -11,6 +11,8 @@ use crate::mechanics::lanes::tangent::{Blocks, Law, NodePose, POSE_ROWS, Tangent
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::mechanics::strain::ElementStiffness;
 
+type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
+
 impl Group<'_> {
     /// Curvatures of the stress and of the inertia over the intervals; counts what is irregular, lane by lane.
     #[inline(always)]
@@ -53,7 +55,7 @@ impl Group<'_> {
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
             let law = Law::of::<R>(simd, element);
             let found = stress_curvature::<S, R>(&law, element.length, weights, &ends);
-            let parts: [(Blocks<S>, fn(&mut StressCurvature) -> &mut ElementStiffness); 3] = [
+            let parts: [(Blocks<S>, Part); 3] = [
                 (found.start, |stress| &mut stress.start),
                 (found.cross, |stress| &mut stress.cross),
                 (found.end, |stress| &mut stress.end),
