@@ -4,9 +4,9 @@
 //! The stress of an interval depends on the strain where it ends. The iteration is the simplified Newton method (Hairer & Wanner 1996,
 //! section IV.8): the factors of the matrix are kept from correction to correction and from step to step, because in the body frames of
 //! the nodes they change with the shape and not with the motion of the rod as a whole. New ones are made at once where a correction leaves
-//! more than a tenth of the residual, and for the next step where the old ones have cost more corrections than new ones do. The residual
-//! is exact, so that what is accepted does not depend on the factors but by less than the tolerance. Whatever the iteration cannot do, the
-//! plain integrator does in its place, from the same state.
+//! more than a tenth of the residual, for which an implicit step begins again, and for the next step where the old ones have cost more
+//! corrections than new ones do. The residual is exact, so that what is accepted does not depend on the factors but by less than the
+//! tolerance. Whatever the iteration cannot do, the plain integrator does in its place, from the same state.
 //!
 //! An explicit step starts where the last ones, extrapolated, lead, so that one or two corrections lead to rounding. An implicit one
 //! starts from rest, as in the plain integrator and for the same reason.

@@ -155,7 +155,8 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let kept = !self.solver.stale;
         let outcome = self.solve();
         if outcome == Outcome::Left && kept && self.solver.scheme == TimeScheme::Implicit {
-            // Once more, by Newton's first step.
+            // Once more from rest, with Newton's first step: where the equations have several solutions, it leads to that of the plain
+            // integrator.
             self.solver.stale = true;
             return self.solve();
         }
@@ -167,6 +168,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     fn solve(&mut self) -> Outcome {
         let sizes = self.begin();
         let mut fresh = false;
+        let begins_anew = self.solver.stale || self.solver.scheme == TimeScheme::Explicit;
         let mut last = f64::INFINITY;
         let mut corrections = 0;
         let tolerance = loop {
@@ -189,7 +191,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                 return Outcome::Left;
             }
             if self.solver.stale && !fresh || worst > SLOW * last {
-                if fresh && slow {
+                if fresh && slow || !begins_anew {
                     return Outcome::Left;
                 }
                 self.factor();
