@@ -278,37 +278,50 @@ fn implicit_motions_do_not_depend_on_where_they_were_cut() {
 
 /// Violent implicit steps, one by one from the same state: jumps of the control at every step, steps from a thirtieth to thirty times the
 /// automatic one, arms and wires, clamped and free. Where the equations of a step have several solutions, the factors that are kept
-/// lead to that of the plain integrator, and where there is none, both say so.
+/// lead to that of the plain integrator, and where there is none, both say so. From the first seed on, an iteration that only makes new
+/// factors where it has come to, and does not begin again from rest, ends in another solution at the second step.
 #[test]
 fn violent_implicit_steps_have_the_solution_of_the_plain_integrator() {
-    for case in 0..400 {
-        let mut dice = Dice(case);
-        let n_elements = 1 + (case % 24) as usize;
+    for seed in [SEVERAL_SOLUTIONS].into_iter().chain(0..400) {
+        let dice = &mut Dice(seed);
+        let n_elements = 1 + ((dice.roll() + 1.0) * 12.0) as usize;
         let (material, radius) = if dice.roll() > 0.0 {
             (common::SILICONE, 0.05)
         } else {
             (Material::isotropic(75e9, 0.33, 6450.0), 0.5e-3)
         };
         let section = SectionProfile::Uniform(Section::circle(&material, radius));
+        let strain_rule = RULES[usize::from(dice.roll() <= 0.0)];
+        let base = if dice.roll() > 0.5 {
+            BaseCondition::Free
+        } else {
+            BaseCondition::Clamped
+        };
+        let internal_damping = if dice.roll() > 0.0 {
+            1e-3 * (dice.roll() + 1.0)
+        } else {
+            0.0
+        };
         let rod = Rod::new(&RodParameters {
             scheme: TimeScheme::Implicit,
-            strain_rule: RULES[usize::from(dice.roll() > 0.0)],
-            base: if dice.roll() > 0.5 {
-                BaseCondition::Free
-            } else {
-                BaseCondition::Clamped
-            },
-            internal_damping: 1e-3 * dice.roll().max(0.0),
-            viscous_damping: 1.0 + dice.roll(),
+            strain_rule,
+            base,
+            internal_damping,
             gravity: dice.vector(10.0),
             rest_curvature: dice.vector(2.0),
+            viscous_damping: 1.0 + dice.roll(),
             ..RodParameters::straight(0.5, n_elements, section)
         })
         .unwrap();
         let h = automatic_step(&rod) * 10f64.powf(1.5 * dice.roll());
         let speed = 10f64.powf(dice.roll());
+        let mut initial = State::at_rest(rod.rest.clone());
+        for q in rod.first_free_node()..rod.n_nodes() {
+            let node = &rod.nodes[q];
+            initial.linear_momentum[q] = dice.vector(speed) * node.mass;
+            initial.angular_momentum[q] = dice.vector(3.0 * speed).component_mul(&node.rotary);
+        }
         let size = rod.scales.force * 10f64.powf(1.0 + dice.roll());
-        let initial = random_state(&rod, 1e-4, speed, &mut dice);
         let mut lanes = LaneIntegrator::new(&rod, h, &initial).expect("ordinary numbers");
         for step in 0..25 {
             let push = [Wrench {
@@ -319,18 +332,21 @@ fn violent_implicit_steps_have_the_solution_of_the_plain_integrator() {
             let control = NodeWrenches::on(&nodes, &push);
             let mut plain = Integrator::resume(&rod, h, lanes.state(), step);
             let outcomes = [plain.advance([control; 2]), lanes.advance([control; 2])];
-            assert_eq!(outcomes[0].is_ok(), outcomes[1].is_ok(), "{case} {step}");
+            assert_eq!(outcomes[0].is_ok(), outcomes[1].is_ok(), "{seed} {step}");
             if outcomes[0].is_err() {
                 break;
             }
-            // Rounding of steep equations; another solution is as far away as the step goes, a millimeter or so.
+            // Rounding of steep equations; another solution is a good part of a millimeter away.
             let (here, there) = (&plain.state().configuration, lanes.state().configuration);
             for (x, y) in here.positions.iter().zip(&there.positions) {
-                assert!((x - y).norm() < 1e-8, "{case} {step}: {}", (x - y).norm());
+                assert!((x - y).norm() < 1e-8, "{seed} {step}: {}", (x - y).norm());
             }
         }
     }
 }
+
+/// A wire of six elements, at one and a half times its automatic step.
+const SEVERAL_SOLUTIONS: u64 = 0x6c1a_78be_2751_67b8;
 
 /// What a step that is solved for cannot do ends with the error of the plain integrator: turns and numbers beyond all bounds, in the
 /// first step and after steps that lead to the next one.
