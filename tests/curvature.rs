@@ -23,7 +23,7 @@ use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
     BaseCondition, ControlSignal, FormTerm, Integrator, Rod, RodModel, RodParameters, State,
-    StateForm, StrainRule, TimeGrid, TimeScheme, Trajectory, Wrench,
+    StateForm, StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -601,8 +601,8 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
 }
 
 /// More than one tile, several rounds and chunks, on a lifted trajectory: the sweep equals the clear reduction of
-/// the columns of the forward sweep to rounding, and the number of threads changes no bit. Where the elements' curvature is found
-/// in lanes, both take differences of the stiffness by themselves, each good to about 1e-10.
+/// the columns of the forward sweep, and the number of threads changes no bit. Both take differences of the stiffness by themselves, each
+/// good to about 1e-10; the stress that damps and the elastic one bend against each other.
 #[test]
 fn fast_reduction_equals_the_clear_one() {
     for method in exact_methods() {
@@ -643,8 +643,11 @@ fn fast_reduction_equals_the_clear_one() {
             };
             let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns).unwrap();
             let n = case.blocks.n_columns();
-            let in_lanes = method.scheme == TimeScheme::Explicit && method.internal_damping == 0.0;
-            let tolerance = if in_lanes { 2e-9 } else { 1e-11 };
+            let tolerance = if method.internal_damping == 0.0 {
+                2e-9
+            } else {
+                1e-8
+            };
             let error = distance(&fast, &clear.submatrix(0, 0, n, n).to_owned());
             assert!(error < tolerance, "{method:?} {base:?}: {error:e}");
             for j in 0..2 {
@@ -654,7 +657,8 @@ fn fast_reduction_equals_the_clear_one() {
                 }
                 for i in 0..2 {
                     let size = clear[(n, n)].abs().max(clear[(n + 1, n + 1)].abs());
-                    assert!((between[(i, j)] - clear[(n + i, n + j)]).abs() < tolerance * size);
+                    let error = (between[(i, j)] - clear[(n + i, n + j)]).abs() / size;
+                    assert!(error < tolerance, "{method:?} {base:?}: {error:e}");
                 }
             }
         }

@@ -101,8 +101,8 @@ fn interrupt(child: &Child) {
 /// Implicit steps, of which one roll-out is a fraction of a second, a sweep many of these, and a check hundreds.
 const HEAVY: &[&str] = &[
     "time.integrator=\"implicit\"",
-    "time.step_s=2e-4",
-    "rod.elements=12",
+    "time.step_s=2e-5",
+    "rod.elements=16",
 ];
 
 /// Work that takes minutes ends at its deadline: plain, from many starts, with many variables, with a free duration, with an obstacle's

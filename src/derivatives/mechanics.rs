@@ -491,11 +491,17 @@ pub fn sweeps(motion: &Motion, seed: u64) -> Result<Vec<Block>, StepError> {
         adjoint(motion, &trajectory, &forms, 1)?,
     ]
     .map(|sweep| pairing(motion, &sweep, &control, &sources));
-    let identities = [clear, by_kernel].into_iter().flat_map(|forward| {
-        pulled.map(|(backward, size)| {
-            Comparison::identity((forward - backward).abs() / size, IDENTITY)
-        })
-    });
+    // Each is the other's transpose by the same linearization; that of the kernels is rounded differently from the clear one.
+    let identities = [clear, by_kernel]
+        .into_iter()
+        .enumerate()
+        .flat_map(|(i, forward)| {
+            [0, 1].map(|j| {
+                let (backward, size) = pulled[j];
+                let bound = if i == j { IDENTITY } else { ROUNDING };
+                Comparison::identity((forward - backward).abs() / size, bound)
+            })
+        });
     let mut blocks = Vec::new();
     blocks.extend(gather(
         "sweep.tangent",

@@ -106,7 +106,7 @@ pub use equilibrium::{EquilibriumError, TipSpring, static_equilibrium, static_eq
 pub use forms::{FormTerm, StateForm};
 pub use integrator::{Clock, Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
 #[doc(hidden)]
-pub use lanes::LaneIntegrator;
+pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,

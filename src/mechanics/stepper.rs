@@ -9,7 +9,7 @@ use super::rod::Rod;
 use super::signal::NodeWrenches;
 
 /// What a [`Stepper`] is besides its rod, put away between two motions of the same rod with the same step. In lanes, the next
-/// motion asks for no memory; steps that are solved for make theirs anew.
+/// motion asks for no memory; the plain integrator makes its own anew.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -53,8 +53,8 @@ impl StepperMemory {
     }
 }
 
-/// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] for steps that are solved
-/// for and under actuators of one's own. Both take the same steps, equal to rounding.
+/// Advances any rod as fast as this machine can: a [`LaneIntegrator`], or the plain [`Integrator`] under actuators of one's own and near
+/// the smallest numbers there are. Both take the same steps, equal to rounding or to what the solution of a step leaves.
 #[derive(Clone, Debug)]
 pub struct Stepper<'a> {
     engine: Engine<'a>,

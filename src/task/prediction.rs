@@ -28,12 +28,17 @@ const EXPLICIT: StepCosts = StepCosts {
     variable: 3e-9,
     check: 4e-6,
 };
-/// Steps that are solved for, with two Newton iterations: implicit ones, and those with [internal damping](Rod::internal_damping).
-const SOLVED: StepCosts = StepCosts {
-    step: 2.7e-6,
-    iteration: 12e-6,
+/// Implicit steps, with three to six corrections and factors that are kept.
+const IMPLICIT: StepCosts = StepCosts {
+    step: 3e-7,
+    iteration: 3e-6,
     variable: 2e-8,
-    check: 1e-4,
+    check: 4e-5,
+};
+/// Explicit steps with [internal damping](Rod::internal_damping), which are solved for from where the last ones lead.
+const DAMPED: StepCosts = StepCosts {
+    step: 1.2e-7,
+    ..IMPLICIT
 };
 
 /// Seconds of a quadratic subproblem over 120 controls, and the power of their number with which they grow: Clarabel, fitted to 60 to 600
@@ -53,10 +58,10 @@ const CLEARLY_CHEAPER: f64 = 0.5;
 const FAR_CHEAPER: f64 = 0.2;
 
 fn costs(rod: &Rod) -> &'static StepCosts {
-    if rod.scheme == TimeScheme::Implicit || rod.internal_damping > 0.0 {
-        &SOLVED
-    } else {
-        &EXPLICIT
+    match rod.scheme {
+        TimeScheme::Implicit => &IMPLICIT,
+        TimeScheme::Explicit if rod.internal_damping > 0.0 => &DAMPED,
+        TimeScheme::Explicit => &EXPLICIT,
     }
 }
 

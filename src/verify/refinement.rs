@@ -60,7 +60,7 @@ pub struct Refinement {
     pub between: Vec<Between>,
 }
 
-/// Node-steps of implicit replays (some microseconds each) up to which the second refinement in space is made.
+/// Node-steps of implicit replays up to which the second refinement in space is made.
 const MOST_IMPLICIT_NODE_STEPS: usize = 4_000_000;
 /// Rounding of a number of parts.
 const WHOLE: f64 = 1e-9;

@@ -6,7 +6,7 @@
 
 mod base;
 mod constants;
-mod damped;
+pub(super) mod curved;
 mod element;
 mod failure;
 mod impulses;
@@ -14,6 +14,7 @@ mod logarithm;
 mod place;
 mod rule;
 mod singly;
+mod solved;
 mod sweep;
 pub(super) mod tangent;
 mod turn;
@@ -26,11 +27,12 @@ use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::base::HeldBase;
 use self::constants::{Constants, HELD_INERTIA};
-use self::damped::{DampedRule, Damping};
 use self::element::{Consistent, Dilatation, Law, Standard};
 use self::place::{BASE, Place, Slots};
 use self::rule::{Helical, Rule, Trapezoidal};
 use self::singly::{SingleTurns, wxyz};
+pub use self::solved::SolverWork;
+use self::solved::{SolvedRule, Solver};
 use self::sweep::{
     ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, Part,
     ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
@@ -41,7 +43,7 @@ use super::configuration::{Configuration, State, Trajectory};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
 use super::inertia::InertiaRule;
-use super::integrator::{Clock, StepError, TimeScheme, approach_base};
+use super::integrator::{Clock, StepError, approach_base};
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{from_quaternion, quaternion};
@@ -69,8 +71,8 @@ pub struct LaneIntegrator<'a> {
     control: Vec<(usize, Wrench)>,
     /// Forces where a motion starts, on their way to the lanes.
     seating: NodalForces,
-    /// Present where elements damp.
-    damping: Option<Box<Damping>>,
+    /// Present where steps are solved for.
+    solver: Option<Box<Solver>>,
 }
 
 /// What a [`LaneIntegrator`] is besides its rod: put away between two motions of the same rod with the same step, neither of
@@ -88,7 +90,7 @@ pub(crate) struct LaneMemory {
     base: Option<HeldBase>,
     control: Vec<(usize, Wrench)>,
     seating: NodalForces,
-    damping: Option<Box<Damping>>,
+    solver: Option<Box<Solver>>,
 }
 
 impl LaneMemory {
@@ -110,7 +112,7 @@ impl LaneMemory {
             base: self.base,
             control: self.control,
             seating: self.seating,
-            damping: self.damping,
+            solver: self.solver,
         };
         integrator.seat(initial, 0);
         integrator
@@ -120,8 +122,8 @@ impl LaneMemory {
     pub fn retune(&mut self, rod: &Rod, time_step: f64) {
         self.clock.step = time_step;
         self.constants.rewrite(rod, self.slots, time_step);
-        if let Some(damping) = &mut self.damping {
-            damping.retune(rod, time_step);
+        if let Some(solver) = &mut self.solver {
+            solver.retune(rod, time_step);
         }
     }
 }
@@ -155,7 +157,7 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
-    /// integrator can do: implicit steps, or steps near the smallest numbers there are.
+    /// integrator can do: steps near the smallest numbers there are.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
         Self::on(Arch::new(), rod, clock, initial)
@@ -208,7 +210,7 @@ impl<'a> LaneIntegrator<'a> {
             base: None,
             control: Vec::new(),
             seating: NodalForces::zeros(rod.n_nodes()),
-            damping: Damping::new(rod, slots, clock.step).map(Box::new),
+            solver: Solver::new(rod, slots, clock.step).map(Box::new),
         }
     }
 
@@ -226,7 +228,7 @@ impl<'a> LaneIntegrator<'a> {
             base: self.base,
             control: self.control,
             seating: self.seating,
-            damping: self.damping,
+            solver: self.solver,
         }
     }
 
@@ -315,8 +317,8 @@ impl<'a> LaneIntegrator<'a> {
                 turn: [1.0, 0.0, 0.0, 0.0],
             }
         });
-        if let Some(damping) = &mut self.damping {
-            damping.settle(self.arch, rod.strain_rule, &self.state);
+        if let Some(solver) = &mut self.solver {
+            solver.settle(self.arch, rod.strain_rule, &self.state);
         }
     }
 
@@ -460,13 +462,13 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    fn advance_by<R: DampedRule>(
+    fn advance_by<R: SolvedRule>(
         &mut self,
         control: [NodeWrenches; 2],
         base: Option<(BaseState, Vector3<f64>)>,
     ) -> Result<(), StepError> {
         match self.rod.model {
-            RodModel::Standard if self.damping.is_some() => self.advance_damped::<R>(control, base),
+            RodModel::Standard if self.solver.is_some() => self.advance_solved::<R>(control, base),
             RodModel::Standard => self.advance_with::<R, Standard>(control, base),
             RodModel::Dilatation => self.advance_with::<R, Dilatation>(control, base),
             RodModel::Consistent => self.advance_with::<R, Consistent>(control, base),
@@ -551,10 +553,10 @@ impl<'a> LaneIntegrator<'a> {
     }
 }
 
-/// Explicit steps, and numbers that do not overflow where the plain integrator's do not.
+/// Numbers that do not overflow where the plain integrator's do not.
 fn is_possible(rod: &Rod, time_step: f64) -> bool {
     let finite = |rotary: f64| (4.0 * rotary.max(1.0) / time_step).is_finite();
-    rod.scheme == TimeScheme::Explicit && rod.nodes.iter().all(|node| finite(node.rotary.max()))
+    rod.nodes.iter().all(|node| finite(node.rotary.max()))
 }
 
 #[cfg(test)]

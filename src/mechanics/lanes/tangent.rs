@@ -1,4 +1,5 @@
-//! The linearization of rods with explicit steps of the standard model, several time nodes at a time.
+//! The linearization of rods of the standard model, several time nodes at a time; [`curved`](super::curved) has the second derivatives
+//! of steps that are solved for.
 //!
 //! [`Element::stiffness`](crate::mechanics::strain::Element::stiffness), the [`NodeDrift`](crate::mechanics::linearization::NodeDrift)
 //! and [`element_curvature`](crate::mechanics::curvature::element_curvature) are its clear counterparts and test oracles; notation
@@ -171,11 +172,16 @@ pub trait TangentRule {
     type Pose<S: Simd>: Copy;
     /// Weight of an end at which the linear strain is taken.
     const END_WEIGHT: f64;
+    /// Which blocks of [`Self::derivative`] there are.
+    const PATTERN: [[bool; 3]; 3];
 
     fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Self::Pose<S>;
 
     /// The strain times the length.
     fn strain<S: Simd>(pose: &Self::Pose<S>) -> Stress<S>;
+
+    /// The derivative of the strain: rows of the linear strain at either end, of which the helical rule has one, and of the angular one.
+    fn derivative<S: Simd>(pose: &Self::Pose<S>) -> Blocks<S>;
 
     /// `Bᵀ` times a stress: `(F, M_a, M_b)`, as [`gradient_under`](crate::mechanics::strain::Element::gradient_under).
     fn pull<S: Simd>(pose: &Self::Pose<S>, stress: &Stress<S>) -> [Vec3<S>; 3];
@@ -270,6 +276,11 @@ impl<S: Simd> HelicalPose<S> {
 impl TangentRule for HelicalTangent {
     type Pose<S: Simd> = HelicalPose<S>;
     const END_WEIGHT: f64 = 1.0;
+    const PATTERN: [[bool; 3]; 3] = [
+        [true, true, true],
+        [false, false, false],
+        [false, true, true],
+    ];
 
     #[inline(always)]
     fn pose<S: Simd>(dx: Vec3<S>, r: Mat3<S>, r_b: Mat3<S>) -> HelicalPose<S> {
@@ -296,6 +307,17 @@ impl TangentRule for HelicalTangent {
             linear: [pose.s.apply(pose.y); 2],
             angular: pose.log.psi,
         }
+    }
+
+    /// `δψ = Sᵀ η_b - S η_a`
+    #[inline(always)]
+    fn derivative<S: Simd>(pose: &HelicalPose<S>) -> Blocks<S> {
+        let none = Mat3::zero(pose.y.x.simd);
+        [
+            pose.linear_derivative(),
+            [none; 3],
+            [none, -pose.s, pose.s.transpose()],
+        ]
     }
 
     #[inline(always)]
@@ -379,6 +401,11 @@ pub struct TrapezoidalPose<S: Simd> {
 impl TangentRule for TrapezoidalTangent {
     type Pose<S: Simd> = TrapezoidalPose<S>;
     const END_WEIGHT: f64 = 0.5;
+    const PATTERN: [[bool; 3]; 3] = [
+        [true, true, false],
+        [true, false, true],
+        [false, true, true],
+    ];
 
     #[inline(always)]
     fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> TrapezoidalPose<S> {
@@ -400,6 +427,23 @@ impl TangentRule for TrapezoidalTangent {
             linear: pose.v,
             angular: pose.psi,
         }
+    }
+
+    /// `l δv_i = R_iᵀ δdx + v̂_i η_i`, `δψ = P η_b - Pᵀ η_a`.
+    #[inline(always)]
+    fn derivative<S: Simd>(pose: &TrapezoidalPose<S>) -> Blocks<S> {
+        let TrapezoidalPose {
+            rotations: [a, b],
+            v,
+            p,
+            ..
+        } = *pose;
+        let none = Mat3::zero(v[0].x.simd);
+        [
+            [a.transpose(), Mat3::hat(v[0]), none],
+            [b.transpose(), none, Mat3::hat(v[1])],
+            [none, -p.transpose(), p],
+        ]
     }
 
     #[inline(always)]
@@ -491,7 +535,7 @@ const DIFFERENCE_STEP: f64 = 6e-6;
 /// covector.
 #[derive(Clone, Copy)]
 pub struct Displacement<S: Simd> {
-    covector: [Vec3<S>; 3],
+    pub covector: [Vec3<S>; 3],
     size: Lanes<S>,
     step: Lanes<S>,
 }
@@ -520,15 +564,20 @@ impl<S: Simd> Displacement<S> {
         (dx + self.covector[0] * step, [turned_a, turned_b])
     }
 
+    /// The derivative along the covector, from what is ahead and behind.
+    #[inline(always)]
+    pub fn difference(&self, ahead: Mat3<S>, behind: Mat3<S>) -> Mat3<S> {
+        (ahead - behind) * (self.size * (0.5 / DIFFERENCE_STEP))
+    }
+
     /// The curvature, from the stiffness here, ahead and behind.
     #[inline(always)]
     pub fn curvature(&self, [here, ahead, behind]: &[Blocks<S>; 3]) -> Blocks<S> {
         let simd = self.size.simd;
-        let scale = self.size * (0.5 / DIFFERENCE_STEP);
         let mut k = [[Mat3::zero(simd); 3]; 3];
         for i in 0..3 {
             for j in 0..3 {
-                let mut block = (ahead[i][j] - behind[i][j]) * scale;
+                let mut block = self.difference(ahead[i][j], behind[i][j]);
                 if j > 0 {
                     block = block - here[i][j].product_hat(self.covector[j]);
                 }

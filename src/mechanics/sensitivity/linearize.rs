@@ -13,7 +13,8 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::constitutive::RodModel;
 use crate::mechanics::curvature::{
-    InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, load_curvatures,
+    InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, StressCurvature,
+    load_curvatures,
 };
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::integrator::{StepError, TimeScheme};
@@ -26,7 +27,7 @@ use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{
     Kick, Motion, StepLinearization, acting_derivatives, arriving_stiffness, load_derivatives,
 };
-use crate::mechanics::strain::StrainRule;
+use crate::mechanics::strain::{ElementStiffness, StrainRule};
 
 /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
 /// on the instruction set nor on what is linearized in one call.
@@ -71,12 +72,6 @@ pub(super) fn linearize_in(
     steps: &mut [PackedStep],
 ) -> Result<(), StepError> {
     let n_lanes = dispatch(arch, CountLanes);
-    let mut none = None;
-    let lanes = if multipliers.is_some() && is_damped(motion) {
-        &mut none
-    } else {
-        lanes
-    };
     let run = |first: usize, steps: &mut [PackedStep], workspace: &mut Workspace, scope| {
         let group = Group {
             motion,
@@ -177,14 +172,9 @@ fn clear_step(
     Ok(step)
 }
 
-/// The lanes know the standard model with explicit steps.
+/// The lanes know the standard model.
 pub(super) fn is_possible(motion: &Motion) -> bool {
-    motion.rod.model == RodModel::Standard && motion.rod.scheme == TimeScheme::Explicit
-}
-
-/// Whether a stress depends on both ends of an interval.
-pub(super) fn is_damped(motion: &Motion) -> bool {
-    IntervalWeights::of(motion.rod, motion.grid.step).is_some()
+    motion.rod.model == RodModel::Standard
 }
 
 /// What a group of time nodes needs, a number in each lane.
@@ -193,21 +183,22 @@ pub(super) struct Workspace {
     /// [`POSE_ROWS`] of every node, and those a step later.
     pub poses: Buffer,
     pub next: Buffer,
-    /// Those a step earlier, of damped rods.
+    /// Those a step earlier, of steps that are solved for.
     pub before: Buffer,
-    /// Of damped rods.
+    /// Of steps that are solved for.
     pub solve: Option<SolveRows>,
-    /// `λ` of every node times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends.
-    multipliers: Buffer,
+    /// [`MULTIPLIER_ROWS`] of every node.
+    pub multipliers: Buffer,
     /// Weights of the kicks.
     weights: Buffer,
     /// Results on their way to the time nodes.
     pub out: Buffer,
     /// Curvature of the interval after each of the time nodes.
-    intervals: Vec<IntervalCurvature>,
+    pub intervals: Vec<IntervalCurvature>,
 }
 
-const MULTIPLIER_ROWS: usize = 12;
+/// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
+pub(super) const MULTIPLIER_ROWS: usize = 18;
 /// Those of three 6×6 matrices, the most that is on its way at once.
 const OUT_ROWS: usize = 108;
 
@@ -343,8 +334,16 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
         group.prepare();
         if group.workspace.solve.is_some() {
             group.prepare_solve(S::F64_LANES);
-            let irregular =
-                group.spins(simd) + group.damped_elements::<S, R>(simd) + group.factors(simd);
+            let mut irregular = group.spins(simd);
+            if group.multipliers.is_some() {
+                irregular = irregular + group.bent_intervals::<S, R>(simd);
+            }
+            if group.scope == Scope::All {
+                if group.multipliers.is_some() && group.motion.rod.scheme == TimeScheme::Explicit {
+                    irregular = irregular + group.elements::<S, R>(simd);
+                }
+                irregular = irregular + group.solved_elements::<S, R>(simd) + group.factors(simd);
+            }
             let both = group.zeros(irregular);
             return Regular {
                 drifts: both,
@@ -396,9 +395,17 @@ impl Group<'_> {
             };
             for node in 0..n_nodes {
                 let (linear, angular) = multipliers.at(self.motion, k, node);
-                let (_, arriving) = multipliers.arriving(self.motion, (k + 1).min(n_steps), node);
+                let (arriving_linear, arriving) =
+                    multipliers.arriving(self.motion, (k + 1).min(n_steps), node);
                 let weight = workspace.weights[lane];
-                let vectors = [linear * weight, angular * weight, angular, arriving];
+                let vectors = [
+                    linear * weight,
+                    angular * weight,
+                    angular,
+                    arriving,
+                    linear,
+                    arriving_linear,
+                ];
                 for (i, value) in vectors.iter().flat_map(Vector3::iter).enumerate() {
                     let row = node * MULTIPLIER_ROWS + i;
                     workspace.multipliers[row * n_lanes + lane] = *value;
@@ -411,7 +418,7 @@ impl Group<'_> {
     fn prepare(&mut self) {
         let rod = self.motion.rod;
         let (motion, stretch) = (self.motion, self.stretch);
-        let damped = self.workspace.solve.is_some();
+        let solved = self.workspace.solve.is_some();
         let n_drifts = |k: usize| if k < *stretch.end() { rod.n_nodes() } else { 0 };
         for (step, k) in self.steps.iter_mut().zip(self.first..) {
             let kick = kick(motion, stretch, k);
@@ -427,7 +434,7 @@ impl Group<'_> {
             );
             step.first_free_node = rod.first_free_node();
             step.element_drifts.clear();
-            if damped {
+            if solved {
                 step.drifts.clear();
             } else {
                 step.solve.clear();
@@ -436,6 +443,8 @@ impl Group<'_> {
             step.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
             if self.multipliers.is_some() {
                 let curvature = step.curvature.get_or_insert_default();
+                // The terms of the elements themselves, where they have any, come next.
+                curvature.elements.clear();
                 curvature.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
             } else {
                 step.curvature = None;
@@ -445,6 +454,20 @@ impl Group<'_> {
             interval
                 .inertia
                 .resize(n_drifts(k), InertiaCurvature::zeros());
+            let n_stressed = if solved && k < *stretch.end() {
+                rod.n_elements()
+            } else {
+                0
+            };
+            let zeros = ElementStiffness::zeros();
+            interval.stress.resize(
+                n_stressed,
+                StressCurvature {
+                    start: zeros,
+                    cross: zeros,
+                    end: zeros,
+                },
+            );
         }
     }
 
@@ -466,15 +489,9 @@ impl Group<'_> {
     fn drifts<S: Simd>(&mut self, simd: S) -> Lanes<S> {
         let Motion { rod, grid, .. } = *self.motion;
         let Workspace {
-            poses,
-            next,
-            multipliers,
-            out,
-            intervals,
-            ..
+            poses, next, out, ..
         } = &mut *self.workspace;
         let (poses, next) = (rows::<S>(poses), rows::<S>(next));
-        let multipliers = rows::<S>(multipliers);
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         let mut irregular = zero;
         for (node, inertia) in rod.nodes.iter().enumerate() {
@@ -497,32 +514,54 @@ impl Group<'_> {
                     packed.momentum = matrix::<S>(out, 18, lane);
                 }
             }
-            if self.multipliers.is_some() {
-                let rows = &multipliers[node * MULTIPLIER_ROWS..];
-                let (leaving, arriving) = (Vec3::load(simd, rows, 6), Vec3::load(simd, rows, 9));
-                let turn = drift.turn_transposed.transpose();
-                let [own, mixed, far] =
-                    inertia_curvature(&inertia.rotary, grid.step, turn, leaving, arriving);
-                store(out, 0, own);
-                store(out, 9, mixed);
-                store(out, 18, far);
-                for (lane, interval) in intervals.iter_mut().enumerate() {
-                    let Some(target) = interval.inertia.get_mut(node) else {
-                        continue;
-                    };
-                    for i in 0..3 {
-                        for j in 0..3 {
-                            let at = |from: usize| out[(from + 3 * i + j) * S::F64_LANES + lane];
-                            target[(i, j)] = at(0);
-                            target[(i, 3 + j)] = at(9);
-                            target[(3 + j, i)] = at(9);
-                            target[(3 + i, 3 + j)] = at(18);
-                        }
-                    }
-                }
+        }
+        if self.multipliers.is_some() {
+            for node in 0..rod.n_nodes() {
+                self.inertia_curvatures(simd, node);
             }
         }
         irregular
+    }
+
+    /// Curvatures of the inertia of a node over the intervals.
+    #[inline(always)]
+    pub fn inertia_curvatures<S: Simd>(&mut self, simd: S, node: usize) {
+        let Workspace {
+            poses,
+            next,
+            multipliers,
+            out,
+            intervals,
+            ..
+        } = &mut *self.workspace;
+        let [before, after] = [&*poses, &*next]
+            .map(|poses| NodePose::<S>::load(simd, &rows::<S>(poses)[node * POSE_ROWS..]).rotation);
+        let multipliers = &rows::<S>(multipliers)[node * MULTIPLIER_ROWS..];
+        let (leaving, arriving) = (
+            Vec3::load(simd, multipliers, 6),
+            Vec3::load(simd, multipliers, 9),
+        );
+        let rotary = &self.motion.rod.nodes[node].rotary;
+        let turn = before.transposed_product(after);
+        let h = self.motion.grid.step;
+        let [own, mixed, far] = inertia_curvature(rotary, h, turn, leaving, arriving);
+        store(out, 0, own);
+        store(out, 9, mixed);
+        store(out, 18, far);
+        for (lane, interval) in intervals.iter_mut().enumerate() {
+            let Some(target) = interval.inertia.get_mut(node) else {
+                continue;
+            };
+            for i in 0..3 {
+                for j in 0..3 {
+                    let at = |from: usize| out[(from + 3 * i + j) * S::F64_LANES + lane];
+                    target[(i, j)] = at(0);
+                    target[(i, 3 + j)] = at(9);
+                    target[(3 + j, i)] = at(9);
+                    target[(3 + i, 3 + j)] = at(18);
+                }
+            }
+        }
     }
 
     /// Counts what is irregular, lane by lane.

@@ -14,6 +14,7 @@
 //! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
 
 mod arriving;
+mod bent;
 mod conveyor;
 mod linearize;
 mod packed;

@@ -61,7 +61,7 @@ pub(super) fn in_lanes(
     let first = rod.first_free_node();
     let n_lanes = dispatch(arch, CountLanes);
     let mut workspace = Workspace::new(motion, n_lanes);
-    let damped = workspace.solve.is_some();
+    let solved = workspace.solve.is_some();
     let mut out = Buffer::zeros(n * OUT_ROWS * n_lanes);
     let zeros = vec![Vector3::zeros(); n * grid.n_steps];
     let mut defects = Defects {
@@ -105,8 +105,8 @@ pub(super) fn in_lanes(
                 Vector3::from_fn(|axis, _| out[(q * OUT_ROWS + part + axis) * n_lanes + lane])
             };
             let Kick { decay, weight, .. } = motion.kick(k);
-            // Of the elements: forces, or impulses where they damp.
-            let kick = if damped { 1.0 } else { weight };
+            // Of the elements: forces, or impulses where steps are solved for.
+            let kick = if solved { 1.0 } else { weight };
             for (q, node) in rod.nodes.iter().enumerate() {
                 forces[q] = rod.gravity * node.mass;
                 moments[q] = Vector3::zeros();

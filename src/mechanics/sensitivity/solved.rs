@@ -1,7 +1,16 @@
-//! Time nodes of a damped rod, one in each lane: the part of their linearization that a stress of the intervals changes.
+//! Time nodes of steps that are solved for, one in each lane: the part of their linearization that a stress of the intervals changes.
 //!
 //! At a time node the elastic stress and those of the intervals before and after act on the same strains, so that one stiffness under
-//! their weighted sum is that of all three. How the stress of the interval after it answers to the interval's end, `X`, is the only
+//! their weighted sum is that of all three. With the weights `γ` and `β` of an interval, whose sum is `e = 0` explicit and `e = 1`
+//! implicit, the stresses of the intervals after and before are those of the strains
+//!
+//! ```text
+//! γ (s^k - s_rest) + β (s^{k+1} - s_rest) = e (s^k - s_rest) + β (s^{k+1} - s^k)
+//! γ (s^{k-1} - s_rest) + β (s^k - s_rest) = e (s^k - s_rest) - γ (s^k - s^{k-1})
+//! ```
+//!
+//! and the weights of both impulses add up to that of the kick: either scheme has the elastic stress of the time node with the kick's
+//! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is the only
 //! other matrix of an element; see [`PackedSolve`](super::packed::PackedSolve).
 
 use pulp::Simd;
@@ -22,20 +31,20 @@ const COUPLING_ROWS: usize = 81;
 /// Factors on the elastic stress, and on those of the intervals after and before the time node, s.
 const WEIGHT_ROWS: usize = 3;
 
-/// What the time nodes of damped rods need besides.
+/// What the time nodes of steps that are solved for need besides.
 #[derive(Debug)]
 pub(super) struct SolveRows {
     spins: Buffer,
     couplings: Buffer,
     weights: Buffer,
-    /// Of the intervals' stress, `τ/h`.
-    rate: f64,
+    /// How the strains at both ends of an interval make its stress.
+    rates: IntervalWeights,
     /// Momenta that arrive at the end of an interval per those that leave at its start, by the same stress.
     ratio: f64,
 }
 
 impl SolveRows {
-    /// Where the rod damps.
+    /// Where a stress depends on both ends of an interval.
     pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
         let weights = IntervalWeights::of(motion.rod, motion.grid.step)?;
         let (n_nodes, n_elements) = (motion.rod.n_nodes(), motion.rod.n_elements());
@@ -44,8 +53,8 @@ impl SolveRows {
             spins: Buffer::zeros(n_nodes * SPIN_ROWS * n_lanes),
             couplings: Buffer::zeros(n_elements * COUPLING_ROWS * n_lanes),
             weights: Buffer::zeros(WEIGHT_ROWS * n_lanes),
-            rate: weights.end,
-            ratio: -undamped / motion.kick(0).impulse,
+            rates: weights,
+            ratio: weights.start / weights.end * undamped / motion.kick(0).impulse,
         })
     }
 }
@@ -80,8 +89,8 @@ impl SolveRows {
         });
         Weights {
             elastic,
-            after: leaving * self.rate,
-            past: arriving * self.rate,
+            after: leaving * self.rates.end,
+            past: arriving * -self.rates.start,
         }
     }
 }
@@ -189,7 +198,7 @@ impl Group<'_> {
 
     /// Stiffnesses and couplings of the elements; counts what is irregular.
     #[inline(always)]
-    pub(super) fn damped_elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+    pub(super) fn solved_elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
         let mut irregular = Lanes::splat(simd, 0.0);
         let workspace = &mut *self.workspace;
         let Some(solve) = &mut workspace.solve else {

@@ -102,6 +102,12 @@ pub struct Unknowns {
     pub wrench_change: f64,
 }
 
+impl Default for Unknowns {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 impl Unknowns {
     /// None of them, and wrenches that change slowly.
     pub const NONE: Self = Self {

@@ -4,7 +4,9 @@ use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
-use super::coupling::{DampedRule, Instant};
+use super::coupling::{Instant, SolvedRule};
+use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::integrator::TimeScheme;
 use crate::mechanics::lanes::element::{Chord, Pose, excess, proportional};
 use crate::mechanics::lanes::rule::{STRAINED_ROWS, Strained, Stress};
 use crate::mechanics::lanes::sweep::{POSITION, STATE_ROWS};
@@ -21,7 +23,7 @@ pub struct Settle<'a, R> {
     pub rule: PhantomData<R>,
 }
 
-impl<R: DampedRule> WithSimd for Settle<'_, R> {
+impl<R: SolvedRule> WithSimd for Settle<'_, R> {
     type Output = ();
 
     #[inline(always)]
@@ -72,7 +74,7 @@ pub(super) fn framed<S: Simd>(simd: S, trial: &[Row<S>], end: &[Row<S>]) -> Pose
 
 /// The elements to the right of a block of nodes.
 #[inline(always)]
-pub(super) fn instant<S: Simd, R: DampedRule>(
+pub(super) fn instant<S: Simd, R: SolvedRule>(
     simd: S,
     rows: &[[Row<S>; INSTANT_ROWS]],
     block: usize,
@@ -88,23 +90,31 @@ pub(super) fn instant<S: Simd, R: DampedRule>(
     }
 }
 
-/// `τ/h C` times the change of the strain.
+/// `C (γ (s^k - s_rest) + β (s^{k+1} - s_rest))` as `C (β (s^{k+1} - s^k) + (γ + β) (s^k - s_rest))`: what does not change is not
+/// lost in what does. The sum of the weights is one, or zero where the elastic stress is that of the time nodes.
 #[inline(always)]
-pub(super) fn interval_stress<S: Simd, R: DampedRule>(
+pub(super) fn interval_stress<S: Simd, R: SolvedRule>(
     constants: &[Row<S>],
     before: &Strained<S>,
     after: &Strained<S>,
-    rate: f64,
+    weights: IntervalWeights,
+    scheme: TimeScheme,
 ) -> Stress<S> {
-    let near = (after.linear[0] - before.linear[0]) * rate;
-    let far = (after.linear[1] - before.linear[1]) * rate;
-    let turn = (after.psi - before.psi) * rate;
+    let mut near = (after.linear[0] - before.linear[0]) * weights.end;
+    let mut far = (after.linear[1] - before.linear[1]) * weights.end;
+    let mut turn = (after.psi - before.psi) * weights.end;
+    if scheme == TimeScheme::Implicit {
+        let (linear, angular) = excess(constants, before.linear, before.psi);
+        near = near + linear[0];
+        far = far + linear[1];
+        turn = turn + angular;
+    }
     stress::<S, R>(constants, [near, far], turn)
 }
 
 /// Of a strain at both ends, or at the one that the rule has.
 #[inline(always)]
-fn stress<S: Simd, R: DampedRule>(
+fn stress<S: Simd, R: SolvedRule>(
     constants: &[Row<S>],
     linear: [Vec3<S>; 2],
     angular: Vec3<S>,
@@ -119,7 +129,7 @@ fn stress<S: Simd, R: DampedRule>(
 }
 
 #[inline(always)]
-pub(super) fn elastic_stress<S: Simd, R: DampedRule>(
+pub(super) fn elastic_stress<S: Simd, R: SolvedRule>(
     constants: &[Row<S>],
     strained: &Strained<S>,
 ) -> Stress<S> {

@@ -1,4 +1,4 @@
-//! The block-tridiagonal equations of a damped step, factored from both ends of the rod toward its middle: two chains of
+//! The block-tridiagonal equations of a step, factored from both ends of the rod toward its middle: two chains of
 //! operations that do not wait for one another.
 
 /// Components of a node: three of its motion, three of its rotation.
@@ -155,7 +155,7 @@ fn difference(m: &Square, n: &Square) -> Square {
     out
 }
 
-/// By Gauss and Jordan; the pivots are the diagonal entries, which is stable where inertia and damping make them large.
+/// By Gauss and Jordan; the pivots are the diagonal entries, which is stable where inertia and stiffness make them large.
 #[inline(always)]
 fn inverse(mut m: Square) -> Square {
     for k in 0..SIZE {

@@ -1,4 +1,4 @@
-//! How the equations of a damped step change with the configuration at its end, one element per lane.
+//! How the equations of a step change with the configuration at its end, one element per lane.
 
 use pulp::Simd;
 
@@ -34,8 +34,8 @@ struct Derivative<S: Simd, const N: usize> {
     blocks: [Mat3<S>; N],
 }
 
-/// A strain rule whose elements damp.
-pub trait DampedRule: Rule {
+/// A strain rule of steps that are solved for.
+pub trait SolvedRule: Rule {
     /// `B_startᵀ C B_end` in the scale of the rule's constants. Motions are in the frames of the ends where the interval
     /// starts, rotations in their own.
     fn coupling<S: Simd>(constants: &[Row<S>], start: &Instant<S>, end: &Instant<S>)
@@ -106,7 +106,7 @@ fn helical<S: Simd>(
     (linear, angular)
 }
 
-impl DampedRule for Helical {
+impl SolvedRule for Helical {
     #[inline(always)]
     fn coupling<S: Simd>(
         constants: &[Row<S>],
@@ -154,7 +154,7 @@ fn bend<S: Simd>(instant: &Instant<S>) -> Derivative<S, 2> {
     }
 }
 
-impl DampedRule for Trapezoidal {
+impl SolvedRule for Trapezoidal {
     #[inline(always)]
     fn coupling<S: Simd>(
         constants: &[Row<S>],

@@ -1,15 +1,16 @@
-//! The kernel of a damped step.
+//! The kernel of a step that is solved for.
 
 use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
-use super::Damping;
+use super::Solver;
 use super::chain::{Blocks, SIZE, Square, ZERO};
-use super::coupling::DampedRule;
+use super::coupling::SolvedRule;
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
+use crate::mechanics::integrator::TimeScheme;
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
 use crate::mechanics::lanes::rule::Pull;
@@ -33,7 +34,7 @@ const SPUN: usize = 16;
 const RESIDUAL: usize = 19;
 const CORRECTION: usize = 25;
 
-/// Rows of [`Damping::rates`]: `m/h`, and `J/h`.
+/// Rows of [`Solver::rates`]: `m/h`, and `J/h`.
 pub const RATE_ROWS: usize = 4;
 
 /// Rows of the matrix: four blocks of an element, row by row, and the spin inertia of a node.
@@ -50,14 +51,14 @@ const RELATIVE_TOLERANCE: f64 = 2.5e-14;
 pub const STRAIN_ROUNDING: f64 = 2.0 * f64::EPSILON;
 /// A residual that shrinks no more is that of rounding up to this multiple of the tolerance.
 const STAGNATION: f64 = 4.0;
+/// The same with new factors: what the plain integrator takes for rounding, in its own tolerance.
+const ROUNDED: f64 = 4e3;
 /// Corrections of one step before it is given up.
 const CORRECTION_LIMIT: usize = 40;
 /// Largest rotation of a correction, rad; what needs more is left to the plain integrator.
 const LARGEST_CORRECTION: f64 = 0.5;
 /// A correction that leaves more than this part of the residual is followed by new factors.
 const SLOW: f64 = 0.1;
-/// Corrections of a step after which the next one makes new factors.
-const MANY: usize = 2;
 
 /// What became of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,12 +71,12 @@ pub enum Outcome {
 }
 
 /// A step.
-pub struct DampedStep<'a, R> {
+pub struct SolvedStep<'a, R> {
     pub state: &'a mut [f64],
     pub nodes: &'a [f64],
     pub elements: &'a [f64],
     pub kinds: &'a [[usize; 2]],
-    pub damping: &'a mut Damping,
+    pub solver: &'a mut Solver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
     /// `a = c h/2` of the viscous damping.
@@ -86,7 +87,7 @@ pub struct DampedStep<'a, R> {
     pub rule: PhantomData<R>,
 }
 
-impl<R: DampedRule> WithSimd for DampedStep<'_, R> {
+impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
     type Output = Outcome;
 
     #[inline(always)]
@@ -98,7 +99,7 @@ impl<R: DampedRule> WithSimd for DampedStep<'_, R> {
             nodes: blocks::<S, NODE_ROWS>(self.nodes),
             elements: rows::<S>(self.elements),
             kinds: self.kinds,
-            damping: self.damping,
+            solver: self.solver,
             held: self.held,
             kick: Lanes::splat(simd, self.time_step * scale),
             weight: 0.5 * self.time_step * scale,
@@ -116,7 +117,7 @@ struct Work<'a, S: Simd, R> {
     nodes: &'a [[Row<S>; NODE_ROWS]],
     elements: &'a [Row<S>],
     kinds: &'a [[usize; 2]],
-    damping: &'a mut Damping,
+    solver: &'a mut Solver,
     held: Option<[f64; 7]>,
     /// `h/(1 + a)`
     kick: Lanes<S>,
@@ -148,11 +149,26 @@ struct Trial {
     unfolded: bool,
 }
 
-impl<S: Simd, R: DampedRule> Work<'_, S, R> {
+impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn advance(&mut self) -> Outcome {
+        let kept = !self.solver.stale;
+        let outcome = self.solve();
+        if outcome == Outcome::Left && kept && self.solver.scheme == TimeScheme::Implicit {
+            // Once more from rest, with Newton's first step: where the equations have several solutions, it leads to that of the plain
+            // integrator.
+            self.solver.stale = true;
+            return self.solve();
+        }
+        outcome
+    }
+
+    /// The step, from its beginning on.
+    #[inline(always)]
+    fn solve(&mut self) -> Outcome {
         let sizes = self.begin();
         let mut fresh = false;
+        let begins_anew = self.solver.stale || self.solver.scheme == TimeScheme::Explicit;
         let mut last = f64::INFINITY;
         let mut corrections = 0;
         let tolerance = loop {
@@ -163,7 +179,9 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             let tolerance = self.tolerance(&sizes, &trial);
             let worst =
                 (trial.linear.sqrt() / tolerance[0]).max(trial.angular.sqrt() / tolerance[1]);
-            if worst <= 1.0 || (worst <= STAGNATION && worst > 0.5 * last) {
+            let slow = worst > 0.5 * last;
+            let rounded = if fresh { ROUNDED } else { STAGNATION };
+            if worst <= 1.0 || (slow && worst <= rounded) {
                 if !trial.unfolded {
                     return Outcome::Left;
                 }
@@ -172,36 +190,36 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             if corrections == CORRECTION_LIMIT {
                 return Outcome::Left;
             }
-            if self.damping.stale && !fresh || worst > SLOW * last {
-                if fresh && worst > 0.5 * last {
+            if self.solver.stale && !fresh || worst > SLOW * last {
+                if fresh && slow || !begins_anew {
                     return Outcome::Left;
                 }
                 self.factor();
-                self.damping.work[1] += 1;
+                self.solver.work.factorizations += 1;
                 fresh = true;
             }
             if !self.correct() {
                 return Outcome::Left;
             }
             corrections += 1;
-            self.damping.work[0] += 1;
+            self.solver.work.corrections += 1;
             last = worst;
         };
-        self.damping.stale = corrections > MANY;
+        self.solver.note_corrections(corrections, fresh);
         self.finish(tolerance)
     }
 
-    /// Kicks, and the motion that the last steps lead to.
+    /// Kicks, and the motion that the last steps lead to: none of implicit steps.
     #[inline(always)]
     fn begin(&mut self) -> Sizes {
         let simd = self.simd;
-        let Damping {
+        let Solver {
             rates,
             trial,
             differences,
             order,
             ..
-        } = &mut *self.damping;
+        } = &mut *self.solver;
         let state = blocks::<S, STATE_ROWS>(self.state);
         let rates = blocks::<S, RATE_ROWS>(rates);
         let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
@@ -239,7 +257,7 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
     /// Of the linear and the angular equations.
     #[inline(always)]
     fn tolerance(&self, sizes: &Sizes, trial: &Trial) -> [f64; 2] {
-        let rounding = &self.damping.rounding;
+        let rounding = &self.solver.rounding;
         let distance = sizes.distance.sqrt();
         let linear = rounding.linear + rounding.linear_by_distance * distance;
         let angular = rounding.angular + rounding.angular_by_distance * distance;
@@ -254,13 +272,14 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
     #[inline(always)]
     fn attempt(&mut self) -> Trial {
         let simd = self.simd;
-        let Damping {
+        let Solver {
             rates,
             trial,
             instants: [start, end],
-            rate,
+            weights,
+            scheme,
             ..
-        } = &mut *self.damping;
+        } = &mut *self.solver;
         let n_lanes = S::F64_LANES;
         let state = blocks::<S, STATE_ROWS>(self.state);
         let rates = blocks::<S, RATE_ROWS>(rates);
@@ -317,7 +336,7 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             R::store(&strained, &mut end[i][STRAINED..]);
             folded = folded.max(fold(constants, strained.w));
             let before = R::load(simd, &start[i][STRAINED..]);
-            let stress = interval_stress::<S, R>(constants, &before, &strained, *rate);
+            let stress = interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
             let pull = R::pull(&before, [&frame_a, &frame_b], &stress);
             let trial = &mut trial[i];
             // In the order in which the first block gets them, whose element to the left comes last.
@@ -362,17 +381,17 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
     #[inline(always)]
     fn factor(&mut self) {
         let simd = self.simd;
-        let Damping {
+        let Solver {
             slots,
             first,
             rates,
             trial,
             instants: [start, end],
-            rate,
+            weights,
             equations,
             chain,
             ..
-        } = &mut *self.damping;
+        } = &mut *self.solver;
         {
             let trial = blocks::<S, TRIAL_ROWS>(trial);
             let start = blocks::<S, INSTANT_ROWS>(start);
@@ -386,7 +405,7 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
                     instant::<S, R>(simd, end, i),
                 );
                 let coupling = R::coupling(constants, &before, &after);
-                let factor = self.weight * *rate;
+                let factor = self.weight * weights.end;
                 for (p, blocks) in coupling.iter().enumerate() {
                     for (q, block) in blocks.iter().enumerate() {
                         // Row by row of the six components of each end.
@@ -414,14 +433,14 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
     #[inline(always)]
     fn correct(&mut self) -> bool {
         let simd = self.simd;
-        let Damping {
+        let Solver {
             slots,
             first,
             trial,
             instants: [start, _],
             chain,
             ..
-        } = &mut *self.damping;
+        } = &mut *self.solver;
         let (n_blocks, n_lanes) = (slots.n_blocks, S::F64_LANES);
         let columns = &mut chain.columns[..];
         let numbers: &mut [f64] = trial;
@@ -478,16 +497,17 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
     #[inline(always)]
     fn finish(&mut self, tolerance: [f64; 2]) -> Outcome {
         let simd = self.simd;
-        let Damping {
+        let Solver {
             rates,
             trial,
             instants: [start, end],
-            rate,
+            weights,
+            scheme,
             differences,
             depth,
             order,
             ..
-        } = &mut *self.damping;
+        } = &mut *self.solver;
         let rates = blocks::<S, RATE_ROWS>(rates);
         let trial = blocks::<S, TRIAL_ROWS>(trial);
         let (start, end) = (
@@ -507,6 +527,10 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
         let n_blocks = trial.len();
         let inverse = [1.0 / tolerance[0], 1.0 / tolerance[1]];
         let mut errors = [Lanes::splat(simd, 0.0); ORDERS];
+        let n_differences = match scheme {
+            TimeScheme::Explicit => *depth + 1,
+            TimeScheme::Implicit => 0,
+        };
         let zero = Vec3::zero(simd);
         let [mut force, mut moment, mut impulse, mut spin] = [zero; 4];
         for i in 0..n_blocks {
@@ -521,17 +545,19 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             let before = R::load(simd, &start[i][STRAINED..]);
             let strained = R::load(simd, &end[i][STRAINED..]);
             let frames = [&frame_a, &frame_b];
-            let elastic = R::pull(
-                &strained,
-                frames,
-                &elastic_stress::<S, R>(constants, &strained),
-            );
-            let damping = interval_stress::<S, R>(constants, &before, &strained, *rate);
+            let elastic = match scheme {
+                TimeScheme::Implicit => None,
+                TimeScheme::Explicit => {
+                    let stress = elastic_stress::<S, R>(constants, &strained);
+                    Some(R::pull(&strained, frames, &stress))
+                }
+            };
+            let stress = interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
             let Pull {
                 force: f,
                 moment_a,
                 moment_b,
-            } = R::pull(&strained, frames, &damping);
+            } = R::pull(&strained, frames, &stress);
 
             let node = Moving::<S>::load(simd, &trial[i], &rates[i]);
             let residual = Vec3::load(simd, &trial[i], RESIDUAL);
@@ -540,20 +566,28 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
             let g = Frame::of(&node.turn()).to_body(g);
             let block = &mut state[i];
             let weight = Vec3::load(simd, &self.nodes[self.kinds[i][0]], WEIGHT);
-            (weight + elastic.force - force).store(block, FORCE);
-            (-(moment + elastic.moment_a)).store(block, MOMENT);
+            match elastic {
+                Some(elastic) => {
+                    (weight + elastic.force - force).store(block, FORCE);
+                    (-(moment + elastic.moment_a)).store(block, MOMENT);
+                    (force, moment) = (elastic.force, elastic.moment_b);
+                }
+                None => {
+                    weight.store(block, FORCE);
+                    zero.store(block, MOMENT);
+                }
+            }
             (p * self.decay + f * self.weight - impulse * self.weight)
                 .store(block, LINEAR_MOMENTUM);
             (g * self.decay - moment_a * self.weight - spin * self.weight)
                 .store(block, ANGULAR_MOMENTUM);
-            (force, moment) = (elastic.force, elastic.moment_b);
             (impulse, spin) = (f, moment_b);
             for (row, value) in trial[i][..7].iter().enumerate() {
                 block[POSITION + row] = *value;
             }
 
             let [mut moved, mut turned] = [node.moved, node.turned];
-            for (j, error) in errors.iter_mut().enumerate().take(*depth + 1) {
+            for (j, error) in errors.iter_mut().enumerate().take(n_differences) {
                 let old = Vec3::load(simd, &differences[i], 6 * j);
                 let old_turned = Vec3::load(simd, &differences[i], 6 * j + 3);
                 moved.store(&mut differences[i], 6 * j);
@@ -584,17 +618,19 @@ impl<S: Simd, R: DampedRule> Work<'_, S, R> {
                     + Vec3::load(simd, block, ANGULAR_MOMENTUM))
                 .sum();
         }
-        // The extrapolation that would have been nearest.
-        let mut best = f64::INFINITY;
-        *order = 1;
-        for (j, error) in errors.iter().enumerate().take(*depth) {
-            let error = error.largest();
-            if error < best {
-                best = error;
-                *order = j + 1;
+        if *scheme == TimeScheme::Explicit {
+            // The extrapolation that would have been nearest.
+            let mut best = f64::INFINITY;
+            *order = 1;
+            for (j, error) in errors.iter().enumerate().take(*depth) {
+                let error = error.largest();
+                if error < best {
+                    best = error;
+                    *order = j + 1;
+                }
             }
+            *depth = (*depth + 1).min(ORDERS);
         }
-        *depth = (*depth + 1).min(ORDERS);
         if sum.has_finite_sum() {
             Outcome::Solved
         } else {

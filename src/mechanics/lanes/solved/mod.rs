@@ -1,9 +1,15 @@
-//! Explicit steps with Kelvin-Voigt damping, several nodes at a time; [`implicit`](crate::mechanics::implicit) has the equations.
+//! Steps that are solved for, several nodes at a time: implicit ones, and explicit ones with Kelvin-Voigt damping;
+//! [`implicit`](crate::mechanics::implicit) has the equations.
 //!
-//! The stress of an interval depends on the strain where it ends, so the step is solved for. The iteration is Newton's with factors
-//! that are kept from step to step: in the body frames of the nodes they change with the shape and not with the motion of the rod
-//! as a whole. It starts where the last steps, extrapolated, lead, so that one or two corrections lead to rounding. Whatever it
-//! cannot do, the plain integrator does in its place, from the same state.
+//! The stress of an interval depends on the strain where it ends. The iteration is the simplified Newton method (Hairer & Wanner 1996,
+//! section IV.8): the factors of the matrix are kept from correction to correction and from step to step, because in the body frames of
+//! the nodes they change with the shape and not with the motion of the rod as a whole. New ones are made at once where a correction leaves
+//! more than a tenth of the residual, for which an implicit step begins again, and for the next step where the old ones have cost more
+//! corrections than new ones do. The residual is exact, so that what is accepted does not depend on the factors but by less than the
+//! tolerance. Whatever the iteration cannot do, the plain integrator does in its place, from the same state.
+//!
+//! An explicit step starts where the last ones, extrapolated, lead, so that one or two corrections lead to rounding. An implicit one
+//! starts from rest, as in the plain integrator and for the same reason.
 //!
 //! The factors, the order of the extrapolation and the number of corrections follow from the steps since the motion was
 //! [seated](super::LaneIntegrator::reseat), not from the instruction set: the result is the same to the bit on all of them.
@@ -19,9 +25,9 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use self::chain::Chain;
-pub use self::coupling::DampedRule;
+pub use self::coupling::SolvedRule;
 use self::instant::{INSTANT_ROWS, Settle};
-use self::step::{DampedStep, EQUATION_ROWS, ORDERS, Outcome, RATE_ROWS, TRIAL_ROWS};
+use self::step::{EQUATION_ROWS, ORDERS, Outcome, RATE_ROWS, SolvedStep, TRIAL_ROWS};
 use super::base::HeldBase;
 use super::constants::Constants;
 use super::place::Slots;
@@ -30,20 +36,22 @@ use super::sweep::{FORCE, POSITION, STATE_ROWS};
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::inertia::InertiaRule;
-use crate::mechanics::integrator::{Integrator, StepError};
+use crate::mechanics::integrator::{Integrator, StepError, TimeScheme};
 use crate::mechanics::load::Wrench;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::strain::StrainRule;
 
-/// What damped steps need besides: memory that lasts, and what one step hands to the next.
+/// What solved steps need besides: memory that lasts, and what one step hands to the next.
 #[derive(Clone, Debug)]
-pub struct Damping {
+pub struct Solver {
     slots: Slots,
     first: usize,
-    /// `τ/h`
-    rate: f64,
+    weights: IntervalWeights,
+    /// Whether the elastic stress is that of the time nodes or of the intervals.
+    scheme: TimeScheme,
     /// `m/h` and `J/h` of the nodes that move.
     rates: Buffer,
     /// The end of the step under way.
@@ -61,13 +69,39 @@ pub struct Damping {
     chain: Chain,
     /// Whether the factors are to be made anew.
     stale: bool,
+    pace: Pace,
     rounding: Rounding,
-    /// Corrections and factorizations so far.
-    work: [usize; 2],
+    work: SolverWork,
     /// What a step begins with, for the case that it has to begin again.
     forces: Buffer,
     control: Vec<(usize, Wrench)>,
     base: Option<HeldBase>,
+}
+
+/// What implicit steps need by the factors that are kept, against what they needed when these were new.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pace {
+    /// Corrections of the step that made the factors.
+    new: usize,
+    /// Corrections that the steps since then have needed more than that one.
+    excess: usize,
+}
+
+/// Corrections of a step by extrapolation after which the next one makes new factors.
+const MANY: usize = 2;
+/// New factors cost about as much as so many corrections (`cargo bench --bench stiff`), so that they are worth making when the old ones
+/// have cost as much. That minimizes the sum of both where the excess grows from step to step.
+const WORTH_FACTORS: usize = 12;
+
+/// What steps that are solved for have taken so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SolverWork {
+    /// Corrections.
+    pub corrections: usize,
+    /// How often the matrix was factored.
+    pub factorizations: usize,
+    /// Steps that were left to the plain integrator.
+    pub left: usize,
 }
 
 /// What rounding of strains leaves in the equations, over [`STRAIN_ROUNDING`](step::STRAIN_ROUNDING): apart from that which
@@ -82,10 +116,9 @@ struct Rounding {
 
 impl Rounding {
     /// As in the plain integrator, element by element at their worst.
-    fn of(rod: &Rod, time_step: f64) -> Self {
+    fn of(rod: &Rod, weights: IntervalWeights, time_step: f64) -> Self {
         let undamp = 1.0 / (1.0 + 0.5 * rod.viscous_damping * time_step);
-        // `h/2 undamp` times the two weights `τ/h`.
-        let reach = rod.internal_damping * undamp;
+        let reach = 0.5 * time_step * undamp * (weights.start.abs() + weights.end.abs());
         let mut out = Self {
             linear: 0.0,
             linear_by_distance: 0.0,
@@ -106,12 +139,10 @@ impl Rounding {
     }
 }
 
-impl Damping {
-    /// `None` for a rod without internal damping.
+impl Solver {
+    /// `None` for a rod without stress that depends on both ends of an interval.
     pub fn new(rod: &Rod, slots: Slots, time_step: f64) -> Option<Self> {
-        if rod.internal_damping == 0.0 {
-            return None;
-        }
+        let weights = IntervalWeights::of(rod, time_step)?;
         let buffer = |n_rows: usize| Buffer::zeros(slots.len() * n_rows);
         let first = rod.first_free_node();
         let mut rates = buffer(RATE_ROWS);
@@ -119,7 +150,8 @@ impl Damping {
         Some(Self {
             slots,
             first,
-            rate: rod.internal_damping / time_step,
+            weights,
+            scheme: rod.scheme,
             rates,
             trial: buffer(TRIAL_ROWS),
             instants: [buffer(INSTANT_ROWS), buffer(INSTANT_ROWS)],
@@ -129,8 +161,9 @@ impl Damping {
             equations: buffer(EQUATION_ROWS),
             chain: Chain::new(rod.n_nodes() - first),
             stale: true,
-            rounding: Rounding::of(rod, time_step),
-            work: [0; 2],
+            pace: Pace::default(),
+            rounding: Rounding::of(rod, weights, time_step),
+            work: SolverWork::default(),
             forces: buffer(6),
             control: Vec::new(),
             base: None,
@@ -139,8 +172,10 @@ impl Damping {
 
     /// For steps of another length and elements of another stiffness. The next motion [settles](Self::settle) before its first step.
     pub fn retune(&mut self, rod: &Rod, time_step: f64) {
-        self.rate = rod.internal_damping / time_step;
-        self.rounding = Rounding::of(rod, time_step);
+        if let Some(weights) = IntervalWeights::of(rod, time_step) {
+            self.weights = weights;
+        }
+        self.rounding = Rounding::of(rod, self.weights, time_step);
         write_rates(&mut self.rates, self.slots, rod, time_step);
     }
 
@@ -170,6 +205,26 @@ impl Damping {
                 },
             ),
         }
+    }
+
+    /// Whether the next step makes new factors, after so many corrections.
+    fn note_corrections(&mut self, corrections: usize, with_new_factors: bool) {
+        if corrections == 0 {
+            return;
+        }
+        let pace = &mut self.pace;
+        if with_new_factors {
+            *pace = Pace {
+                new: corrections,
+                excess: 0,
+            };
+        } else {
+            pace.excess += corrections.saturating_sub(pace.new);
+        }
+        self.stale = match self.scheme {
+            TimeScheme::Explicit => corrections > MANY,
+            TimeScheme::Implicit => pace.excess >= WORTH_FACTORS,
+        };
     }
 
     /// Remembers what a step begins with.
@@ -219,22 +274,24 @@ fn write_rates(rates: &mut [f64], slots: Slots, rod: &Rod, time_step: f64) {
 }
 
 impl LaneIntegrator<'_> {
-    /// Corrections of damped steps so far, and how often their factors were made.
+    /// Of all steps that were solved for so far.
     #[must_use]
-    pub fn corrections(&self) -> [usize; 2] {
-        self.damping.as_ref().map_or([0; 2], |damping| damping.work)
+    pub fn solver_work(&self) -> SolverWork {
+        self.solver
+            .as_ref()
+            .map_or_else(SolverWork::default, |solver| solver.work)
     }
 
-    /// The step of a rod that damps.
-    pub(super) fn advance_damped<R: DampedRule>(
+    /// A step that is solved for.
+    pub(super) fn advance_solved<R: SolvedRule>(
         &mut self,
         control: [NodeWrenches; 2],
         base: Option<(BaseState, Vector3<f64>)>,
     ) -> Result<(), StepError> {
-        let Some(mut damping) = self.damping.take() else {
+        let Some(mut solver) = self.solver.take() else {
             return Ok(());
         };
-        damping.keep(&self.state, &self.control, self.base.as_ref());
+        solver.keep(&self.state, &self.control, self.base.as_ref());
         self.add_control(control[0]);
         self.share_jumps();
         if let Some((base, turn)) = &base {
@@ -249,12 +306,12 @@ impl LaneIntegrator<'_> {
         } = &self.constants;
         let outcome = dispatch(
             self.arch,
-            DampedStep::<R> {
+            SolvedStep::<R> {
                 state: &mut self.state,
                 nodes,
                 elements,
                 kinds,
-                damping: &mut damping,
+                solver: &mut solver,
                 held,
                 half_damping: 0.5 * self.rod.viscous_damping * self.clock.step,
                 time_step: self.clock.step,
@@ -263,16 +320,17 @@ impl LaneIntegrator<'_> {
             },
         );
         if outcome != Outcome::Left {
-            damping.instants.swap(0, 1);
-            self.damping = Some(damping);
+            solver.instants.swap(0, 1);
+            self.solver = Some(solver);
             if outcome == Outcome::Lost {
                 self.find_error(InertiaRule::Constant, None, false)?;
             }
             self.arrive(control[1], base.map(|(base, _)| base));
             return Ok(());
         }
-        damping.restore(&mut self.state, &mut self.control, &mut self.base);
-        self.damping = Some(damping);
+        solver.work.left += 1;
+        solver.restore(&mut self.state, &mut self.control, &mut self.base);
+        self.solver = Some(solver);
         let mut plain = Integrator::resume(self.rod, self.clock, self.state(), self.step);
         plain.advance(control)?;
         self.seat(plain.state(), self.step + 1);

@@ -1,0 +1,173 @@
+//! Second derivatives of what the stress of an interval does to an element, several time nodes at a time.
+//!
+//! [`stress_curvature`](crate::mechanics::curvature::stress_curvature) is the clear counterpart and test oracle, and has the derivation;
+//! strains are here times the length, as in [`tangent`](super::tangent).
+
+use pulp::Simd;
+
+use super::tangent::{Blocks, Displacement, Law, Stress, TangentRule};
+use super::vector::{Lanes, Mat3, Vec3};
+use crate::mechanics::implicit::IntervalWeights;
+
+/// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.
+#[derive(Clone, Copy)]
+pub struct CurvedEnd<S: Simd> {
+    pub dx: Vec3<S>,
+    pub rotations: [Mat3<S>; 2],
+    pub covector: [Vec3<S>; 3],
+}
+
+/// See [`StressCurvature`](crate::mechanics::curvature::StressCurvature).
+pub struct StressBlocks<S: Simd> {
+    pub start: Blocks<S>,
+    pub cross: Blocks<S>,
+    pub end: Blocks<S>,
+}
+
+/// An end of the interval with the strain there, its derivative `B`, and the derivative of that along the covector.
+struct Bent<S: Simd, R: TangentRule> {
+    displacement: Displacement<S>,
+    poses: [R::Pose<S>; 3],
+    derivative: Blocks<S>,
+    bend: Blocks<S>,
+}
+
+impl<S: Simd, R: TangentRule> Bent<S, R> {
+    #[inline(always)]
+    fn at(end: &CurvedEnd<S>, length: f64) -> Self {
+        let CurvedEnd {
+            dx,
+            rotations,
+            covector,
+        } = *end;
+        let displacement = Displacement::along(covector, length);
+        let moved = |sign: f64| {
+            let (dx, [a, b]) = displacement.moved(dx, rotations, sign);
+            R::pose(dx, a, b)
+        };
+        let [a, b] = rotations;
+        let poses = [R::pose(dx, a, b), moved(1.0), moved(-1.0)];
+        let [derivative, ahead, behind] = [
+            R::derivative(&poses[0]),
+            R::derivative(&poses[1]),
+            R::derivative(&poses[2]),
+        ];
+        let mut bend = derivative;
+        for (i, row) in bend.iter_mut().enumerate() {
+            for (j, block) in row.iter_mut().enumerate() {
+                if !R::PATTERN[i][j] {
+                    continue;
+                }
+                *block = displacement.difference(ahead[i][j], behind[i][j]);
+                if j > 0 {
+                    *block = *block - derivative[i][j].product_hat(covector[j]);
+                }
+            }
+        }
+        Self {
+            displacement,
+            poses,
+            derivative,
+            bend,
+        }
+    }
+
+    /// The derivative of the strain along the covector.
+    #[inline(always)]
+    fn along(&self) -> Stress<S> {
+        let simd = self.displacement.covector[0].x.simd;
+        let mut sums = [Vec3::zero(simd); 3];
+        for (i, sum) in sums.iter_mut().enumerate() {
+            for j in 0..3 {
+                if R::PATTERN[i][j] {
+                    *sum = *sum + self.derivative[i][j].apply(self.displacement.covector[j]);
+                }
+            }
+        }
+        let [a, b, angular] = sums;
+        Stress {
+            linear: [a, b],
+            angular,
+        }
+    }
+
+    /// Both directions at this end, whose strain has the given weight in the stress.
+    #[inline(always)]
+    fn own(&self, law: &Law<S>, stress: &Stress<S>, along: &Stress<S>, weight: f64) -> Blocks<S> {
+        let weight = Lanes::splat(law.c1.x.simd, weight);
+        let slack = law.times(Lanes::splat(weight.simd, 0.0));
+        let under =
+            |pose: &R::Pose<S>, stress: &Stress<S>| R::stiffness_under(&slack, pose, stress);
+        let [here, ahead, behind] = &self.poses;
+        let mut own = self.displacement.curvature(&[
+            under(here, stress),
+            under(ahead, stress),
+            under(behind, stress),
+        ]);
+        let bent = under(here, &law.stress(along.times(weight)));
+        let mixed = coupled::<S, R>(law, &self.bend, &self.derivative);
+        for i in 0..3 {
+            for j in 0..3 {
+                let both = mixed[i][j] + mixed[j][i].transpose();
+                let turned = (bent[i][j] + bent[j][i].transpose()) * 0.5;
+                own[i][j] = own[i][j] + both * weight + turned;
+            }
+        }
+        own
+    }
+}
+
+/// `Lᵀ C R` of two derivatives of strains.
+#[inline(always)]
+fn coupled<S: Simd, R: TangentRule>(
+    law: &Law<S>,
+    left: &Blocks<S>,
+    right: &Blocks<S>,
+) -> Blocks<S> {
+    let mut x = [[Mat3::zero(law.c1.x.simd); 3]; 3];
+    for (strain, pattern) in R::PATTERN.iter().enumerate() {
+        let stiffness = if strain < 2 { law.c1 } else { law.c2 };
+        for j in 0..3 {
+            if !pattern[j] {
+                continue;
+            }
+            let stressed = right[strain][j].scale_rows(stiffness);
+            for i in 0..3 {
+                if pattern[i] {
+                    x[i][j] = x[i][j] + left[strain][i].transposed_product(stressed);
+                }
+            }
+        }
+    }
+    x
+}
+
+/// The curvature of an element of the given length over an interval.
+#[inline(always)]
+pub fn stress_curvature<S: Simd, R: TangentRule>(
+    law: &Law<S>,
+    length: f64,
+    weights: IntervalWeights,
+    ends: &[CurvedEnd<S>; 2],
+) -> StressBlocks<S> {
+    let simd = law.c1.x.simd;
+    let start = Bent::<S, R>::at(&ends[0], length);
+    let end = Bent::<S, R>::at(&ends[1], length);
+    let [near, far] = [R::strain(&start.poses[0]), R::strain(&end.poses[0])];
+    let of = |weight: f64| Lanes::splat(simd, weight);
+    let elastic = near.minus(law.rest).times(of(weights.start + weights.end));
+    let stress = law.stress(elastic.plus(far.minus(near).times(of(weights.end))));
+    let along = start.along().plus(end.along());
+    let mut cross = coupled::<S, R>(law, &start.bend, &end.derivative);
+    let other = coupled::<S, R>(law, &start.derivative, &end.bend);
+    for i in 0..3 {
+        for j in 0..3 {
+            cross[i][j] = cross[i][j] * weights.end + other[i][j] * weights.start;
+        }
+    }
+    StressBlocks {
+        start: start.own(law, &stress, &along, weights.start),
+        cross,
+        end: end.own(law, &stress, &along, weights.end),
+    }
+}

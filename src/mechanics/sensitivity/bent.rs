@@ -1,0 +1,87 @@
+//! Second derivatives of the intervals after the time nodes of a group, where a stress depends on both ends of an interval.
+
+use pulp::Simd;
+
+use super::linearize::{Group, MULTIPLIER_ROWS, store_block};
+use super::solved::element_at;
+use crate::mechanics::curvature::StressCurvature;
+use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::lanes::curved::{CurvedEnd, stress_curvature};
+use crate::mechanics::lanes::tangent::{Blocks, Law, NodePose, POSE_ROWS, TangentRule};
+use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
+use crate::mechanics::strain::ElementStiffness;
+
+type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
+
+impl Group<'_> {
+    /// Curvatures of the stress and of the inertia over the intervals; counts what is irregular, lane by lane.
+    #[inline(always)]
+    pub(super) fn bent_intervals<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+        let mut irregular = Lanes::splat(simd, 0.0);
+        let (rod, h) = (self.motion.rod, self.motion.grid.step);
+        let Some(weights) = IntervalWeights::of(rod, h) else {
+            return irregular;
+        };
+        for node in 0..rod.n_nodes() {
+            self.inertia_curvatures(simd, node);
+        }
+        // The same for all intervals.
+        let leaving = 0.5 * h * self.motion.kick(0).impulse;
+        let arriving = 0.5 * h * self.motion.arriving_impulse();
+        let workspace = &mut *self.workspace;
+        let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
+        let multipliers = rows::<S>(&workspace.multipliers);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let (_, folded_here) = element_at::<S, R>(simd, poses, q);
+            let (_, folded_there) = element_at::<S, R>(simd, next, q);
+            irregular = irregular + folded_here + folded_there;
+            let end = |poses: &[Row<S>], [linear, angular]: [usize; 2], weight: f64| {
+                let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
+                let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+                let of = |q: usize, at: usize| {
+                    Vec3::load(simd, &multipliers[q * MULTIPLIER_ROWS..], at) * weight
+                };
+                // The element pulls a with +F and b with -F, and turns them with -M.
+                CurvedEnd {
+                    dx: b.position - a.position,
+                    rotations: [a.rotation, b.rotation],
+                    covector: [
+                        of(q, linear) - of(q + 1, linear),
+                        -of(q, angular),
+                        -of(q + 1, angular),
+                    ],
+                }
+            };
+            let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
+            let law = Law::of::<R>(simd, element);
+            let found = stress_curvature::<S, R>(&law, element.length, weights, &ends);
+            let parts: [(Blocks<S>, Part); 3] = [
+                (found.start, |stress| &mut stress.start),
+                (found.cross, |stress| &mut stress.cross),
+                (found.end, |stress| &mut stress.end),
+            ];
+            for (blocks, part) in parts {
+                for (i, row) in blocks.iter().enumerate() {
+                    for (j, block) in row.iter().enumerate() {
+                        store_block(&mut workspace.out, i, j, *block);
+                    }
+                }
+                for (lane, interval) in workspace.intervals.iter_mut().enumerate() {
+                    let Some(stress) = interval.stress.get_mut(q) else {
+                        continue;
+                    };
+                    let target = part(stress);
+                    for (row, values) in workspace
+                        .out
+                        .chunks_exact(S::F64_LANES)
+                        .take(81)
+                        .enumerate()
+                    {
+                        target[(row / 9, row % 9)] = values[lane];
+                    }
+                }
+            }
+        }
+        irregular
+    }
+}
