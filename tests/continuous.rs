@@ -50,6 +50,7 @@ fn posed() -> (Arm, Task, Discretization) {
         Limit {
             name: "ball".into(),
             kind: LimitKind::Clearance {
+                velocity: Vector3::zeros(),
                 shape: Shape::Sphere {
                     center: Vector3::new(0.5, 0.5, 0.0),
                     radius: 0.1,
@@ -287,6 +288,7 @@ fn refusals_are_typed() {
     assert!(matches!(
         refusal(&|_, task, _| {
             task.limits[0].kind = LimitKind::Clearance {
+                velocity: Vector3::zeros(),
                 shape: Shape::Sphere {
                     center: Vector3::new(0.0, 0.0, -0.5),
                     radius: 0.1,

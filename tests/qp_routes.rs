@@ -152,6 +152,7 @@ fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
         path(
             "ball",
             PathLimit::Clearance {
+                velocity: Vector3::zeros(),
                 shape: ball,
                 margin: 0.0,
                 points: 2,
