@@ -383,6 +383,7 @@ fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
     problem.path.push(PathConstraint {
         name: "ball".into(),
         limit: PathLimit::Clearance {
+            velocity: Vector3::zeros(),
             shape: Shape::Sphere {
                 center: Vector3::new(0.25, aside, 1.0),
                 radius: 0.07,
@@ -405,6 +406,7 @@ fn worst_rows_are_named() {
     problem.path.push(PathConstraint {
         name: "wall".into(),
         limit: PathLimit::Clearance {
+            velocity: Vector3::zeros(),
             shape: Shape::HalfSpace {
                 point: Vector3::new(0.0, 0.0, -1.0),
                 normal: Vector3::z(),

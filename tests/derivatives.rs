@@ -97,6 +97,7 @@ energy = 0.3
         };
         let center = Vector3::new(0.3, 0.1, 0.6);
         let clear_of = |shape| PathLimit::Clearance {
+            velocity: Vector3::new(0.1, -0.2, 0.05),
             shape,
             margin: 0.01,
             points: 2,

@@ -213,6 +213,7 @@ fn reach_past(ball: Option<PathEnforcement>) -> (RodParameters, OptimalControlPr
         problem.path.push(PathConstraint {
             name: "ball".into(),
             limit: PathLimit::Clearance {
+                velocity: Vector3::zeros(),
                 shape: Shape::Sphere {
                     center: Vector3::new(0.25, 0.08, 0.8),
                     radius: 0.1,
