@@ -1,57 +1,40 @@
 //! A controller keeps the arm clear of obstacles and within limits, as far as anything can.
 
+#[path = "common/tracking.rs"]
+mod tracking;
+
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 use softarm::control::path::{PathEnforcement, RodView};
 use softarm::control::{Bound, Shape};
-use softarm::mechanics::{Material, TimeGrid, Trajectory};
+use softarm::mechanics::{TimeGrid, Trajectory};
 use softarm::mpc::{Contender, Experiment, MpcError, MpcSettings};
-use softarm::task::{
-    Arm, ChannelLimits, Cost, Discretization, Limit, LimitKind, Place, Task, Track, WrenchActuator,
-};
+use softarm::task::{Discretization, Limit, LimitKind, Place, Task};
 
 /// A silicone arm whose tip is to go to one side and back, every four seconds.
 fn scene(limits: Vec<Limit>) -> Experiment {
-    let arm = Arm {
-        viscous_damping: 1.0,
-        ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
-    };
     // The tip of an arm that is bent by a force rises less by 3/5 of the square of its deflection.
     let at = |t: f64| {
         let x = 0.1 - 0.1 * (std::f64::consts::FRAC_PI_2 * t).cos();
         (t, Vector3::new(x, 0.0, 1.0 - 0.6 * x * x))
     };
-    let path = (0..=100).map(|i| at(0.05 * f64::from(i))).collect();
-    let task = Task {
-        targets: Vec::new(),
+    let mut task = Task {
         limits,
-        actuators: vec![WrenchActuator {
-            at: Place::Tip,
-            force: ChannelLimits::at_most(20.0),
-            moment: ChannelLimits {
-                bound: Some(Bound::PerAxis(Vector3::new(5.0, 5.0, 0.0))),
-                rate_bound: None,
-            },
-        }],
-        cost: Cost {
-            effort: 0.1,
-            rate: 0.003,
-            tracks: vec![Track {
-                at: Place::Tip,
-                path,
-                weight: Some(3e4),
-                from: 0.0,
-            }],
-            ..Cost::default()
-        },
-        ..Task::reach(Vector3::zeros(), 5.0, 20.0)
+        horizon: 5.0,
+        ..tracking::task(20.0)
     };
+    task.actuators[0].moment.bound = Some(Bound::PerAxis(Vector3::new(5.0, 5.0, 0.0)));
+    task.cost.rate = 0.003;
+    let track = &mut task.cost.tracks[0];
+    track.path = (0..=100).map(|i| at(0.05 * f64::from(i))).collect();
+    track.weight = Some(3e4);
     let discretization = Discretization {
-        samples: 20,
-        ..Discretization::with_elements(8)
+        elements: 8,
+        ..tracking::discretization()
     };
-    Experiment::new(arm, task, discretization, MpcSettings::receding(0.5))
+    let settings = MpcSettings::receding(0.5);
+    Experiment::new(tracking::arm(1e6), task, discretization, settings)
 }
 
 fn limit(kind: LimitKind, enforcement: PathEnforcement) -> Limit {
@@ -77,11 +60,7 @@ fn excess(scene: &Experiment, kind: &LimitKind) -> (f64, f64) {
                 rod: &rod,
                 radii: &radii,
                 trajectory: &trajectory,
-                grid: TimeGrid {
-                    start: closed.arm().time(),
-                    step: 0.0,
-                    n_steps: 0,
-                },
+                grid: TimeGrid::instant(closed.arm().time()),
             };
             worst = worst.max(on.worst(&view, 0).0);
             ControlFlow::Continue(())

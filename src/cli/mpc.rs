@@ -32,8 +32,8 @@ use crate::stop::{Stop, StopSignal};
 pub(super) struct MpcArguments {
     #[command(flatten)]
     scene: SceneAndOut,
-    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip, the controller on an arm that is its model, and on an arm
-    /// that waits for it; print one table
+    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip, the controller on an arm that is
+    /// its model, and on an arm that waits for it; print one table
     #[arg(long)]
     baselines: bool,
     /// Drive a plant in another process: lines of JSON on standard input and output (docs/serving.md); writes no files
@@ -240,11 +240,7 @@ impl LimitWatch {
             rod,
             radii: &self.radii,
             trajectory: &trajectory,
-            grid: TimeGrid {
-                start: t,
-                step: 0.0,
-                n_steps: 0,
-            },
+            grid: TimeGrid::instant(t),
         };
         for (limit, peak) in self.limits.iter().zip(&mut self.peaks) {
             let (value, item) = limit.worst(&view, 0);

@@ -26,9 +26,10 @@ pub fn tracking_errors(
     let grid = problem.grid;
     let of = |tracking: &super::Tracking| {
         let first = (0..=grid.n_steps).find(|&k| tracking.counts(grid.time(k)));
-        let first = first.unwrap_or(grid.n_steps);
-        let (mut sum, mut max_m, mut at) = (0.0, 0.0, first);
-        for k in (first..=grid.n_steps).filter(|&k| tracking.counts(grid.time(k))) {
+        // It counts to the end, or never.
+        let first = first.unwrap_or(grid.n_steps + 1);
+        let (mut sum, mut max_m, mut at) = (0.0, 0.0, first.min(grid.n_steps));
+        for k in first..=grid.n_steps {
             let should = tracking.position(grid.time(k));
             let off = (trajectory.positions_at(k)[tracking.node] - should).norm();
             let is_end = k == first || k == grid.n_steps;
@@ -39,7 +40,7 @@ pub fn tracking_errors(
         }
         TrackingError {
             node: tracking.node,
-            rms_m: (sum / (grid.n_steps - first).max(1) as f64).sqrt(),
+            rms_m: (sum / grid.n_steps.saturating_sub(first).max(1) as f64).sqrt(),
             max_m,
             max_at_s: grid.time(at),
         }

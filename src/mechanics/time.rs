@@ -53,6 +53,16 @@ impl TimeGrid {
         }
     }
 
+    /// One time node, at `time` (s).
+    #[must_use]
+    pub fn instant(time: f64) -> Self {
+        Self {
+            start: time,
+            step: 0.0,
+            n_steps: 0,
+        }
+    }
+
     /// Time of node `k`, s.
     #[inline]
     #[must_use]

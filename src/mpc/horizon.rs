@@ -205,10 +205,12 @@ impl Horizon {
         let scales: Vec<f64> = (components.iter())
             .map(|component| problem.channel(component).scale)
             .collect();
-        let limited: Vec<_> = limits::samples(&problem)
-            .flat_map(|_| limits::rows_of_sample(&problem, price))
-            .collect();
-        let (rows, forms) = rows(&problem, weight, price);
+        let n_states = NODE_COMPONENTS * (problem.rod.n_nodes() - problem.rod.first_free_node());
+        let mut limits = Limits::new(&problem, price, n_states);
+        let (rows, forms) = rows(&problem, weight, &limits);
+        let limited = rows.iter().enumerate();
+        let limited = limited.filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }));
+        limits.place(limited.map(|(place, _)| place));
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
@@ -234,11 +236,6 @@ impl Horizon {
             };
             RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
         };
-        let n_states = NODE_COMPONENTS * (n_nodes - problem.rod.first_free_node());
-        let places = (rows.iter().enumerate())
-            .filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }))
-            .map(|(place, _)| place);
-        let limits = Limits::new(limited, places, n_states);
         Ok(Self {
             limits,
             memory: Some(StepperMemory::new(&problem.rod, grid.step)),
@@ -335,16 +332,9 @@ impl Horizon {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
         let parameters = disturbance.parameters();
-        if parameters == self.parameters {
-            return;
-        }
-        disturbance.change_model(&self.model, &mut self.problem.rod);
-        self.parameters = parameters;
-        for (row, form) in self.rows.iter().zip(&mut self.forms) {
-            if let Quantity::Velocity { goal, .. } = row.quantity {
-                let node = self.problem.goals[goal].node;
-                form.terms[0].coefficient = row.factor / self.problem.rod.nodes[node].mass;
-            }
+        if parameters != self.parameters {
+            disturbance.change_model(&self.model, &mut self.problem.rod);
+            self.parameters = parameters;
         }
     }
 
@@ -465,13 +455,7 @@ impl Horizon {
             for (row, value) in column[..forms.len()].iter_mut().enumerate() {
                 *value = self.sweep.along_start(row, i);
             }
-            for index in 0..self.limits.len() {
-                let Some(row) = self.limits.place(index, self.first_row) else {
-                    continue;
-                };
-                self.limits.set_along_start(index, i, column[row]);
-                column[row] = 0.0;
-            }
+            self.limits.take_along_start(self.first_row, i, column);
         }
         let jacobian = self.jacobian.get(..forms.len(), ..n);
         let square = self.square.as_mut().get_mut(..n, ..n);
@@ -575,7 +559,9 @@ impl Horizon {
             }
             Quantity::Velocity { goal, axis } => {
                 let node = goals[goal].node;
-                self.end.linear_momentum[node][axis] / self.problem.rod.nodes[node].mass
+                let mass = self.problem.rod.nodes[node].mass;
+                form.terms[0].coefficient = factor / mass;
+                self.end.linear_momentum[node][axis] / mass
             }
             Quantity::Spin { goal, axis } => {
                 let node = goals[goal].node;
@@ -598,7 +584,11 @@ pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrenc
 }
 
 /// All rows of the longest horizon, with their forms, in ascending order of time.
-fn rows(problem: &OptimalControlProblem, weight: f64, price: f64) -> (Vec<Row>, Vec<StateForm>) {
+fn rows(
+    problem: &OptimalControlProblem,
+    weight: f64,
+    limits: &Limits,
+) -> (Vec<Row>, Vec<StateForm>) {
     let rod = &problem.rod;
     let one = |node: usize, component: usize, coefficient: f64| FormTerm {
         node,
@@ -635,7 +625,7 @@ fn rows(problem: &OptimalControlProblem, weight: f64, price: f64) -> (Vec<Row>, 
             }
             if target.at_rest {
                 let factor = root * time / length;
-                let terms = vec![one(node, 6 + axis, factor / inertia.mass)];
+                let terms = vec![one(node, 6 + axis, 0.0)];
                 push(k, Quantity::Velocity { goal, axis }, factor, terms);
                 let factor = root * time;
                 let terms = vec![one(node, 9 + axis, factor / inertia.rotary[axis])];
@@ -643,9 +633,7 @@ fn rows(problem: &OptimalControlProblem, weight: f64, price: f64) -> (Vec<Row>, 
             }
         }
     }
-    let limited = limits::samples(problem)
-        .flat_map(|node| limits::rows_of_sample(problem, price).map(move |_| node));
-    for (index, time_node) in limited.enumerate() {
+    for (index, time_node) in limits.time_nodes().enumerate() {
         push(time_node, Quantity::Limit { index }, 1.0, Vec::new());
     }
     out.sort_by_key(|(_, form)| form.time_node);

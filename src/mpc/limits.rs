@@ -24,6 +24,8 @@ const NOWHERE: f64 = -1.0;
 pub(super) struct LimitRow {
     /// Index of the limit.
     limit: usize,
+    /// Time node of the sample, on the longest grid.
+    time_node: usize,
     /// Which of the rows that are seen: an element, or a local maximum, the greatest first.
     rank: usize,
     /// Which row of the horizon it is.
@@ -61,48 +63,27 @@ pub(super) fn check(problem: &OptimalControlProblem) -> Result<(), MpcError> {
     Ok(())
 }
 
-/// Samples of the horizon at which limits are looked at, as time nodes.
-pub(super) fn samples(problem: &OptimalControlProblem) -> impl Iterator<Item = usize> {
-    let n = problem.grid.n_steps;
-    let intervals = if problem.path.is_empty() {
-        0
-    } else {
-        problem.objective.samples.clamp(1, n)
-    };
-    (1..=intervals).map(move |i| i * n / intervals)
-}
-
-/// The rows of all limits at one sample, without their places: `hard` are the prices of those that are to be kept.
-pub(super) fn rows_of_sample(
-    problem: &OptimalControlProblem,
-    hard: f64,
-) -> impl Iterator<Item = LimitRow> {
-    let n = problem.grid.n_steps;
-    let duration = problem.grid.duration() / problem.objective.samples.clamp(1, n) as f64;
-    problem
-        .path
-        .iter()
-        .enumerate()
-        .flat_map(move |(limit, path)| {
-            let [linear, quadratic] = match path.enforcement {
-                PathEnforcement::Hard => [hard; 2],
-                PathEnforcement::Soft { linear, quadratic } => [linear, quadratic],
-            };
-            (0..n_seen(&path.limit, &problem.rod)).map(move |rank| LimitRow {
-                limit,
-                rank,
-                row: 0,
-                prices: [linear * duration, quadratic * duration],
-            })
-        })
-}
-
 impl Limits {
-    /// Of rows in the order of time, each with its place among the rows of the horizon.
-    pub fn new(rows: Vec<LimitRow>, places: impl Iterator<Item = usize>, n_states: usize) -> Self {
-        let mut rows = rows;
-        for (row, place) in rows.iter_mut().zip(places) {
-            row.row = place;
+    /// At the samples of the horizon but the first; `hard` are the prices of limits that are to be kept.
+    pub fn new(problem: &OptimalControlProblem, hard: f64, n_states: usize) -> Self {
+        let n = problem.grid.n_steps;
+        let samples = problem.objective.samples.clamp(1, n);
+        let duration = problem.grid.duration() / samples as f64;
+        let mut rows = Vec::new();
+        for time_node in (1..=samples).map(|i| i * n / samples) {
+            for (limit, path) in problem.path.iter().enumerate() {
+                let [linear, quadratic] = match path.enforcement {
+                    PathEnforcement::Hard => [hard; 2],
+                    PathEnforcement::Soft { linear, quadratic } => [linear, quadratic],
+                };
+                rows.extend((0..n_seen(&path.limit, &problem.rod)).map(|rank| LimitRow {
+                    limit,
+                    time_node,
+                    rank,
+                    row: 0,
+                    prices: [linear * duration, quadratic * duration],
+                }));
+            }
         }
         let m = rows.len();
         Self {
@@ -110,6 +91,18 @@ impl Limits {
             items: [None; MAXIMA],
             values: vec![NOWHERE; m],
             along_start: Mat::zeros(m, n_states),
+        }
+    }
+
+    /// Time nodes of the rows, in their order.
+    pub fn time_nodes(&self) -> impl Iterator<Item = usize> {
+        self.rows.iter().map(|row| row.time_node)
+    }
+
+    /// Tells the rows, in their order, their places among those of the horizon.
+    pub fn place(&mut self, places: impl Iterator<Item = usize>) {
+        for (row, place) in self.rows.iter_mut().zip(places) {
+            row.row = place;
         }
     }
 
@@ -121,11 +114,6 @@ impl Limits {
     pub fn present(&self, first: usize) -> impl Iterator<Item = (usize, usize)> {
         let rows = self.rows.iter().enumerate();
         rows.filter_map(move |(index, row)| Some((index, row.row.checked_sub(first)?)))
-    }
-
-    /// Place of one of the rows, counted from `first` on, where it is there.
-    pub fn place(&self, index: usize, first: usize) -> Option<usize> {
-        self.rows[index].row.checked_sub(first)
     }
 
     /// Value and form of a row; the rows of one limit and sample follow each other.
@@ -167,9 +155,13 @@ impl Limits {
         }
     }
 
-    /// Sets the derivative of a row along a component of the state at the start.
-    pub fn set_along_start(&mut self, index: usize, component: usize, slope: f64) {
-        self.along_start[(index, component)] = slope;
+    /// Takes their derivatives along a component of the state at the start out of those of all rows from `first` on.
+    pub fn take_along_start(&mut self, first: usize, component: usize, slopes: &mut [f64]) {
+        for (index, row) in self.rows.iter().enumerate() {
+            if let Some(place) = row.row.checked_sub(first) {
+                self.along_start[(index, component)] = std::mem::take(&mut slopes[place]);
+            }
+        }
     }
 
     /// Prices and number of the rows from `first` on; values and slopes are to be filled.

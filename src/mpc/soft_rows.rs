@@ -13,8 +13,7 @@
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 
-/// Part of the way to zero that multipliers and slacks may go.
-const INSIDE: f64 = 0.99;
+use super::subproblem::INSIDE;
 
 /// Rows with prices, and the memory of their steps.
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use super::soft_rows::SoftRows;
 
 /// Part of the way to zero that a multiplier may go, and of the product of multiplier and slack that the next is aimed at: Boyd and
 /// Vandenberghe 2004, pages 612 and 613.
-const INSIDE: f64 = 0.99;
+pub(super) const INSIDE: f64 = 0.99;
 const CENTERING: f64 = 0.1;
 /// Part of the way to the boundary at which the first point is.
 const BEGIN: f64 = 0.9;

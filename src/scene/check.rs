@@ -736,9 +736,10 @@ impl Keys<'_> {
         }
         self.count("objective.samples", objective.samples, LARGEST_COUNT)?;
         for (index, track) in objective.track.iter().enumerate() {
-            let key = |name: &str| format!("objective.track.{index}.{name}");
-            self.node(&key("node"), track.node, scene.rod.elements)?;
-            self.check_path(&key, track)?;
+            let section = format!("objective.track.{index}");
+            let node = format!("{section}.node");
+            self.node(&node, track.node, scene.rod.elements)?;
+            self.check_path(&section, track)?;
         }
         let free = scene.task.as_ref().and_then(|task| task.free_duration);
         let has_price = free.is_some_and(|free| free.price.get() > 0.0);

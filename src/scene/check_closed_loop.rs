@@ -152,23 +152,23 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// Exactly one of a table of points and a circle; `key` makes a key of the section's.
-    pub(super) fn check_path(&self, key: &dyn Fn(&str) -> String, track: &Track) -> Checked {
-        let table = (!track.path_m.is_empty()).then_some("path_m");
-        let circle = (track.circle.as_ref()).map(|circle| ("circle", Turns::from(circle)));
-        let eight = (track.figure_eight.as_ref()).map(|eight| ("figure_eight", Turns::from(eight)));
-        let names = (table.into_iter())
-            .chain(circle.as_ref().map(|(name, _)| *name))
-            .chain(eight.as_ref().map(|(name, _)| *name));
-        match names.collect::<Vec<_>>()[..] {
-            [] => {
-                let relation = "rows [t, x, y, z], or else give circle or figure_eight";
-                return Err(self.missing(&key("path_m"), relation));
-            }
-            [_] => {}
-            [first, second, ..] => return Err(self.contradiction(&key(second), &key(first))),
+    /// Exactly one of a table of points, a circle and a figure eight; `section` is the key of the track.
+    pub(super) fn check_path(&self, section: &str, track: &Track) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        let circle = track.circle.as_ref().map(Turns::from);
+        let eight = track.figure_eight.as_ref().map(Turns::from);
+        let kinds = [
+            ("path_m", !track.path_m.is_empty()),
+            ("circle", circle.is_some()),
+            ("figure_eight", eight.is_some()),
+        ];
+        if kinds.iter().all(|(_, given)| !given) {
+            let relation = "rows [t, x, y, z], or else give circle or figure_eight";
+            return Err(self.missing(&key("path_m"), relation));
         }
-        let Some((name, turns)) = circle.or(eight) else {
+        self.exactly_one(section, &kinds)?;
+        let circle = circle.map(|turns| ("circle", turns));
+        let Some((name, turns)) = circle.or(eight.map(|turns| ("figure_eight", turns))) else {
             return self.table(&key("path_m"), &track.path_m, "a circle");
         };
         let key = |part: &str| key(&format!("{name}.{part}"));

@@ -37,11 +37,7 @@ pub(super) fn obstacles(
             rod,
             radii,
             trajectory: &trajectory,
-            grid: TimeGrid {
-                start: record.t[*row],
-                step: 0.0,
-                n_steps: 0,
-            },
+            grid: TimeGrid::instant(record.t[*row]),
         };
         for ((_, limit), clearance) in limits.iter().zip(&mut clearances) {
             let (worst, _) = limit.worst(&rod_view, 0);
