@@ -40,7 +40,6 @@ force_max_n = 1.0
 moment_max_n_m = 0.0
 [solver]
 max_iterations = 2
-saddle_escapes = 0
 guess = \"rest\"
 "
     )

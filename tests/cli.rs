@@ -644,7 +644,7 @@ fn a_free_duration_is_found_and_verified() {
     );
 }
 
-/// A ball in the plane of the reach: a solver that may not leave saddles stops at one, and neither `solve` nor `verify` certifies it.
+/// A ball in the plane of the reach: a solver that does not see their curvature stops at one, and neither `solve` nor `verify` certifies it.
 #[test]
 fn saddles_are_rejected() {
     let desk = Desk::new();
@@ -664,7 +664,7 @@ fn saddles_are_rejected() {
         "--out",
         "run",
         "--set",
-        "solver.saddle_escapes=0",
+        "solver.hessian='gauss-newton'",
     ];
     let run = desk.run(&stay).exits(REJECTED);
     assert!(run.stderr.contains("not a minimum"), "{}", run.stderr);

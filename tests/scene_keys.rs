@@ -126,7 +126,6 @@ const SCENES: [&[&str]; 5] = [
         "objective.moment_scale_n_m=0.35",
         "solver.tolerance=1e-7",
         "solver.max_iterations=70",
-        "solver.saddle_escapes=1",
         "solver.saddle_gain=0.02",
         "solver.hessian='exact'",
         "solver.qp='sparse'",

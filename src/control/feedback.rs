@@ -20,10 +20,11 @@
 //! reference (`½ δs·C δs` of the strains they add; on a free base also springs `EI/L³`, `EI/L` at node 0); `E₀ = EI/L`. Its square root is
 //! the norm in which growth is measured.
 
+use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::Solve as _;
-use faer::{Accum, ColRef, Mat, Par, Side};
-use nalgebra::{DMatrix, DVector};
+use faer::matrix_free::eigen::{PartialEigenParams, partial_svd, partial_svd_scratch};
+use faer::{Accum, Col, Mat, Par, Side};
 
 use super::acting::{ActingAlong, own_controls};
 use super::problem::{Enforcement, OptimalControlProblem};
@@ -447,14 +448,8 @@ fn backward(
     Ok((gain, next))
 }
 
-/// Vectors that Lanczos' method takes, at most.
-const LANCZOS_LIMIT: usize = 40;
-/// Steps of the method from one look at what it has found to the next.
-const LANCZOS_LOOK: usize = 4;
-/// Part of the eigenvalue below which a new vector is rounding of the matrix's single precision.
-const LANCZOS_ROUNDING: f64 = 1e-6;
-/// Part of the eigenvalue that its residual may be: a bound of its error, which mostly is the square of it.
-const LANCZOS_ACCURACY: f64 = 1e-3;
+/// Relative accuracy of a growth: more than anybody reads, and far above the rounding of single precision.
+const GROWTH_ACCURACY: f32 = 1e-4;
 
 /// Largest factor by which the stages lengthen a `z` from the start to the end of each of them, after 1 for the start itself; under
 /// feedback, or by themselves.
@@ -515,69 +510,37 @@ impl Single {
         }
     }
 
-    /// Largest singular value by Lanczos' method on `MᵀM`, orthogonalized fully: a lower bound to rounding, good to three digits and
-    /// mostly to many more.
+    /// Largest singular value, by a method of Krylov vectors.
     fn largest_singular_value(&self) -> f64 {
-        let matrix = &self.matrix;
-        let n = matrix.ncols();
-        // Nothing special: neither sparse nor smooth.
-        let mut v = DVector::from_fn(n, |i, _| 1.0 + 0.5 * ((i * i) as f64).sin());
-        let mut basis: Vec<DVector<f64>> = Vec::new();
-        let (mut diagonal, mut beside): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-        let mut largest = 0.0_f64;
-        for _ in 0..LANCZOS_LIMIT.min(n) {
-            let size = v.norm();
-            // Nothing new is left.
-            if !(size > LANCZOS_ROUNDING * largest) {
-                break;
-            }
-            if basis.len().is_multiple_of(LANCZOS_LOOK) && !basis.is_empty() {
-                let (found, last) = largest_eigenpair(&diagonal, &beside);
-                if size * last <= LANCZOS_ACCURACY * found {
-                    break;
-                }
-            }
-            if !basis.is_empty() {
-                beside.push(size);
-            }
-            let unit = v / size;
-            let single: Vec<f32> = unit.iter().map(|v| *v as f32).collect();
-            let image = matrix * ColRef::from_slice(&single);
-            let image = matrix.transpose() * image;
-            v = DVector::from_fn(n, |i, _| f64::from(image[i]));
-            let along = unit.dot(&v);
-            largest = largest.max(along);
-            diagonal.push(along);
-            basis.push(unit);
-            for old in basis.iter().chain(&basis) {
-                v.axpy(-old.dot(&v), old, 1.0);
-            }
+        let (rows, columns) = self.matrix.shape();
+        let largest = self.matrix.norm_max();
+        if largest == 0.0 || rows.min(columns) == 0 {
+            return 0.0;
         }
-        self.scale * largest_eigenpair(&diagonal, &beside).0.max(0.0).sqrt()
+        let parameters = PartialEigenParams::default();
+        let scratch = partial_svd_scratch(&self.matrix, 1, Par::Seq, parameters);
+        let mut value = [0.0_f32];
+        // Nothing special: neither sparse nor smooth.
+        let start = Col::from_fn(columns, |i| 1.0 + 0.5 * ((i * i) as f32).sin());
+        partial_svd(
+            Mat::zeros(rows, 1).as_mut(),
+            Mat::zeros(columns, 1).as_mut(),
+            &mut value,
+            &self.matrix,
+            start.as_ref(),
+            GROWTH_ACCURACY,
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(scratch)),
+            parameters,
+        );
+        self.scale * f64::from(value[0])
     }
-}
-
-/// The largest eigenvalue of a symmetric tridiagonal matrix, and the last component of its unit eigenvector; (0, 0) of an empty one.
-fn largest_eigenpair(diagonal: &[f64], beside: &[f64]) -> (f64, f64) {
-    let m = diagonal.len();
-    if m == 0 {
-        return (0.0, 0.0);
-    }
-    let tridiagonal = DMatrix::from_fn(m, m, |i, j| match i.abs_diff(j) {
-        0 => diagonal[i],
-        1 => beside[i.min(j)],
-        _ => 0.0,
-    });
-    let found = tridiagonal.symmetric_eigen();
-    (found.eigenvalues.iter().enumerate())
-        .max_by(|a, b| a.1.total_cmp(b.1))
-        .map_or((0.0, 0.0), |(at, value)| {
-            (*value, found.eigenvectors[(m - 1, at)].abs())
-        })
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::DMatrix;
+
     use super::*;
 
     fn dense(m: &Mat<f64>) -> DMatrix<f64> {

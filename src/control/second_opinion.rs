@@ -198,8 +198,7 @@ pub fn second_opinion(
 
 /// Violation of a bound that counts as touching it, in scaled variables.
 const BOUND_MARGIN: f64 = 1e-6;
-/// Penalty of the first stage, over the size of the gradient of the objective or 1, and its growth where a stage gains too little.
-const FIRST_PENALTY: f64 = 1.0;
+/// Growth of the penalty, at first the size of the gradient of the objective or 1, where a stage gains too little.
 const PENALTY_GROWTH: f64 = 10.0;
 /// Largest one, likewise: a line search knows gradients to the root of rounding times the curvature, which the penalty makes.
 const LARGEST_PENALTY: f64 = 1e2;
@@ -227,7 +226,7 @@ pub fn minimize(
     let first = program.values(start, &|c| vec![0.0; c.len()])?;
     let slope = norm(&first.gradient).max(1.0);
     let metric = metric(program, start, &first.gradient)?;
-    let mut penalty = FIRST_PENALTY * slope;
+    let mut penalty = slope;
     let largest_penalty = LARGEST_PENALTY * slope;
     let mut evaluations = 1;
     let mut best = Seen {

@@ -66,10 +66,8 @@ const NEAR: f64 = 1e-4;
 /// Part of the way in the first step, and the least one.
 const FIRST_STRIDE: f64 = 0.5;
 const LEAST_STRIDE: f64 = 0.02;
-/// Corrections at a point of the way.
-const CORRECTIONS: usize = 8;
-/// Rounds that reduce the effort where the goal is met, and change of the wrench at which they end.
-const EFFORT_ROUNDS: usize = 8;
+/// Corrections at a point of the way, and rounds that reduce the effort where the goal is met; change of the wrench at which these end.
+const ROUNDS: usize = 8;
 const SETTLED: f64 = 0.01;
 /// Largest change of the wrench in a round, in the rod's scales and of its size: the goal is met to first order of it.
 const LARGEST_CHANGE: [f64; 2] = [0.2, 0.3];
@@ -228,8 +226,7 @@ impl Statics<'_> {
         let start = carried(rod, self.problem.initial.configuration.clone(), self.end);
         if let Some(from) = self.pulled(goal, &start) {
             // Where the effort does not settle, the pull of the springs itself.
-            let held =
-                (self.toward(goal, &from, EFFORT_ROUNDS)).or_else(|| self.toward(goal, &from, 0));
+            let held = (self.toward(goal, &from, ROUNDS)).or_else(|| self.toward(goal, &from, 0));
             if let Some(held) = held {
                 return Ok(held);
             }
@@ -249,7 +246,7 @@ impl Statics<'_> {
         let (mut part, mut stride) = (0.0, FIRST_STRIDE);
         while part < 1.0 {
             let next = f64::min(part + stride, 1.0);
-            let effort = if next == 1.0 { EFFORT_ROUNDS } else { 0 };
+            let effort = if next == 1.0 { ROUNDS } else { 0 };
             match self.toward(&self.on_the_way(goal, &rest, next), &held, effort) {
                 Some(found) => {
                     held = found;
@@ -303,13 +300,13 @@ impl Statics<'_> {
     fn toward(&self, goal: &Goal, from: &Held, rounds: usize) -> Option<Held> {
         let mut held = from.clone();
         let mut settled = 0;
-        for round in 0..CORRECTIONS + rounds {
+        for round in 0..ROUNDS + rounds {
             let lack = self.lack(goal, &held.shape);
             let met = lack.amax() < TOLERANCE;
             if met && settled >= rounds {
                 return Some(held);
             }
-            if !met && round >= CORRECTIONS && settled == 0 {
+            if !met && round >= ROUNDS && settled == 0 {
                 return None;
             }
             let jacobian = self.jacobian(goal, &held, &lack)?;

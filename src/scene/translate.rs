@@ -281,7 +281,6 @@ impl Scene {
             settings: SqpSettings {
                 tolerance: solver.tolerance.get(),
                 max_iterations: solver.max_iterations,
-                saddle_escapes: solver.saddle_escapes,
                 saddle_gain: solver.saddle_gain.get(),
                 hessian: solver.hessian,
                 qp: match solver.qp {

@@ -9,7 +9,9 @@ use crate::control::{Attempt, Feedback, FeedbackError, FeedbackWeights, Transcri
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::NamedConstraint;
 use crate::output::{MotionRecord, MultiplierRecord, row_bytes};
-use crate::sqp::{HessianKind, LiftedProgram as _, Multipliers, SqpSettings, SqpStatus};
+use crate::sqp::{
+    HessianKind, LiftedProgram as _, Multipliers, SqpSettings, SqpStatus, is_strict_minimum,
+};
 use crate::task::Problem;
 use crate::verify::{self, CheckError, CheckLimits, ForwardCheck};
 
@@ -135,14 +137,26 @@ impl Solution {
     /// # Errors
     /// As [`Self::certify`].
     pub fn certify_deeply(&self, deep: bool) -> Result<ForwardCheck, CheckError> {
-        let outcome = &self.attempt.outcome;
         let mut check = (self.problem).certify(&self.claim(), &self.check_limits())?;
-        let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
-        let doubtful = last.is_some_and(|row| row.hessian != HessianKind::Exact);
-        if deep || (self.has_converged() && check.is_certified() && doubtful) {
+        if deep || (self.has_converged() && check.is_certified() && self.is_doubtful()) {
             check.deepen(&self.problem.discrete, &self.claim())?;
         }
         Ok(check)
+    }
+
+    /// Whether nothing that the solver has computed says that the solution is a minimum: its last Hessian was not positive by itself, or that of
+    /// Gauss and Newton, which always is, and the exact one at the solution is not either.
+    fn is_doubtful(&self) -> bool {
+        let outcome = &self.attempt.outcome;
+        let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
+        match last.map(|row| row.hessian) {
+            None | Some(HessianKind::Exact) => false,
+            Some(HessianKind::Convexified) => true,
+            Some(HessianKind::GaussNewton | HessianKind::Proximal) => {
+                let program = Transcription::new(&self.problem.discrete, 1);
+                !is_strict_minimum(&program, &outcome.point, &outcome.multipliers).unwrap_or(false)
+            }
+        }
     }
 
     /// A time-varying linear-quadratic regulator around the motion.

@@ -3,7 +3,7 @@
 use crate::sqp::{HessianKind, IterationRecord, Leave};
 
 /// Every letter and word of the column with its meaning, in the order in which they are explained.
-pub(crate) const MEANINGS: [(&str, &str); 12] = [
+pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
     ("c", "exact Hessian, its negative curvature turned round"),
@@ -11,10 +11,7 @@ pub(crate) const MEANINGS: [(&str, &str); 12] = [
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),
     ("+", "a second-order correction"),
-    ("saddle", "a saddle, left along its negative curvature"),
     ("settle", "states simulated anew, controls kept"),
-    ("anew", "no step: filter and trust region begin anew"),
-    ("back", "back to the best point so far"),
     ("-", "no step: the end of the attempt"),
 ];
 
@@ -23,10 +20,7 @@ pub(crate) const MEANINGS: [(&str, &str); 12] = [
 pub(crate) fn step_kind(row: &IterationRecord) -> String {
     let word = match row.left {
         Leave::Step => None,
-        Leave::Saddle => Some("saddle"),
         Leave::Settled => Some("settle"),
-        Leave::Anew => Some("anew"),
-        Leave::Back => Some("back"),
         Leave::End => Some("-"),
     };
     if let Some(word) = word {
@@ -119,13 +113,7 @@ mod tests {
                 }
             }
         }
-        for left in [
-            Leave::Saddle,
-            Leave::Settled,
-            Leave::Anew,
-            Leave::Back,
-            Leave::End,
-        ] {
+        for left in [Leave::Settled, Leave::End] {
             row.left = left;
             assert_eq!(explained(&step_kind(&row)), 1, "{left:?}");
         }

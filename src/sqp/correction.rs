@@ -4,13 +4,12 @@
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
 use super::kkt::norm;
+use super::polish::INSIDE;
 use super::program::LiftedProgram;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::trial::{Accepted, Departure, Refused};
 
 const CORRECTIONS: usize = 8;
-/// Part of the trust radius from which a correction of a step may reach its end.
-const INSIDE: f64 = 0.9;
 /// A correction that does not shrink the infeasibility by this is the last one.
 const CORRECTION_PROGRESS: f64 = 0.99;
 

@@ -4,19 +4,15 @@
 
 use super::kkt::Multipliers;
 use super::program::{Evaluation, LiftedProgram};
+use super::settings::{MERIT_ROUNDING, NEGLIGIBLE};
 
 const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
 const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
-const SWITCH_FACTOR: f64 = 1.0; // δ
 const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ
 const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
 const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4: too wide where recursions amplify
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
-/// Infeasibility at which only optimality is left to be gained.
-pub(super) const FEASIBLE: f64 = 1e-8;
-/// Of the objective, relatively.
-const ROUNDING: f64 = 10.0 * f64::EPSILON;
 /// What the filter compares.
 #[derive(Clone, Copy, Debug)]
 pub struct Measure {
@@ -104,7 +100,7 @@ impl Filter {
     /// either way by as much as they are then violated (Maratos), and steps that only trade one for the other are no
     /// progress.
     fn passage(&self, from: Measure, to: Measure, slope: Slope) -> Option<Passage> {
-        let rounding = ROUNDING * from.objective.abs();
+        let rounding = MERIT_ROUNDING * from.objective.abs();
         // A step that promises less than the noise is judged by nothing else; one that promises more must deliver it.
         let noise = if slope.lagrangian.abs() <= slope.noise {
             rounding + slope.noise
@@ -116,8 +112,8 @@ impl Filter {
         }
         let switching = slope.objective < 0.0
             && (-slope.objective).powf(SWITCH_OBJECTIVE_POWER)
-                > SWITCH_FACTOR * from.infeasibility.powf(SWITCH_INFEASIBILITY_POWER);
-        let is_feasible = from.infeasibility <= FEASIBLE && slope.lagrangian < 0.0;
+                > from.infeasibility.powf(SWITCH_INFEASIBILITY_POWER);
+        let is_feasible = from.infeasibility <= NEGLIGIBLE && slope.lagrangian < 0.0;
         if is_feasible || (from.infeasibility <= self.small && switching) {
             let change = if slope.lagrangian < 0.0 {
                 to.lagrangian - from.lagrangian - SUFFICIENT_DECREASE * slope.lagrangian

@@ -4,7 +4,10 @@ use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
 use super::kkt::{Multipliers, norm};
-use super::program::{ConvexSet, Linearization, Softness, along};
+use super::program::{
+    ConvexSet, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness, along,
+};
+use super::settings::NEGLIGIBLE;
 
 /// The second derivatives that the quadratic model uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -253,6 +256,30 @@ impl ModelHessian {
     }
 }
 
+/// Whether the Hessian of the Lagrangian at a solution is positive on what constraints, and inequalities and sets with a multiplier, leave free:
+/// the second-order sufficient condition (Nocedal and Wright 2006, theorem 12.6), by the solver's own derivatives. `false` says nothing.
+///
+/// # Errors
+/// [`Failure`] where the program cannot be evaluated or linearized there.
+pub fn is_strict_minimum<P: LiftedProgram>(
+    program: &P,
+    point: &P::Point,
+    multipliers: &Multipliers,
+) -> Result<bool, Failure> {
+    let evaluation = program.evaluate(point)?;
+    let held = multipliers.inequalities.iter().enumerate();
+    let rows: Vec<usize> = held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row).collect();
+    let request = LinearizationRequest {
+        multipliers: Some(multipliers),
+        rows: &rows,
+    };
+    let linearization = program.linearize(point, &evaluation, &request)?;
+    let softness: Vec<Softness> = rows.iter().map(|&row| program.softness(row)).collect();
+    let (sets, variables) = (program.sets(), program.variables(point));
+    let active = ActiveSet::of(&linearization, &softness, sets, variables, multipliers);
+    Ok(ModelHessian::exact(&linearization, sets, &active).kind == HessianKind::Exact)
+}
+
 /// An orthonormal basis of the directions that something holds, and how far the step must go along each. A gradient that
 /// depends on those before it holds nothing of its own.
 struct Held {
@@ -260,9 +287,8 @@ struct Held {
     target: Vec<f64>,
 }
 
-/// Part of a gradient that must be independent of the others. Neighbors among many inequalities point almost the same way;
+/// Part of a row's gradient that must be independent of the others. Neighbors among many inequalities point almost the same way;
 /// the one with the larger multiplier holds that direction, and what the other is off by would be magnified.
-const INDEPENDENT_PART: f64 = 1e-8;
 const INDEPENDENT_PART_OF_ROWS: f64 = 1e-2;
 /// Where it is magnified to no more than this, as near a solution, neighbors hold what is their own from this part on: at an optimum that both
 /// hold, the curvature there need not be positive.
@@ -275,7 +301,7 @@ impl Held {
         let mut held = (Vec::<Vec<f64>>::new(), Vec::new());
         for (i, offset) in linearization.offset.iter().enumerate() {
             let row = (0..n).map(|j| linearization.jacobian[(i, j)]).collect();
-            hold(&mut held, row, -offset, INDEPENDENT_PART);
+            hold(&mut held, row, -offset, NEGLIGIBLE);
         }
         for &at in &active.rows {
             let jacobian = &linearization.inequality_jacobian;
@@ -288,7 +314,7 @@ impl Held {
             for &(index, component) in &normal.direction {
                 row[index] += component;
             }
-            hold(&mut held, row, normal.gap, INDEPENDENT_PART);
+            hold(&mut held, row, normal.gap, NEGLIGIBLE);
         }
         let (basis, target) = held;
         Self {

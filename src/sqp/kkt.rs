@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::program::{
     ConvexSet, Evaluation, LagrangianTerms, LiftedProgram, Linearization, Softness, along,
 };
+use super::settings::{EXACT, ROW_TOLERANCE};
 
 /// Multipliers of the constraints, the inequalities and the convex sets.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,14 +82,11 @@ impl Multipliers {
     }
 }
 
-/// Accuracy to which a subproblem meets its rows.
-const ROW_NOISE: f64 = 1e-12;
-
 impl Multipliers {
     /// What rows that are met to the accuracy of a subproblem change the objective by.
     pub(super) fn row_noise(&self) -> f64 {
         let pulls = self.constraints.iter().map(|y| y.abs());
-        ROW_NOISE * (pulls.sum::<f64>() + self.inequalities.iter().sum::<f64>())
+        EXACT * (pulls.sum::<f64>() + self.inequalities.iter().sum::<f64>())
     }
 }
 
@@ -223,9 +221,6 @@ fn row_complementarity(h: f64, z: f64, softness: Softness) -> f64 {
     }
 }
 
-/// Size of a ball's vector, over the variables (at least one), from which it has a direction: below, it is their rounding.
-const DIRECTION: f64 = 1e-9;
-
 /// The product of a set's slack and its normal; adds its pull to `sum`.
 fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: &mut Sum) -> f64 {
     match set {
@@ -254,7 +249,8 @@ fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: 
             let inside: Vec<f64> = rows.iter().map(|row| along(row, variables)).collect();
             let size = norm(&inside);
             let inner: f64 = normal.iter().zip(&inside).map(|(z, u)| z * u).sum();
-            let has_direction = size > DIRECTION * infinity_norm(variables).max(1.0);
+            // A smaller vector is the rounding of the variables.
+            let has_direction = size > ROW_TOLERANCE * infinity_norm(variables).max(1.0);
             let outward = inner / size;
             for ((row, z), u) in rows.iter().zip(normal).zip(&inside) {
                 let pull = if has_direction {

@@ -30,6 +30,8 @@ mod trust_region;
 mod working_set;
 
 pub use hessian::{HessianChoice, HessianKind};
+#[doc(hidden)]
+pub use hessian::is_strict_minimum;
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};

@@ -31,14 +31,8 @@ pub enum Leave {
     End,
     /// By a step of the variables.
     Step,
-    /// Along negative curvature, a saddle.
-    Saddle,
     /// The variables stayed, and the states were computed from them.
     Settled,
-    /// The point stayed, or only its states were put back: filter and trust region begin anew.
-    Anew,
-    /// Back to the best point so far.
-    Back,
 }
 
 /// One row of the iteration table: the point, and the step that left it.
@@ -146,9 +140,6 @@ pub struct SqpOutcome<P> {
     pub phases: PhaseTimes,
     /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
     pub failed_subproblem: Option<String>,
-    /// Where the point is a saddle that is not worth [leaving](super::SqpSettings::saddle_gain): what the Lagrangian falls by along its most
-    /// negative curvature, at most.
-    pub left_to_gain: Option<f64>,
 }
 
 impl<P> SqpOutcome<P> {
@@ -169,7 +160,6 @@ impl<P> SqpOutcome<P> {
             convergence: Convergence::default(),
             phases: PhaseTimes::default(),
             failed_subproblem: None,
-            left_to_gain: None,
         }
     }
 }

@@ -15,17 +15,14 @@ use faer::linalg::solvers::Solve as _;
 use super::kkt::{Multipliers, infinity_norm, norm};
 use super::program::{ConvexSet, Softness, along};
 use super::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
+use super::settings::{EXACT, NEGLIGIBLE};
 
 /// Part of the trust radius that a step must leave: beyond, its cone is active as well.
-const INSIDE: f64 = 0.999;
+pub(super) const INSIDE: f64 = 0.999;
 /// Newton iterations.
 const ITERATIONS: usize = 4;
 /// The same from multipliers of another subproblem.
 const EXPECTED_ITERATIONS: usize = 8;
-/// Part of the pull on the variables that counts as no multiplier of another subproblem.
-const NO_MULTIPLIER: f64 = 1e-8;
-/// Residual of the conditions that is rounding, over their terms.
-const EXACT: f64 = 1e-12;
 /// Regularization of dependent rows, relative to the largest entry of the Hessian; iterations take its effect back.
 const REGULARIZATION: f64 = 1e-11;
 /// Largest change of the step, over its size and one: beyond, what is active was guessed wrong.
@@ -158,7 +155,7 @@ impl<'a> Conditions<'a> {
             .max(f64::MIN_POSITIVE);
         let holds = |multiplier: f64, slack: f64| match clue {
             Clue::Slack => multiplier / unit > slack,
-            Clue::Multiplier => multiplier / unit > NO_MULTIPLIER,
+            Clue::Multiplier => multiplier / unit > NEGLIGIBLE,
         };
         // A slack, and by how much multipliers together fall short of its price.
         let is_open = |slack: f64, multiplier: f64| {
@@ -203,7 +200,7 @@ impl<'a> Conditions<'a> {
                     let left = linear + quadratic * values[at].max(0.0) - z;
                     let is_paid = match clue {
                         Clue::Slack => values[at] > 0.0 && left <= values[at] * unit,
-                        Clue::Multiplier => z >= linear * (1.0 - NO_MULTIPLIER),
+                        Clue::Multiplier => z >= linear * (1.0 - NEGLIGIBLE),
                     };
                     if is_paid {
                         paid.push((at, linear, quadratic));

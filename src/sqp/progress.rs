@@ -1,11 +1,10 @@
 //! Whether a solve that ended before its time was still getting on.
 
 use super::outcome::IterationRecord;
+use super::settings::PROGRESS;
 
 /// Iterations that are looked back over.
 const WINDOW: usize = 10;
-/// The best of them must be below this part of the best before them.
-const GAIN: f64 = 0.9;
 
 /// Whether residuals were still falling when a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -46,7 +45,7 @@ impl Progress {
         };
         let infeasibility = least(|row| row.infeasibility);
         let residual = least(|row| row.residual.max());
-        let falls = |[from, to]: [f64; 2]| to < GAIN * from;
+        let falls = |[from, to]: [f64; 2]| to < PROGRESS * from;
         Some(Self {
             trend: if falls(infeasibility) || falls(residual) {
                 Trend::Falling

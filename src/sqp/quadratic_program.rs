@@ -22,6 +22,7 @@ use super::kept_states::StateLinearization;
 use super::kkt::Multipliers;
 use super::polish::{as_expected, can_be_polished, polish};
 use super::program::{ConvexSet, Linearization, Softness, affine};
+use super::settings::ROW_TOLERANCE;
 use crate::stop::{Stop, StopSignal};
 
 /// The data of one subproblem.
@@ -134,10 +135,6 @@ pub enum QpError {
 const FEW_ROWS: usize = 32;
 /// First working set of many: so many of the highest peaks.
 const FIRST_PEAKS: usize = 8;
-/// Least of [`QuadraticProgram::row_tolerance`] that is worth asking for.
-pub(super) const ROW_TOLERANCE: f64 = 1e-9;
-/// A multiplier this much smaller than the slack of its row, both scaled, is what the interior point is off by.
-const NEGLIGIBLE_MULTIPLIER: f64 = 1e-8;
 
 /// First elastic weight, relative to the size of the cost's derivatives.
 pub(super) const FIRST_ELASTIC_WEIGHT: f64 = 1e3;

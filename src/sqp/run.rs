@@ -11,22 +11,19 @@ use std::time::Instant;
 use faer::Mat;
 
 use self::restoration::Restoration;
-use self::saddle::Saddles;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
-use super::filter::{FEASIBLE, Filter};
-use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, NegativeCurvature};
+use super::filter::Filter;
+use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian};
 use super::kept_states::{QpRoute, StateLinearization};
 use super::kkt::{KktResidual, Multipliers, norm};
-use super::outcome::{Convergence, IterationRecord, Leave, SqpOutcome, SqpStatus};
+use super::outcome::{Convergence, IterationRecord, SqpOutcome, SqpStatus};
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness, sum_of_largest,
 };
-use super::quadratic_program::{
-    LinearInequalities, QpError, QpSolution, QuadraticProgram, ROW_TOLERANCE,
-};
-use super::settings::SqpSettings;
+use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
+use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SqpSettings};
 use super::trace::Trace;
 use super::trial::{Accepted, Departure};
 use super::trust_region::TrustRegion;
@@ -40,15 +37,9 @@ const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
 const INFEASIBLE_PATIENCE: usize = 3;
-/// A set may be violated by this much before the trust region makes room for the way back.
-const SET_TOLERANCE: f64 = 1e-9;
-/// Rounding of the merit, relatively.
-const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
 const SHRINKAGES: usize = 12;
-/// Subproblems without a solution, in all, after which a solve gives up.
+/// Subproblems without a solution, and restorations, in all, after which a solve gives up.
 const RESCUES: usize = 8;
-/// Restorations, at most.
-const RESTORATIONS: usize = 5;
 /// Models of an iteration that are made anew because a step leaves what they hold.
 const RELEASES: usize = 3;
 /// What the stopping test reads at a point.
@@ -87,7 +78,6 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     filter: Filter,
     hessian: HessianPolicy,
     feasibility: Feasibility,
-    saddles: Saddles<P::Point>,
     states: States,
     best: Best<P::Point>,
     trace: Trace,
@@ -111,8 +101,6 @@ struct Iterate<P: LiftedProgram> {
 struct HessianPolicy {
     /// [Least curvature](Linearization::least_curvature) of the last linearization.
     least_curvature: f64,
-    /// Negative curvature of the last exact Hessian.
-    descent: Option<NegativeCurvature>,
     /// Inequalities and sets that the steps of this iteration left behind.
     left_rows: Vec<usize>,
     left_sets: Vec<usize>,
@@ -174,7 +162,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 ..HessianPolicy::default()
             },
             feasibility: Feasibility::default(),
-            saddles: Saddles::default(),
             states: States {
                 route: match program.n_states() {
                     Some(_) => settings.qp,
@@ -352,11 +339,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.hessian.left_rows.clear();
         self.hessian.left_sets.clear();
         let mut model = self.model_hessian(&linearization);
-        match model.kind {
-            HessianKind::Exact => self.hessian.descent = None,
-            HessianKind::Convexified => self.hessian.descent = model.descent.clone(),
-            _ => {}
-        }
         let mut sets = self.subproblem_sets(&model);
         self.trace.phases.condense += clock.elapsed().as_secs_f64();
         let (mut refusals, mut releases) = (0, 0);
@@ -402,8 +384,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 return Ok(Step::Refused);
             }
         }
-        if self.infeasibility() > self.settings.tolerance
-            && self.feasibility.restorations < RESTORATIONS
+        if self.infeasibility() > self.settings.tolerance && self.feasibility.restorations < RESCUES
         {
             return self.restore(linearization);
         }
@@ -516,8 +497,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             || (!accepted.rolled_out
                 && !model.kind.is_second_order()
                 && accepted.evaluation.defect > 0.0
-                && self.infeasibility() <= FEASIBLE
-                && self.program.infeasibility(&accepted.evaluation) <= FEASIBLE);
+                && self.infeasibility() <= NEGLIGIBLE
+                && self.program.infeasibility(&accepted.evaluation) <= NEGLIGIBLE);
         let size = norm(self.variables()).max(1.0);
         if is_blind {
             let contraction = (self.last()).and_then(|row| row.contraction);
@@ -529,11 +510,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         self.iterate.multipliers = solution.multipliers.clone();
         self.arrive(accepted);
-    }
-
-    /// Says how the present point was left.
-    pub(super) fn leave(&mut self, left: Leave) {
-        self.trace.leave(left);
     }
 
     fn arrive(&mut self, accepted: Accepted<P>) {
@@ -666,22 +642,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.trace.history.len()
     }
 
-    /// What was found; where a saddle was left for nothing better, the saddle.
-    pub(super) fn end(mut self, mut status: SqpStatus) -> SqpOutcome<P::Point> {
-        if status != SqpStatus::Converged
-            && let Some(saddle) = self.saddles.best_before.take()
-        {
-            self.best = saddle;
-            if !matches!(status, SqpStatus::Stopped(_)) {
-                status = SqpStatus::Converged;
-            }
-        }
+    /// What was found.
+    pub(super) fn end(self, status: SqpStatus) -> SqpOutcome<P::Point> {
         let failed_subproblem = match status {
             SqpStatus::Converged => None,
             _ => self.trace.failed_subproblem,
         };
         // The best point is then the only one.
-        drop((self.iterate, self.saddles.best_before));
+        drop(self.iterate);
         SqpOutcome {
             status,
             point: Arc::unwrap_or_clone(self.best.point),
@@ -693,7 +661,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             history: self.trace.history,
             phases: self.trace.phases,
             failed_subproblem,
-            left_to_gain: self.saddles.left_to_gain,
         }
     }
 }
@@ -701,7 +668,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 /// Whether variables are in all sets, but for rounding; those that are no numbers are not.
 fn is_within(sets: &[ConvexSet], variables: &[f64]) -> bool {
     let size = norm(variables).max(1.0);
-    (sets.iter()).all(|set| set.violation(variables) <= SET_TOLERANCE * size)
+    (sets.iter()).all(|set| set.violation(variables) <= ROW_TOLERANCE * size)
 }
 
 /// How far variables are from the intersection of the sets; 0 inside.

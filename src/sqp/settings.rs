@@ -11,9 +11,7 @@ pub struct SqpSettings {
     pub tolerance: f64,
     /// Iterations, at most.
     pub max_iterations: usize,
-    /// Saddles, points that meet the conditions of first order with negative curvature, that are left for something better, at most.
-    pub saddle_escapes: usize,
-    /// Part of the objective that leaving a saddle must gain; where there is less to gain, the saddle is the result.
+    /// Part of the objective that passing a saddle must gain for a step to go out of its way.
     pub saddle_gain: f64,
     /// Which Hessian.
     pub hessian: HessianChoice,
@@ -26,7 +24,7 @@ pub struct SqpSettings {
     pub stop: StopSignal,
 }
 
-/// Part of the objective that is worth leaving a saddle for: what the discretization of an ordinary solve is off by.
+/// Part of the objective that is worth passing a saddle for: what the discretization of an ordinary solve is off by.
 pub const SADDLE_GAIN: f64 = 1e-2;
 
 impl Default for SqpSettings {
@@ -34,7 +32,6 @@ impl Default for SqpSettings {
         Self {
             tolerance: 1e-6,
             max_iterations: 600,
-            saddle_escapes: 3,
             saddle_gain: SADDLE_GAIN,
             hessian: HessianChoice::Auto,
             qp: QpRoute::Condensed,
@@ -55,6 +52,16 @@ impl SqpSettings {
     }
 }
 
+/// Rounding of an objective or a merit, relatively.
+pub(super) const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
+/// Accuracy to which the conditions of a subproblem hold that Newton's method has ended on: rounding.
+pub(super) const EXACT: f64 = 1e-12;
+/// Violation of rows and sets, over the variables or the row (at least one), that subproblems leave, and no step can tell from none.
+pub(super) const ROW_TOLERANCE: f64 = 1e-9;
+/// The root of rounding: slacks, multipliers, infeasibilities and independent parts of rows that an interior point cannot tell from zero.
+pub(super) const NEGLIGIBLE: f64 = 1e-8;
+/// Improvements of a residual, slack or infeasibility to more than this part of what it was are no progress.
+pub(super) const PROGRESS: f64 = 0.9;
 /// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
 pub(super) const STOP_PART: f64 = 0.5;
 /// Defects of the states must be this much better than the tolerance: that costs one more iteration at most, and the replay of the

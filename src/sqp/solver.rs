@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::kkt::KktResidual;
-use super::outcome::{IterationRecord, Leave, SqpOutcome, SqpStatus};
+use super::outcome::{IterationRecord, SqpOutcome, SqpStatus};
 use super::program::LiftedProgram;
 use super::run::{Run, Step, WarmStart};
 use super::settings::{DEFECT_PART, STOP_PART, SqpSettings, VIOLATION_PART};
@@ -119,13 +119,8 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         };
         let residual = run.residual(&derivatives);
         run.record(self.iteration, residual);
-        match self.test(&residual, may_go_on) {
-            Test::Passed => return Some(SqpStatus::Converged),
-            Test::Left(left) => {
-                self.run.leave(left);
-                return None;
-            }
-            Test::Failed => {}
+        if self.is_solution(&residual) {
+            return Some(SqpStatus::Converged);
         }
         let run = &mut self.run;
         // At rounding no step can be an improvement any more; and what was left half done says nothing about the problem.
@@ -161,29 +156,15 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         None
     }
 
-    /// Whether the present point is a solution; one that is a saddle may be left.
-    fn test(&mut self, residual: &KktResidual, may_go_on: bool) -> Test {
-        let (run, settings) = (&mut self.run, self.settings);
+    /// Whether the present point is a solution.
+    fn is_solution(&self, residual: &KktResidual) -> bool {
+        let (run, settings) = (&self.run, self.settings);
         let stop = STOP_PART * settings.tolerance;
         let [defect, violation] = [DEFECT_PART, VIOLATION_PART]
             .map(|part| settings.feasibility_tolerance(part, run.rounding()));
         let is_exact = run.defect() <= defect && residual.feasibility <= violation;
-        if !(residual.optimality() <= stop && is_exact) {
-            return Test::Failed;
-        }
-        if may_go_on && run.escape() {
-            Test::Left(Leave::Saddle)
-        } else {
-            Test::Passed
-        }
+        residual.optimality() <= stop && is_exact
     }
-}
-
-/// What the residual test says of a point.
-enum Test {
-    Passed,
-    Left(Leave),
-    Failed,
 }
 
 /// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.

@@ -32,23 +32,16 @@ impl Trace {
         let before = (self.history.iter().rev())
             .map(|row| row.step_norm)
             .find(|&step| step > 0.0);
-        self.leave(if length > 0.0 {
-            Leave::Step
-        } else {
-            Leave::Settled
-        });
         if let Some(row) = self.history.last_mut() {
+            row.left = if length > 0.0 {
+                Leave::Step
+            } else {
+                Leave::Settled
+            };
             row.step_norm = length;
             row.contraction = before.map(|before| length / before);
             row.corrections = accepted.corrections;
             row.rolled_out = accepted.rolled_out;
-        }
-    }
-
-    /// Says how the present point was left.
-    pub(super) fn leave(&mut self, left: Leave) {
-        if let Some(row) = self.history.last_mut() {
-            row.left = left;
         }
     }
 }

@@ -3,19 +3,18 @@
 //! After Nocedal and Wright (2006), chapter 4: the ratio of what a step delivered to what its model promised decides.
 
 use super::kkt::norm;
+use super::settings::ROW_TOLERANCE;
 
 /// First radius, relative to the variables (at least to one).
 const FIRST: f64 = 2.0;
 /// What a refused step leaves of its length.
-pub(super) const SHRINK: f64 = 0.3;
+const SHRINK: f64 = 0.3;
 /// Growth after a good step that used half of the radius.
 const GROW: f64 = 2.5;
 /// Ratios above which the region grows, and below which it shrinks to a part of the step.
 pub(super) const GOOD_RATIO: f64 = 0.5;
-const POOR_RATIO: f64 = 0.05;
+pub(super) const POOR_RATIO: f64 = 0.05;
 const POOR_SHRINK: f64 = 0.5;
-/// Poor steps shrink it to no less than this, relative to the variables (at least to one).
-const LEAST: f64 = 1e-9;
 
 /// Steps whose model cannot be judged are taken to converge by themselves while each is shorter than this part of the one before.
 const CONTRACTION: f64 = 0.95;
@@ -65,6 +64,8 @@ impl TrustRegion {
     }
 
     fn distrust(&mut self, length: f64, size: f64) {
-        self.radius = self.radius.min((POOR_SHRINK * length).max(LEAST * size));
+        self.radius = self
+            .radius
+            .min((POOR_SHRINK * length).max(ROW_TOLERANCE * size));
     }
 }

@@ -127,9 +127,7 @@ pub struct Solver {
     /// Iterations after which to give up, at least 1, default 600.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
-    /// Saddles, where a solve could end by symmetry, that it leaves for something better; default 3.
-    pub saddle_escapes: usize,
-    /// Part of the objective that leaving a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
+    /// Part of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
     /// how much is left.
     pub saddle_gain: Positive<values::GainedPart>,
     /// The second derivatives that the quadratic model uses.
@@ -207,7 +205,6 @@ impl Default for Solver {
         Solver {
             tolerance: known(settings.tolerance),
             max_iterations: settings.max_iterations,
-            saddle_escapes: settings.saddle_escapes,
             saddle_gain: known(settings.saddle_gain),
             hessian: HessianChoice::default(),
             qp: Qp::default(),

@@ -13,7 +13,8 @@ use faer::Mat;
 use super::super::kept_states::StateRow;
 use super::super::kkt::{Multipliers, infinity_norm};
 use super::super::program::{ConvexSet, Softness, along};
-use super::{NEGLIGIBLE_MULTIPLIER, QpError, QpSolution, QuadraticProgram};
+use super::super::settings::NEGLIGIBLE;
+use super::{QpError, QpSolution, QuadraticProgram};
 
 /// How Clarabel is run. What it cannot solve is tried again with the next of [`LADDER`].
 #[derive(Clone, Copy, Debug)]
@@ -179,7 +180,7 @@ impl QuadraticProgram<'_> {
         };
         for (at, row) in working.iter().zip(inequalities..) {
             let (z, s) = (solution.z[row], solution.s[row]);
-            if z > NEGLIGIBLE_MULTIPLIER * s {
+            if z > NEGLIGIBLE * s {
                 multipliers.inequalities[*at] = z / scale;
             }
         }

@@ -11,11 +11,9 @@ use super::super::hessian::{HessianKind, ModelHessian};
 use super::super::kkt::{Multipliers, norm};
 use super::super::program::{ConvexSet, LiftedProgram, Linearization, Softness};
 use super::super::quadratic_program::QpSolution;
-use super::super::trust_region::{GOOD_RATIO, TrustRegion};
+use super::super::trust_region::{GOOD_RATIO, POOR_RATIO, TrustRegion};
 use super::{Breakdown, INFEASIBLE_PROGRESS, Run, SHRINKAGES, Step};
 
-/// A step of the restoration must deliver this part of what it promised.
-const RESTORATION_RATIO: f64 = 0.1;
 /// The restoration ends where the filter lets it, once the infeasibility is this part of what it was.
 const RESTORATION_GAIN: f64 = 0.5;
 
@@ -105,7 +103,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             };
             let after = self.program.infeasibility(&trial.evaluation);
             let ratio = (before - after) / promise;
-            if !(promise > 0.0 && ratio >= RESTORATION_RATIO) {
+            if !(promise > 0.0 && ratio >= POOR_RATIO) {
                 if !self.join(&mut linearization, &trial.evaluation.inequalities)? {
                     phase.region.refuse(length);
                 }

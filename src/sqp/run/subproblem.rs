@@ -9,19 +9,15 @@ use super::super::program::{
 };
 use super::super::quadratic_program::{
     FIRST_ELASTIC_WEIGHT, KeptStates, LinearInequalities, QpError, QpSolution, QuadraticProgram,
-    ROW_TOLERANCE, peaks,
+    peaks,
 };
+use super::super::settings::{NEGLIGIBLE, PROGRESS, ROW_TOLERANCE};
 use super::{Breakdown, Run};
 
 /// Largest elastic weight, in the unit of the [first](FIRST_ELASTIC_WEIGHT), which is also the smallest.
 const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
+/// By how much it is raised, and kept above the largest multiplier, so that it can come down again.
 const ELASTIC_FACTOR: f64 = 10.0;
-/// A heavier weight must bring the slack below this part of what it was.
-const ELASTIC_GAIN: f64 = 0.9;
-/// The weight is kept this much above the largest multiplier, so that it can come down again.
-const ELASTIC_MARGIN: f64 = 10.0;
-/// Slack that counts as none.
-const NO_SLACK: f64 = 1e-8;
 /// Room that a trust region leaves around the nearest point of the sets.
 const SET_ROOM: f64 = 2.0;
 /// Rows that are linearized from the start, peaks and active ones apart.
@@ -108,16 +104,16 @@ impl<P: LiftedProgram> Run<'_, P> {
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
         let mut solution = self.solve_once(linearization, model, sets, weight)?;
         // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
-        while solution.slack > NO_SLACK && weight < LARGEST_ELASTIC_WEIGHT * unit {
+        while solution.slack > NEGLIGIBLE && weight < LARGEST_ELASTIC_WEIGHT * unit {
             let heavier = self.solve_once(linearization, model, sets, weight * ELASTIC_FACTOR)?;
-            if heavier.slack > ELASTIC_GAIN * solution.slack {
+            if heavier.slack > PROGRESS * solution.slack {
                 break;
             }
             weight *= ELASTIC_FACTOR;
             solution = heavier;
         }
-        if solution.slack <= NO_SLACK {
-            weight = (ELASTIC_MARGIN * self.largest_multiplier(&solution))
+        if solution.slack <= NEGLIGIBLE {
+            weight = (ELASTIC_FACTOR * self.largest_multiplier(&solution))
                 .clamp(FIRST_ELASTIC_WEIGHT * unit, LARGEST_ELASTIC_WEIGHT * unit);
         }
         self.return_to_balls(model, &mut solution);
