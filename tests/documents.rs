@@ -141,6 +141,77 @@ fn paths_exist() {
     }
 }
 
+/// Every source file under some folders of the repository, as text.
+fn sources(folders: &[&str]) -> String {
+    fn read_all(folder: &Path, text: &mut String) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                read_all(&path, text);
+            } else if path.extension().is_some_and(|ending| ending == "rs") {
+                *text += &fs::read_to_string(&path).unwrap();
+            }
+        }
+    }
+    let mut text = String::new();
+    for folder in folders {
+        read_all(&root().join(folder), &mut text);
+    }
+    text
+}
+
+/// The words of a text: runs of letters, digits and underscores.
+fn words(text: &str) -> BTreeSet<&str> {
+    text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'))
+        .collect()
+}
+
+/// An item that a table names after a source file stands in that file.
+#[test]
+fn items_are_where_they_are_said_to_be() {
+    let mut n_items = 0;
+    for document in documents() {
+        let (prose, _) = split(&read(&document));
+        for row in prose.lines().filter(|line| line.starts_with('|')) {
+            let mut file: Option<(&str, String)> = None;
+            for word in code(row) {
+                if word.ends_with(".rs") {
+                    let path = places(word).into_iter().find(|path| path.exists());
+                    file = path.map(|path| (word, fs::read_to_string(path).unwrap()));
+                    continue;
+                }
+                let is_item = word
+                    .chars()
+                    .all(|c| c.is_ascii_alphanumeric() || "_:".contains(c));
+                let Some((name, text)) = file.as_ref().filter(|_| is_item) else {
+                    continue;
+                };
+                n_items += 1;
+                let found = words(text);
+                for part in word.split("::").filter(|part| !part.is_empty()) {
+                    assert!(found.contains(part), "{document}: {name} has no `{word}`");
+                }
+            }
+        }
+    }
+    assert!(n_items > 50, "only {n_items} items were found");
+}
+
+/// A long name in lower case, such as that of a test, stands somewhere in the code.
+#[test]
+fn long_names_exist() {
+    let text = sources(&["src", "tests", "benches", "examples"]);
+    let known = words(&text);
+    for document in documents() {
+        let (prose, _) = split(&read(&document));
+        for word in code(&prose) {
+            let is_name = word.matches('_').count() >= 2
+                && (word.chars()).all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+            assert!(!is_name || known.contains(word), "{document}: no `{word}`");
+        }
+    }
+}
+
 /// Names of all files and folders under `folder`.
 fn collect(folder: &Path, names: &mut BTreeSet<String>) {
     for entry in fs::read_dir(folder).unwrap() {
@@ -177,10 +248,10 @@ fn worked_scenes_are_valid() {
     assert!(number >= 4, "only {number} scenes were found");
 }
 
-/// Every key of the schema stands on the page on scenes.
+/// Every key of the schema stands on the page on scenes, and every key in a table of that page is one of the schema.
 #[cfg(feature = "schema")]
 #[test]
-fn every_key_is_explained() {
+fn keys_are_those_of_the_page() {
     fn keys(value: &serde_json::Value, found: &mut BTreeSet<String>) {
         match value {
             serde_json::Value::Object(object) => {
@@ -198,11 +269,28 @@ fn every_key_is_explained() {
     keys(&schema, &mut found);
     assert!(found.len() > 100, "the schema has {} keys", found.len());
     let page = read("docs/scenes.md");
-    let words: BTreeSet<&str> = page
-        .split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'))
-        .collect();
-    for key in found {
+    let words = words(&page);
+    for key in &found {
         assert!(words.contains(key.as_str()), "docs/scenes.md: no {key}");
+    }
+    let (prose, _) = split(&page);
+    let mut in_keys = false;
+    for line in prose.lines() {
+        if !line.starts_with('|') {
+            in_keys = false;
+        } else if line.starts_with("| key |") {
+            in_keys = true;
+        } else if in_keys {
+            let first = line.split('|').nth(1).unwrap_or_default();
+            for word in code(first) {
+                let part = word.rsplit('.').next().unwrap_or_default();
+                let is_key = part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+                assert!(
+                    !is_key || found.contains(part),
+                    "docs/scenes.md: {word} is no key"
+                );
+            }
+        }
     }
 }
 

@@ -9,15 +9,16 @@ use common::{Dice, Method, bases, busy_arm, methods, random_signal, random_state
 use faer::Mat;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Transcription, first_point,
+    Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Quantity, Transcription,
+    first_point,
 };
 use softarm::mechanics::linearization::Motion;
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::sensitivity::transition;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, Integrator, NodeWrenches, Rod, RodParameters, State, TimeGrid, Trajectory,
-    Wrench,
+    ControlSignal, Integrator, NodeWrenches, Rod, RodParameters, SectionProfile, State, TimeGrid,
+    Trajectory, Wrench,
 };
 use softarm::sqp::{SqpSettings, SqpStatus, solve};
 
@@ -396,6 +397,54 @@ fn closed_loops_end_where_the_linear_one_does() {
         assert!(factor > 5.0, "{hold:?} {factor}");
         let [without, with] = ends(size);
         assert!(tip(&without) > factor * tip(&with), "{hold:?} {factor}");
+    }
+}
+
+/// The motion on an arm that differs from the model is that of a rod made from other parameters, stepped by the plain integrator, with the
+/// gains and without.
+#[test]
+fn mismatches_are_motions_of_other_arms() {
+    let (parameters, problem) = reach(Hold::Linear);
+    let coefficients = optimum(&problem);
+    let signal = problem.signal(&problem.control, &coefficients);
+    let (step, n_steps) = (problem.grid.step, problem.grid.n_steps);
+    let start = (&problem.initial, 0);
+    let (trajectory, _) = states(&problem.rod, step, start, &signal, None, n_steps);
+    let weights = FeedbackWeights::default();
+    let feedback = Feedback::along(&problem, &trajectory, &coefficients, &weights, 1).unwrap();
+    let found = (feedback.mismatches(&problem, &coefficients, &trajectory)).unwrap();
+    assert_eq!(found.len(), 18);
+    let tip = problem.rod.tip();
+    let planned = trajectory.positions_at(n_steps)[tip];
+    for mismatch in found {
+        let mut other = parameters.clone();
+        let SectionProfile::Uniform(section) = &mut other.section else {
+            unreachable!("a uniform arm")
+        };
+        match mismatch.quantity {
+            Quantity::Stiffness => {
+                section.linear_stiffness *= mismatch.factor;
+                section.angular_stiffness *= mismatch.factor;
+            }
+            Quantity::Mass => {
+                section.mass *= mismatch.factor;
+                section.rotary *= mismatch.factor;
+            }
+            Quantity::Damping => other.viscous_damping *= mismatch.factor,
+        }
+        let mut there = problem.clone();
+        there.rod = Rod::new(&other).unwrap();
+        for (gains, deviation) in [
+            (None, mismatch.open_loop),
+            (Some(&feedback), mismatch.closed_loop),
+        ] {
+            let end = end_of(&there, &coefficients, gains, &problem.initial);
+            let expected = (end.configuration.positions[tip] - planned).norm();
+            let deviation = deviation.unwrap();
+            let off = (deviation.end_m - expected).abs();
+            assert!(off < 1e-9, "{mismatch:?}: {expected}");
+            assert!(deviation.largest_m >= deviation.end_m);
+        }
     }
 }
 

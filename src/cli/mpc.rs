@@ -15,7 +15,10 @@ use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
 use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
-use crate::mpc::{ClosedLoop, Contender, Outcome as Run, Percentiles, Sample, TipError};
+use crate::mpc::{
+    ClosedLoop, Contender, EstimatorChoice, Outcome as Run, Percentiles, Sample, Sensing, TipError,
+    Unknowns,
+};
 use crate::output::closed_loop::{
     BaselineSummary, LimitPeak, MpcSummary, SampleRow, write_samples,
 };
@@ -494,6 +497,7 @@ fn summarize(
         fallbacks: tally.fallbacks.clone(),
         bounded: tally.bounded,
         limits: Vec::new(),
+        advice: advice(setup, run),
         transfer_error_m: run.transfer_error,
         seed: (setup.resolved.mpc.as_ref())
             .and_then(|mpc| mpc.seed)
@@ -501,6 +505,56 @@ fn summarize(
         wall_s: started.elapsed().as_secs_f64(),
         directory: target.display().to_string(),
     }
+}
+
+/// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
+const FAR: f64 = 0.01;
+
+/// What may be changed where the tip is far from its reference at the end.
+fn advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
+    let own = &setup.experiment;
+    let quarter = 0.75 * own.duration;
+    let late = run
+        .samples
+        .iter()
+        .any(|sample| sample.t >= quarter && sample.reference.is_some());
+    let off = TipError::of(&run.samples, quarter).rms / own.arm.length;
+    if !late || off <= FAR {
+        return Vec::new();
+    }
+    let mut what = Vec::new();
+    let knows_nothing = match &own.sensing {
+        Sensing::Everything => true,
+        Sensing::Estimated { estimator, .. } => match *estimator {
+            EstimatorChoice::Observer { estimates_wrench } => !estimates_wrench,
+            EstimatorChoice::Kalman(unknowns) => {
+                let wrench_change = unknowns.wrench_change;
+                unknowns
+                    == Unknowns {
+                        wrench_change,
+                        ..Unknowns::NONE
+                    }
+            }
+        },
+    };
+    if knows_nothing {
+        what.push(
+            "[estimator] with estimator.disturbances finds what the model has wrong, which nothing here looks for",
+        );
+    }
+    if own.task.cost.rate == 0.0 {
+        what.push("objective.rate makes plans smooth, where the tip trembles");
+    }
+    let is_damped = own.arm.viscous_damping > 0.0 || own.arm.internal_damping > 0.0;
+    if !is_damped {
+        what.push("[damping] gives the model the damping that a real arm has");
+    }
+    what.push("--baselines tells what the plant, the time and the controller have in it");
+    vec![format!(
+        "over the last quarter the tip is {:.1} % of the length off its reference: {}",
+        100.0 * off,
+        what.join("; ")
+    )]
 }
 
 fn label(contender: Contender) -> &'static str {
@@ -578,6 +632,9 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
         &summary.tip_error_over_length,
         summary.status,
     );
+    for sentence in &summary.advice {
+        console.warn(sentence);
+    }
     let needed = setup.experiment.mpc.period;
     if summary.sample_s.p99 > needed {
         console.warn(&format!(

@@ -14,8 +14,8 @@ use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
-    ActuatedNode, Attempt, OptimalControlProblem, Search, SearchEvent, TrackingError,
-    search_telling,
+    ActuatedNode, Attempt, ModelMismatch, OptimalControlProblem, Search, SearchEvent, TipDeviation,
+    TrackingError, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
@@ -469,6 +469,7 @@ fn conclude(
             open.horizon, closed.horizon, open.worst, closed.worst
         ));
     }
+    show_mismatches(&summary.model_mismatch, console);
     if let Some(check) = check {
         let converged = summary.status == "converged";
         show_check(check, problem, converged, console);
@@ -494,6 +495,39 @@ fn conclude(
     }
     if let Some(stop) = examined.without_gains {
         console.always(&format!("no feedback gains: {stop}"));
+    }
+}
+
+/// What the gains do on arms that differ from the model; where they do harm, in any case.
+fn show_mismatches(mismatches: &[ModelMismatch], console: &Console) {
+    if mismatches.is_empty() {
+        return;
+    }
+    let end = |deviation: Option<TipDeviation>| {
+        deviation.map_or("breaks down".to_string(), |deviation| {
+            format!("{:.2e} m", deviation.end_m)
+        })
+    };
+    console.say("the tip's distance from its planned end on an arm that differs from the model:");
+    console.say("  differs by         controls alone  with the gains");
+    for mismatch in mismatches {
+        let part = 100.0 * (mismatch.factor - 1.0);
+        console.say(&format!(
+            "  {:10} {part:+5.0} %  {:>14}  {:>14}{}",
+            mismatch.quantity.name(),
+            end(mismatch.open_loop),
+            end(mismatch.closed_loop),
+            if mismatch.does_harm() { "  worse" } else { "" }
+        ));
+    }
+    let worse = mismatches.iter().filter(|mismatch| mismatch.does_harm());
+    let n_worse = worse.count();
+    if n_worse > 0 {
+        console.always(&format!(
+            "the gains make {n_worse} of {} arms that differ from the model worse: they are for small kicks of an arm that is its model; \
+             `softarm mpc` closes the loop on one that is not",
+            mismatches.len()
+        ));
     }
 }
 

@@ -71,7 +71,7 @@ impl std::fmt::Display for Observation {
             } => write!(
                 f,
                 "element {element} bends by {angle:.2} rad at t = {time:.3} s, more than one element resolves: \
-                 rod.elements = {elements}"
+                 at least rod.elements = {elements}"
             ),
             Self::LargeStrain {
                 element,

@@ -20,6 +20,8 @@
 //! reference (`½ δs·C δs` of the strains they add; on a free base also springs `EI/L³`, `EI/L` at node 0); `E₀ = EI/L`. Its square root is
 //! the norm in which growth is measured.
 
+mod mismatch;
+
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::Solve as _;
@@ -34,6 +36,8 @@ use crate::mechanics::linearization::Motion;
 use crate::mechanics::sensitivity::{InputVisitor, Transition, transition_by};
 use crate::mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use crate::stop::StopSignal;
+
+pub use self::mismatch::{ModelMismatch, Quantity, TipDeviation};
 
 /// Weights of the regulator.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -51,7 +51,9 @@ pub mod transcription;
 pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};
 pub use cost::sample_times;
-pub use feedback::{Feedback, FeedbackError, FeedbackWeights};
+pub use feedback::{
+    Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Quantity, TipDeviation,
+};
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
 #[doc(hidden)]

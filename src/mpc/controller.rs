@@ -7,16 +7,17 @@ use std::time::Instant;
 
 use nalgebra::Vector3;
 
-pub use self::settings::MpcSettings;
+pub use self::settings::{EffortFrom, MpcSettings};
 use super::error::MpcError;
 use super::estimator::Disturbance;
+use super::holding::Holding;
 use super::horizon::{Horizon, add_effects};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Bound, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
-use crate::task::{Arm, Discretization, Task};
+use crate::task::{Arm, Discretization, Task, Track};
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
 #[derive(Clone, Debug, PartialEq)]
@@ -89,7 +90,12 @@ pub struct Controller {
     weights: [f64; 2],
     /// Scaled control that acts when the sample begins.
     acting: Vec<f64>,
-    /// Scaled control that costs nothing: what cancels the disturbance.
+    /// Scaled control that cancels the disturbance, and the force that holds the tip: both together cost nothing.
+    cancelling: Vec<f64>,
+    holding: Option<Holding>,
+    /// Factor on the stiffness that the model is taken to have.
+    stiffness: f64,
+    /// What costs nothing, at every coefficient of the plan.
     free: Vec<f64>,
     deviation: StateTangent,
     gradient: Vec<f64>,
@@ -108,6 +114,9 @@ pub struct Controller {
     record: SampleRecord,
 }
 
+/// Statics along the reference are computed once in so many samples.
+const SAMPLES_A_HOLD: f64 = 5.0;
+
 impl Controller {
     /// Most iterations before the first sample, and the change of the plan below which they end.
     const FIRST: (usize, f64) = (50, 1e-9);
@@ -116,6 +125,7 @@ impl Controller {
 
     /// Discretizes the task over one horizon, and iterates from the task's start until the first plan does not change any more.
     ///
+    /// A target is there to be reached by the end of the horizon; where the horizon recedes, its place is a track, and it holds from now on.
     /// Tracks, targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits but those of speed count; its duration does not. Hold and elements are those
     /// of `discretization`, steps are shortened so that they divide the sample period.
     ///
@@ -138,7 +148,22 @@ impl Controller {
         task.horizon = settings.horizon;
         for target in &mut task.targets {
             target.time = None;
+            // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
+            if settings.due.is_none() {
+                target.at_rest = false;
+                task.cost
+                    .tracks
+                    .extend(target.position.take().map(|place| Track {
+                        at: target.at,
+                        path: vec![(0.0, place)],
+                        weight: None,
+                        from: 0.0,
+                    }));
+            }
         }
+        (task.targets).retain(|target| {
+            target.position.is_some() || target.rotation.is_some() || target.at_rest
+        });
         let chosen = task.discretize(arm, &cut)?.discrete.grid.step;
         let steps_per_period = (settings.period / chosen * (1.0 - 1e-9)).ceil().max(1.0) as usize;
         let step = settings.period / steps_per_period as f64;
@@ -168,7 +193,10 @@ impl Controller {
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
-            free: vec![0.0; n_components],
+            cancelling: vec![0.0; n_components],
+            holding: None,
+            stiffness: 1.0,
+            free: vec![0.0; n],
             deviation: StateTangent::zeros(n_nodes),
             gradient: vec![0.0; n],
             offsets: vec![0.0; 2 * n],
@@ -200,6 +228,9 @@ impl Controller {
             settings: *settings,
             horizon,
         };
+        if controller.counts_from_holding() {
+            controller.holding = controller.holding();
+        }
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
@@ -283,9 +314,10 @@ impl Controller {
             });
         }
         self.horizon.disturb(disturbance);
+        self.stiffness = stiffness;
         let rod_tip = self.horizon.problem.rod.tip();
         for ((free, component), scale) in
-            (self.free.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
+            (self.cancelling.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
         {
             let wrenches = self.horizon.problem.wrench_actuators();
             let is_at_tip =
@@ -297,6 +329,39 @@ impl Controller {
             *free = if is_at_tip { -value / scale } else { 0.0 };
         }
         Ok(())
+    }
+
+    /// What holds the tip along its reference; `None` without one, and where it goes on for more than ten minutes.
+    pub(super) fn holding(&self) -> Option<Holding> {
+        self.reference(0.0)?;
+        let spacing = SAMPLES_A_HOLD * self.settings.period;
+        let reference = |t: f64| Vector3::from(self.reference(t).unwrap_or_default());
+        let start = &self.horizon.problem.initial.configuration;
+        Holding::along(self.rod(), start, reference, spacing, self.reference_end())
+    }
+
+    fn counts_from_holding(&self) -> bool {
+        self.settings.effort == EffortFrom::Holding && self.settings.due.is_none()
+    }
+
+    /// Writes what costs no effort at the coefficients of the present plan.
+    fn note_free(&mut self) {
+        let horizon = &self.horizon;
+        let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
+        for coefficient in 0..horizon.knots.len() {
+            let t = horizon.knots.time(coefficient);
+            let force = (self.holding.as_ref()).map(|holding| holding.force(t, self.stiffness));
+            for (c, component) in horizon.components.iter().enumerate() {
+                let wrenches = horizon.problem.wrench_actuators();
+                let own = wrenches.get(component.actuator);
+                let is_force = component.axis < 3 && own.is_some_and(|own| own.node == tip);
+                let held = force
+                    .filter(|_| is_force)
+                    .map_or(0.0, |force| force[component.axis]);
+                self.free[coefficient * n_components + c] =
+                    self.cancelling[c] + held / horizon.scales[c];
+            }
+        }
     }
 
     /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
@@ -331,6 +396,9 @@ impl Controller {
             return Err(MpcError::Path { point, expected });
         }
         self.horizon.follow(track, path);
+        // Statics along a path take longer than a sample has, at one place they do not.
+        let is_asked = self.counts_from_holding() && path.len() == 1;
+        self.holding = is_asked.then(|| self.holding()).flatten();
         Ok(())
     }
 
@@ -604,6 +672,7 @@ impl Controller {
 
     /// Solves the subproblem at the present deviation and takes the full step.
     fn correct(&mut self) -> Result<(), MpcError> {
+        self.note_free();
         let present = self.horizon.n_present();
         let n_components = self.horizon.components.len();
         let gradient = &mut self.gradient[..];
@@ -613,12 +682,11 @@ impl Controller {
             let [own, next] = self.control_weights(coefficient);
             for c in 0..n_components {
                 let i = coefficient * n_components + c;
-                let free = self.free[c];
-                self.gradient[i] += own * (self.plan[i] - free);
+                self.gradient[i] += own * (self.plan[i] - self.free[i]);
                 if next != 0.0 {
                     let j = i + n_components;
-                    self.gradient[i] += next * (self.plan[j] - free);
-                    self.gradient[j] += next * (self.plan[i] - free);
+                    self.gradient[i] += next * (self.plan[j] - self.free[j]);
+                    self.gradient[j] += next * (self.plan[i] - self.free[i]);
                 }
             }
         }

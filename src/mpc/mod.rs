@@ -54,6 +54,7 @@ mod closed_loop;
 mod controller;
 mod error;
 mod estimator;
+mod holding;
 mod horizon;
 mod knots;
 mod limits;
@@ -71,7 +72,7 @@ pub use closed_loop::{
     FallbackSettings, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Sample,
     SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
-pub use controller::{Command, Controller, MpcSettings, SampleRecord};
+pub use controller::{Command, Controller, EffortFrom, MpcSettings, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

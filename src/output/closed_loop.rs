@@ -64,6 +64,8 @@ pub struct MpcSummary {
     pub bounded: usize,
     /// How nearly the arm kept obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
+    /// What may be changed where the tip is far from its reference at the end; empty where it is not.
+    pub advice: Vec<String>,
     /// How far the model's nodes were from describing the arm's shape at the end, m.
     pub transfer_error_m: f64,
     /// Seed of the noise.

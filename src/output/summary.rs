@@ -1,6 +1,6 @@
 //! The summary objects: `summary.json`, and what `--json` prints.
 
-use crate::control::{Abandoned, TrackingError};
+use crate::control::{Abandoned, ModelMismatch, TrackingError};
 use serde::{Deserialize, Serialize};
 
 use crate::sqp::{Convergence, KktResidual, Progress};
@@ -636,6 +636,9 @@ pub struct SolveSummary {
     pub open_loop_sensitivity: Option<SensitivitySummary>,
     /// The same with feedback.
     pub closed_loop_sensitivity: Option<SensitivitySummary>,
+    /// Where the tip ends on arms that differ from the model, with and without the gains; absent where no gains were computed.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub model_mismatch: Vec<ModelMismatch>,
     /// The optimum by another method, where it was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_opinion: Option<SecondOpinionSummary>,

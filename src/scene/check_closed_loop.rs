@@ -163,10 +163,13 @@ impl Keys<'_> {
             ("figure_eight", eight.is_some()),
         ];
         if kinds.iter().all(|(_, given)| !given) {
-            let relation = "rows [t, x, y, z], or else give circle or figure_eight";
+            let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight";
             return Err(self.missing(&key("path_m"), relation));
         }
         self.exactly_one(section, &kinds)?;
+        if track.switches && track.path_m.is_empty() {
+            return Err(self.missing(&key("path_m"), "goes with switches"));
+        }
         let circle = circle.map(|turns| ("circle", turns));
         let Some((name, turns)) = circle.or(eight.map(|turns| ("figure_eight", turns))) else {
             return self.table(&key("path_m"), &track.path_m, "a circle");

@@ -84,6 +84,7 @@ impl Scene {
             due: due.map(Number::get),
             block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
             jump: mpc.jump.get(),
+            effort: mpc.effort_from,
             target_weight: mpc.target_weight.get(),
             limit_price: mpc.limit_price.get(),
             iterations: mpc.iterations,

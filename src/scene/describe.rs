@@ -146,6 +146,8 @@ impl Scene {
                         .collect(),
                     circle: None,
                     figure_eight: None,
+                    path_csv: None,
+                    switches: false,
                     weight: Some(known(discrete.weight)),
                     from_s: (discrete.from > 0.0).then(|| known(discrete.from)),
                 })

@@ -25,6 +25,7 @@ pub mod builtin;
 mod check;
 mod check_closed_loop;
 mod closed_loop;
+mod csv_path;
 mod describe;
 mod error;
 mod features;
@@ -110,7 +111,7 @@ impl Scene {
             *sensor = toml::Value::Array(vec![only]);
         }
         let table = toml::Value::Table(table);
-        let scene: Scene = reader::read(&table).map_err(|misfit| {
+        let mut scene: Scene = reader::read(&table).map_err(|misfit| {
             let item = (misfit.is_out_of_range)
                 .then(|| item_name(&table, &misfit.path))
                 .flatten();
@@ -120,6 +121,7 @@ impl Scene {
                 None => error,
             }
         })?;
+        scene.read_paths(&source)?;
         scene.check(&source)?;
         Ok((scene, source))
     }

@@ -23,11 +23,32 @@ impl Track {
             let shape = |sin: f64, cos: f64| [sin, sin * cos];
             Turns::from(eight).points(end, shape)
         } else {
-            (self.path_m.iter())
-                .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-                .collect()
+            let rows = (self.path_m.iter()).map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)));
+            if self.switches {
+                held(rows)
+            } else {
+                rows.collect()
+            }
         }
     }
+}
+
+/// Time between the end of one place and the beginning of the next, over the time of the switch (at least 1 s): none, but for rounding.
+const SWITCH: f64 = 1e-9;
+
+/// Places that hold until the next one's time.
+fn held(rows: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<(f64, Vector3<f64>)> {
+    let mut out: Vec<(f64, Vector3<f64>)> = Vec::new();
+    for (t, place) in rows {
+        if let Some(&(before, last)) = out.last() {
+            let end = t - SWITCH * t.abs().max(1.0);
+            if end > before {
+                out.push((end, last));
+            }
+        }
+        out.push((t, place));
+    }
+    out
 }
 
 /// A closed path in a plane, turned for ever.

@@ -4,7 +4,7 @@ use std::panic::resume_unwind;
 use std::time::Instant;
 
 use super::solution::Solution;
-use crate::control::{Feedback, FeedbackError, FeedbackWeights};
+use crate::control::{Feedback, FeedbackError, FeedbackWeights, ModelMismatch};
 use crate::mechanics::StepError;
 use crate::stop::Stop;
 use crate::verify::{CheckError, ForwardCheck};
@@ -18,6 +18,8 @@ pub(crate) struct Examined {
     pub unchecked: Option<Stop>,
     /// The regulator, if it was asked for and found.
     pub feedback: Option<Feedback>,
+    /// What the regulator does on arms that differ from the model.
+    pub mismatches: Vec<ModelMismatch>,
     /// Why a regulator that was asked for was not found any more.
     pub without_gains: Option<Stop>,
     /// Other faults, in sentences.
@@ -45,7 +47,15 @@ pub(crate) fn examine(
     let (check, gains) = beside(
         n_threads,
         || Timed::of(|| solution.certify_deeply(deep)),
-        || Timed::of(|| weights.map(|weights| solution.regulator(weights, others))),
+        || {
+            Timed::of(|| {
+                weights.map(|weights| {
+                    let gains = solution.regulator(weights, others)?;
+                    let mismatches = solution.mismatches(&gains)?;
+                    Ok::<_, FeedbackError>((gains, mismatches))
+                })
+            })
+        },
     );
     let spent = Spent {
         certify: check.seconds,
@@ -60,7 +70,11 @@ pub(crate) fn examine(
         },
     }
     match gains.found.transpose() {
-        Ok(found) => examined.feedback = found,
+        Ok(Some((gains, mismatches))) => {
+            examined.feedback = Some(gains);
+            examined.mismatches = mismatches;
+        }
+        Ok(None) => {}
         Err(FeedbackError::Step(StepError::Stopped(stop))) => examined.without_gains = Some(stop),
         Err(error) => (examined.warnings).push(format!("no feedback gains: {error}")),
     }

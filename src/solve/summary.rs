@@ -85,6 +85,7 @@ pub(crate) fn summarize(
             .map(|feedback| SensitivitySummary::of(&feedback.open_loop)),
         closed_loop_sensitivity: (examined.feedback.as_ref())
             .map(|feedback| SensitivitySummary::of(&feedback.closed_loop)),
+        model_mismatch: examined.mismatches.clone(),
         second_opinion: None,
         worst_constraints: solution.worst.clone(),
         qp_backend: outcome.route.name(),

@@ -2,6 +2,18 @@
 
 use super::super::error::MpcError;
 
+/// The control that costs no effort.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum EffortFrom {
+    /// None at all, as in an optimal-control problem: a tip that is held by force stays off its reference by what its weight allows.
+    Zero,
+    /// The force at the tip that holds the model at the reference at rest, as far as it is actuated: no offset remains for the sake of effort.
+    #[default]
+    Holding,
+}
+
 /// How a [`Controller`](super::Controller) works. Times in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MpcSettings {
@@ -17,6 +29,8 @@ pub struct MpcSettings {
     pub block: f64,
     /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts when a sample begins, in scaled controls.
     pub jump: f64,
+    /// Where effort counts from, while the horizon recedes; where it has an end, from zero.
+    pub effort: EffortFrom,
     /// Weight of the squared scaled residuals of targets, halved: targets are soft.
     pub target_weight: f64,
     /// Price of a unit of the violation of a limit that is to be kept, in its scale, for a second, and of half of its square. Limits are kept
@@ -42,6 +56,7 @@ impl MpcSettings {
             due: None,
             block: horizon / 10.0,
             jump: 100.0,
+            effort: EffortFrom::Holding,
             target_weight: 1e4,
             limit_price: 5e3,
             iterations: 1,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::values::{self, NonNegative, Positive, known};
 use super::{Payload, Section};
-use crate::mpc::{FallbackSettings, MpcSettings, SensorPreset};
+use crate::mpc::{EffortFrom, FallbackSettings, MpcSettings, SensorPreset};
 
 /// Model-predictive control of the arm in simulation, `softarm mpc`. The rod of the scene is the controller's model; `[control]` bounds
 /// what it sends, and `[task]` and `[[objective.track]]` say what it does.
@@ -29,7 +29,11 @@ pub struct Mpc {
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of `objective.force_scale_n` and
     /// `moment_scale_n_m`; not negative, default 100.
     pub jump: NonNegative<values::Weight>,
-    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop.
+    /// Where effort counts from while the horizon recedes: `"holding"`, the force at the tip that holds the model at its reference at rest, so
+    /// that the tip is not kept off it (default), or `"zero"`.
+    pub effort_from: EffortFrom,
+    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop. Where the horizon recedes,
+    /// the target's place is a track with the default weight instead, and rest comes by itself.
     pub target_weight: Positive<values::Weight>,
     /// Price of a violation of 1, in the scale of its limit, of obstacles and limits that are not `soft` themselves: linear for a second, and
     /// of half of its square; positive, default 5000. What keeps a limit is the weight of a track times the distance over the length by which
@@ -252,6 +256,7 @@ impl Default for Mpc {
             due_s: None,
             block_s: None,
             jump: known(JUMP),
+            effort_from: settings.effort,
             target_weight: known(settings.target_weight),
             limit_price: known(settings.limit_price),
             iterations: settings.iterations,

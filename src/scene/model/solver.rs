@@ -48,6 +48,13 @@ pub struct Track {
     /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub path_m: Vec<[f64; 4]>,
+    /// Whether the place of a row of `path_m` holds until the time of the next one, which the node is then to switch to. Default: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub switches: bool,
+    /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that begin
+    /// with # are passed over.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path_csv: Option<String>,
     /// A circle, instead of `path_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub circle: Option<Circle>,

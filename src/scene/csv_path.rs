@@ -1,0 +1,99 @@
+//! Paths to follow that stand in a CSV file beside the scene.
+
+use std::path::Path;
+
+use super::error::SceneError;
+use super::model::{Scene, Track};
+use super::source::SceneSource;
+
+/// Most rows of a file.
+const MOST_ROWS: usize = 1_000_000;
+
+impl Scene {
+    /// Reads the files of all tracks into their rows, so that the scene stands by itself.
+    pub(super) fn read_paths(&mut self, source: &SceneSource) -> Result<(), SceneError> {
+        let tracks = self
+            .objective
+            .iter_mut()
+            .flat_map(|objective| &mut objective.track);
+        for (index, track) in tracks.enumerate() {
+            read_path(track, source, &format!("objective.track.{index}"))?;
+        }
+        Ok(())
+    }
+}
+
+fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(), SceneError> {
+    let Some(name) = track.path_csv.take() else {
+        return Ok(());
+    };
+    let key = format!("{section}.path_csv");
+    let others = [
+        ("path_m", !track.path_m.is_empty()),
+        ("circle", track.circle.is_some()),
+        ("figure_eight", track.figure_eight.is_some()),
+    ];
+    if let Some((other, _)) = others.iter().find(|(_, given)| *given) {
+        let message = format!("path_csv and {other} are two paths");
+        return Err(source.error_at(&key, message, Some("leave one out".into())));
+    }
+    // Relative to the folder of the scene; a built-in scene has none.
+    let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
+    let path = folder.join(&name);
+    let refuse = |message: String| {
+        let help = "a row a point, t in s, x, y and z in m, with increasing t; a first row of names and lines that begin with # are passed over";
+        source.error_at(
+            &key,
+            format!("{}: {message}", path.display()),
+            Some(help.into()),
+        )
+    };
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .comment(Some(b'#'))
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .from_path(&path)
+        .map_err(|error| refuse(error.to_string()))?;
+    for (index, record) in reader.records().enumerate() {
+        let record = record.map_err(|error| refuse(error.to_string()))?;
+        let line = record
+            .position()
+            .map_or(index as u64 + 1, csv::Position::line);
+        let numbers: Result<Vec<f64>, _> = record.iter().map(str::parse).collect();
+        let row = match numbers {
+            Ok(numbers) => <[f64; 4]>::try_from(numbers).map_err(|numbers| {
+                refuse(format!(
+                    "line {line} has {} numbers, expected 4",
+                    numbers.len()
+                ))
+            })?,
+            Err(_) if index == 0 => continue,
+            Err(_) => {
+                let words = record.iter().find(|word| word.parse::<f64>().is_err());
+                let word = words.unwrap_or_default();
+                return Err(refuse(format!("line {line}: {word:?} is not a number")));
+            }
+        };
+        if track.path_m.len() == MOST_ROWS {
+            return Err(refuse(format!("more than {MOST_ROWS} rows")));
+        }
+        if !row.iter().all(|number| number.is_finite()) {
+            return Err(refuse(format!(
+                "line {line} has a number that is not finite"
+            )));
+        }
+        if track
+            .path_m
+            .last()
+            .is_some_and(|before| !(before[0] < row[0]))
+        {
+            return Err(refuse(format!("line {line}: t does not increase")));
+        }
+        track.path_m.push(row);
+    }
+    if track.path_m.is_empty() {
+        return Err(refuse("there is no row of numbers".into()));
+    }
+    Ok(())
+}

@@ -1,0 +1,60 @@
+//! A target that a loop without an end reaches and holds, by scenes as a newcomer types them.
+
+use std::ops::ControlFlow;
+
+use softarm::mpc::{Contender, Outcome};
+use softarm::scene::Scene;
+use softarm::stop::StopSignal;
+
+/// The scene of the page on scenes, under its heading.
+fn worked_scene() -> String {
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/scenes.md"));
+    let page = page.unwrap();
+    let (_, section) = page
+        .split_once("### A closed loop on a softer arm")
+        .unwrap();
+    let (_, scene) = section.split_once("```toml").unwrap();
+    scene.split_once("```").unwrap().0.to_string()
+}
+
+/// A run of the scene with some keys changed, and the length of its arm.
+fn run(changes: &[&str]) -> (Outcome, f64) {
+    let changes: Vec<String> = changes.iter().map(|change| (*change).to_string()).collect();
+    let (scene, source) = Scene::from_toml("worked", &worked_scene(), &changes).unwrap();
+    let setup = scene
+        .closed_loop(&source, 1, &StopSignal::default())
+        .unwrap();
+    let experiment = &setup.experiment;
+    let outcome = experiment.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
+    (outcome.unwrap(), experiment.arm.length)
+}
+
+/// The worked scene does what the page says of it.
+#[test]
+fn the_worked_scene_holds_its_target() {
+    let (outcome, length) = run(&[]);
+    let error = outcome.tip_error;
+    println!("{error:?}");
+    assert!(error.rms < 5e-3 * length, "{error:?}");
+}
+
+/// Where the arm is the model and its state is known, a target is held ten times nearer if effort counts from what holds it than if it counts
+/// from zero, at weights at which effort matters.
+#[test]
+fn targets_are_reached_and_held() {
+    let off = |effort_from: &str| {
+        let effort = format!("mpc.effort_from='{effort_from}'");
+        let (outcome, length) = run(&[
+            "plant.stiffness_factor=1",
+            "estimator.kind='none'",
+            "estimator.disturbances=[]",
+            "objective.effort=30",
+            "objective.track=[{ path_m = [[0.0, 0.15, 0.0, -0.32]], weight = 9e4 }]",
+            &effort,
+        ]);
+        outcome.tip_error.last / length
+    };
+    let (held, pulled) = (off("holding"), off("zero"));
+    println!("{held} {pulled}");
+    assert!(pulled > 1e-2 && held < 0.1 * pulled, "{held} {pulled}");
+}
