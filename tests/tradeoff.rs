@@ -66,7 +66,10 @@ fn scene(path: &Path) -> Scene {
 /// written; the front is a front; a sweep that goes on does not run its points again.
 #[test]
 fn a_motion() {
-    let desk = Desk::with(SWING);
+    let desk = Desk::with(&format!(
+        "# An arm.\n\n{}",
+        SWING.replace("elements = 8", "elements = 8 # few")
+    ));
     let verb = [
         "tradeoff",
         "scene.toml",
@@ -77,6 +80,8 @@ fn a_motion() {
         "--tolerance",
         "3e-3",
         "--apply=applied.toml",
+        "--set",
+        "damping.viscous_1_s=1.5",
     ];
     let (code, summary, talk) = desk.run(&verb);
     assert_eq!(code, DONE, "{talk}");
@@ -122,6 +127,12 @@ fn a_motion() {
         recommended["elements"].as_u64().unwrap()
     );
     assert_eq!(applied, scene(&desk.path("run/recommended.toml")));
+    let text = fs::read_to_string(desk.path("applied.toml")).unwrap();
+    assert!(
+        text.starts_with("# An arm.\n\n[rod]\n") && text.contains(" # few\n"),
+        "{text}"
+    );
+    assert!(text.contains("viscous_1_s = 1.5\n"), "{text}");
     let rows = fs::read_to_string(desk.path("run/points.csv")).unwrap();
     assert_eq!(rows.lines().count(), 1 + points(&summary).len());
 
@@ -139,6 +150,8 @@ fn a_motion() {
         "--tolerance",
         "3e-3",
         "--resume",
+        "--set",
+        "damping.viscous_1_s=1.5",
     ]);
     assert_eq!(code, DONE, "{talk}");
     assert!(

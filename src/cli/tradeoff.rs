@@ -172,7 +172,13 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     console.summary(&summarize(&target));
     written?;
     if let (Some(place), Some(recommended)) = (&applied, &recommended) {
-        replace(place, &recommended.to_toml())?;
+        let text = source.text_with(recommended).unwrap_or_else(|| {
+            console.warn(
+                "the text of the scene cannot be kept: every key is written out, without comments",
+            );
+            recommended.to_toml()
+        });
+        replace(place, &text)?;
         console.say(&format!(
             "the scene with the recommended setting: {}",
             place.display()

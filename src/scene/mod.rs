@@ -26,6 +26,8 @@ mod check;
 mod check_closed_loop;
 mod closed_loop;
 mod describe;
+#[cfg(feature = "cli")]
+mod edit;
 mod error;
 mod features;
 mod file;

@@ -268,7 +268,10 @@ pub fn is_strict_minimum<P: LiftedProgram>(
 ) -> Result<bool, Failure> {
     let evaluation = program.evaluate(point)?;
     let held = multipliers.inequalities.iter().enumerate();
-    let rows: Vec<usize> = held.filter(|(_, z)| **z > 0.0).map(|(row, _)| row).collect();
+    let rows: Vec<usize> = held
+        .filter(|(_, z)| **z > 0.0)
+        .map(|(row, _)| row)
+        .collect();
     let request = LinearizationRequest {
         multipliers: Some(multipliers),
         rows: &rows,

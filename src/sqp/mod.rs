@@ -29,9 +29,9 @@ mod trial;
 mod trust_region;
 mod working_set;
 
-pub use hessian::{HessianChoice, HessianKind};
 #[doc(hidden)]
 pub use hessian::is_strict_minimum;
+pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
