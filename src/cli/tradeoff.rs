@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::console::{Console, stop_signal};
 use super::error::CliError;
+use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::replace;
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
@@ -91,15 +92,19 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         console.say(&format!("{} points are there already", known.len()));
     }
     let mut usual = None;
+    let bar = within_budget(arguments.budget, console);
     let mut tell = |news: News| match news {
-        News::Words(words) => console.say(&words),
+        News::Words(words) => bar.suspend(|| console.say(&words)),
         News::Point(point, own) => {
-            usual.get_or_insert_with(|| {
-                console.say("      time     error  setting");
-                own.clone()
+            bar.suspend(|| {
+                usual.get_or_insert_with(|| {
+                    console.say("      time     error  setting");
+                    own.clone()
+                });
+                console.say(&row(point, own));
+                console.event("point", point);
             });
-            console.say(&row(point, own));
-            console.event("point", point);
+            bar.inc(1);
         }
     };
     let found = Sweep {
@@ -113,6 +118,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         tell: &mut tell,
     }
     .run();
+    bar.finish_and_clear();
     let found = match found {
         Ok(found) => found,
         Err(error) => {
