@@ -11,13 +11,11 @@ use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::replace;
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::tradeoff::{TradeoffSummary, page, picture, write_points};
+use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_points};
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
-use crate::tradeoff::{
-    Fate, News, Point, Recommendation, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
-};
+use crate::tradeoff::{Fate, News, Point, RunError, Setting, Subject, Sweep, SweepError, Tradeoff};
 
 #[derive(Debug, Args)]
 pub(super) struct TradeoffArguments {
@@ -79,11 +77,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
 
     console.say(&format!(
         "{}: at most {:e} of the length, within {:.0} s",
-        match Subject::of(&scene) {
-            Subject::Motion => "a motion",
-            Subject::OptimalControl => "an optimal-control problem",
-            Subject::ClosedLoop => "a closed loop",
-        },
+        Subject::of(&scene).words(),
         arguments.tolerance,
         arguments.budget.as_secs_f64()
     ));
@@ -165,7 +159,10 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             result.write_text("front.svg", svg)?;
         }
         let drawn = svg.as_deref().unwrap_or_default();
-        result.write_text("report.html", &page(&summary, &sentence, drawn))?;
+        result.write_text(
+            "report.html",
+            &page(&short_name, &found, &usual, &sentence, drawn),
+        )?;
         result.write_json("summary.json", &summary)
     });
     conclude(&found, &usual, &sentence, console);
@@ -290,32 +287,6 @@ fn status(found: &Tradeoff, stop: Option<Stop>) -> &'static str {
         Some(Stop::Deadline) => "deadline",
         None if found.complete => "completed",
         None => "cut",
-    }
-}
-
-fn sentence(found: &Tradeoff, usual: &Setting) -> String {
-    let tolerance = found.tolerance;
-    match &found.recommended {
-        Some(Recommendation {
-            point,
-            checked_error,
-            checked,
-        }) => format!(
-            "Recommended for {tolerance:e} of the length: {}, which takes {:.3} ms and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
-            point.setting.differences(usual),
-            1e3 * point.wall_s,
-            point.error.unwrap_or(f64::NAN),
-            match found.subject {
-                Subject::ClosedLoop => "against an arm with twice the elements",
-                _ => "against a run finer by four in space and time",
-            },
-            if *checked {
-                "within the tolerance"
-            } else {
-                "NOT within the tolerance"
-            }
-        ),
-        None => format!("No setting is recommended for {tolerance:e} of the length."),
     }
 }
 
