@@ -42,10 +42,9 @@ impl Countdown {
     }
 }
 
-/// A duration in words, to two digits at most.
+/// A duration in words, in whole seconds, minutes or hours.
 fn in_words(time: Duration) -> String {
-    match time.as_secs() {
-        0 => "less than a second".into(),
+    match time.as_secs_f64().round() as u64 {
         seconds @ ..120 => format!("{seconds} s"),
         seconds @ ..7200 => format!("{} min", seconds / 60),
         seconds => format!("{} h", seconds / 3600),
@@ -133,7 +132,9 @@ impl LiveStarts {
         }
         let left = state.countdown.left(Instant::now());
         if let Some(left) = left.filter(|_| done < total) {
-            let _ = write!(text, ", about {} left", in_words(left));
+            // What has begun is not over before it ends.
+            let left = in_words(left.max(Duration::from_secs(1)));
+            let _ = write!(text, ", about {left} left");
         }
         self.total.set_message(text);
     }

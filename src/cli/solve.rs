@@ -89,6 +89,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             console.say(&expected);
         }
         announce(&described, console);
+        if alone {
+            console.say(TABLE_HEAD);
+        }
         let plan = Search {
             previous: previous.take(),
             starts,
@@ -119,7 +122,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
                             console.say(&table_row(row));
                         }
                         Some(live) => {
-                            live.beside(|| console.event("iteration", &event));
+                            if console.json() {
+                                live.beside(|| console.event("iteration", &event));
+                            }
                             live.iterate(*start, row);
                         }
                     }
@@ -405,7 +410,6 @@ fn announce(setup: &OptimalControl, console: &Console) {
             size * tip.moment.scale
         ));
     }
-    console.say(TABLE_HEAD);
 }
 
 const TABLE_HEAD: &str =
