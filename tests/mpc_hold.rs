@@ -49,7 +49,7 @@ fn targets_are_reached_and_held() {
             "estimator.kind='none'",
             "estimator.disturbances=[]",
             "objective.effort=30",
-            "objective.track=[{ path_m = [[0.0, 0.15, 0.0, -0.32]], weight = 9e4 }]",
+            "objective.track=[{ path_m = [[0.0, 0.15, 0.0, -0.35]], weight = 9e4 }]",
             &effort,
         ]);
         outcome.tip_error.last / length

@@ -3,6 +3,7 @@
 mod common;
 
 use std::ops::ControlFlow;
+use std::sync::Mutex;
 
 use common::{
     Dice, Method, RULES, bases, busy_arm, exact_methods, finer_at_rest, methods, shaking, soft_arm,
@@ -10,7 +11,8 @@ use common::{
 use nalgebra::Vector3;
 use softarm::control::{
     ActuatedNode, Bound, Channel, ControlGrid, Enforcement, Goal, Guess, Hold, LiftedPoint,
-    Objective, OptimalControlProblem, Search, Transcription, first_point, search,
+    Objective, OptimalControlProblem, Search, SearchEvent, Transcription, first_point, search,
+    search_telling,
 };
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
@@ -22,6 +24,7 @@ use softarm::sqp::{
     HessianChoice, IterationRecord, LiftedProgram as _, LinearizationRequest, SqpOutcome,
     SqpSettings, SqpStatus, solve,
 };
+use softarm::stop::Stop;
 use softarm::verify::{
     CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay,
 };
@@ -885,4 +888,92 @@ fn energy_account_closes() {
             assert!((3.0..5.0).contains(&ratio), "{method:?} {base:?}: {ratio}");
         }
     }
+}
+
+/// What a listener of a search is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Told {
+    StartBegins,
+    Begins,
+    Row,
+    StartEnds { rows: usize },
+}
+
+/// On any number of threads every start begins once, before its solves, and ends once, after them, with the rows that were told; when a solve
+/// is stopped, too.
+#[test]
+fn every_start_begins_and_ends_once() {
+    let case = Case::reach();
+    for (n_threads, stopped) in [(1, false), (3, false), (2, true)] {
+        let how = Search {
+            starts: 4,
+            n_threads,
+            ..Search::default()
+        };
+        let told = Mutex::new(Vec::new());
+        let attempts = search_telling(
+            &case.problem,
+            &SqpSettings::default(),
+            &how,
+            &|event: &SearchEvent| {
+                let (start, what) = match event {
+                    SearchEvent::StartBegins { start } => (*start, Told::StartBegins),
+                    SearchEvent::Begins { start, .. } => (*start, Told::Begins),
+                    SearchEvent::Row { start, .. } => (*start, Told::Row),
+                    SearchEvent::StartEnds { start, found } => {
+                        let solves = found.map_or(&[][..], |attempt| &attempt.solves);
+                        let rows = solves.iter().map(|solve| solve.rows.len()).sum();
+                        (*start, Told::StartEnds { rows })
+                    }
+                };
+                told.lock().unwrap().push((start, what));
+                if stopped && what == Told::Row && start == 1 {
+                    return ControlFlow::Break(Stop::Interrupted);
+                }
+                ControlFlow::Continue(())
+            },
+        )
+        .unwrap();
+        let told = told.into_inner().unwrap();
+        for start in 0..how.starts {
+            let of: Vec<Told> = (told.iter().filter(|(own, _)| *own == start))
+                .map(|(_, what)| *what)
+                .collect();
+            let rows = of.iter().filter(|what| **what == Told::Row).count();
+            assert_eq!(of[..2], [Told::StartBegins, Told::Begins], "{of:?}");
+            assert_eq!(of.last(), Some(&Told::StartEnds { rows }), "{of:?}");
+            let is_edge = |what: &&Told| !matches!(what, Told::Begins | Told::Row);
+            assert_eq!(of.iter().filter(is_edge).count(), 2, "{of:?}");
+        }
+        assert_eq!(attempts.len(), how.starts);
+        if n_threads == 1 {
+            let order: Vec<usize> = (told.iter())
+                .filter(|(_, what)| *what == Told::StartBegins)
+                .map(|(start, _)| *start)
+                .collect();
+            assert_eq!(order, [0, 1, 2, 3]);
+        }
+    }
+}
+
+/// A start without a first point ends as well, with the reason.
+#[test]
+fn starts_without_a_first_point_end() {
+    let case = Case::reach().with(|p| p.rod.gravity = Vector3::new(1e12, 0.0, 0.0));
+    let told = Mutex::new(Vec::new());
+    let found = search_telling(
+        &case.problem,
+        &SqpSettings::default(),
+        &Search::default(),
+        &|event: &SearchEvent| {
+            told.lock().unwrap().push(match event {
+                SearchEvent::StartBegins { .. } => "begins",
+                SearchEvent::StartEnds { found: Err(_), .. } => "ends without",
+                _ => "else",
+            });
+            ControlFlow::Continue(())
+        },
+    );
+    assert!(found.is_err());
+    assert_eq!(told.into_inner().unwrap(), ["begins", "ends without"]);
 }

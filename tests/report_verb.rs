@@ -424,7 +424,11 @@ fn what_cannot_be_shown_is_refused() {
     let tradeoff = "{\"schema_version\": 1, \"tool\": \"softarm\", \"command\": \"tradeoff\"}";
     fs::write(desk.path("empty/summary.json"), tradeoff).unwrap();
     fs::copy(desk.path("solve.toml"), desk.path("empty/scene.toml")).unwrap();
-    desk.refused(&["report", "empty"], USAGE, &["a tradeoff"]);
+    desk.refused(
+        &["report", "empty"],
+        USAGE,
+        &["summary.json", "missing field"],
+    );
     desk.refused(
         &["report", "run", "sag"],
         USAGE,

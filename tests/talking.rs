@@ -78,6 +78,33 @@ fn starts_say_how_they_ended() {
     }
 }
 
+/// As lines of JSON, every start ends once, with what stands in the summary about it, and every iteration says whose it is.
+#[test]
+fn starts_end_in_lines_of_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["solve", "scene.toml", "--starts", "3", "--json-lines"];
+    let said = run(&folder, SCENE, &arguments);
+    let lines: Vec<Value> = (said.stdout.lines())
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let of = |kind: &'static str| lines.iter().filter(move |line| line["event"] == kind);
+    let summary = lines.last().unwrap();
+    assert_eq!(summary["event"], "summary");
+    assert_eq!(of("start").count(), 3);
+    for start in summary["starts"].as_array().unwrap() {
+        let number = &start["start"];
+        let mut ends = of("start").filter(|line| line["start"] == *number);
+        let end = ends.next().unwrap();
+        for key in ["from", "status", "objective", "iterations"] {
+            assert_eq!(end[key], start[key]);
+        }
+        let rows = of("iteration").filter(|line| line["start"] == *number);
+        assert!(rows.count() as u64 > start["iterations"].as_u64().unwrap());
+    }
+    // No drawing where nobody looks.
+    assert!(!said.stderr.contains("starts done"), "{}", said.stderr);
+}
+
 /// Attempts are told apart on the terminal, in the table of iterations, in the summary and in the report, each with what it began from and
 /// with how it ended; all their iterations are there.
 #[test]

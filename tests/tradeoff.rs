@@ -66,7 +66,10 @@ fn scene(path: &Path) -> Scene {
 /// written; the front is a front; a sweep that goes on does not run its points again.
 #[test]
 fn a_motion() {
-    let desk = Desk::with(SWING);
+    let desk = Desk::with(&format!(
+        "# An arm.\n\n{}",
+        SWING.replace("elements = 8", "elements = 8 # few")
+    ));
     let verb = [
         "tradeoff",
         "scene.toml",
@@ -77,6 +80,8 @@ fn a_motion() {
         "--tolerance",
         "3e-3",
         "--apply=applied.toml",
+        "--set",
+        "damping.viscous_1_s=1.5",
     ];
     let (code, summary, talk) = desk.run(&verb);
     assert_eq!(code, DONE, "{talk}");
@@ -122,6 +127,12 @@ fn a_motion() {
         recommended["elements"].as_u64().unwrap()
     );
     assert_eq!(applied, scene(&desk.path("run/recommended.toml")));
+    let text = fs::read_to_string(desk.path("applied.toml")).unwrap();
+    assert!(
+        text.starts_with("# An arm.\n\n[rod]\n") && text.contains(" # few\n"),
+        "{text}"
+    );
+    assert!(text.contains("viscous_1_s = 1.5\n"), "{text}");
     let rows = fs::read_to_string(desk.path("run/points.csv")).unwrap();
     assert_eq!(rows.lines().count(), 1 + points(&summary).len());
 
@@ -139,6 +150,8 @@ fn a_motion() {
         "--tolerance",
         "3e-3",
         "--resume",
+        "--set",
+        "damping.viscous_1_s=1.5",
     ]);
     assert_eq!(code, DONE, "{talk}");
     assert!(
@@ -160,6 +173,71 @@ fn a_motion() {
     ]);
     assert_eq!(code, USAGE);
     assert!(talk.contains("the scene has changed"), "{talk}");
+}
+
+/// The page of a sweep is made of its files as the run wrote it, to the byte, and does not depend on a page that is there; of several sweeps
+/// one page has what is recommended by each, as their summaries have it, and the keys in which their scenes differ.
+#[test]
+fn pages_from_files() {
+    let desk = Desk::with(SWING);
+    let sweep = |out: &str, tolerance: &str, more: &[&str]| {
+        let mut verb = vec!["tradeoff", "scene.toml", "--budget", "2s", "--out", out];
+        verb.extend(["--tolerance", tolerance]);
+        verb.extend(more);
+        let (_, summary, talk) = desk.run(&verb);
+        assert!(summary.is_object(), "{talk}");
+        summary
+    };
+    // One that fails in parts, and one that recommends nothing.
+    let sweeps = [
+        sweep("fine", "3e-3", &[]),
+        sweep("short", "1e-2", &["--set", "time.end_s=0.2"]),
+        sweep("none", "1e-9", &[]),
+    ];
+    for name in ["fine", "short", "none"] {
+        let page = desk.path(name).join("report.html");
+        let written = fs::read(&page).unwrap();
+        let (code, _, talk) = desk.run(&["report", name]);
+        assert_eq!(code, DONE, "{talk}");
+        assert!(fs::read(&page).unwrap() == written, "{name}");
+        fs::remove_file(&page).unwrap();
+        desk.run(&["report", name]);
+        assert!(fs::read(&page).unwrap() == written, "{name}");
+    }
+    let (code, report, talk) = desk.run(&["report", "fine", "short", "none"]);
+    assert_eq!(code, DONE, "{talk}");
+    let page = fs::read_to_string(desk.path("comparison.html")).unwrap();
+    assert_eq!(page.matches("<svg").count(), 1);
+    let [recommended, scenes] = &report["differences"].as_array().unwrap()[..] else {
+        panic!("{report}")
+    };
+    let row = |table: &Value, key: &str| -> Vec<String> {
+        let rows = table["rows"].as_array().unwrap();
+        let row = rows.iter().find(|row| row["key"] == *key).unwrap();
+        (row["values"].as_array().unwrap().iter())
+            .map(|value| value.as_str().unwrap().to_string())
+            .collect()
+    };
+    let settings = row(recommended, "setting");
+    for (setting, summary) in settings.iter().zip(&sweeps) {
+        match summary["recommended"]["elements"].as_u64() {
+            Some(elements) => assert!(setting.starts_with(&format!("{elements} ")), "{setting}"),
+            None => assert_eq!(setting, "–"),
+        }
+        assert!(page.contains(&format!("<td>{setting}</td>")), "{setting}");
+    }
+    assert_eq!(settings[2], "–");
+    assert_eq!(row(recommended, "tolerance"), ["3e-3", "1e-2", "1e-9"]);
+    assert_eq!(row(scenes, "time.end_s"), ["0.3", "0.2", "0.3"]);
+    // Every point of a front is a disk of its sweep's color, and the legend has one more.
+    for (summary, color) in sweeps.iter().zip(["#1F77B4", "#E66A00", "#2C9F4B"]) {
+        let on_front = points(summary).iter().filter(|p| p["on_front"] == true);
+        let disk = format!("fill=\"{color}\" stroke=\"none\"");
+        let drawn = page
+            .lines()
+            .filter(|l| l.starts_with("<circle") && l.contains(&disk));
+        assert_eq!(drawn.count(), on_front.count() + 1, "{color}");
+    }
 }
 
 /// The recommended setting of an optimal-control problem has a motion within the tolerance under the same controls on a finer grid, at an

@@ -139,14 +139,18 @@ impl Console {
         }
     }
 
-    /// A progress bar of `n` steps; hidden unless stderr is a terminal.
-    pub(super) fn progress(&self, n: u64) -> ProgressBar {
-        let target = if self.terminal && !self.quiet {
+    /// Where progress is drawn: nowhere unless stderr is a terminal.
+    pub(super) fn draw_target(&self) -> ProgressDrawTarget {
+        if self.terminal && !self.quiet {
             ProgressDrawTarget::stderr()
         } else {
             ProgressDrawTarget::hidden()
-        };
-        let bar = ProgressBar::with_draw_target(Some(n), target);
+        }
+    }
+
+    /// A progress bar of `n` steps; hidden unless stderr is a terminal.
+    pub(super) fn progress(&self, n: u64) -> ProgressBar {
+        let bar = ProgressBar::with_draw_target(Some(n), self.draw_target());
         if let Ok(style) =
             ProgressStyle::with_template("{bar:40} {percent:>3} %  {pos}/{len} steps  {eta} left")
         {

@@ -10,6 +10,7 @@ mod export;
 mod memory;
 mod mpc;
 mod paper;
+mod progress;
 mod quantity;
 mod report;
 mod schema;

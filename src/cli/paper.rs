@@ -88,7 +88,11 @@ pub(super) fn run(arguments: &PaperArguments, global: &Global, console: &Console
         page.convergence(&study)?;
     }
     if arguments.long {
-        page.long_runs(&long_runs(&study, &LONG_RUNS));
+        let steps: usize = LONG_RUNS.iter().map(|(_, _, steps)| steps).sum();
+        let bar = console.progress(steps as u64);
+        let runs = long_runs(&study, &LONG_RUNS, &|steps| bar.inc(steps as u64));
+        bar.finish_and_clear();
+        page.long_runs(&runs);
     }
     let wall = started.elapsed().as_secs_f64();
 

@@ -10,9 +10,10 @@ use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, exit};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
+use crate::output::tradeoff::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 use crate::output::{
-    Compared, ComparisonTable, OutputError, PAGE_MARK, compare, read_text, render_comparison,
-    render_report,
+    Compared, ComparisonTable, OutputError, PAGE_MARK, ResultKind, compare, read_text,
+    render_comparison, render_report,
 };
 use crate::solve::{SavedPage, saved_page};
 
@@ -50,20 +51,28 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
     }
     let stop = stop_signal(None);
     let directories = &arguments.directories;
-    let mut pages = Vec::new();
+    let mut results = Vec::new();
     for directory in directories {
-        pages.push(saved_page(directory, &stop)?);
+        results.push(ResultKind::read(directory)?);
     }
-    let mut differences = Vec::new();
-    let (path, page) = if let ([directory], [page]) = (&directories[..], &pages[..]) {
-        let own = directory.join("report.html");
-        let path = arguments.out.clone().unwrap_or(own);
-        (path, render_report(&page.data))
+    of_one_verb(directories, &results)?;
+    let own = match &directories[..] {
+        [directory] => directory.join("report.html"),
+        _ => "comparison.html".into(),
+    };
+    let path = arguments.out.clone().unwrap_or(own);
+    let (page, differences) = if results[0].0 == ResultKind::Tradeoff {
+        of_tradeoffs(directories, results)?
     } else {
-        let data = comparison(directories, pages)?;
-        differences.clone_from(&data.tables);
-        let path = (arguments.out.clone()).unwrap_or_else(|| "comparison.html".into());
-        (path, render_comparison(&data))
+        let pages = (directories.iter())
+            .map(|directory| saved_page(directory, &stop))
+            .collect::<Result<Vec<_>, _>>()?;
+        if let [page] = &pages[..] {
+            (render_report(&page.data), Vec::new())
+        } else {
+            let data = comparison(directories, pages);
+            (render_comparison(&data), data.tables)
+        }
     };
     replace_page(&path, &page)?;
     for table in &differences {
@@ -84,21 +93,52 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
     Ok(exit::DONE)
 }
 
-/// The results beside each other, if they are of one kind.
-fn comparison(
+/// Refuses results of several verbs.
+fn of_one_verb(
     directories: &[PathBuf],
-    pages: Vec<SavedPage>,
-) -> Result<crate::output::ComparisonData, CliError> {
-    let first = pages[0].kind;
-    if let Some(other) = pages.iter().position(|page| page.kind != first) {
-        return Err(CliError::Directory(format!(
+    results: &[(ResultKind, serde_json::Value)],
+) -> Result<(), CliError> {
+    let first = results[0].0;
+    match results.iter().position(|(kind, _)| *kind != first) {
+        None => Ok(()),
+        Some(other) => Err(CliError::Directory(format!(
             "{} holds a {}, and {} a {}: only results of one verb can be compared",
             directories[0].display(),
             first.command(),
             directories[other].display(),
-            pages[other].kind.command()
+            results[other].0.command()
+        ))),
+    }
+}
+
+/// The page of a trade-off, or of several whose errors mean the same.
+fn of_tradeoffs(
+    directories: &[PathBuf],
+    results: Vec<(ResultKind, serde_json::Value)>,
+) -> Result<(String, Vec<ComparisonTable>), CliError> {
+    let mut saved = Vec::new();
+    for (directory, (_, summary)) in directories.iter().zip(results) {
+        saved.push(SavedTradeoff::read(directory, summary)?);
+    }
+    if let [only] = &saved[..] {
+        return Ok((only.page(), Vec::new()));
+    }
+    let subject = saved[0].found.subject;
+    if let Some(other) = saved.iter().position(|s| s.found.subject != subject) {
+        return Err(CliError::Directory(format!(
+            "{} holds a tradeoff of {}, and {} one of {}: their times and errors mean different things",
+            directories[0].display(),
+            subject.words(),
+            directories[other].display(),
+            saved[other].found.subject.words()
         )));
     }
+    let page = tradeoff_comparison(&names(directories), &saved);
+    Ok((page, tradeoff_tables(&saved)))
+}
+
+/// The results beside each other.
+fn comparison(directories: &[PathBuf], pages: Vec<SavedPage>) -> crate::output::ComparisonData {
     let command = pages[0].data.command;
     let results = (names(directories).into_iter().zip(pages))
         .map(|(name, page)| Compared {
@@ -108,7 +148,7 @@ fn comparison(
             data: page.data,
         })
         .collect();
-    Ok(compare(command, results))
+    compare(command, results)
 }
 
 /// The last part of every path, or the whole path where two end alike; a directory that is named twice gets a number.

@@ -5,26 +5,28 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
+use serde::Serialize;
 
 use super::accuracy::Refinement;
 use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
+use super::progress::LiveStarts;
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
-    ActuatedNode, Attempt, ModelMismatch, OptimalControlProblem, Search, SearchEvent, TipDeviation,
-    TrackingError, search_telling,
+    ActuatedNode, Attempt, GuessError, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
+    TipDeviation, TrackingError, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
-use crate::output::summary::{NOT_CHECKED, SecondOpinionSummary, SolveSummary};
+use crate::output::summary::{NOT_CHECKED, SecondOpinionSummary, SolveSummary, StartSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{
-    Chosen, Examination, Examined, Solution, choose, diagnostics, findings, help, iteration_row,
-    legend, status_words, step_kind, summarize, write,
+    Chosen, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings, help,
+    iteration_row, legend, status_words, step_kind, summarize, write,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::verify::ForwardCheck;
@@ -87,6 +89,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             console.say(&expected);
         }
         announce(&described, console);
+        if alone {
+            console.say(TABLE_HEAD);
+        }
         let plan = Search {
             previous: previous.take(),
             starts,
@@ -94,6 +99,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             n_threads: global.n_threads(),
             ..described.search.clone()
         };
+        let live = (!alone).then(|| LiveStarts::new(starts, console));
         let attempts = search_telling(&described.problem, &described.settings, &plan, &|event| {
             match event {
                 SearchEvent::Begins { from, before, .. } if alone => {
@@ -105,14 +111,45 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
                         ));
                     }
                 }
-                SearchEvent::Row { row, .. } => {
-                    console.event("iteration", &iteration_row(row));
-                    if alone {
-                        console.say(&table_row(row));
+                SearchEvent::Row { start, row } => {
+                    let event = IterationEvent {
+                        start: *start,
+                        row: iteration_row(row),
+                    };
+                    match &live {
+                        None => {
+                            console.event("iteration", &event);
+                            console.say(&table_row(row));
+                        }
+                        Some(live) => {
+                            if console.json() {
+                                live.beside(|| console.event("iteration", &event));
+                            }
+                            live.iterate(*start, row);
+                        }
                     }
                 }
-                SearchEvent::Ends(attempt) if !alone => console.say(&start_row(attempt)),
-                _ => {}
+                SearchEvent::StartBegins { start } => {
+                    if let Some(live) = &live {
+                        live.begin(*start, None);
+                    }
+                }
+                SearchEvent::Begins { start, from, .. } => {
+                    if let Some(live) = &live {
+                        live.begin(*start, Some(from));
+                    }
+                }
+                SearchEvent::StartEnds { start, found } => {
+                    if let Some(live) = &live {
+                        let summary = start_summary(*start, *found);
+                        let converged = summary.status == "converged";
+                        live.end(*start, converged.then_some(summary.objective));
+                        live.beside(|| {
+                            console.event("start", &summary);
+                            console.say(&start_row(*start, *found));
+                        });
+                    }
+                }
             }
             ControlFlow::Continue(())
         })?;
@@ -373,7 +410,6 @@ fn announce(setup: &OptimalControl, console: &Console) {
             size * tip.moment.scale
         ));
     }
-    console.say(TABLE_HEAD);
 }
 
 const TABLE_HEAD: &str =
@@ -395,8 +431,43 @@ fn table_row(row: &IterationRecord) -> String {
     )
 }
 
+/// What `--json-lines` prints of an iteration.
+#[derive(Serialize)]
+struct IterationEvent<'a> {
+    /// Number of the start, from 0.
+    start: usize,
+    #[serde(flatten)]
+    row: IterationRow<'a>,
+}
+
+/// What `--json-lines` prints of a start that has ended, of several; nothing is checked yet.
+fn start_summary(start: usize, found: Result<&Attempt, &GuessError>) -> StartSummary {
+    match found {
+        Ok(attempt) => StartSummary {
+            start,
+            from: attempt.from,
+            status: status_words(&attempt.outcome.status, &[]).0,
+            objective: attempt.outcome.objective,
+            iterations: attempt.iterations(),
+            verdict: None,
+        },
+        Err(_) => StartSummary {
+            start,
+            from: "not begun",
+            status: "failed",
+            objective: f64::NAN,
+            iterations: 0,
+            verdict: None,
+        },
+    }
+}
+
 /// A start that has ended, of several.
-fn start_row(attempt: &Attempt) -> String {
+fn start_row(start: usize, found: Result<&Attempt, &GuessError>) -> String {
+    let attempt = match found {
+        Ok(attempt) => attempt,
+        Err(error) => return format!("start {start:3} has no first point: {error}"),
+    };
     let outcome = &attempt.outcome;
     format!(
         "start {:3} {:8} {:18} {:4} iterations, objective {:.5e}, off {:.0e}",

@@ -7,16 +7,15 @@ use clap::Args;
 
 use super::console::{Console, stop_signal};
 use super::error::CliError;
+use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::replace;
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::tradeoff::{TradeoffSummary, page, picture, write_points};
+use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_points};
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
-use crate::tradeoff::{
-    Fate, News, Point, Recommendation, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
-};
+use crate::tradeoff::{Fate, News, Point, RunError, Setting, Subject, Sweep, SweepError, Tradeoff};
 
 #[derive(Debug, Args)]
 pub(super) struct TradeoffArguments {
@@ -78,11 +77,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
 
     console.say(&format!(
         "{}: at most {:e} of the length, within {:.0} s",
-        match Subject::of(&scene) {
-            Subject::Motion => "a motion",
-            Subject::OptimalControl => "an optimal-control problem",
-            Subject::ClosedLoop => "a closed loop",
-        },
+        Subject::of(&scene).words(),
         arguments.tolerance,
         arguments.budget.as_secs_f64()
     ));
@@ -91,15 +86,19 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         console.say(&format!("{} points are there already", known.len()));
     }
     let mut usual = None;
+    let bar = within_budget(arguments.budget, console);
     let mut tell = |news: News| match news {
-        News::Words(words) => console.say(&words),
+        News::Words(words) => bar.suspend(|| console.say(&words)),
         News::Point(point, own) => {
-            usual.get_or_insert_with(|| {
-                console.say("      time     error  setting");
-                own.clone()
+            bar.suspend(|| {
+                usual.get_or_insert_with(|| {
+                    console.say("      time     error  setting");
+                    own.clone()
+                });
+                console.say(&row(point, own));
+                console.event("point", point);
             });
-            console.say(&row(point, own));
-            console.event("point", point);
+            bar.inc(1);
         }
     };
     let found = Sweep {
@@ -113,6 +112,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         tell: &mut tell,
     }
     .run();
+    bar.finish_and_clear();
     let found = match found {
         Ok(found) => found,
         Err(error) => {
@@ -159,7 +159,10 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             result.write_text("front.svg", svg)?;
         }
         let drawn = svg.as_deref().unwrap_or_default();
-        result.write_text("report.html", &page(&summary, &sentence, drawn))?;
+        result.write_text(
+            "report.html",
+            &page(&short_name, &found, &usual, &sentence, drawn),
+        )?;
         result.write_json("summary.json", &summary)
     });
     conclude(&found, &usual, &sentence, console);
@@ -172,7 +175,13 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     console.summary(&summarize(&target));
     written?;
     if let (Some(place), Some(recommended)) = (&applied, &recommended) {
-        replace(place, &recommended.to_toml())?;
+        let text = source.text_with(recommended).unwrap_or_else(|| {
+            console.warn(
+                "the text of the scene cannot be kept: every key is written out, without comments",
+            );
+            recommended.to_toml()
+        });
+        replace(place, &text)?;
         console.say(&format!(
             "the scene with the recommended setting: {}",
             place.display()
@@ -278,32 +287,6 @@ fn status(found: &Tradeoff, stop: Option<Stop>) -> &'static str {
         Some(Stop::Deadline) => "deadline",
         None if found.complete => "completed",
         None => "cut",
-    }
-}
-
-fn sentence(found: &Tradeoff, usual: &Setting) -> String {
-    let tolerance = found.tolerance;
-    match &found.recommended {
-        Some(Recommendation {
-            point,
-            checked_error,
-            checked,
-        }) => format!(
-            "Recommended for {tolerance:e} of the length: {}, which takes {:.3} ms and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
-            point.setting.differences(usual),
-            1e3 * point.wall_s,
-            point.error.unwrap_or(f64::NAN),
-            match found.subject {
-                Subject::ClosedLoop => "against an arm with twice the elements",
-                _ => "against a run finer by four in space and time",
-            },
-            if *checked {
-                "within the tolerance"
-            } else {
-                "NOT within the tolerance"
-            }
-        ),
-        None => format!("No setting is recommended for {tolerance:e} of the length."),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::ops::ControlFlow;
 
+use super::guess::GuessError;
 use super::search::Attempt;
 use super::transcription::LiftedPoint;
 use crate::sqp::{IterationRecord, SqpOutcome, SqpStatus};
@@ -22,6 +23,11 @@ pub struct SolveLog {
 /// An event of a search.
 #[derive(Clone, Copy, Debug)]
 pub enum SearchEvent<'a> {
+    /// A start begins, before any of its solves. Every start that begins ends once.
+    StartBegins {
+        /// Its number, from 0.
+        start: usize,
+    },
     /// A solve begins; `before` are those of the same start that came before it.
     Begins {
         /// Number of the start, from 0.
@@ -38,8 +44,13 @@ pub enum SearchEvent<'a> {
         /// The row.
         row: &'a IterationRecord,
     },
-    /// A start has ended.
-    Ends(&'a Attempt),
+    /// A start has ended, after all of its solves.
+    StartEnds {
+        /// Its number, from 0.
+        start: usize,
+        /// The best of its solves; an error where it has no first point.
+        found: Result<&'a Attempt, &'a GuessError>,
+    },
 }
 
 /// Receives the events of a search; may stop a solve at each of its rows.

@@ -147,11 +147,11 @@ pub fn search(
 ) -> Result<Vec<Attempt>, GuessError> {
     search_telling(problem, settings, search, &|event| match event {
         SearchEvent::Row { start, row } => observer(*start, row),
-        SearchEvent::Begins { .. } | SearchEvent::Ends(_) => ControlFlow::Continue(()),
+        _ => ControlFlow::Continue(()),
     })
 }
 
-/// [`search`] that tells where solves begin and starts end as well.
+/// [`search`] that tells where starts and their solves begin, and where starts end, as well.
 ///
 /// # Errors
 /// As [`search`].
@@ -250,12 +250,19 @@ fn attempt(
     n_threads: usize,
     listener: &Listener,
 ) -> Result<Attempt, GuessError> {
+    // There is nothing to stop before a start and after it.
+    let _ = listener(&SearchEvent::StartBegins { start });
     let journal = Journal::new(start, listener);
-    let mut found = attempted(problem, settings, search, start, n_threads, &journal)?;
-    (found.solves, found.chosen) = journal.close(&found.outcome);
-    // There is nothing left to stop.
-    let _ = listener(&SearchEvent::Ends(&found));
-    Ok(found)
+    let found =
+        attempted(problem, settings, search, start, n_threads, &journal).map(|mut found| {
+            (found.solves, found.chosen) = journal.close(&found.outcome);
+            found
+        });
+    let _ = listener(&SearchEvent::StartEnds {
+        start,
+        found: found.as_ref(),
+    });
+    found
 }
 
 fn attempted(

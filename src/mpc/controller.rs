@@ -114,6 +114,9 @@ pub struct Controller {
     record: SampleRecord,
 }
 
+/// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
+/// several forces, of which effort counts from one.
+const HELD_NEARER: f64 = 10.0;
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
@@ -146,6 +149,7 @@ impl Controller {
         };
         let mut task = task.clone();
         task.horizon = settings.horizon;
+        let n_tracks = task.cost.tracks.len();
         for target in &mut task.targets {
             target.time = None;
             // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
@@ -169,6 +173,9 @@ impl Controller {
         let step = settings.period / steps_per_period as f64;
         cut.step = Some(step);
         let mut problem = task.discretize(arm, &cut)?.discrete;
+        for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
+            held.weight *= HELD_NEARER;
+        }
         problem.grid.step = step;
         problem.grid.n_steps = (settings.horizon / step).round().max(1.0) as usize;
         for goal in &mut problem.goals {

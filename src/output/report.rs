@@ -6,6 +6,8 @@ mod field;
 mod render;
 
 #[cfg(feature = "cli")]
+pub(crate) use self::comparison::scene_differences;
+#[cfg(feature = "cli")]
 pub use self::comparison::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, TradeoffPoint, compare,
 };

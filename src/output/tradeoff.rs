@@ -1,13 +1,18 @@
 //! What `softarm tradeoff` writes: summary, table of points, picture, page.
 
+mod saved;
+
+pub use self::saved::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
+
 use std::fmt::Write as _;
+use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::*;
 use serde::Serialize;
 
 use super::OutputError;
-use crate::tradeoff::{Fate, Point, Setting, Subject, Tradeoff};
+use crate::tradeoff::{Fate, Point, Recommendation, Setting, Subject, Tradeoff};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
@@ -168,22 +173,41 @@ pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
     if done.is_empty() {
         return Err("no point has an error and a time".into());
     }
+    let (errors, times) = errors_and_times(&done, &[found.tolerance]);
+    let mut svg = String::new();
+    draw(&mut svg, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
+    Ok(svg)
+}
+
+/// Ranges of the errors and tolerances, over the length, and of the times, in ms, with room around them.
+fn errors_and_times(points: &[&Point], tolerances: &[f64]) -> (Range<f64>, Range<f64>) {
     let range = |values: &mut dyn Iterator<Item = f64>| {
         let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| {
             (low.min(v), high.max(v))
         });
         low / 1.6..high * 1.6
     };
-    let errors = range(
-        &mut done
-            .iter()
-            .filter_map(|point| point.error)
-            .chain([found.tolerance]),
-    );
-    let times = range(&mut done.iter().map(|point| 1e3 * point.wall_s));
-    let mut svg = String::new();
-    draw(&mut svg, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
-    Ok(svg)
+    let errors = (points.iter().filter_map(|point| point.error)).chain(tolerances.iter().copied());
+    let times = points.iter().map(|point| 1e3 * point.wall_s);
+    (range(&mut { errors }), range(&mut { times }))
+}
+
+/// What the picture shows to the right and upward.
+fn names_of_axes(subject: Subject) -> [&'static str; 2] {
+    match subject {
+        Subject::Motion => [
+            "largest error of any place at any time / length",
+            "time of the simulation, ms",
+        ],
+        Subject::OptimalControl => [
+            "largest error of any place at any time / length",
+            "time of the solve, ms",
+        ],
+        Subject::ClosedLoop => [
+            "distance of the tip from its reference (rms) / length",
+            "time of a sample, ms",
+        ],
+    }
 }
 
 fn draw(
@@ -191,19 +215,11 @@ fn draw(
     found: &Tradeoff,
     usual: &Setting,
     done: &[&Point],
-    errors: std::ops::Range<f64>,
-    times: std::ops::Range<f64>,
+    errors: Range<f64>,
+    times: Range<f64>,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let x_name = match found.subject {
-        Subject::ClosedLoop => "distance of the tip from its reference (rms) / length",
-        _ => "largest error of any place at any time / length",
-    };
-    let y_name = match found.subject {
-        Subject::Motion => "time of the simulation, ms",
-        Subject::OptimalControl => "time of the solve, ms",
-        Subject::ClosedLoop => "time of a sample, ms",
-    };
+    let [x_name, y_name] = names_of_axes(found.subject);
     let (right, top) = (errors.end, times.end);
     let mut chart = ChartBuilder::on(&root)
         .margin(14)
@@ -298,7 +314,7 @@ fn draw(
 }
 
 /// The powers of ten of a range; with two and five times these, where there are few.
-fn decades(range: &std::ops::Range<f64>) -> Vec<f64> {
+fn decades(range: &Range<f64>) -> Vec<f64> {
     let powers = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let wide = range.end / range.start > 1e3;
     let factors: &[f64] = if wide { &[1.0] } else { &[1.0, 2.0, 5.0] };
@@ -314,10 +330,37 @@ fn escaped(text: &str) -> String {
         .replace('>', "&gt;")
 }
 
+/// What is recommended, in a sentence.
+#[must_use]
+pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
+    let tolerance = found.tolerance;
+    match &found.recommended {
+        Some(Recommendation {
+            point,
+            checked_error,
+            checked,
+        }) => format!(
+            "Recommended for {tolerance:e} of the length: {}, which takes {:.3} ms and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
+            point.setting.differences(usual),
+            1e3 * point.wall_s,
+            point.error.unwrap_or(f64::NAN),
+            match found.subject {
+                Subject::ClosedLoop => "against an arm with twice the elements",
+                _ => "against a run finer by four in space and time",
+            },
+            if *checked {
+                "within the tolerance"
+            } else {
+                "NOT within the tolerance"
+            }
+        ),
+        None => format!("No setting is recommended for {tolerance:e} of the length."),
+    }
+}
+
 /// The page of a trade-off, which opens without a network.
 #[must_use]
-pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
-    let found = summary.found;
+pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
     let mut rows = String::new();
     let mut points: Vec<&Point> = found.points.iter().collect();
     points.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
@@ -336,7 +379,7 @@ pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
         let _ = writeln!(
             rows,
             "<tr{class}><td>{}</td><td>{}</td><td>{error}</td><td>{objective}</td></tr>",
-            escaped(&point.setting.differences(summary.usual)),
+            escaped(&point.setting.differences(usual)),
             milliseconds(point.wall_s),
         );
     }
@@ -379,7 +422,7 @@ pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
                 } else {
                     ""
                 },
-                escaped(cost.feature),
+                escaped(&cost.feature),
                 cost.with,
                 cost.without,
                 cost.with / cost.without
@@ -397,7 +440,7 @@ pub fn page(summary: &TradeoffSummary, sentence: &str, svg: &str) -> String {
         )
     });
     include_str!("tradeoff_template.html")
-        .replace("{{title}}", &escaped(summary.scene))
+        .replace("{{title}}", &escaped(scene))
         .replace("{{sentence}}", &escaped(sentence))
         .replace("{{reference}}", &reference)
         .replace("{{findings}}", &findings)

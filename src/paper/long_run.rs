@@ -52,6 +52,17 @@ impl LongRun {
         step: f64,
         steps: usize,
     ) -> Result<Self, PaperError> {
+        Self::run_telling(study, model, step, steps, &|_| {})
+    }
+
+    /// [`LongRun::run`] that tells of so many steps more.
+    fn run_telling(
+        study: &Study,
+        model: RodModel,
+        step: f64,
+        steps: usize,
+        tell: &dyn Fn(usize),
+    ) -> Result<Self, PaperError> {
         let scene = Experiment::BendingStretching.scene();
         let simulation = study.simulation(
             scene,
@@ -85,6 +96,7 @@ impl LongRun {
                 let correction = step_correction(rod, &state, integrator.time(), step);
                 *corrected += (energy + correction) / looks as f64;
             }
+            tell(looks * GLANCE);
         }
         let mean = means.iter().sum::<f64>() / PARTS as f64;
         let part = (looks * GLANCE) as f64 * step;
@@ -130,13 +142,14 @@ fn step_correction(rod: &Rod, state: &State, time: f64, h: f64) -> f64 {
     h * h / 24.0 * sum
 }
 
-/// [`LongRun::run`] for every model, time step (s) and number of steps.
+/// [`LongRun::run`] for every model, time step (s) and number of steps; `tell` hears of the steps without load while they are made.
 pub fn long_runs(
     study: &Study,
     runs: &[(RodModel, f64, usize)],
+    tell: &(dyn Fn(usize) + Sync),
 ) -> Vec<Result<LongRun, PaperError>> {
     study.map(runs, |&(model, step, steps)| {
-        LongRun::run(study, model, step, steps)
+        LongRun::run_telling(study, model, step, steps, &|n| tell(n))
     })
 }
 

@@ -27,6 +27,8 @@ mod check_closed_loop;
 mod closed_loop;
 mod csv_path;
 mod describe;
+#[cfg(feature = "cli")]
+mod edit;
 mod error;
 mod features;
 mod file;

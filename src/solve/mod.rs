@@ -18,7 +18,7 @@ pub(crate) use self::{
     choice::{Chosen, Examination, choose},
     diagnostics::diagnostics,
     examined::Examined,
-    files::{iteration_row, write},
+    files::{IterationRow, iteration_row, write},
     page::{SavedError, SavedPage, closed_loop_page, findings, saved_page, simulation_page},
     step_kind::{help, legend, step_kind},
     summary::{check_outcome, status_words, summarize},

@@ -38,17 +38,29 @@ pub struct Course {
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Errors {
     /// Distance of the tips at the end, over the length.
+    #[serde(deserialize_with = "number")]
     pub tip_end: f64,
     /// Largest distance of the tips at any time, over the length.
+    #[serde(deserialize_with = "number")]
     pub tip: f64,
     /// Largest distance of any place at any time, over the length; what a tolerance is about.
+    #[serde(deserialize_with = "number")]
     pub shape: f64,
     /// Largest angle between the tips at any time, rad.
+    #[serde(deserialize_with = "number")]
     pub orientation_rad: f64,
     /// Largest difference of kinetic and elastic energy at any time, over the largest such energy.
+    #[serde(deserialize_with = "number")]
     pub energy: f64,
     /// Difference of the largest curvature, over that curvature.
+    #[serde(deserialize_with = "number")]
     pub curvature: f64,
+}
+
+/// Reads a number that is not finite from where JSON has `null` for it.
+pub(super) fn number<'de, D: serde::Deserializer<'de>>(source: D) -> Result<f64, D::Error> {
+    let number: Option<f64> = serde::Deserialize::deserialize(source)?;
+    Ok(number.unwrap_or(f64::NAN))
 }
 
 impl Errors {

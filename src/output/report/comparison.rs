@@ -114,11 +114,8 @@ pub fn compare(command: ReportCommand, results: Vec<Compared>) -> ComparisonData
     let summaries: Vec<Leaves> = (results.iter())
         .map(|result| leaves(&result.summary))
         .collect();
-    let scenes: Vec<Leaves> = (results.iter())
-        .map(|result| {
-            let table = result.scene.parse::<toml::Table>().unwrap_or_default();
-            leaves(&serde_json::to_value(table).unwrap_or_default())
-        })
+    let scenes: Vec<&str> = (results.iter())
+        .map(|result| result.scene.as_str())
         .collect();
     let shared = differences(&summaries, false);
     let (mut first, others): (Vec<_>, Vec<_>) =
@@ -126,7 +123,7 @@ pub fn compare(command: ReportCommand, results: Vec<Compared>) -> ComparisonData
     first.sort_by_key(|row| FIRST.iter().position(|key| *key == row.key));
     let tables = [
         ("Results", first),
-        ("Scenes", differences(&scenes, true)),
+        ("Scenes", scene_differences(&scenes)),
         ("Other fields of the summaries", others),
     ];
     let names: Vec<&str> = results.iter().map(|result| result.name.as_str()).collect();
@@ -151,6 +148,17 @@ pub fn compare(command: ReportCommand, results: Vec<Compared>) -> ComparisonData
             })
             .collect(),
     }
+}
+
+/// The keys in which the texts of several scenes differ.
+pub(crate) fn scene_differences(scenes: &[&str]) -> Vec<ComparisonRow> {
+    let scenes: Vec<Leaves> = (scenes.iter())
+        .map(|text| {
+            let table = text.parse::<toml::Table>().unwrap_or_default();
+            leaves(&serde_json::to_value(table).unwrap_or_default())
+        })
+        .collect();
+    differences(&scenes, true)
 }
 
 /// Values by their dotted paths, in the order of the file.

@@ -33,7 +33,7 @@ pub struct Mpc {
     /// that the tip is not kept off it (default), or `"zero"`.
     pub effort_from: EffortFrom,
     /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop. Where the horizon recedes,
-    /// the target's place is a track with the default weight instead, and rest comes by itself.
+    /// the target's place is a track with ten times the default weight instead, and rest comes by itself.
     pub target_weight: Positive<values::Weight>,
     /// Price of a violation of 1, in the scale of its limit, of obstacles and limits that are not `soft` themselves: linear for a second, and
     /// of half of its square; positive, default 5000. What keeps a limit is the weight of a track times the distance over the length by which

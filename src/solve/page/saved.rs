@@ -29,8 +29,6 @@ pub(crate) enum SavedError {
 
 /// A result, and the page of it.
 pub(crate) struct SavedPage {
-    /// What made it.
-    pub kind: ResultKind,
     /// The contents of `summary.json`.
     pub summary: Value,
     /// The text of `scene.toml`.
@@ -64,12 +62,10 @@ pub(crate) fn saved_page(directory: &Path, stop: &StopSignal) -> Result<SavedPag
         ResultKind::Mpc => files.closed_loop(),
         ResultKind::Tradeoff => Err(SavedError::Output(OutputError::Refused {
             path: directory.to_path_buf(),
-            reason: "a tradeoff, whose page only its run makes; name a simulate, solve or mpc"
-                .into(),
+            reason: "a tradeoff, whose page shows no motion".into(),
         })),
     }?;
     Ok(SavedPage {
-        kind,
         summary,
         scene: text,
         data,

@@ -3,8 +3,9 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::super::course::number;
 use super::super::motion::Motion;
 use super::{Subject, Work};
 use crate::control::{Guess, Search, search};
@@ -12,17 +13,19 @@ use crate::scene::Scene;
 use crate::sqp::SqpSettings;
 
 /// A feature, and what it costs.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FeatureCost {
     /// Its name.
-    pub feature: &'static str,
+    pub feature: String,
     /// Whether the scene has it.
     pub in_scene: bool,
     /// What is measured.
-    pub unit: &'static str,
+    pub unit: String,
     /// With the feature.
+    #[serde(deserialize_with = "number")]
     pub with: f64,
     /// Without it.
+    #[serde(deserialize_with = "number")]
     pub without: f64,
 }
 
@@ -69,13 +72,14 @@ impl Work<'_, '_> {
             }
             if least.iter().all(|value| value.is_finite()) {
                 costs.push(FeatureCost {
-                    feature: feature.name,
+                    feature: feature.name.into(),
                     in_scene: feature.in_scene,
                     unit: if is_solved {
                         "ms per iteration"
                     } else {
                         "ns per node and step"
-                    },
+                    }
+                    .into(),
                     with: least[0],
                     without: least[1],
                 });

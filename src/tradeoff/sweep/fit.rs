@@ -1,41 +1,48 @@
 //! Models of time and error: powers, fitted to the logarithms of the points.
 
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::super::course::number;
 use super::{Fate, Point};
 
 /// `seconds = exp(constant) elements^p steps^q variables^r`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CostModel {
     /// The points that it is of.
     pub of: String,
     /// Logarithm of the seconds at 1.
+    #[serde(deserialize_with = "number")]
     pub constant: f64,
     /// Power of the elements.
+    #[serde(deserialize_with = "number")]
     pub elements: f64,
     /// Power of the steps, of what is integrated over time.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<f64>,
     /// Power of the variables, of what is solved for them.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variables: Option<f64>,
     /// Root mean square of the logarithms of the time over that of the model: 0.1 is ten percent.
+    #[serde(deserialize_with = "number")]
     pub residual: f64,
     /// Number of points.
     pub points: usize,
 }
 
 /// `error = exp(constant) elements^-order`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ErrorModel {
     /// The points that it is of.
     pub of: String,
     /// Logarithm of the error with one element.
+    #[serde(deserialize_with = "number")]
     pub constant: f64,
     /// Observed order in the length of an element.
+    #[serde(deserialize_with = "number")]
     pub order: f64,
     /// Root mean square of the logarithms of the error over that of the model.
+    #[serde(deserialize_with = "number")]
     pub residual: f64,
     /// Number of points.
     pub points: usize,

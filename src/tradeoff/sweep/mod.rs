@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use self::features::FeatureCost;
 pub use self::fit::{CostModel, ErrorModel};
 pub use self::front::mark_front;
-use super::course::Errors;
+use super::course::{Errors, number};
 use super::motion::RunError;
 use crate::control::{GuessError, Hold};
 use crate::mechanics::{RodModel, StrainRule};
@@ -28,7 +28,7 @@ use crate::stop::StopSignal;
 use crate::task::{Discretization, prediction::simulation_seconds};
 
 /// What is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subject {
     /// A forward simulation.
@@ -51,6 +51,16 @@ impl Subject {
             Self::OptimalControl
         } else {
             Self::Motion
+        }
+    }
+
+    /// In words, as in "a motion".
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Motion => "a motion",
+            Self::OptimalControl => "an optimal-control problem",
+            Self::ClosedLoop => "a closed loop",
         }
     }
 }
@@ -186,6 +196,7 @@ pub struct Point {
     #[serde(flatten)]
     pub setting: Setting,
     /// Its time step, s.
+    #[serde(deserialize_with = "number")]
     pub step_s: f64,
     /// How it fared.
     pub status: Fate,
@@ -204,11 +215,13 @@ pub struct Point {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub solver_iterations: Option<usize>,
     /// Least time of several runs, s; of a closed loop that of a sample, in the middle of all samples.
+    #[serde(deserialize_with = "number")]
     pub wall_s: f64,
     /// Of a closed loop: the time that 99 of 100 samples do not exceed, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sample_p99_s: Option<f64>,
     /// Memory that the work is estimated to need, MB.
+    #[serde(deserialize_with = "number")]
     pub memory_mb: f64,
     /// Whether nothing else is both faster and more accurate.
     pub on_front: bool,
@@ -244,44 +257,49 @@ impl Point {
 }
 
 /// What errors are measured against.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reference {
     /// Elements of the finest grid.
     pub elements: usize,
     /// Its step, s.
+    #[serde(deserialize_with = "number")]
     pub step_s: f64,
     /// Observed order of convergence of the last three grids, each twice as fine as the one before in space and time.
     pub order: Option<f64>,
     /// Its own error, over the length: Richardson's.
+    #[serde(deserialize_with = "number")]
     pub error: f64,
     /// Its own errors of all kinds.
     pub errors: Errors,
     /// Value of the objective on the finest grid that a problem was solved on.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<f64>,
     /// Seconds of the finest run.
+    #[serde(deserialize_with = "number")]
     pub wall_s: f64,
 }
 
 /// The fastest setting that is accurate enough.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Recommendation {
     /// The point.
     #[serde(flatten)]
     pub point: Point,
     /// Its error against a run that is finer by four in space and in time, over the length; of a closed loop, with twice the elements of the
     /// plant.
+    #[serde(deserialize_with = "number")]
     pub checked_error: f64,
     /// Whether that is within the tolerance.
     pub checked: bool,
 }
 
 /// What a sweep found.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Tradeoff {
     /// What was compared.
     pub subject: Subject,
     /// The tolerance, over the length.
+    #[serde(deserialize_with = "number")]
     pub tolerance: f64,
     /// The reference; absent where it could not be made.
     pub reference: Option<Reference>,
@@ -300,7 +318,7 @@ pub struct Tradeoff {
 }
 
 /// Fitted models of time and error.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Models {
     /// Of the time.
     pub cost: Vec<CostModel>,

@@ -1,0 +1,202 @@
+//! Work that is shown on a terminal while it is under way, and how long the rest of it takes.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
+
+use super::console::Console;
+use crate::sqp::IterationRecord;
+
+/// Time that is left of work in parts that take equally long on average, told from those that are done.
+struct Countdown {
+    total: usize,
+    done: usize,
+    began: Instant,
+    last: Instant,
+}
+
+impl Countdown {
+    fn new(total: usize, now: Instant) -> Self {
+        Self {
+            total,
+            done: 0,
+            began: now,
+            last: now,
+        }
+    }
+
+    fn part_is_done(&mut self, now: Instant) {
+        self.done += 1;
+        self.last = now;
+    }
+
+    /// `None` before the first part is done, when nothing is known.
+    fn left(&self, now: Instant) -> Option<Duration> {
+        let done = u32::try_from(self.done).ok().filter(|done| *done > 0)?;
+        let rest = u32::try_from(self.total.saturating_sub(self.done)).ok()?;
+        let expected = (self.last - self.began) * rest / done;
+        Some(expected.saturating_sub(now - self.last))
+    }
+}
+
+/// A duration in words, in whole seconds, minutes or hours.
+fn in_words(time: Duration) -> String {
+    match time.as_secs_f64().round() as u64 {
+        seconds @ ..120 => format!("{seconds} s"),
+        seconds @ ..7200 => format!("{} min", seconds / 60),
+        seconds => format!("{} h", seconds / 3600),
+    }
+}
+
+/// The starts of a solve: a row for each that is under way, and a line for those that are done. Nothing where stderr is no terminal.
+pub(super) struct LiveStarts {
+    bars: MultiProgress,
+    total: ProgressBar,
+    state: Mutex<State>,
+}
+
+struct State {
+    rows: BTreeMap<usize, ProgressBar>,
+    countdown: Countdown,
+    /// Least objective of the starts that converged.
+    best: Option<f64>,
+}
+
+impl LiveStarts {
+    pub(super) fn new(starts: usize, console: &Console) -> Self {
+        let bars = MultiProgress::with_draw_target(console.draw_target());
+        let live = Self {
+            total: bars.add(line()),
+            bars,
+            state: Mutex::new(State {
+                rows: BTreeMap::new(),
+                countdown: Countdown::new(starts, Instant::now()),
+                best: None,
+            }),
+        };
+        live.count(&live.state());
+        live
+    }
+
+    /// Does something beside the rows, such as printing.
+    pub(super) fn beside<T>(&self, act: impl FnOnce() -> T) -> T {
+        self.bars.suspend(act)
+    }
+
+    /// A solve of a start begins from a first point, or the start itself, which looks for one.
+    pub(super) fn begin(&self, start: usize, from: Option<&str>) {
+        let mut state = self.state();
+        let row = (state.rows.entry(start))
+            .or_insert_with(|| self.bars.insert_before(&self.total, line()));
+        let from = from.unwrap_or("no first point yet");
+        row.set_message(format!("start {start:3}  from {from}"));
+    }
+
+    pub(super) fn iterate(&self, start: usize, record: &IterationRecord) {
+        let state = self.state();
+        if let Some(row) = state.rows.get(&start) {
+            row.set_message(format!(
+                "start {start:3}  iteration {:4}  objective {:12.5e}  KKT residual {:8.1e}",
+                record.iteration,
+                record.objective,
+                record.residual.max()
+            ));
+        }
+        self.count(&state);
+    }
+
+    /// A start is done, with this objective where it converged.
+    pub(super) fn end(&self, start: usize, objective: Option<f64>) {
+        let mut state = self.state();
+        if let Some(row) = state.rows.remove(&start) {
+            row.finish_and_clear();
+            self.bars.remove(&row);
+        }
+        state.countdown.part_is_done(Instant::now());
+        state.best = match (state.best, objective) {
+            (Some(best), Some(objective)) => Some(best.min(objective)),
+            (best, objective) => best.or(objective),
+        };
+        self.count(&state);
+    }
+
+    /// The line of those that are done.
+    fn count(&self, state: &State) {
+        let Countdown { done, total, .. } = state.countdown;
+        let mut text = format!("{done} of {total} starts done");
+        if let Some(best) = state.best {
+            let _ = write!(text, ", best objective {best:.5e}");
+        }
+        let left = state.countdown.left(Instant::now());
+        if let Some(left) = left.filter(|_| done < total) {
+            // What has begun is not over before it ends.
+            let left = in_words(left.max(Duration::from_secs(1)));
+            let _ = write!(text, ", about {left} left");
+        }
+        self.total.set_message(text);
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for LiveStarts {
+    fn drop(&mut self) {
+        self.total.finish_and_clear();
+        let _ = self.bars.clear();
+    }
+}
+
+/// A line that says something and is cut at the edge of the terminal.
+fn line() -> ProgressBar {
+    let line = ProgressBar::no_length();
+    if let Ok(style) = ProgressStyle::with_template("{wide_msg}") {
+        line.set_style(style);
+    }
+    line
+}
+
+/// How often a line is drawn whose work does not tell how far it is.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Points of a sweep, and what is left of its budget.
+pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(None, console.draw_target());
+    let left = move |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+        let left = budget.saturating_sub(state.elapsed());
+        let _ = out.write_str(&in_words(left));
+    };
+    if let Ok(style) = ProgressStyle::with_template("{pos} points, {left} of the budget left") {
+        bar.set_style(style.with_key("left", left));
+    }
+    if !bar.is_hidden() {
+        bar.enable_steady_tick(TICK);
+    }
+    bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Nothing is known before a part is done; then parts take what they took on average, and waiting counts.
+    #[test]
+    fn time_left_is_that_of_the_parts_that_are_not_done() {
+        let began = Instant::now();
+        let at = |seconds| began + Duration::from_secs(seconds);
+        let mut countdown = Countdown::new(4, began);
+        assert_eq!(countdown.left(at(5)), None);
+        countdown.part_is_done(at(10));
+        assert_eq!(countdown.left(at(10)), Some(Duration::from_secs(30)));
+        assert_eq!(countdown.left(at(14)), Some(Duration::from_secs(26)));
+        assert_eq!(countdown.left(at(90)), Some(Duration::ZERO));
+        for _ in 1..4 {
+            countdown.part_is_done(at(40));
+        }
+        assert_eq!(countdown.left(at(40)), Some(Duration::ZERO));
+    }
+}

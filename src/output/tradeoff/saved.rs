@@ -1,0 +1,229 @@
+//! Trade-offs from their result directories: the page of one made anew, and one page of several.
+
+use std::fmt::Write as _;
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::prelude::*;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::{
+    COLORS, INK, SIZE, decades, errors_and_times, escaped, milliseconds, names_of_axes, page,
+    picture, sentence,
+};
+use crate::output::report::scene_differences;
+use crate::output::{ComparisonRow, ComparisonTable, OutputError, read_text};
+use crate::tradeoff::{Point, Setting, Tradeoff};
+
+/// A trade-off that was written.
+#[derive(Debug, Deserialize)]
+pub struct SavedTradeoff {
+    /// Name of the scene.
+    pub scene: String,
+    /// What was found.
+    #[serde(flatten)]
+    pub found: Tradeoff,
+    /// The setting of the scene itself.
+    pub usual: Setting,
+    /// The text of `scene.toml`.
+    #[serde(skip)]
+    pub text: String,
+}
+
+/// Bytes of a scene, at most.
+const LARGEST_SCENE: u64 = 1 << 20;
+
+impl SavedTradeoff {
+    /// The trade-off of a result directory with this summary.
+    ///
+    /// # Errors
+    /// [`OutputError`] for a summary that lacks something, and a scene that is missing.
+    pub fn read(directory: &Path, summary: Value) -> Result<Self, OutputError> {
+        let path = directory.join("summary.json");
+        let saved: Self = serde_json::from_value(summary)
+            .map_err(|error| OutputError::malformed(&path, error.to_string()))?;
+        let text = read_text(&directory.join("scene.toml"), LARGEST_SCENE)?;
+        Ok(Self { text, ..saved })
+    }
+
+    /// The page that the run wrote.
+    #[must_use]
+    pub fn page(&self) -> String {
+        let svg = picture(&self.found, &self.usual).unwrap_or_default();
+        let sentence = sentence(&self.found, &self.usual);
+        page(&self.scene, &self.found, &self.usual, &sentence, &svg)
+    }
+
+    /// Points of the front, the fastest first.
+    fn front(&self) -> Vec<&Point> {
+        let mut front: Vec<&Point> = (self.found.points.iter())
+            .filter(|point| point.on_front && point.error.is_some_and(|error| error > 0.0))
+            .filter(|point| point.wall_s > 0.0)
+            .collect();
+        front.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        front
+    }
+}
+
+/// What is recommended by several trade-offs, and in what their scenes differ.
+#[must_use]
+pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
+    type Of = fn(&SavedTradeoff) -> Option<String>;
+    let rows: [(&str, Of); 8] = [
+        ("scene", |saved| Some(saved.scene.clone())),
+        ("tolerance", |saved| {
+            Some(format!("{:e}", saved.found.tolerance))
+        }),
+        ("setting", |saved| {
+            let recommended = saved.found.recommended.as_ref()?;
+            Some(recommended.point.setting.differences(&saved.usual))
+        }),
+        ("time", |saved| {
+            Some(milliseconds(saved.found.recommended.as_ref()?.point.wall_s))
+        }),
+        ("error", |saved| {
+            let error = saved.found.recommended.as_ref()?.point.error?;
+            Some(format!("{error:.2e}"))
+        }),
+        ("error when checked", |saved| {
+            let recommended = saved.found.recommended.as_ref()?;
+            Some(format!("{:.2e}", recommended.checked_error))
+        }),
+        ("within the tolerance", |saved| {
+            let checked = saved.found.recommended.as_ref()?.checked;
+            Some(if checked { "yes" } else { "no" }.into())
+        }),
+        ("settings tried", |saved| {
+            Some(saved.found.points.len().to_string())
+        }),
+    ];
+    let recommendations = rows.map(|(key, of)| ComparisonRow {
+        key: key.into(),
+        values: (saved.iter())
+            .map(|saved| of(saved).unwrap_or_else(|| "–".into()))
+            .collect(),
+        change: None,
+    });
+    let scenes: Vec<&str> = saved.iter().map(|saved| saved.text.as_str()).collect();
+    let differences = scene_differences(&scenes);
+    let mut tables = vec![ComparisonTable {
+        title: "Recommendations".into(),
+        rows: recommendations.into(),
+    }];
+    if !differences.is_empty() {
+        tables.push(ComparisonTable {
+            title: "Scenes".into(),
+            rows: differences,
+        });
+    }
+    tables
+}
+
+/// The page of several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
+#[must_use]
+pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String {
+    let mut tables = String::new();
+    for table in tradeoff_tables(saved) {
+        let heads: String = (names.iter())
+            .map(|name| format!("<th>{}</th>", escaped(name)))
+            .collect();
+        let _ = writeln!(
+            tables,
+            "<h2>{}</h2>\n<div class=\"table\"><table>\n<thead><tr><th></th>{heads}</tr></thead>\n<tbody>",
+            escaped(&table.title)
+        );
+        for row in &table.rows {
+            let cells: String = (row.values.iter())
+                .map(|value| format!("<td>{}</td>", escaped(value)))
+                .collect();
+            let _ = writeln!(tables, "<tr><th>{}</th>{cells}</tr>", escaped(&row.key));
+        }
+        tables.push_str("</tbody>\n</table></div>\n");
+    }
+    let svg = fronts(names, saved).unwrap_or_default();
+    include_str!("../tradeoff_comparison.html")
+        .replace("{{title}}", &escaped(&names.join(" · ")))
+        .replace("{{tables}}", &tables)
+        .replace("{{svg}}", &svg)
+}
+
+/// The fronts of several trade-offs; a sentence where there is none to draw.
+fn fronts(names: &[String], saved: &[SavedTradeoff]) -> Result<String, String> {
+    let all: Vec<&Point> = saved.iter().flat_map(SavedTradeoff::front).collect();
+    if all.is_empty() {
+        return Err("no front has a point".into());
+    }
+    let tolerances: Vec<f64> = saved.iter().map(|saved| saved.found.tolerance).collect();
+    let (errors, times) = errors_and_times(&all, &tolerances);
+    let mut svg = String::new();
+    draw(&mut svg, names, saved, errors, times).map_err(|error| error.to_string())?;
+    Ok(svg)
+}
+
+fn draw(
+    svg: &mut String,
+    names: &[String],
+    saved: &[SavedTradeoff],
+    errors: Range<f64>,
+    times: Range<f64>,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let [x_name, y_name] = names_of_axes(saved[0].found.subject);
+    let mut chart = ChartBuilder::on(&root)
+        .margin(14)
+        .x_label_area_size(52)
+        .y_label_area_size(74)
+        .build_cartesian_2d(
+            errors.clone().log_scale().with_key_points(decades(&errors)),
+            times.clone().log_scale().with_key_points(decades(&times)),
+        )?;
+    let text = ("sans-serif", 15).into_font().color(&INK);
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.25))
+        .axis_style(INK)
+        .label_style(text.clone())
+        .x_label_formatter(&|value| format!("{value:e}"))
+        .y_label_formatter(&|value| format!("{value}"))
+        .x_desc(x_name)
+        .y_desc(y_name)
+        .axis_desc_style(text.clone())
+        .draw()?;
+    let at = |point: &Point| (point.error.unwrap_or(errors.end), 1e3 * point.wall_s);
+    for (index, (name, saved)) in names.iter().zip(saved).enumerate() {
+        let color = COLORS[index.min(COLORS.len() - 1)];
+        let front = saved.front();
+        let tolerance = saved.found.tolerance;
+        chart.draw_series(LineSeries::new(
+            [(tolerance, times.start), (tolerance, times.end)],
+            color.mix(0.5).stroke_width(1),
+        ))?;
+        chart
+            .draw_series(LineSeries::new(
+                front.iter().map(|point| at(point)),
+                color.mix(0.7).stroke_width(2),
+            ))?
+            .label(name.clone())
+            .legend(move |(x, y)| Circle::new((x + 8, y), 5, color.filled()));
+        chart.draw_series((front.iter()).map(|point| Circle::new(at(point), 5, color.filled())))?;
+        chart.draw_series(front.iter().map(|point| {
+            let (x, y) = at(point);
+            let elements = point.setting.elements.to_string();
+            Text::new(elements, (x * 1.05, y * 1.07), text.clone())
+        }))?;
+        if let Some(recommended) = &saved.found.recommended {
+            let ring = color.stroke_width(2);
+            chart.draw_series([Circle::new(at(&recommended.point), 12, ring)])?;
+        }
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .label_font(text)
+        .border_style(INK.mix(0.4))
+        .draw()?;
+    root.present()?;
+    Ok(())
+}
