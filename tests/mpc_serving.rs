@@ -11,8 +11,8 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 use serving::{Desk, Plant, arrays, assert_same, command_of, rows, scene, state_line, vector};
 use softarm::mpc::{
-    Command, Computing, Contender, EstimatorChoice, Experiment, Reading, Sensing, Sensor,
-    SensorChoice, SensorPreset, SensorSettings, ServingEnd, Unknowns,
+    Command, Computing, Contender, EffortFrom, EstimatorChoice, Experiment, Reading, Sensing,
+    Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Unknowns,
 };
 
 /// Commands of the closed loop in the library.
@@ -178,11 +178,12 @@ fn velocities_are_as_good_as_momenta() {
 
 /// A path that comes with the measurements, piece by piece as far as the horizon sees, is as good as the whole path in the scene: the first plans differ,
 /// because they are made before anything is told, and the commands become the same where jumps have no price, by which a command remembers those before
-/// it. What is no path is refused, and the one before stays.
+/// it, and effort counts from zero, as it does along a path that comes with measurements. What is no path is refused, and the one before stays.
 #[test]
 fn references_may_come_with_measurements() {
     let mut whole = scene();
     whole.mpc.jump = 0.0;
+    whole.mpc.effort = EffortFrom::Zero;
     let path = whole.task.cost.tracks[0].path.clone();
     let mut blind = whole.clone();
     blind.task.cost.tracks[0].path = vec![(0.0, Vector3::new(0.0, 0.0, 1.0))];

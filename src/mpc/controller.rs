@@ -117,6 +117,11 @@ pub struct Controller {
 /// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
 /// several forces, of which effort counts from one.
 const HELD_NEARER: f64 = 10.0;
+/// Samples of paths in a block of a horizon that recedes, at most.
+const SAMPLES_A_BLOCK: usize = 2;
+/// Where a task has no price of rates, a change over so many blocks is as dear as the effort: without one, what a model has wrong about fast waves
+/// makes commands swing between their bounds.
+const BLOCKS_A_CHANGE: f64 = 2.0;
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
@@ -128,6 +133,7 @@ impl Controller {
 
     /// Discretizes the task over one horizon, and iterates from the task's start until the first plan does not change any more.
     ///
+    /// Without a price of rates, a receding horizon has one of its own, by which a change over two blocks is as dear as the effort.
     /// A target is there to be reached by the end of the horizon; where the horizon recedes, its place is a track, and it holds from now on.
     /// Tracks, targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits but those of speed count; its duration does not. Hold and elements are those
     /// of `discretization`, steps are shortened so that they divide the sample period.
@@ -147,6 +153,10 @@ impl Controller {
             blocks,
             ..*discretization
         };
+        if settings.due.is_none() {
+            // No plan tells more of them apart, and each takes a sweep.
+            cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
+        }
         let mut task = task.clone();
         task.horizon = settings.horizon;
         let n_tracks = task.cost.tracks.len();
@@ -182,7 +192,10 @@ impl Controller {
             goal.time_node = problem.grid.n_steps;
         }
         let knots = Knots::new(discretization.hold, settings.block, problem.grid.duration())?;
-        let weights = [problem.objective.effort, problem.objective.rate];
+        let mut weights = [problem.objective.effort, problem.objective.rate];
+        if settings.due.is_none() && weights[1] == 0.0 {
+            weights[1] = weights[0] * (BLOCKS_A_CHANGE * settings.block).powi(2);
+        }
         let horizon = Horizon::new(
             problem,
             knots.clone(),
@@ -358,13 +371,13 @@ impl Controller {
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient);
             let force = (self.holding.as_ref()).map(|holding| holding.force(t, self.stiffness));
-            for (c, component) in horizon.components.iter().enumerate() {
-                let wrenches = horizon.problem.wrench_actuators();
-                let own = wrenches.get(component.actuator);
-                let is_force = component.axis < 3 && own.is_some_and(|own| own.node == tip);
-                let held = force
-                    .filter(|_| is_force)
-                    .map_or(0.0, |force| force[component.axis]);
+            for (c, effects) in horizon.effects.iter().enumerate() {
+                let held = match (force, &effects[..]) {
+                    (Some(force), &[(node, axis, effect)]) if node == tip && axis < 3 => {
+                        force[axis] / effect
+                    }
+                    _ => 0.0,
+                };
                 self.free[coefficient * n_components + c] =
                     self.cancelling[c] + held / horizon.scales[c];
             }
@@ -372,7 +385,8 @@ impl Controller {
     }
 
     /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
-    /// between and constant outside. It takes the place of the first track of the tip.
+    /// between and constant outside. It takes the place of the first track of the tip. Along several places effort counts from zero: what holds the
+    /// arm at all of them takes longer to compute than a sample has.
     ///
     /// # Errors
     /// [`MpcError::Unsupported`] of a task without such a track, and [`MpcError::Path`]; the path is then as it was.

@@ -15,7 +15,8 @@ use crate::sqp::{HessianChoice, SqpSettings};
 pub struct Objective {
     /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
     pub effort: NonNegative<values::Weight>,
-    /// Weight of the squared changes of the controls from block to block; not negative, default 0.
+    /// Weight of the squared changes of the controls from block to block; not negative, default 0, in the place of which a loop whose horizon
+    /// recedes has 4 `effort` `mpc.block_s`².
     pub rate: NonNegative<values::Weight>,
     /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
     pub energy: NonNegative<values::Weight>,
