@@ -18,6 +18,9 @@ pub(super) struct Holding {
 
 /// Springs that pull the tip, this many times stiffer than the arm.
 const SPRING: f64 = 100.0;
+/// Distance over the length at which the tip is where it should be, and how often the springs are aimed anew for it.
+const NEAR: f64 = 1e-6;
+const MOST_AIMS: usize = 30;
 /// Change of the stiffness by which the force is differentiated.
 const STIFFER: f64 = 0.1;
 /// Longest reference that statics are computed along, s.
@@ -77,9 +80,10 @@ fn force(rod: &Rod, shape: &mut Configuration, target: Vector3<f64>, t: f64) -> 
         .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
         .fold(f64::INFINITY, f64::min);
     let stiffness = SPRING * 3.0 * weakest / rod.scales.length.powi(3);
-    // A spring that holds the tip as near as 1/SPRING of the way is aimed beyond the target by as much.
+    // A spring that holds the tip as near as 1/SPRING of the way is aimed beyond the target by as much; farther where the arm is stiffer than a
+    // cantilever, as one that hangs and is pulled along itself.
     let mut aim = target;
-    for _ in 0..3 {
+    for _ in 0..MOST_AIMS {
         let spring = TipSpring {
             position: Some((aim, stiffness)),
             rotation: None,
@@ -87,7 +91,11 @@ fn force(rod: &Rod, shape: &mut Configuration, target: Vector3<f64>, t: f64) -> 
         if let Ok(found) = static_equilibrium(rod, shape, t, &spring) {
             *shape = found;
         }
-        aim += target - shape.positions[rod.tip()];
+        let missed = target - shape.positions[rod.tip()];
+        aim += missed;
+        if missed.norm() < NEAR * rod.scales.length {
+            break;
+        }
     }
     (aim - target) * stiffness
 }
