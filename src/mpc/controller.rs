@@ -370,7 +370,13 @@ impl Controller {
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient);
-            let force = (self.holding.as_ref()).map(|holding| holding.force(t, self.stiffness));
+            // Before it is to be there, nothing holds the tip.
+            let mut tracks = horizon.problem.objective.tracking.iter();
+            let counts =
+                (tracks.find(|track| track.node == tip)).is_none_or(|track| track.counts(t));
+            let force = (self.holding.as_ref())
+                .filter(|_| counts)
+                .map(|holding| holding.force(t, self.stiffness));
             for (c, effects) in horizon.effects.iter().enumerate() {
                 let held = match (force, &effects[..]) {
                     (Some(force), &[(node, axis, effect)]) if node == tip && axis < 3 => {

@@ -3,7 +3,7 @@
 //! An effort that counts from zero pulls the arm off its target for ever, by what the target's weight allows. Counted from the control that holds
 //! the arm there at rest, it weighs the ways to get there and leaves no offset (Rawlings, Mayne and Diehl 2017, section 1.5).
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::{Configuration, Rod};
@@ -16,11 +16,14 @@ pub(super) struct Holding {
     spacing: f64,
 }
 
-/// Springs that pull the tip, this many times stiffer than the arm.
+/// Springs that pull the tip, this many times stiffer than the arm is across.
 const SPRING: f64 = 100.0;
-/// Distance over the length at which the tip is where it should be, and how often the springs are aimed anew for it.
-const NEAR: f64 = 1e-6;
-const MOST_AIMS: usize = 30;
+/// Stiffness over that of the arm across from which on the tip need not be where it should be: that of an arm along itself is some hundred times
+/// larger.
+const STIFFEST: f64 = 20.0;
+/// Steps of Gauss-Newton, and way over the length by which their derivatives are differences.
+const AIMS: usize = 2;
+const NUDGE: f64 = 1e-4;
 /// Change of the stiffness by which the force is differentiated.
 const STIFFER: f64 = 0.1;
 /// Longest reference that statics are computed along, s.
@@ -74,30 +77,49 @@ impl Holding {
     }
 }
 
-/// The force that holds the tip of `rod` at `target`, from near `shape`, which follows.
+/// The force that holds the tip of `rod` at `target`, from near `shape`, which follows: the least of `|x - x*|² + λ |F|²` over where a spring pulls
+/// the tip to. Where the arm is as stiff as along itself, it need not give way: a target that lies a little out of reach asks for no force
+/// that bends it.
 fn force(rod: &Rod, shape: &mut Configuration, target: Vector3<f64>, t: f64) -> Vector3<f64> {
-    let weakest = (rod.elements.iter())
-        .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
-        .fold(f64::INFINITY, f64::min);
-    let stiffness = SPRING * 3.0 * weakest / rod.scales.length.powi(3);
-    // A spring that holds the tip as near as 1/SPRING of the way is aimed beyond the target by as much; farther where the arm is stiffer than a
-    // cantilever, as one that hangs and is pulled along itself.
-    let mut aim = target;
-    for _ in 0..MOST_AIMS {
+    // Of a cantilever, and of its weight as a pendulum's.
+    let own = (3.0 * rod.scales.force + rod.mass() * rod.gravity.norm()) / rod.scales.length;
+    let stiffness = SPRING * own;
+    let tip = rod.tip();
+    let held = |aim: Vector3<f64>, from: &Configuration| {
         let spring = TipSpring {
             position: Some((aim, stiffness)),
             rotation: None,
         };
-        if let Ok(found) = static_equilibrium(rod, shape, t, &spring) {
-            *shape = found;
-        }
-        let missed = target - shape.positions[rod.tip()];
-        aim += missed;
-        if missed.norm() < NEAR * rod.scales.length {
+        static_equilibrium(rod, from, t, &spring).ok()
+    };
+    let least = 1.0 / (STIFFEST * own);
+    let nudge = NUDGE * rod.scales.length;
+    let mut aim = target;
+    for _ in 0..AIMS {
+        let Some(found) = held(aim, shape) else {
             break;
-        }
+        };
+        *shape = found;
+        let place = shape.positions[tip];
+        let columns = [0, 1, 2].map(|axis| {
+            let mut moved = aim;
+            moved[axis] += nudge;
+            held(moved, shape).map(|moved| (moved.positions[tip] - place) / nudge)
+        });
+        let [Some(x), Some(y), Some(z)] = columns else {
+            break;
+        };
+        let slope = Matrix3::from_columns(&[x, y, z]);
+        let give = (Matrix3::identity() - slope) * stiffness * least;
+        let force = (aim - place) * stiffness * least;
+        let square = slope.tr_mul(&slope) + give.tr_mul(&give);
+        let Some(inverse) = square.try_inverse() else {
+            break;
+        };
+        aim += inverse * (slope.tr_mul(&(target - place)) - give.tr_mul(&force));
     }
-    (aim - target) * stiffness
+    let place = held(aim, shape).map_or(aim, |found| found.positions[tip]);
+    (aim - place) * stiffness
 }
 
 #[cfg(test)]
