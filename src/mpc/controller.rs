@@ -1,6 +1,7 @@
 //! The controller: real-time iterations over a moving horizon.
 
 mod bounds;
+mod effort;
 mod settings;
 
 use std::time::Instant;
@@ -122,8 +123,6 @@ const SAMPLES_A_BLOCK: usize = 2;
 /// Where a task has no price of rates, a change over so many blocks is as dear as the effort: without one, what a model has wrong about fast waves
 /// makes commands swing between their bounds.
 const BLOCKS_A_CHANGE: f64 = 2.0;
-/// Statics along the reference are computed once in so many samples.
-const SAMPLES_A_HOLD: f64 = 5.0;
 
 impl Controller {
     /// Most iterations before the first sample, and the change of the plan below which they end.
@@ -351,45 +350,6 @@ impl Controller {
         Ok(())
     }
 
-    /// What holds the tip along its reference; `None` without one, and where it goes on for more than ten minutes.
-    pub(super) fn holding(&self) -> Option<Holding> {
-        self.reference(0.0)?;
-        let spacing = SAMPLES_A_HOLD * self.settings.period;
-        let reference = |t: f64| Vector3::from(self.reference(t).unwrap_or_default());
-        let start = &self.horizon.problem.initial.configuration;
-        Holding::along(self.rod(), start, reference, spacing, self.reference_end())
-    }
-
-    fn counts_from_holding(&self) -> bool {
-        self.settings.effort == EffortFrom::Holding && self.settings.due.is_none()
-    }
-
-    /// Writes what costs no effort at the coefficients of the present plan.
-    fn note_free(&mut self) {
-        let horizon = &self.horizon;
-        let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
-        for coefficient in 0..horizon.knots.len() {
-            let t = horizon.knots.time(coefficient);
-            // Before it is to be there, nothing holds the tip.
-            let mut tracks = horizon.problem.objective.tracking.iter();
-            let counts =
-                (tracks.find(|track| track.node == tip)).is_none_or(|track| track.counts(t));
-            let force = (self.holding.as_ref())
-                .filter(|_| counts)
-                .map(|holding| holding.force(t, self.stiffness));
-            for (c, effects) in horizon.effects.iter().enumerate() {
-                let held = match (force, &effects[..]) {
-                    (Some(force), &[(node, axis, effect)]) if node == tip && axis < 3 => {
-                        force[axis] / effect
-                    }
-                    _ => 0.0,
-                };
-                self.free[coefficient * n_components + c] =
-                    self.cancelling[c] + held / horizon.scales[c];
-            }
-        }
-    }
-
     /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
     /// between and constant outside. It takes the place of the first track of the tip. Along several places effort counts from zero: what holds the
     /// arm at all of them takes longer to compute than a sample has.
@@ -479,26 +439,6 @@ impl Controller {
     /// The actuators of the task, with their bounds.
     pub(super) fn actuators(&self) -> &[ActuatedNode] {
         self.horizon.problem.wrench_actuators()
-    }
-
-    /// Until when the reference changes, s.
-    pub(super) fn reference_end(&self) -> f64 {
-        let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
-        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
-        (track.and_then(|track| track.path.last())).map_or(0.0, |(t, _)| *t)
-    }
-
-    /// Where the tip should be at time `t` (s), by the first track of the tip or else its first target's position, m.
-    #[must_use]
-    pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
-        let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
-        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
-        let goal = || {
-            (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?)
-        };
-        (track.map(|track| track.position(t)).or_else(goal)).map(Into::into)
     }
 
     /// Starts anew from a state at `start` (s), with an empty plan and a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for
