@@ -615,6 +615,14 @@ impl Rod {
         }
     }
 
+    /// Takes over the stiffness of another rod of as many elements, times `factor`.
+    pub(crate) fn take_stiffness(&mut self, model: &Self, factor: f64) {
+        for (element, own) in self.elements.iter_mut().zip(&model.elements) {
+            element.linear_stiffness = own.linear_stiffness * factor;
+            element.angular_stiffness = own.angular_stiffness * factor;
+        }
+    }
+
     /// Total mass, payload included, kg.
     #[must_use]
     pub fn mass(&self) -> f64 {

@@ -42,10 +42,7 @@ impl Holding {
             return None;
         }
         let mut stiffer = rod.clone();
-        for element in &mut stiffer.elements {
-            element.linear_stiffness *= 1.0 + STIFFER;
-            element.angular_stiffness *= 1.0 + STIFFER;
-        }
+        stiffer.take_stiffness(rod, 1.0 + STIFFER);
         let mut shape = start.clone();
         let mut before: Option<(Vector3<f64>, [Vector3<f64>; 2])> = None;
         let forces = (0..=(end / spacing).ceil() as usize)

@@ -123,12 +123,7 @@ impl Quantity {
     fn scaled(self, rod: &Rod, factor: f64) -> Rod {
         let mut out = rod.clone();
         match self {
-            Self::Stiffness => {
-                for element in &mut out.elements {
-                    element.linear_stiffness *= factor;
-                    element.angular_stiffness *= factor;
-                }
-            }
+            Self::Stiffness => out.take_stiffness(rod, factor),
             Self::Mass => {
                 let parts = out.element_inertia.iter_mut().flatten();
                 for inertia in out.nodes.iter_mut().chain(parts) {

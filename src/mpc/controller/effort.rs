@@ -3,17 +3,22 @@
 use nalgebra::Vector3;
 
 use super::{Controller, EffortFrom};
+use crate::control::{OptimalControlProblem, Tracking};
 use crate::mpc::holding::Holding;
 
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
+/// The path that the tip follows.
+fn tip_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
+    let tip = problem.rod.tip();
+    (problem.objective.tracking.iter()).find(|track| track.node == tip)
+}
+
 impl Controller {
     /// Until when the reference changes, s.
     pub(in crate::mpc) fn reference_end(&self) -> f64 {
-        let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
-        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
+        let track = tip_track(&self.horizon.problem);
         (track.and_then(|track| track.path.last())).map_or(0.0, |(t, _)| *t)
     }
 
@@ -22,7 +27,7 @@ impl Controller {
     pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
-        let track = (problem.objective.tracking.iter()).find(|track| track.node == tip);
+        let track = tip_track(problem);
         let goal = || {
             (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?)
         };
@@ -46,14 +51,12 @@ impl Controller {
     pub(super) fn note_free(&mut self) {
         let horizon = &self.horizon;
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
+        let track = tip_track(&horizon.problem);
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient);
             // Before it is to be there, nothing holds the tip.
-            let mut tracks = horizon.problem.objective.tracking.iter();
-            let counts =
-                (tracks.find(|track| track.node == tip)).is_none_or(|track| track.counts(t));
             let force = (self.holding.as_ref())
-                .filter(|_| counts)
+                .filter(|_| track.is_none_or(|track| track.counts(t)))
                 .map(|holding| holding.force(t, self.stiffness));
             for (c, effects) in horizon.effects.iter().enumerate() {
                 let held = match (force, &effects[..]) {

@@ -83,10 +83,7 @@ impl Disturbance {
 
     /// Gives `rod`, a copy of `model`, what is wrong with the model: the stiffness times its factor, the payload and the damping.
     pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
-        for (element, own) in rod.elements.iter_mut().zip(&model.elements) {
-            element.linear_stiffness = own.linear_stiffness * self.stiffness;
-            element.angular_stiffness = own.angular_stiffness * self.stiffness;
-        }
+        rod.take_stiffness(model, self.stiffness);
         let tip = model.tip();
         rod.nodes[tip].mass = model.nodes[tip].mass + self.payload;
         rod.viscous_damping = model.viscous_damping + self.viscous;
