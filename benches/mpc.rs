@@ -68,10 +68,9 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
             effort: 0.1,
             rate: 0.003,
             tracks: vec![Track {
-                at: Place::Tip,
                 path: times.map(|t| (t, path(t))).collect(),
                 weight: Some(3e4),
-                from: 0.0,
+                ..Track::default()
             }],
             ..Cost::default()
         },

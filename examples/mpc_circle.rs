@@ -60,10 +60,9 @@ fn task() -> Task {
         cost: Cost {
             effort: 1e-2,
             tracks: vec![Track {
-                at: Place::Tip,
                 path: times.map(|t| (t, reference(t))).collect(),
                 weight: Some(1e5),
-                from: 0.0,
+                ..Track::default()
             }],
             ..Cost::default()
         },

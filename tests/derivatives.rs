@@ -3,11 +3,12 @@
 mod common;
 
 use common::{Dice, RULES, busy_arm, methods, random_state, soft_arm};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Objective, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking};
 use softarm::derivatives::mechanics::{step_linearization, symplectic_identity};
 use softarm::derivatives::{Block, Report, Verdict, check, check_motion};
 use softarm::mechanics::linearization::{Motion, StepLinearization};
+use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{Rod, State, TimeScheme, Trajectory};
 use softarm::scene::{Scene, builtin};
@@ -85,11 +86,14 @@ energy = 0.3
         let (scene, source) = Scene::from_toml("all", scene, &set).unwrap();
         let mut problem = scene.optimal_control(&source).unwrap().problem;
         let tip = problem.rod.tip();
+        let turn = Vector3::new(0.3, -0.4, 0.2);
         problem.objective = Objective {
             tracking: vec![Tracking {
                 node: 3,
                 path: vec![(0.0, Vector3::zeros()), (0.3, Vector3::new(0.1, 0.2, 0.9))],
                 weight: 2.0,
+                rotations: vec![(0.0, Matrix3::identity()), (0.3, exp(&turn))],
+                rotation_weight: 3.0,
                 from: 0.0,
             }],
             samples: 30,

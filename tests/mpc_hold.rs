@@ -32,17 +32,35 @@ fn run(text: &str, changes: &[&str]) -> (Outcome, f64) {
 /// The worked scene does what the page says of it, and with a sensor of everything, whose speeds are not exact, no less.
 #[test]
 fn the_worked_scene_holds_its_target() {
-    for changes in [
-        &[][..],
-        &[
-            "sensor=[{ preset = 'state', velocity_sigma_m_s = 0.01, angular_velocity_sigma_rad_s = 0.1 }]",
-        ],
-    ] {
+    for changes in [&[][..], &["sensor=[{ preset = 'state' }]"]] {
         let (outcome, length) = run(&worked_scene(), changes);
         let error = outcome.tip_error;
         println!("{changes:?} {error:?}");
         assert!(error.rms < 5e-3 * length, "{changes:?} {error:?}");
     }
+}
+
+/// Moments may act as well, and turn the tip: a pose is held on an arm that is softer than its model, whose material damps its fast waves.
+#[test]
+fn poses_are_held() {
+    let moments = "control.moment_max_n_m=0.2";
+    let (outcome, length) = run(&worked_scene(), &[moments]);
+    println!("{:?}", outcome.tip_error);
+    assert!(outcome.tip_error.rms < 5e-3 * length);
+    assert_eq!(outcome.tip_turn, None);
+    let (outcome, length) = run(
+        &worked_scene(),
+        &[
+            moments,
+            "damping.internal_s=0.005",
+            "task.position_m=[0.15, 0.05, -0.34]",
+            "task.orientation_wxyz=[0.0, 0.955, 0.1, 0.296]",
+        ],
+    );
+    let turn = outcome.tip_turn.unwrap();
+    println!("{:?} {turn:?}", outcome.tip_error);
+    assert!(outcome.tip_error.rms < 5e-3 * length);
+    assert!(turn.rms < 0.02, "{turn:?}");
 }
 
 /// Where the arm is the model and its state is known, a place that is followed is held more than twice as near if effort counts from what holds it than if it counts

@@ -48,6 +48,16 @@ fn files_are_read() {
     }
 }
 
+/// Rows of eight numbers are poses.
+#[test]
+fn files_have_orientations() {
+    let rows = "path_m = [[0.0, 0.0, 0.0, 0.3], [0.5, 0.05, -0.01, 0.28]]
+orientations_wxyz = [[0.0, 1.0, 0.0, 0.0, 0.0], [0.5, 0.9, 0.1, 0.0, 0.0]]";
+    let expected = read(rows, "").unwrap();
+    let file = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.3,1,0,0,0\n0.5,0.05,-0.01,0.28,0.9,0.1,0,0\n";
+    assert_eq!(read("path_csv = \"path.csv\"", file).unwrap(), expected);
+}
+
 /// What is wrong with a file is said with its name and line.
 #[test]
 fn broken_files_are_refused() {
@@ -68,6 +78,16 @@ fn broken_files_are_refused() {
             ["line 3", "increase"],
         ),
         (csv, "0,0,0,inf\n", ["line 1", "finite"]),
+        (
+            csv,
+            "0,0,0,0.3,1,0,0,0\n1,0,0,0.3\n",
+            ["line 2", "expected 8"],
+        ),
+        (
+            "path_csv = \"path.csv\"\norientations_wxyz = [[0.0, 1.0, 0.0, 0.0, 0.0]]",
+            "0,0,0,0.3,1,0,0,0\n",
+            ["quaternions", "orientations_wxyz"],
+        ),
         (
             "path_csv = \"path.csv\"\npath_m = [[0.0, 0.0, 0.0, 0.3]]",
             "0,0,0,0.3\n",
@@ -96,7 +116,7 @@ fn places_switch() {
         fs::write(&scene, format!("{SCENE}{rows}\n{more}\n")).unwrap();
         let (scene, source) = Scene::load(scene.to_str().unwrap(), &[]).unwrap();
         let problem = scene.optimal_control(&source).unwrap().problem;
-        problem.objective.tracking[0].position(t).x
+        problem.objective.tracking[0].position(t).unwrap().x
     };
     for (t, held, between) in [
         (0.0, 0.0, 0.0),

@@ -92,7 +92,7 @@ fn a_path_to_follow_is_a_term() {
         at: Place::Fraction(0.5),
         path: vec![(0.0, along(0.0)), (1.0, along(1.0))],
         weight: Some(weight),
-        from: 0.0,
+        ..Track::default()
     });
     let mut own = task();
     own.cost.terms.push(StateCost {

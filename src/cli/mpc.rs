@@ -467,6 +467,7 @@ fn summarize(
                 samples: run.samples.len(),
                 tip_error_m: tip_error,
                 tip_error_over_length: over(tip_error, length),
+                tip_turn_rad: run.tip_turn,
             };
             (run.contender.name(), summary)
         })
@@ -493,6 +494,7 @@ fn summarize(
         counted_from_s: own.counted_from,
         tip_error_m: tip_error,
         tip_error_over_length: over(tip_error, length),
+        tip_turn_rad: run.tip_turn,
         baselines,
         fallbacks: tally.fallbacks.clone(),
         bounded: tally.bounded,
@@ -548,6 +550,12 @@ fn advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
     let is_damped = own.arm.viscous_damping > 0.0 || own.arm.internal_damping > 0.0;
     if !is_damped {
         what.push("[damping] gives the model the damping that a real arm has");
+    }
+    let turns = (own.task.actuators.iter()).any(|actuator| actuator.moment.acts());
+    if is_damped && turns && own.arm.internal_damping == 0.0 {
+        what.push(
+            "damping.internal_s damps the fast waves that a moment excites, as a real elastomer does",
+        );
     }
     what.push("--baselines tells what the plant, the time and the controller have in it");
     vec![format!(
@@ -611,27 +619,33 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
         summary.counted_from_s
     ));
     console.say("                          rms      95 %   largest      last");
-    let line = |name: &str, error: &TipError, status: &str| {
-        let percent = [error.rms, error.p95, error.max, error.last].map(|e| {
+    let line = |name: &str, error: &TipError, unit: f64, status: &str| {
+        let numbers = [error.rms, error.p95, error.max, error.last].map(|e| {
             if e.is_finite() {
-                format!("{:9.4}", 100.0 * e)
+                format!("{:9.4}", e / unit)
             } else {
                 format!("{:>9}", "-")
             }
         });
         let ending = if status == "completed" { "" } else { status };
-        console.say(&format!("  {name:18} {} {ending}", percent.join(" ")));
+        console.say(&format!("  {name:18} {} {ending}", numbers.join(" ")));
     };
-    for contender in BASELINES {
-        if let Some(found) = summary.baselines.get(contender.name()) {
-            line(label(contender), &found.tip_error_over_length, found.status);
-        }
+    let found = (BASELINES.into_iter())
+        .filter_map(|other| Some((label(other), summary.baselines.get(other.name())?)));
+    for (name, other) in found.clone() {
+        line(name, &other.tip_error_over_length, 0.01, other.status);
     }
-    line(
-        label(Contender::Mpc),
-        &summary.tip_error_over_length,
-        summary.status,
-    );
+    let own = label(Contender::Mpc);
+    line(own, &summary.tip_error_over_length, 0.01, summary.status);
+    if let Some(turn) = &summary.tip_turn_rad {
+        console.say("angle of the tip from how it should be turned, in rad");
+        for (name, other) in found {
+            if let Some(turn) = &other.tip_turn_rad {
+                line(name, turn, 1.0, other.status);
+            }
+        }
+        line(own, turn, 1.0, summary.status);
+    }
     for sentence in &summary.advice {
         console.warn(sentence);
     }

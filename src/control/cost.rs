@@ -1,12 +1,14 @@
 //! The part of the objective that depends on the states: least squares of rows, sampled over the horizon.
 
-use nalgebra::{SVector, Vector3};
+use nalgebra::{DMatrix, Matrix3, SVector, Vector3};
 
 use super::path::{
     RodView, RowCurvature, RowGradient, along, at, element_curvature, element_form, term_curvature,
+    vector_forms,
 };
 use super::problem::OptimalControlProblem;
-use crate::mechanics::strain::IntervalStress;
+use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
+use crate::mechanics::strain::{IntervalStress, log_second_derivative};
 use crate::mechanics::{Rod, StrainRule};
 
 /// `½ r²` and the gradient of `r`.
@@ -60,15 +62,31 @@ pub fn cost_rows(
     let t = rod_view.grid.time(k);
     let tracked = &problem.objective.tracking;
     for tracking in tracked.iter().filter(|tracking| tracking.counts(t)) {
-        let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
-        let distance = rod_view.trajectory.positions_at(k)[tracking.node] - tracking.position(t);
-        rows.extend((0..3).map(|axis| CostRow {
-            residual: factor * distance[axis],
-            gradient: at(
-                k,
-                along(tracking.node, 0, &Vector3::ith(axis, factor)).collect(),
-            ),
-        }));
+        let node = tracking.node;
+        let mut add = |from: usize, factor: f64, off: &Vector3<f64>, slope: &Matrix3<f64>| {
+            rows.extend((0..3).map(|axis| CostRow {
+                residual: factor * off[axis],
+                gradient: at(
+                    k,
+                    along(node, from, &(slope.column(axis) * factor)).collect(),
+                ),
+            }));
+        };
+        if let Some(place) = tracking.position(t) {
+            let off = rod_view.trajectory.positions_at(k)[node] - place;
+            let factor = (tracking.weight * duration).sqrt() / problem.rod.scales.length;
+            add(0, factor, &off, &Matrix3::identity());
+        }
+        if let Some(psi) = tracking.turn(t, &rod_view.trajectory.rotations_at(k)[node]) {
+            // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
+            let slope = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+            add(
+                3,
+                (tracking.rotation_weight * duration).sqrt(),
+                &psi,
+                &slope,
+            );
+        }
     }
     for cost in &problem.objective.terms {
         let factor = (cost.weight * duration).sqrt();
@@ -143,7 +161,7 @@ fn energy_rows(
     add(6, &element.angular_stiffness, &angular, weight);
 }
 
-/// `Σ r ∇²r` at one sample: of the energy, and of terms of one's own.
+/// `Σ r ∇²r` at one sample: of the energy, of orientations to follow, and of terms of one's own.
 #[must_use]
 pub fn cost_curvature(
     problem: &OptimalControlProblem,
@@ -153,6 +171,19 @@ pub fn cost_curvature(
 ) -> Vec<RowCurvature> {
     let rod = &problem.rod;
     let mut bent = Vec::new();
+    let t = rod_view.grid.time(k);
+    let tracked = &problem.objective.tracking;
+    for tracking in tracked.iter().filter(|tracking| tracking.counts(t)) {
+        let r = &rod_view.trajectory.rotations_at(k)[tracking.node];
+        if let Some(psi) = tracking.turn(t, r) {
+            let weighted = psi * (tracking.rotation_weight * duration);
+            let matrix = log_second_derivative(&psi, &weighted);
+            bent.push(RowCurvature {
+                forms: vector_forms(k, tracking.node, 3),
+                matrix: DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)]),
+            });
+        }
+    }
     for cost in &problem.objective.terms {
         for item in 0..cost.term.n_values(rod) {
             let value = cost.term.value(&rod_view.view(k), item);

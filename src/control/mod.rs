@@ -44,6 +44,7 @@ pub mod search;
 pub mod second_opinion;
 mod static_need;
 mod term;
+mod tracking;
 mod tracking_error;
 #[doc(hidden)]
 pub mod transcription;
@@ -62,13 +63,14 @@ pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
 pub use problem::{
     ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
-    Objective, OptimalControlProblem, Tracking,
+    Objective, OptimalControlProblem,
 };
 #[doc(hidden)]
 pub use problem::{Component, GoalRow};
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use static_need::{StaticNeed, StaticNeedError, static_need};
 pub use term::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
+pub use tracking::Tracking;
 pub use tracking_error::{TrackingError, tracking_errors};
 #[doc(hidden)]
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};

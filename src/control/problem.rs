@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::hold::ControlGrid;
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
 use super::term::StateCost;
+use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
@@ -165,42 +166,6 @@ impl Goal {
             parts.extend([GoalPart::Velocity, GoalPart::AngularVelocity]);
         }
         parts
-    }
-}
-
-/// Part of a second by which times that are the same may differ.
-const SAME_TIME: f64 = 1e-9;
-
-/// A weighted distance of a node from where it should be, from a time on.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Tracking {
-    /// The node.
-    pub node: usize,
-    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside.
-    pub path: Vec<(f64, Vector3<f64>)>,
-    /// Weight of `½ |x - x*|²/L²`, per second.
-    pub weight: f64,
-    /// Time from which on the distance counts, s.
-    pub from: f64,
-}
-
-impl Tracking {
-    /// Whether the distance counts at time `t`.
-    #[must_use]
-    pub fn counts(&self, t: f64) -> bool {
-        t >= self.from - SAME_TIME * (1.0 + self.from.abs())
-    }
-
-    /// Where the node should be at time `t`.
-    #[must_use]
-    pub fn position(&self, t: f64) -> Vector3<f64> {
-        let next = self.path.partition_point(|&(time, _)| time <= t);
-        let at = |i: usize| self.path.get(i).copied();
-        match (next.checked_sub(1).and_then(at), at(next)) {
-            (Some((t0, x0)), Some((t1, x1))) => x0 + (x1 - x0) * ((t - t0) / (t1 - t0)),
-            (Some((_, x)), None) | (None, Some((_, x))) => x,
-            (None, None) => Vector3::zeros(),
-        }
     }
 }
 

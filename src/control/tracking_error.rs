@@ -1,20 +1,33 @@
 //! The distance of a motion from the paths that it should follow.
 
 use super::problem::OptimalControlProblem;
+use super::tracking::Tracking;
 use crate::mechanics::Trajectory;
 
-/// Distances of a node from where it should be.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+/// Distances of a node from where it should be, and from how it should be turned; those that nothing asks for are absent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TrackingError {
     /// The node.
     pub node: usize,
     /// `sqrt(1/T ∫ |x - x*|² dt)` over the time `T` in which the distance counts, by the trapezoidal rule over its time nodes, m; 0 where it
     /// never counts.
-    pub rms_m: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_m: Option<f64>,
     /// Largest at any time node at which it counts, m; NaN if any is.
-    pub max_m: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_m: Option<f64>,
     /// Time of the largest, s.
-    pub max_at_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_at_s: Option<f64>,
+    /// `sqrt(1/T ∫ |log(R*ᵀ R)|² dt)`, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_rad: Option<f64>,
+    /// Largest of these angles, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_rad: Option<f64>,
+    /// Time of the largest, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_rad_at_s: Option<f64>,
 }
 
 /// The error of every path that the objective wants to be followed, in their order.
@@ -24,37 +37,72 @@ pub fn tracking_errors(
     trajectory: &Trajectory,
 ) -> Vec<TrackingError> {
     let grid = problem.grid;
-    let of = |tracking: &super::Tracking| {
-        let first = (0..=grid.n_steps).find(|&k| tracking.counts(grid.time(k)));
-        // It counts to the end, or never.
-        let first = first.unwrap_or(grid.n_steps + 1);
-        let (mut sum, mut max_m, mut at) = (0.0, 0.0, first.min(grid.n_steps));
-        for k in first..=grid.n_steps {
-            let should = tracking.position(grid.time(k));
-            let off = (trajectory.positions_at(k)[tracking.node] - should).norm();
-            let is_end = k == first || k == grid.n_steps;
-            sum += off * off * if is_end { 0.5 } else { 1.0 };
-            if !(off <= max_m) && !f64::is_nan(max_m) {
-                (max_m, at) = (off, k);
-            }
-        }
+    let of = |tracking: &Tracking| {
+        let node = tracking.node;
+        let place = |k: usize| {
+            let should = tracking.position(grid.time(k))?;
+            Some((trajectory.positions_at(k)[node] - should).norm())
+        };
+        let turn = |k: usize| {
+            let r = &trajectory.rotations_at(k)[node];
+            Some(tracking.turn(grid.time(k), r)?.norm())
+        };
+        let [rms_m, max_m, max_at_s] = sized(problem, tracking, place);
+        let [rms_rad, max_rad, max_rad_at_s] = sized(problem, tracking, turn);
         TrackingError {
-            node: tracking.node,
-            rms_m: (sum / grid.n_steps.saturating_sub(first).max(1) as f64).sqrt(),
+            node,
+            rms_m,
             max_m,
-            max_at_s: grid.time(at),
+            max_at_s,
+            rms_rad,
+            max_rad,
+            max_rad_at_s,
         }
     };
     problem.objective.tracking.iter().map(of).collect()
 }
 
+/// Root mean square and largest of distances at time nodes, and the time of the largest.
+fn sized(
+    problem: &OptimalControlProblem,
+    tracking: &Tracking,
+    off: impl Fn(usize) -> Option<f64>,
+) -> [Option<f64>; 3] {
+    let grid = problem.grid;
+    let first = (0..=grid.n_steps).find(|&k| tracking.counts(grid.time(k)));
+    // It counts to the end, or never.
+    let first = first.unwrap_or(grid.n_steps + 1);
+    let (mut sum, mut max, mut at) = (0.0, 0.0, first.min(grid.n_steps));
+    for k in first..=grid.n_steps {
+        let Some(off) = off(k) else {
+            return [None; 3];
+        };
+        let is_end = k == first || k == grid.n_steps;
+        sum += off * off * if is_end { 0.5 } else { 1.0 };
+        if !(off <= max) && !f64::is_nan(max) {
+            (max, at) = (off, k);
+        }
+    }
+    let intervals = grid.n_steps.saturating_sub(first).max(1);
+    [(sum / intervals as f64).sqrt(), max, grid.time(at)].map(Some)
+}
+
 /// In words, for the terminal and the report.
 impl std::fmt::Display for TrackingError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "{:.3e} m rms, at most {:.3e} m (t = {:.4} s)",
-            self.rms_m, self.max_m, self.max_at_s
-        )
+        let mut separator = "";
+        for (sizes, unit) in [
+            ([self.rms_m, self.max_m, self.max_at_s], "m"),
+            ([self.rms_rad, self.max_rad, self.max_rad_at_s], "rad"),
+        ] {
+            if let [Some(rms), Some(max), Some(at)] = sizes {
+                write!(
+                    f,
+                    "{separator}{rms:.3e} {unit} rms, at most {max:.3e} {unit} (t = {at:.4} s)"
+                )?;
+                separator = "; ";
+            }
+        }
+        Ok(())
     }
 }

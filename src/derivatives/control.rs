@@ -169,7 +169,7 @@ fn objective_blocks(
     for (i, track) in whole.tracking.iter().enumerate() {
         add(
             format!("objective.track.{i}"),
-            track.weight,
+            track.weight.max(track.rotation_weight),
             Objective {
                 tracking: vec![track.clone()],
                 ..nothing.clone()

@@ -27,6 +27,13 @@ impl Wrench {
             moment: Vector3::new(u[3], u[4], u[5]),
         }
     }
+
+    /// Components in the same order.
+    #[must_use]
+    pub fn to_array(&self) -> [f64; 6] {
+        let (f, m) = (&self.force, &self.moment);
+        [f.x, f.y, f.z, m.x, m.y, m.z]
+    }
 }
 
 /// The frame that a load is given in.

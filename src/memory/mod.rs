@@ -283,7 +283,12 @@ fn n_cost_rows(problem: &OptimalControlProblem) -> usize {
     } else {
         0
     };
-    let a_time = energy + 3 * objective.tracking.len();
+    let followed = (objective.tracking.iter())
+        .map(|track| {
+            3 * usize::from(!track.path.is_empty()) + 3 * usize::from(!track.rotations.is_empty())
+        })
+        .sum::<usize>();
+    let a_time = energy + followed;
     if a_time == 0 {
         return 0;
     }

@@ -3,6 +3,7 @@
 mod bounds;
 mod effort;
 mod settings;
+mod step_length;
 
 use std::time::Instant;
 
@@ -86,6 +87,10 @@ pub struct Controller {
     /// Scaled coefficients of the plan, and those of the sample before on their way to the present knots.
     plan: Vec<f64>,
     before: Vec<f64>,
+    /// The plan before the last correction, on the present knots, what it costs by the linearized motion, and what is as good as nothing.
+    trusted: Vec<f64>,
+    expected: f64,
+    negligible: f64,
     before_knots: Knots,
     /// Effort and rate: `C` is tridiagonal in the coefficients, the same for every component.
     weights: [f64; 2],
@@ -116,7 +121,7 @@ pub struct Controller {
 }
 
 /// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
-/// several forces, of which effort counts from one.
+/// several forces, of which effort counts from one. A tip that is turned as well has one shape, and a loop gain that a wrong stiffness bears less of.
 const HELD_NEARER: f64 = 10.0;
 /// Samples of paths in a block of a horizon that recedes, at most.
 const SAMPLES_A_BLOCK: usize = 2;
@@ -164,14 +169,14 @@ impl Controller {
             // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
             if settings.due.is_none() {
                 target.at_rest = false;
-                task.cost
-                    .tracks
-                    .extend(target.position.take().map(|place| Track {
-                        at: target.at,
-                        path: vec![(0.0, place)],
-                        weight: None,
-                        from: 0.0,
-                    }));
+                let place = target.position.take().map(|place| (0.0, place));
+                let turn = target.rotation.take().map(|rotation| (0.0, rotation));
+                task.cost.tracks.push(Track {
+                    at: target.at,
+                    path: place.into_iter().collect(),
+                    rotations: turn.into_iter().collect(),
+                    ..Track::default()
+                });
             }
         }
         (task.targets).retain(|target| {
@@ -183,7 +188,9 @@ impl Controller {
         cut.step = Some(step);
         let mut problem = task.discretize(arm, &cut)?.discrete;
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
-            held.weight *= HELD_NEARER;
+            if held.rotations.is_empty() {
+                held.weight *= HELD_NEARER;
+            }
         }
         problem.grid.step = step;
         problem.grid.n_steps = (settings.horizon / step).round().max(1.0) as usize;
@@ -209,6 +216,9 @@ impl Controller {
             subproblem: Subproblem::new(n, 2 * n, horizon.n_limit_rows()),
             plan: vec![0.0; n],
             before: vec![0.0; n],
+            trusted: vec![0.0; n],
+            expected: f64::INFINITY,
+            negligible: horizon.negligible_cost(),
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
@@ -360,7 +370,9 @@ impl Controller {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
         let tracks = &problem.objective.tracking;
-        let Some(track) = tracks.iter().position(|track| track.node == tip) else {
+        let Some(track) =
+            (tracks.iter()).position(|track| track.node == tip && !track.path.is_empty())
+        else {
             return Err(MpcError::Unsupported(
                 "nothing follows a path; give the task a track of the tip, whatever its path",
             ));
@@ -450,6 +462,8 @@ impl Controller {
         self.check(state)?;
         self.horizon.start.clone_from(state);
         self.plan.fill(0.0);
+        self.trusted.fill(0.0);
+        self.expected = f64::INFINITY;
         self.acting.fill(0.0);
         self.acts = false;
         self.horizon.place(start, self.settings.due);
@@ -458,23 +472,11 @@ impl Controller {
         self.settle(Self::RESTART)
     }
 
-    /// Iterates until the plan does not change any more, at most so many times.
-    fn settle(&mut self, most: usize) -> Result<(), MpcError> {
-        self.model()?;
-        for _ in 0..most {
-            self.correct()?;
-            self.model()?;
-            if self.record.change < Self::FIRST.1 {
-                break;
-            }
-        }
-        Ok(())
-    }
-
     /// The plan as it is, as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be the expected
     /// one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
     pub fn plan_alone(&mut self, start: f64) -> &Command {
         self.state.clone_from(&self.horizon.start);
+        self.trusted.copy_from_slice(&self.plan);
         self.issue(start);
         &self.command
     }
@@ -574,7 +576,7 @@ impl Controller {
 
     /// Linearizes the plan's motion from the expected start, and factors its Hessian.
     fn model(&mut self) -> Result<(), MpcError> {
-        self.horizon.roll_out(&self.plan)?;
+        self.roll_out()?;
         self.horizon.linearize()?;
         self.condense()
     }
@@ -675,6 +677,8 @@ impl Controller {
         if !self.change.iter().all(|x| x.is_finite()) {
             return Err(MpcError::Subproblem);
         }
+        self.trusted.copy_from_slice(&self.plan);
+        self.expected = cost + self.control_cost() + self.subproblem.soft.cost();
         let mut largest = 0.0f64;
         for (v, x) in self.plan.iter_mut().zip(&self.change).take(present) {
             *v += x;
@@ -757,17 +761,19 @@ impl Controller {
     /// Moves the horizon to `start` with the plan as the same function of time, constant where it is new.
     fn carry_over(&mut self, start: f64) {
         let n_components = self.horizon.components.len();
-        self.before.copy_from_slice(&self.plan);
         self.before_knots.clone_from(&self.horizon.knots);
         if !self.horizon.place(start, self.settings.due) {
             return;
         }
-        for index in 0..self.horizon.knots.len() {
-            let pair = self.before_knots.at(self.horizon.knots.time(index));
-            for c in 0..n_components {
-                self.plan[index * n_components + c] = (pair.iter())
-                    .map(|(i, w)| w * self.before[i * n_components + c])
-                    .sum();
+        for plan in [&mut self.plan, &mut self.trusted] {
+            self.before.copy_from_slice(plan);
+            for index in 0..self.horizon.knots.len() {
+                let pair = self.before_knots.at(self.horizon.knots.time(index));
+                for c in 0..n_components {
+                    plan[index * n_components + c] = (pair.iter())
+                        .map(|(i, w)| w * self.before[i * n_components + c])
+                        .sum();
+                }
             }
         }
     }

@@ -3,16 +3,24 @@
 //! An effort that counts from zero pulls the arm off its target for ever, by what the target's weight allows. Counted from the control that holds
 //! the arm there at rest, it weighs the ways to get there and leaves no offset (Rawlings, Mayne and Diehl 2017, section 1.5).
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
-use crate::mechanics::{Configuration, Rod};
+use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::{Configuration, Rod, Wrench};
 
-/// The force at the tip, N, that holds a model at the places of a reference, at rest.
+/// Where the tip should be (m) and how it should be turned (body to space), as far as something asks for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::mpc) struct TipPose {
+    pub position: Option<Vector3<f64>>,
+    pub rotation: Option<Matrix3<f64>>,
+}
+
+/// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that holds a model at the poses of a reference, at rest.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
     /// At multiples of `spacing` from time 0 on: of the model, and its derivative by the factor on its stiffness.
-    forces: Vec<[Vector3<f64>; 2]>,
+    wrenches: Vec<[Vector6<f64>; 2]>,
     spacing: f64,
 }
 
@@ -21,20 +29,22 @@ const SPRING: f64 = 100.0;
 /// Stiffness over that of the arm across from which on the tip need not be where it should be: that of an arm along itself is some hundred times
 /// larger.
 const STIFFEST: f64 = 20.0;
-/// Steps of Gauss-Newton, and way over the length by which their derivatives are differences.
+/// Stiffness across of an arm whose tip must not turn over that of one whose tip may: `12 EI/L³` and `3 EI/L³`.
+const CLAMPED: f64 = 4.0;
+/// Steps of Gauss-Newton, and way over the length or turn by which their derivatives are differences.
 const AIMS: usize = 2;
 const NUDGE: f64 = 1e-4;
-/// Change of the stiffness by which the force is differentiated.
+/// Change of the stiffness by which the wrench is differentiated.
 const STIFFER: f64 = 0.1;
 /// Longest reference that statics are computed along, s.
 const LONGEST: f64 = 600.0;
 
 impl Holding {
-    /// Along `reference`, a place of the tip at every time up to `end`, from near the shape `start`; `None` where it goes on for too long.
+    /// Along `reference`, a pose of the tip at every time up to `end`, from near the shape `start`; `None` where it goes on for too long.
     pub fn along(
         rod: &Rod,
         start: &Configuration,
-        reference: impl Fn(f64) -> Vector3<f64>,
+        reference: impl Fn(f64) -> TipPose,
         spacing: f64,
         end: f64,
     ) -> Option<Self> {
@@ -44,79 +54,144 @@ impl Holding {
         let mut stiffer = rod.clone();
         stiffer.take_stiffness(rod, 1.0 + STIFFER);
         let mut shape = start.clone();
-        let mut before: Option<(Vector3<f64>, [Vector3<f64>; 2])> = None;
-        let forces = (0..=(end / spacing).ceil() as usize)
+        let mut before: Option<(TipPose, [Vector6<f64>; 2])> = None;
+        let wrenches = (0..=(end / spacing).ceil() as usize)
             .map(|i| {
                 let t = i as f64 * spacing;
                 let target = reference(t);
-                if let Some((place, forces)) = before.filter(|(place, _)| *place == target) {
-                    before = Some((place, forces));
-                    return forces;
+                if let Some((_, wrenches)) = before.filter(|(pose, _)| *pose == target) {
+                    return wrenches;
                 }
-                let own = force(rod, &mut shape, target, t);
+                let own = Search::new(rod, target, t).wrench(&mut shape);
                 // From there: an arm that is pressed together may be held in several shapes.
-                let other = force(&stiffer, &mut shape.clone(), target, t);
-                let forces = [own, (other - own) / STIFFER];
-                before = Some((target, forces));
-                forces
+                let other = Search::new(&stiffer, target, t).wrench(&mut shape.clone());
+                let wrenches = [own, (other - own) / STIFFER];
+                before = Some((target, wrenches));
+                wrenches
             })
             .collect();
-        Some(Self { forces, spacing })
+        Some(Self { wrenches, spacing })
     }
 
     /// At time `t` (s), of the model with `stiffness` times its own.
-    pub fn force(&self, t: f64, stiffness: f64) -> Vector3<f64> {
+    pub fn wrench(&self, t: f64, stiffness: f64) -> Wrench {
         let at = (t / self.spacing).max(0.0);
-        let last = self.forces.len() - 1;
+        let last = self.wrenches.len() - 1;
         let (i, s) = ((at as usize).min(last), at.fract());
-        let of = |[own, slope]: [Vector3<f64>; 2]| own + slope * (stiffness - 1.0);
-        of(self.forces[i]) * (1.0 - s) + of(self.forces[(i + 1).min(last)]) * s
+        let of = |[own, slope]: [Vector6<f64>; 2]| own + slope * (stiffness - 1.0);
+        let found = of(self.wrenches[i]) * (1.0 - s) + of(self.wrenches[(i + 1).min(last)]) * s;
+        Wrench {
+            force: found.fixed_rows::<3>(0).into(),
+            moment: found.fixed_rows::<3>(3).into(),
+        }
     }
 }
 
-/// The force that holds the tip of `rod` at `target`, from near `shape`, which follows: the least of `|x - x*|² + λ |F|²` over where a spring pulls
-/// the tip to. Where the arm is as stiff as along itself, it need not give way: a target that lies a little out of reach asks for no force
-/// that bends it.
-fn force(rod: &Rod, shape: &mut Configuration, target: Vector3<f64>, t: f64) -> Vector3<f64> {
-    // Of a cantilever, and of its weight as a pendulum's.
-    let own = (3.0 * rod.scales.force + rod.mass() * rod.gravity.norm()) / rod.scales.length;
-    let stiffness = SPRING * own;
-    let tip = rod.tip();
-    let held = |aim: Vector3<f64>, from: &Configuration| {
-        let spring = TipSpring {
-            position: Some((aim, stiffness)),
-            rotation: None,
-        };
-        static_equilibrium(rod, from, t, &spring).ok()
-    };
-    let least = 1.0 / (STIFFEST * own);
-    let nudge = NUDGE * rod.scales.length;
-    let mut aim = target;
-    for _ in 0..AIMS {
-        let Some(found) = held(aim, shape) else {
-            break;
-        };
-        *shape = found;
-        let place = shape.positions[tip];
-        let columns = [0, 1, 2].map(|axis| {
-            let mut moved = aim;
-            moved[axis] += nudge;
-            held(moved, shape).map(|moved| (moved.positions[tip] - place) / nudge)
-        });
-        let [Some(x), Some(y), Some(z)] = columns else {
-            break;
-        };
-        let slope = Matrix3::from_columns(&[x, y, z]);
-        let give = (Matrix3::identity() - slope) * stiffness * least;
-        let force = (aim - place) * stiffness * least;
-        let square = slope.tr_mul(&slope) + give.tr_mul(&give);
-        let Some(inverse) = square.try_inverse() else {
-            break;
-        };
-        aim += inverse * (slope.tr_mul(&(target - place)) - give.tr_mul(&force));
+/// A tip that springs pull: it is to be at a pose. Vectors of six are a way over the length and a turn in rad, each from the target, and wrenches
+/// in the units that the arm's stiffness across gives them.
+struct Search<'a> {
+    rod: &'a Rod,
+    target: TipPose,
+    t: f64,
+    /// N/m: of a cantilever, and of its weight as a pendulum's.
+    own: f64,
+}
+
+impl<'a> Search<'a> {
+    fn new(rod: &'a Rod, target: TipPose, t: f64) -> Self {
+        let own = (3.0 * rod.scales.force + rod.mass() * rod.gravity.norm()) / rod.scales.length;
+        Self {
+            rod,
+            target,
+            t,
+            own,
+        }
     }
-    let place = held(aim, shape).map_or(aim, |found| found.positions[tip]);
-    (aim - place) * stiffness
+
+    /// Springs that pull to `aim`.
+    fn spring(&self, aim: &Vector6<f64>) -> TipSpring {
+        let (length, stiffness) = (self.rod.scales.length, SPRING * self.own);
+        let way: Vector3<f64> = aim.fixed_rows::<3>(0) * length;
+        let turn: Vector3<f64> = aim.fixed_rows::<3>(3).into();
+        TipSpring {
+            position: (self.target.position).map(|place| (place + way, stiffness)),
+            rotation: (self.target.rotation)
+                .map(|rotation| (rotation * exp(&turn), stiffness * length * length)),
+        }
+    }
+
+    /// Shape at rest under springs that pull to `aim`, from near another.
+    fn held(&self, aim: &Vector6<f64>, from: &Configuration) -> Option<Configuration> {
+        static_equilibrium(self.rod, from, self.t, &self.spring(aim)).ok()
+    }
+
+    /// How far the tip is from the target, and the wrench of the springs.
+    fn read(&self, aim: &Vector6<f64>, shape: &Configuration) -> [Vector6<f64>; 2] {
+        let (tip, length) = (self.rod.tip(), self.rod.scales.length);
+        let (x, r) = (&shape.positions[tip], &shape.rotations[tip]);
+        let way = (self.target.position).map_or_else(Vector3::zeros, |place| (x - place) / length);
+        let turn = (self.target.rotation)
+            .map_or_else(Vector3::zeros, |rotation| log(&(rotation.transpose() * r)));
+        let pull = self.spring(aim).wrench(x, r);
+        let force = pull.force / (self.own * length);
+        let moment = pull.moment / (self.own * length * length);
+        let both = |a: Vector3<f64>, b: Vector3<f64>| Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z);
+        [both(way, turn), both(force, moment)]
+    }
+
+    /// The wrench that holds the tip at the target, from near `shape`, which follows: the least of `|ξ|² + λ² |W|²` over where springs pull the
+    /// tip to, with the distance `ξ` and the wrench `W`. Where the arm is as stiff as along itself, it need not give way: a target that lies a
+    /// little out of reach asks for no force that bends it.
+    fn wrench(&self, shape: &mut Configuration) -> Vector6<f64> {
+        let is_held = |axis: usize| {
+            if axis < 3 {
+                self.target.position.is_some()
+            } else {
+                self.target.rotation.is_some()
+            }
+        };
+        let clamped = self.target.position.and(self.target.rotation).is_some();
+        let least = 1.0 / (STIFFEST * if clamped { CLAMPED } else { 1.0 });
+        let mut aim = Vector6::zeros();
+        for _ in 0..AIMS {
+            let Some(found) = self.held(&aim, shape) else {
+                break;
+            };
+            *shape = found;
+            let [off, pull] = self.read(&aim, shape);
+            let (mut slope, mut give) = (Matrix6::identity(), Matrix6::zeros());
+            for axis in (0..6).filter(|axis| is_held(*axis)) {
+                let mut moved = aim;
+                moved[axis] += NUDGE;
+                let Some(there) = self.held(&moved, shape) else {
+                    return self.at(&aim, shape);
+                };
+                let [off_there, pull_there] = self.read(&moved, &there);
+                slope.set_column(axis, &((off_there - off) / NUDGE));
+                give.set_column(axis, &((pull_there - pull) * (least / NUDGE)));
+            }
+            let square = slope.tr_mul(&slope) + give.tr_mul(&give);
+            let Some(inverse) = square.try_inverse() else {
+                break;
+            };
+            aim -= inverse * (slope.tr_mul(&off) + give.tr_mul(&(pull * least)));
+        }
+        self.at(&aim, shape)
+    }
+
+    /// N and N m, where springs pull to `aim`; none where nothing is at rest there.
+    fn at(&self, aim: &Vector6<f64>, shape: &Configuration) -> Vector6<f64> {
+        let Some(found) = self.held(aim, shape) else {
+            return Vector6::zeros();
+        };
+        let [_, mut pull] = self.read(aim, &found);
+        let length = self.rod.scales.length;
+        let mut force = pull.fixed_rows_mut::<3>(0);
+        force *= self.own * length;
+        let mut moment = pull.fixed_rows_mut::<3>(3);
+        moment *= self.own * length * length;
+        pull
+    }
 }
 
 #[cfg(test)]
@@ -132,7 +207,10 @@ mod tests {
         let section = SectionProfile::Uniform(Section::circle(&material, 0.01));
         let rod = Rod::new(&RodParameters::straight(0.5, 20, section)).expect("a rod");
         let way = 1e-3;
-        let reference = |t: f64| Vector3::new(way * t.min(1.0), 0.0, 0.5);
+        let reference = |t: f64| TipPose {
+            position: Some(Vector3::new(way * t.min(1.0), 0.0, 0.5)),
+            rotation: None,
+        };
         let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 1.0).expect("short");
         let expected = 3.0 * rod.scales.force * way / rod.scales.length;
         for (t, stiffness, part) in [
@@ -141,12 +219,34 @@ mod tests {
             (0.55, 1.0, 0.55),
             (1.0, 0.8, 0.8),
         ] {
-            let force = holding.force(t, stiffness).x / expected;
+            let force = holding.wrench(t, stiffness).force.x / expected;
             assert!(
                 (force / part - 1.0).abs() < 5e-3,
                 "{t} {stiffness}: {force}"
             );
         }
         assert!(Holding::along(&rod, &rod.rest, reference, 0.1, 1e4).is_none());
+    }
+    /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
+    /// `4 θ - 6 d` of a beam that is clamped at both ends.
+    #[test]
+    fn wrenches_are_those_of_a_clamped_beam() {
+        let material = Material::isotropic(1e6, 0.5, 1000.0);
+        let section = SectionProfile::Uniform(Section::circle(&material, 0.01));
+        let rod = Rod::new(&RodParameters::straight(0.5, 20, section)).expect("a rod");
+        let (way, turn) = (1e-3, 1e-3);
+        let reference = |_: f64| TipPose {
+            position: Some(Vector3::new(way, 0.0, 0.5)),
+            rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
+        };
+        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 0.0).expect("short");
+        let found = holding.wrench(0.0, 1.0);
+        let across = way / rod.scales.length;
+        let force = (12.0 * across - 6.0 * turn) * rod.scales.force;
+        let moment = (4.0 * turn - 6.0 * across) * rod.scales.moment;
+        assert!((found.force.x / force - 1.0).abs() < 0.02, "{found:?}");
+        assert!((found.moment.y / moment - 1.0).abs() < 0.02, "{found:?}");
+        let others = [found.force.y, found.moment.x, found.moment.z];
+        assert!(others.iter().all(|other| other.abs() < 1e-9), "{found:?}");
     }
 }

@@ -29,11 +29,19 @@ use crate::mechanics::{
     FormTerm, NodeWrenches, Rod, State, StateForm, StepperMemory, TimeGrid, Trajectory, Wrench,
 };
 
+/// Part of the length, or of a radian.
+const NEGLIGIBLE: f64 = 1e-4;
+
 /// What a row of the residuals is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Quantity {
     /// A node's distance from its path, one axis, over the rod's length.
     Track {
+        index: usize,
+        axis: usize,
+    },
+    /// A node's rotation from how its track wants it turned, one axis, rad.
+    TrackRotation {
         index: usize,
         axis: usize,
     },
@@ -506,6 +514,27 @@ impl Horizon {
         0.5 * moved.iter().map(|r| r * r).sum::<f64>()
     }
 
+    /// `½ |r|²` of the present horizon, from the motion of the last roll-out.
+    pub fn cost(&mut self) -> f64 {
+        for at in self.first_row..self.rows.len() {
+            self.evaluate(at);
+        }
+        let present = &self.residuals[self.first_row..];
+        0.5 * present.iter().map(|r| r * r).sum::<f64>()
+    }
+
+    /// What it costs that all that is followed or aimed at is off by a ten-thousandth of the length or of a radian, all the time.
+    pub fn negligible_cost(&self) -> f64 {
+        let length = self.problem.rod.scales.length;
+        let of = |row: &Row| match row.quantity {
+            Quantity::Track { .. } | Quantity::Position { .. } => row.factor * length,
+            Quantity::TrackRotation { .. } | Quantity::Rotation { .. } => row.factor,
+            Quantity::Velocity { .. } | Quantity::Spin { .. } | Quantity::Limit { .. } => 0.0,
+        };
+        let square: f64 = self.rows.iter().map(|row| of(row).powi(2)).sum();
+        0.5 * NEGLIGIBLE * NEGLIGIBLE * square
+    }
+
     /// Position of a node at time node `k` of the last roll-out, m.
     pub fn position(&self, k: usize, node: usize) -> Vector3<f64> {
         self.trajectory.positions_at(k)[node]
@@ -533,13 +562,19 @@ impl Horizon {
                 let track = &self.problem.objective.tracking[index];
                 let x = self.trajectory.positions_at(k)[track.node];
                 let t = self.grid.time(k);
-                let counts = track.counts(t);
-                form.terms[0].coefficient = if counts { factor } else { 0.0 };
-                if counts {
-                    (x - track.position(t))[axis]
-                } else {
-                    0.0
-                }
+                let place = track.position(t).filter(|_| track.counts(t));
+                form.terms[0].coefficient = if place.is_some() { factor } else { 0.0 };
+                place.map_or(0.0, |place| (x - place)[axis])
+            }
+            Quantity::TrackRotation { index, axis } => {
+                let track = &self.problem.objective.tracking[index];
+                let r = self.trajectory.rotations_at(k)[track.node];
+                let t = self.grid.time(k);
+                let psi = track.turn(t, &r).filter(|_| track.counts(t));
+                let own = if psi.is_some() { factor } else { 0.0 };
+                let psi = psi.unwrap_or_default();
+                write_turn(form, own, psi, axis);
+                psi[axis]
             }
             Quantity::Position { goal, axis } => {
                 let goal = &goals[goal];
@@ -550,11 +585,7 @@ impl Horizon {
                 let goal = &goals[goal];
                 let r = self.trajectory.rotations_at(k)[goal.node];
                 let psi = log(&(goal.rotation.unwrap_or(r).transpose() * r));
-                let c = InverseTangentCoefficients::at(psi.norm_squared());
-                let slope = log_tangent(&psi, &c);
-                for (i, term) in form.terms.iter_mut().enumerate() {
-                    term.coefficient = factor * slope[(i, axis)];
-                }
+                write_turn(form, factor, psi, axis);
                 psi[axis]
             }
             Quantity::Velocity { goal, axis } => {
@@ -570,6 +601,14 @@ impl Horizon {
             Quantity::Limit { .. } => 0.0,
         };
         self.residuals[at] = factor * value;
+    }
+}
+
+/// The form of `factor` times one axis of a rotation vector `ψ = log(R*ᵀ R)`: `δψ = Sᵀ ζ`.
+fn write_turn(form: &mut StateForm, factor: f64, psi: Vector3<f64>, axis: usize) {
+    let slope = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+    for (i, term) in form.terms.iter_mut().enumerate() {
+        term.coefficient = factor * slope[(i, axis)];
     }
 }
 
@@ -602,9 +641,15 @@ fn rows(
     for (time_node, duration) in crate::control::sample_times(problem) {
         for (index, track) in problem.objective.tracking.iter().enumerate() {
             let factor = (track.weight * duration).sqrt() / rod.scales.length;
-            for axis in 0..3 {
+            for axis in (0..3).filter(|_| !track.path.is_empty()) {
                 let terms = vec![one(track.node, axis, factor)];
                 push(time_node, Quantity::Track { index, axis }, factor, terms);
+            }
+            let factor = (track.rotation_weight * duration).sqrt();
+            for axis in (0..3).filter(|_| !track.rotations.is_empty()) {
+                let terms = (0..3).map(|i| one(track.node, 3 + i, 0.0)).collect();
+                let quantity = Quantity::TrackRotation { index, axis };
+                push(time_node, quantity, factor, terms);
             }
         }
     }

@@ -19,7 +19,7 @@
 //! use nalgebra::Vector3;
 //! use softarm::mechanics::{Material, State, stable_step};
 //! use softarm::mpc::{Controller, MpcSettings, Plant as _, RodPlant};
-//! use softarm::task::{Arm, Cost, Discretization, Place, Task, Track};
+//! use softarm::task::{Arm, Cost, Discretization, Task, Track};
 //!
 //! let silicone = Material::isotropic(1e6, 0.5, 1000.0);
 //! let arm = Arm::cylinder(&silicone, 1.0, 0.05);
@@ -29,7 +29,7 @@
 //!     targets: Vec::new(),
 //!     cost: Cost {
 //!         effort: 0.01,
-//!         tracks: vec![Track { at: Place::Tip, path, weight: Some(1e4), from: 0.0 }],
+//!         tracks: vec![Track { path, weight: Some(1e4), ..Track::default() }],
 //!         ..Cost::default()
 //!     },
 //!     ..Task::reach(upright, 1.0, 20.0)

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::controller::Command;
 use super::error::MpcError;
@@ -207,6 +207,12 @@ impl<'a> SimulatedArm<'a> {
     #[must_use]
     pub fn tip(&self) -> Vector3<f64> {
         self.stepper.position(self.rod.tip())
+    }
+
+    /// Orientation of the tip, body to space.
+    #[must_use]
+    pub fn tip_rotation(&self) -> Matrix3<f64> {
+        self.stepper.state().configuration.rotations[self.rod.tip()]
     }
 
     /// What acts on the nodes of the commands now.

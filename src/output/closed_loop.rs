@@ -56,6 +56,9 @@ pub struct MpcSummary {
     pub tip_error_m: TipError,
     /// The same over the length of the arm.
     pub tip_error_over_length: TipError,
+    /// Angle of the tip from how it should be turned, rad; absent where nothing asks for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip_turn_rad: Option<TipError>,
     /// Other laws, and this one with parts taken away that may be wrong; empty without `--baselines`.
     pub baselines: BTreeMap<&'static str, BaselineSummary>,
     /// Samples without a command of their own, by the cause.
@@ -104,10 +107,13 @@ pub struct BaselineSummary {
     pub tip_error_m: TipError,
     /// The same over the length of the arm.
     pub tip_error_over_length: TipError,
+    /// Angle of the tip from how it should be turned, rad; absent where nothing asks for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip_turn_rad: Option<TipError>,
 }
 
 /// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
-const COLUMNS: [&str; 55] = [
+const COLUMNS: [&str; 56] = [
     "t",
     "acts_from",
     "age",
@@ -118,6 +124,7 @@ const COLUMNS: [&str; 55] = [
     "reference_y",
     "reference_z",
     "error",
+    "turn",
     "innovation_n",
     "innovation_rms",
     "innovation_normalized",
@@ -199,6 +206,8 @@ pub struct SampleRow {
     pub reference: Option<[f64; 3]>,
     /// Distance of the tip from there, m; NaN without a reference.
     pub error: f64,
+    /// Angle of the tip from how it should have been turned, rad; NaN where nothing asks for it.
+    pub turn: f64,
     /// First force of the command, spatial, N.
     pub force: [f64; 3],
     /// First moment of the command, body frame, N m.
@@ -229,6 +238,7 @@ impl SampleRow {
             acts_from: sample.acts_from,
             reference: sample.reference,
             error: sample.tip_error(),
+            turn: sample.turn.unwrap_or(f64::NAN),
             force: sample.wrench.force.into(),
             moment: sample.wrench.moment.into(),
             disturbance: numbers(&sample.disturbance),
@@ -278,6 +288,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         acts_from,
         reference,
         error,
+        turn,
         force,
         estimated,
         deviation,
@@ -287,13 +298,14 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         "acts_from",
         "reference_x",
         "error",
+        "turn",
         "fx",
         "estimated_tip_fx",
         "deviation_tip_fx",
         "estimate_ms",
     ]
     .map(column);
-    let (t, acts_from, reference, error) = (t?, acts_from?, reference?, error?);
+    let (t, acts_from, reference, error, turn) = (t?, acts_from?, reference?, error?, turn?);
     let (force, estimated, deviation, times) = (force?, estimated?, deviation?, times?);
     let mut rows = Vec::new();
     for record in reader.records() {
@@ -308,15 +320,19 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         };
         let three = |at| Ok([number(at)?, number(at + 1)?, number(at + 2)?]);
         let has_reference = !text(reference).is_empty();
+        let known = |at: usize| {
+            if text(at).is_empty() {
+                Ok(f64::NAN)
+            } else {
+                number(at)
+            }
+        };
         let mut row = SampleRow {
             t: number(t)?,
             acts_from: number(acts_from)?,
             reference: has_reference.then(|| three(reference)).transpose()?,
-            error: if has_reference {
-                number(error)?
-            } else {
-                f64::NAN
-            },
+            error: known(error)?,
+            turn: known(turn)?,
             force: three(force)?,
             moment: three(force + 3)?,
             disturbance: [0.0; 12],
@@ -349,6 +365,7 @@ fn row(sample: &Sample) -> Vec<String> {
         }
         None => row.nothing(4),
     }
+    row.optional(sample.turn);
     match &sample.innovation {
         Some(innovation) => {
             row.0.push(innovation.n.to_string());

@@ -152,7 +152,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// Exactly one of a table of points, a circle and a figure eight; `section` is the key of the track.
+    /// A table of points, a circle or a figure eight, or none of them where there are orientations; `section` is the key of the track.
     pub(super) fn check_path(&self, section: &str, track: &Track) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         let circle = track.circle.as_ref().map(Turns::from);
@@ -162,17 +162,35 @@ impl Keys<'_> {
             ("circle", circle.is_some()),
             ("figure_eight", eight.is_some()),
         ];
-        if kinds.iter().all(|(_, given)| !given) {
-            let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight";
+        let turns = &track.orientations_wxyz;
+        if !turns.is_empty() {
+            self.table(&key("orientations_wxyz"), turns, "any orientation")?;
+            for (point, &[_, w, x, y, z]) in turns.iter().enumerate() {
+                self.nonzero(&key(&format!("orientations_wxyz.{point}")), &[w, x, y, z])?;
+            }
+        } else if track.orientation_weight.is_some() {
+            return Err(self.missing(&key("orientations_wxyz"), "goes with orientation_weight"));
+        }
+        let goes_somewhere = kinds.iter().any(|(_, given)| *given);
+        if !goes_somewhere && turns.is_empty() {
+            let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight, or \
+                            orientations_wxyz";
             return Err(self.missing(&key("path_m"), relation));
         }
-        self.exactly_one(section, &kinds)?;
+        if goes_somewhere {
+            self.exactly_one(section, &kinds)?;
+        } else if track.weight.is_some() {
+            return Err(self.missing(&key("path_m"), "goes with weight"));
+        }
         if track.switches && track.path_m.is_empty() {
             return Err(self.missing(&key("path_m"), "goes with switches"));
         }
         let circle = circle.map(|turns| ("circle", turns));
         let Some((name, turns)) = circle.or(eight.map(|turns| ("figure_eight", turns))) else {
-            return self.table(&key("path_m"), &track.path_m, "a circle");
+            return match &track.path_m[..] {
+                [] => Ok(()),
+                rows => self.table(&key("path_m"), rows, "a circle"),
+            };
         };
         let key = |part: &str| key(&format!("{name}.{part}"));
         self.finite(&key("center_m"), &turns.center)?;

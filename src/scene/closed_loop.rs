@@ -124,7 +124,7 @@ impl Scene {
         for (track, discrete) in
             (objective.track.iter_mut()).zip(&posed.discrete.objective.tracking)
         {
-            track.weight = Some(known(discrete.weight));
+            track.take_weights(discrete);
         }
         let tip = posed.discrete.actuators.first();
         objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
@@ -158,6 +158,7 @@ impl Scene {
             (task.cost.tracks.iter_mut()).zip(&posed.discrete.objective.tracking)
         {
             track.weight = Some(discrete.weight);
+            track.rotation_weight = Some(discrete.rotation_weight);
         }
         task.cost.force_scale = tip.map(|tip| tip.force.scale);
         task.cost.moment_scale = tip.map(|tip| tip.moment.scale);

@@ -41,7 +41,7 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
     let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
     let path = folder.join(&name);
     let refuse = |message: String| {
-        let help = "a row a point, t in s, x, y and z in m, with increasing t; a first row of names and lines that begin with # are passed over";
+        let help = "a row a point, t in s, x, y and z in m, with increasing t, and after them, if it is to be turned, the quaternion w, x, y, z; a first row of names and lines that begin with # are passed over";
         source.error_at(
             &key,
             format!("{}: {message}", path.display()),
@@ -55,6 +55,7 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
         .trim(csv::Trim::All)
         .from_path(&path)
         .map_err(|error| refuse(error.to_string()))?;
+    let mut turns = Vec::new();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(|error| refuse(error.to_string()))?;
         let line = record
@@ -62,12 +63,7 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
             .map_or(index as u64 + 1, csv::Position::line);
         let numbers: Result<Vec<f64>, _> = record.iter().map(str::parse).collect();
         let row = match numbers {
-            Ok(numbers) => <[f64; 4]>::try_from(numbers).map_err(|numbers| {
-                refuse(format!(
-                    "line {line} has {} numbers, expected 4",
-                    numbers.len()
-                ))
-            })?,
+            Ok(numbers) => numbers,
             Err(_) if index == 0 => continue,
             Err(_) => {
                 let words = record.iter().find(|word| word.parse::<f64>().is_err());
@@ -83,15 +79,30 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
                 "line {line} has a number that is not finite"
             )));
         }
-        if track
-            .path_m
-            .last()
-            .is_some_and(|before| !(before[0] < row[0]))
-        {
+        let expected = match (track.path_m.is_empty(), row.len()) {
+            (true, 4 | 8) => row.len(),
+            (true, _) => 4,
+            (false, _) if turns.is_empty() => 4,
+            (false, _) => 8,
+        };
+        if row.len() != expected {
+            let n = row.len();
+            let message = format!("line {line} has {n} numbers, expected {expected}");
+            return Err(refuse(message));
+        }
+        if (track.path_m.last()).is_some_and(|before| !(before[0] < row[0])) {
             return Err(refuse(format!("line {line}: t does not increase")));
         }
-        track.path_m.push(row);
+        track.path_m.push([row[0], row[1], row[2], row[3]]);
+        if let [t, _, _, _, w, x, y, z] = row[..] {
+            turns.push([t, w, x, y, z]);
+        }
     }
+    if !turns.is_empty() && !track.orientations_wxyz.is_empty() {
+        let message = "path_csv has quaternions, and there are orientations_wxyz";
+        return Err(source.error_at(&key, message, Some("leave one out".into())));
+    }
+    track.orientations_wxyz.append(&mut turns);
     if track.path_m.is_empty() {
         return Err(refuse("there is no row of numbers".into()));
     }

@@ -141,6 +141,14 @@ impl Scene {
                     .zip(&problem.discrete.objective.tracking))
                 .map(|(track, discrete)| Track {
                     node: at(track.at),
+                    orientations_wxyz: (track.rotations.iter())
+                        .map(|(t, r)| {
+                            let [w, x, y, z] = wxyz(r);
+                            [*t, w, x, y, z]
+                        })
+                        .collect(),
+                    orientation_weight: (!track.rotations.is_empty())
+                        .then(|| known(discrete.rotation_weight)),
                     path_m: (track.path.iter())
                         .map(|&(t, x)| [t, x.x, x.y, x.z])
                         .collect(),
@@ -148,7 +156,7 @@ impl Scene {
                     figure_eight: None,
                     path_csv: None,
                     switches: false,
-                    weight: Some(known(discrete.weight)),
+                    weight: (!track.path.is_empty()).then(|| known(discrete.weight)),
                     from_s: (discrete.from > 0.0).then(|| known(discrete.from)),
                 })
                 .collect(),

@@ -2,10 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::model::{Base, Circle, FigureEight, Track};
-use super::values::Number;
+use super::values::{Number, known};
+use crate::control::Tracking;
 use crate::mechanics::rotation::from_quaternion;
 
 /// Points a turn, and a ramp: chords between them are `r (1 - cos(π/360))`, four parts in 100 000 of the radius, off the circle.
@@ -14,6 +15,20 @@ const POINTS: f64 = 360.0;
 const MOST_POINTS: f64 = 1e6;
 
 impl Track {
+    /// Takes the weights that were chosen for it, of what it follows.
+    pub(super) fn take_weights(&mut self, chosen: &Tracking) {
+        self.weight = (!chosen.path.is_empty()).then(|| known(chosen.weight));
+        self.orientation_weight =
+            (!chosen.rotations.is_empty()).then(|| known(chosen.rotation_weight));
+    }
+
+    /// Times in s and orientations, body to space.
+    pub(super) fn rotations(&self) -> Vec<(f64, Matrix3<f64>)> {
+        (self.orientations_wxyz.iter())
+            .map(|&[t, w, x, y, z]| (t, from_quaternion([w, x, y, z])))
+            .collect()
+    }
+
     /// Times in s and positions in m, up to `end` in s at least where the path turns.
     pub(super) fn path(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
         if let Some(circle) = &self.circle {

@@ -258,7 +258,7 @@ impl Scene {
             }
             let mut objective = self.objective.clone().unwrap_or_default();
             for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-                track.weight = Some(known(tracking.weight));
+                track.take_weights(tracking);
             }
             let tip = problem.actuators.first();
             resolved.objective = Some(Objective {
@@ -497,6 +497,8 @@ impl Scene {
                         at: track.node.place(elements),
                         path: track.path(end),
                         weight: track.weight.map(Number::get),
+                        rotations: track.rotations(),
+                        rotation_weight: track.orientation_weight.map(Number::get),
                         from: track.from_s.map_or(0.0, Number::get),
                     })
                     .collect(),

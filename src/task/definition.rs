@@ -71,15 +71,22 @@ pub struct Target {
     pub tolerances: Tolerances,
 }
 
-/// A place that should follow a path: `weight/2 ∫ |x - x*|²/L² dt` in the objective, from a time on.
-#[derive(Clone, Debug, PartialEq)]
+/// A place that should follow a path of positions, of orientations, or of both:
+/// `∫ weight/2 |x - x*|²/L² + rotation_weight/2 |log(R*ᵀ R)|² dt` in the objective, from a time on.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
     /// The place on the arm.
     pub at: Place,
-    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside.
+    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside. Empty: anywhere.
     pub path: Vec<(f64, Vector3<f64>)>,
     /// Weight, 1/s. `None`: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of itself.
     pub weight: Option<f64>,
+    /// How it should be turned: `(t, R*)`, body to space, with increasing times; at constant speed about one axis in between, constant
+    /// outside. Empty: in any way.
+    pub rotations: Vec<(f64, Matrix3<f64>)>,
+    /// Weight of the orientation, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by one part in 10 000 of
+    /// itself.
+    pub rotation_weight: Option<f64>,
     /// Time from which on it should be there, s: the place meets what moves along the path, and goes along with it.
     pub from: f64,
 }
@@ -197,7 +204,7 @@ impl ChannelLimits {
         }
     }
 
-    pub(super) fn acts(&self) -> bool {
+    pub(crate) fn acts(&self) -> bool {
         (self.bound).is_none_or(|bound| (0..3).any(|axis| bound.actuates(axis)))
     }
 }

@@ -3,12 +3,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
-use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task, Track};
+use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
-use super::tracking::default_weight;
+use super::tracking::default_weights;
 use crate::control::path::thinnest;
 use crate::control::{
     ActuatedNode, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective,
@@ -166,7 +166,7 @@ impl Task {
             },
         )?;
         let actuators = self.actuators(&rod);
-        let default_weight = default_weight(self.cost.effort, &rod, &actuators);
+        let default_weights = default_weights(self.cost.effort, &rod, &actuators);
         let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
         let actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
@@ -195,7 +195,9 @@ impl Task {
                     .map(|track| Tracking {
                         node: track.at.node(rod.tip()),
                         path: track.path.clone(),
-                        weight: track.weight.unwrap_or(default_weight),
+                        weight: track.weight.unwrap_or(default_weights[0]),
+                        rotations: track.rotations.clone(),
+                        rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
                         from: track.from,
                     })
                     .collect(),
@@ -287,11 +289,25 @@ impl Task {
                 return refuse("actuator.at", actuator.at.fraction(), expected);
             }
         }
-        let is_weighed = |track: &Track| track.weight.is_some();
-        if self.actuators.is_empty() && !self.cost.tracks.iter().all(is_weighed) {
-            let expected =
-                "given: what holds the arm without a wrench that may be chosen is not known";
-            return refuse("track.weight", f64::NAN, expected);
+        for track in self
+            .cost
+            .tracks
+            .iter()
+            .filter(|_| self.actuators.is_empty())
+        {
+            for (what, is_followed, weight) in [
+                ("track.weight", !track.path.is_empty(), track.weight),
+                (
+                    "track.rotation_weight",
+                    !track.rotations.is_empty(),
+                    track.rotation_weight,
+                ),
+            ] {
+                if is_followed && weight.is_none() {
+                    let expected = "given: what holds the arm without a wrench that may be chosen is not known";
+                    return refuse(what, f64::NAN, expected);
+                }
+            }
         }
         for limit in &self.limits {
             if let Some(rate) = limit.rate

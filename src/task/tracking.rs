@@ -1,4 +1,4 @@
-//! The weight of a path to follow that has no weight of its own.
+//! The weights of a path to follow that has no weights of its own.
 
 use crate::control::{ActuatedNode, Bound, Channel};
 use crate::mechanics::Rod;
@@ -10,9 +10,20 @@ const MISSED: f64 = 1e-4;
 /// over the length, misses `ξ*` by the part [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
 ///
 /// `c` are the displacements of a straight clamped arm over its length under one unit of each part of the wrench: `f L²/(3EI)` of a force
-/// `f` across the tip and `m L/(2EI)` of a moment `m`. Actuators on other nodes count as if they were on the tip,
-/// and where there are only actuators of one's own, a force of the size of the rod counts in their place.
-pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> f64 {
+/// `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)` and `m L/(EI)`. Actuators on
+/// other nodes count as if they were on the tip, and where there are only actuators of one's own, a force of the size of the rod counts in
+/// their place. The weight of a position comes first, then that of an orientation.
+pub(super) fn default_weights(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> [f64; 2] {
+    [[3.0, 2.0], [2.0, 1.0]].map(|stiffness| default_weight(effort, rod, actuators, stiffness))
+}
+
+/// Of one of them; `stiffness` is that of the arm against a force and a moment, in `EI/L²` and `EI/L`.
+fn default_weight(
+    effort: f64,
+    rod: &Rod,
+    actuators: &[ActuatedNode],
+    [across, about]: [f64; 2],
+) -> f64 {
     let acts = |channel: &Channel| {
         (channel.bound).is_none_or(|bound: Bound| (0..3).any(|axis| bound.actuates(axis)))
     };
@@ -22,10 +33,14 @@ pub(super) fn default_weight(effort: f64, rod: &Rod, actuators: &[ActuatedNode])
             .map(|channel| channel.scale / unit)
             .fold(0.0, f64::max)
     };
-    let by_force = held(&|actuator| actuator.force, 3.0 * rod.scales.force);
-    let by_moment = held(&|actuator| actuator.moment, 2.0 * rod.scales.moment);
+    let by_force = held(&|actuator| actuator.force, across * rod.scales.force);
+    let by_moment = held(&|actuator| actuator.moment, about * rod.scales.moment);
     let effort = if effort > 0.0 { effort } else { 1.0 };
     let squares = by_force * by_force + by_moment * by_moment;
-    let squares = if squares > 0.0 { squares } else { 1.0 / 9.0 };
+    let squares = if squares > 0.0 {
+        squares
+    } else {
+        1.0 / (across * across)
+    };
     effort / (MISSED * squares)
 }

@@ -367,9 +367,18 @@ pub(super) fn add_state_cost(
     let (rod, objective) = (&problem.rod, &problem.objective);
     let mut cost = 0.0;
     for tracking in objective.tracking.iter().filter(|own| own.counts(t)) {
-        let off = (pose.x[tracking.node] - tracking.position(t)) / rod.scales.length;
-        cost += 0.5 * tracking.weight * duration * off.norm_squared();
-        cx[tracking.node] += off * (tracking.weight * duration / rod.scales.length);
+        let node = tracking.node;
+        if let Some(place) = tracking.position(t) {
+            let off = (pose.x[node] - place) / rod.scales.length;
+            cost += 0.5 * tracking.weight * duration * off.norm_squared();
+            cx[node] += off * (tracking.weight * duration / rod.scales.length);
+        }
+        if let Some(should) = tracking.rotation(t) {
+            // The slope of half the squared angle along body rotations is the rotation vector itself.
+            let off = log(&(should.transpose() * pose.r[node]));
+            cost += 0.5 * tracking.rotation_weight * duration * off.norm_squared();
+            ceta[node] += off * (tracking.rotation_weight * duration);
+        }
     }
     for state_cost in &objective.terms {
         let term = &*state_cost.term;

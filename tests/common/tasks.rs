@@ -164,6 +164,11 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
                     (0.2, Vector3::new(0.1, 0.0, 0.7)),
                 ],
                 weight: 20.0,
+                rotations: vec![
+                    (0.0, exp(&Vector3::new(0.2, 0.0, 0.1))),
+                    (0.2, exp(&Vector3::new(0.0, 0.3, -0.4))),
+                ],
+                rotation_weight: 5.0,
                 from: 0.05,
             }],
             samples: 30,

@@ -38,10 +38,9 @@ pub fn task(largest_force: f64) -> Task {
         cost: Cost {
             effort: 0.1,
             tracks: vec![Track {
-                at: Place::Tip,
                 path: corners.collect(),
                 weight: Some(1e4),
-                from: 0.0,
+                ..Track::default()
             }],
             ..Cost::default()
         },

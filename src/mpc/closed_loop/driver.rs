@@ -224,10 +224,15 @@ impl Driver {
             Known::Measurements => self.estimate(t, &mut sample),
             Known::Nothing(cause) => Some(cause),
         };
-        sample.tip = self.state.configuration.positions[self.controller.rod().tip()].into();
-        sample.reference = match known {
-            Known::Nothing(_) => None,
-            Known::State(_) | Known::Measurements => self.controller.reference(self.known_at),
+        let tip = self.controller.rod().tip();
+        sample.tip = self.state.configuration.positions[tip].into();
+        (sample.reference, sample.turn) = match known {
+            Known::Nothing(_) => (None, None),
+            Known::State(_) | Known::Measurements => {
+                let rotation = &self.state.configuration.rotations[tip];
+                let turn = self.controller.turn_from_reference(self.known_at, rotation);
+                (self.controller.reference(self.known_at), turn)
+            }
         };
         sample.estimate_s = self.begin.elapsed().as_secs_f64();
 

@@ -230,6 +230,8 @@ pub struct Outcome {
     pub samples: Vec<Sample>,
     /// Distances from the reference.
     pub tip_error: TipError,
+    /// Angles from how the tip should be turned, rad; `None` where nothing asks for it.
+    pub tip_turn: Option<TipError>,
     /// Times and fall-backs.
     pub tally: Tally,
     /// Where the arm's motion broke down, if it did.
@@ -356,6 +358,7 @@ impl Experiment {
         Ok(Outcome {
             contender,
             tip_error: TipError::of(&samples, self.counted_from),
+            tip_turn: TipError::of_turns(&samples, self.counted_from),
             tally: Tally::of(&samples, period),
             transfer_error: closed.arm().transfer_error(),
             samples,

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::mechanics::State;
+use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Command, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::Holding;
@@ -83,14 +83,15 @@ impl TipLaw {
         let h = controller.settings().period;
         let wanted = (reference(start + h) - reference(start)) / h;
         let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;
-        let holding = self.holding.force(start, 1.0);
+        let holding = self.holding.wrench(start, 1.0);
         let off = reference(start) - state.configuration.positions[tip];
-        let force = holding + self.stiffness * off + self.damping * (wanted - velocity);
+        let force = holding.force + self.stiffness * off + self.damping * (wanted - velocity);
         let mut command = controller.still(start);
         for (at, node) in command.nodes.iter().enumerate() {
             if *node == tip && force.iter().all(|f| f.is_finite()) {
-                command.from[at].force = force;
-                command.to[at].force = force;
+                let wrench = Wrench { force, ..holding };
+                command.from[at] = wrench;
+                command.to[at] = wrench;
             }
         }
         controller.within_bounds(&mut command);

@@ -207,6 +207,8 @@ impl<'a> ClosedLoop<'a> {
         let period = self.controller().settings().period;
         let t = self.driver.next_sample() as f64 * period;
         let tip = self.arm.tip();
+        let turns = self.controller().reference_rotation(t).is_some();
+        let rotation = turns.then(|| self.arm.tip_rotation());
         let mut sample = if self.driver.estimates() {
             self.deliver(t);
             self.driver.respond(t, Known::Measurements)
@@ -216,6 +218,8 @@ impl<'a> ClosedLoop<'a> {
         };
         sample.tip = tip.into();
         sample.reference = self.controller().reference(t);
+        sample.turn =
+            rotation.and_then(|rotation| self.controller().turn_from_reference(t, &rotation));
         self.arm.send(self.driver.told());
         self.driver.prepare(&mut sample);
         self.move_on(self.driver.next_sample() as f64 * period)?;

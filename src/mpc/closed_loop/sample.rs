@@ -21,6 +21,8 @@ pub struct Sample {
     pub tip: [f64; 3],
     /// Where the tip should have been, m.
     pub reference: Option<[f64; 3]>,
+    /// Angle between the tip's true orientation and how it should have been turned, rad.
+    pub turn: Option<f64>,
     /// The last measurement beside what was expected.
     pub innovation: Option<Innovation>,
     /// `½ |r|²` of tracks and targets that the controller predicted.
@@ -57,6 +59,7 @@ impl Sample {
             age: 0.0,
             tip: [0.0; 3],
             reference: None,
+            turn: None,
             innovation: None,
             predicted_cost: 0.0,
             subproblem: SubproblemEnd {
@@ -124,7 +127,7 @@ impl Percentiles {
     }
 }
 
-/// Distances of the tip from its reference, m.
+/// Distances of the tip from its reference, m, or angles, rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TipError {
     /// At the last sample.
@@ -144,6 +147,14 @@ impl TipError {
     pub fn of(samples: &[Sample], after: f64) -> Self {
         let counted = samples.iter().filter(|sample| sample.t >= after);
         Self::of_distances(&counted.map(Sample::tip_error).collect::<Vec<f64>>())
+    }
+
+    /// Of the orientation, rad; `None` where nothing asks for one.
+    #[must_use]
+    pub fn of_turns(samples: &[Sample], after: f64) -> Option<Self> {
+        let counted = samples.iter().filter(|sample| sample.t >= after);
+        let turns: Vec<f64> = counted.filter_map(|sample| sample.turn).collect();
+        (!turns.is_empty()).then(|| Self::of_distances(&turns))
     }
 
     /// Of distances in the order of time, m; NaN and 0 of none.

@@ -1,25 +1,38 @@
 //! Where the tip should be, and the control from which effort is counted.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
 use crate::control::{OptimalControlProblem, Tracking};
-use crate::mpc::holding::Holding;
+use crate::mechanics::rotation::log;
+use crate::mpc::holding::{Holding, TipPose};
 
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
+/// The tracks of the tip.
+fn tip_tracks(problem: &OptimalControlProblem) -> impl Iterator<Item = &Tracking> {
+    let tip = problem.rod.tip();
+    (problem.objective.tracking.iter()).filter(move |track| track.node == tip)
+}
+
 /// The path that the tip follows.
 fn tip_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
-    let tip = problem.rod.tip();
-    (problem.objective.tracking.iter()).find(|track| track.node == tip)
+    tip_tracks(problem).find(|track| !track.path.is_empty())
+}
+
+/// How the tip is to be turned.
+fn tip_turns(problem: &OptimalControlProblem) -> Option<&Tracking> {
+    tip_tracks(problem).find(|track| !track.rotations.is_empty())
 }
 
 impl Controller {
     /// Until when the reference changes, s.
     pub(in crate::mpc) fn reference_end(&self) -> f64 {
-        let track = tip_track(&self.horizon.problem);
-        (track.and_then(|track| track.path.last())).map_or(0.0, |(t, _)| *t)
+        let problem = &self.horizon.problem;
+        let place = tip_track(problem).and_then(|track| Some(track.path.last()?.0));
+        let turn = tip_turns(problem).and_then(|track| Some(track.rotations.last()?.0));
+        place.unwrap_or(0.0).max(turn.unwrap_or(0.0))
     }
 
     /// Where the tip should be at time `t` (s), by the first track of the tip or else its first target's position, m.
@@ -31,14 +44,40 @@ impl Controller {
         let goal = || {
             (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?)
         };
-        (track.map(|track| track.position(t)).or_else(goal)).map(Into::into)
+        (track.and_then(|track| track.position(t)).or_else(goal)).map(Into::into)
+    }
+
+    /// How the tip should be turned at time `t` (s), by the first track of the tip that says so or else its first target's orientation, body to
+    /// space.
+    #[must_use]
+    pub fn reference_rotation(&self, t: f64) -> Option<Matrix3<f64>> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let track = tip_turns(problem);
+        let goal = || {
+            (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.rotation)?)
+        };
+        track.and_then(|track| track.rotation(t)).or_else(goal)
+    }
+
+    /// Angle between a rotation of the tip and [how it should be turned](Self::reference_rotation) at time `t` (s), rad.
+    pub(in crate::mpc) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
+        (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
     }
 
     /// What holds the tip along its reference; `None` without one, and where it goes on for more than ten minutes.
     pub(in crate::mpc) fn holding(&self) -> Option<Holding> {
-        self.reference(0.0)?;
+        let tip = self.horizon.problem.rod.tip();
+        let mut effects = self.horizon.effects.iter().flatten();
+        let turns = effects.any(|&(node, axis, _)| node == tip && axis >= 3);
+        let reference = |t: f64| TipPose {
+            position: self.reference(t).map(Vector3::from),
+            rotation: self.reference_rotation(t).filter(|_| turns),
+        };
+        if reference(0.0) == TipPose::default() {
+            return None;
+        }
         let spacing = SAMPLES_A_HOLD * self.settings.period;
-        let reference = |t: f64| Vector3::from(self.reference(t).unwrap_or_default());
         let start = &self.horizon.problem.initial.configuration;
         Holding::along(self.rod(), start, reference, spacing, self.reference_end())
     }
@@ -51,18 +90,16 @@ impl Controller {
     pub(super) fn note_free(&mut self) {
         let horizon = &self.horizon;
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
-        let track = tip_track(&horizon.problem);
+        let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient);
             // Before it is to be there, nothing holds the tip.
-            let force = (self.holding.as_ref())
-                .filter(|_| track.is_none_or(|track| track.counts(t)))
-                .map(|holding| holding.force(t, self.stiffness));
+            let wrench = (self.holding.as_ref())
+                .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)))
+                .map(|holding| holding.wrench(t, self.stiffness).to_array());
             for (c, effects) in horizon.effects.iter().enumerate() {
-                let held = match (force, &effects[..]) {
-                    (Some(force), &[(node, axis, effect)]) if node == tip && axis < 3 => {
-                        force[axis] / effect
-                    }
+                let held = match (&wrench, &effects[..]) {
+                    (Some(wrench), &[(node, axis, effect)]) if node == tip => wrench[axis] / effect,
                     _ => 0.0,
                 };
                 self.free[coefficient * n_components + c] =

@@ -30,10 +30,9 @@ fn controller(bound: f64) -> Controller {
         }],
         cost: Cost {
             tracks: vec![Track {
-                at: Place::Tip,
                 path,
                 weight: Some(1e4),
-                from: 0.0,
+                ..Track::default()
             }],
             ..Cost::default()
         },

@@ -10,11 +10,11 @@ use super::covariance::{Row, Rows};
 use super::readings::{Kind, Layout, Reader};
 use super::{Estimate, EstimateError, Innovation};
 
-/// Standard deviation of what is told to be exact, over the arm's own scales of length, time and force.
+/// Standard deviation over the arm's own scales of length, time and force, up to which a signal counts as exact, and what is then taken for it.
 const EXACT: f64 = 1e-6;
-/// The same of velocities: they hold the fast waves of an arm, which no model of some elements has right. Taken for exact, they would be explained
-/// by a wrong stiffness, another one at every sample.
-const EXACT_VELOCITY: f64 = 1e-3;
+/// What is taken for it of velocities: they hold the fast waves of an arm, which no model of some elements has right. Taken for exact, they would
+/// be explained by a wrong stiffness, another one at every sample.
+const EXACT_VELOCITY: f64 = 1e-2;
 /// `|RᵀR - I|` of a measured rotation, at most; what is below is taken to the nearest rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
 
@@ -96,7 +96,7 @@ impl Comparison {
             self.rows.signals.push(Row {
                 end: self.rows.terms.len(),
                 residual,
-                sigma: signal.sigma.max(least_part(kind) * scale(kind, rod)),
+                sigma: believable(signal.sigma, kind, scale(kind, rod)),
             });
             if kind == Kind::Position && self.nearest.is_none_or(|(other, _)| other <= place) {
                 self.nearest = Some((place, residual.norm()));
@@ -151,11 +151,14 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
     Ok(())
 }
 
-/// The part of its unit that a reading of a kind is off by, at least.
-fn least_part(kind: Kind) -> f64 {
+/// The standard deviation of a reading: that of the sensor, or where the sensor says that it is exact, the least that a filter can make use of.
+fn believable(sigma: f64, kind: Kind, unit: f64) -> f64 {
+    if sigma > EXACT * unit {
+        return sigma;
+    }
     match kind {
-        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY,
-        _ => EXACT,
+        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY * unit,
+        _ => EXACT * unit,
     }
 }
 

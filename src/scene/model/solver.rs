@@ -36,7 +36,8 @@ pub struct Objective {
     pub moment_scale_n_m: Option<Positive<values::Moment>>,
 }
 
-/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time.
+/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time, and
+/// `orientation_weight` times half the squared angle from how it should be turned.
 ///
 /// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,7 +54,7 @@ pub struct Track {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switches: bool,
     /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that begin
-    /// with # are passed over.
+    /// with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub path_csv: Option<String>,
     /// A circle, instead of `path_m`.
@@ -67,6 +68,14 @@ pub struct Track {
     /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
+    /// How it should be turned, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar first: at constant
+    /// speed about one axis in between, constant before and after. A row alone holds at all times. With a path or without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub orientations_wxyz: Vec<[f64; 5]>,
+    /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by one part in
+    /// 10 000 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_weight: Option<Positive<values::Weight>>,
     /// Time in s from which on the node should be there, not negative: it meets what moves along the path, and goes along with it. Absent: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_s: Option<NonNegative<values::Time>>,

@@ -33,11 +33,15 @@ pub(crate) fn closed_loop_page(
     let own = &setup.experiment;
     let period = own.mpc.period;
     let task = &own.task;
-    let follows = !task.cost.tracks.is_empty() && thin.iter().all(|s| s.reference.is_some());
+    let has_path = (task.cost.tracks.iter()).any(|track| !track.path.is_empty());
+    let follows = has_path && thin.iter().all(|s| s.reference.is_some());
     let mut charts = Vec::new();
     // A path to follow has a chart of its own.
     if !follows && thin.iter().any(|sample| sample.error.is_finite()) {
         charts.push(error_chart(&thin));
+    }
+    if thin.iter().any(|sample| sample.turn.is_finite()) {
+        charts.push(turn_chart(&thin));
     }
     charts.extend([histogram(samples, period), times_chart(&thin, period)]);
     charts.extend(disturbance_charts(&thin));
@@ -337,6 +341,16 @@ fn error_chart(samples: &[&SampleRow]) -> ReportChart {
         "Distance of the tip from its reference, at every sample",
         "m",
         vec![error],
+    )
+}
+
+fn turn_chart(samples: &[&SampleRow]) -> ReportChart {
+    let turn = curve("tip", "target", samples, |sample| sample.turn);
+    over_time(
+        LOOP,
+        "Angle of the tip from how it should be turned, at every sample",
+        "rad",
+        vec![turn],
     )
 }
 

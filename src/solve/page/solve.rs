@@ -188,16 +188,18 @@ fn paths(problem: &OptimalControlProblem, record: &MotionRecord) -> Vec<ReportPa
         let t: Vec<f64> = ([0.0].into_iter().chain(within).chain([end])).collect();
         let off = |&row: &usize| {
             let is = record.position(row, tracking.node);
-            (is - tracking.position(record.t[row])).norm()
+            Some((is - tracking.position(record.t[row])?).norm())
         };
-        ReportPath {
+        let x = t.iter().map(|&t| Some(tracking.position(t)?.into()));
+        // One that is only to be turned has no path.
+        Some(ReportPath {
             node: tracking.node,
-            x: t.iter().map(|&t| tracking.position(t).into()).collect(),
+            x: x.collect::<Option<_>>()?,
+            off: frames.iter().map(off).collect::<Option<_>>()?,
             t,
-            off: frames.iter().map(off).collect(),
-        }
+        })
     };
-    problem.objective.tracking.iter().map(of).collect()
+    (problem.objective.tracking.iter()).filter_map(of).collect()
 }
 
 /// Points per block of a spline in a drawing.

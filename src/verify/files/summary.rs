@@ -136,8 +136,14 @@ impl Expected<'_> {
                     error.node as f64,
                     0.0,
                 );
-                for (field, value) in [("rms_m", error.rms_m), ("max_m", error.max_m)] {
-                    let allowed = ELSEWHERE * problem.rod.scales.length + DERIVED * value;
+                for (field, value, scale) in [
+                    ("rms_m", error.rms_m, problem.rod.scales.length),
+                    ("max_m", error.max_m, problem.rod.scales.length),
+                    ("rms_rad", error.rms_rad, 1.0),
+                    ("max_rad", error.max_rad, 1.0),
+                ] {
+                    let Some(value) = value else { continue };
+                    let allowed = ELSEWHERE * scale + DERIVED * value;
                     walk.number(summary, &format!("tracking.{i}.{field}"), value, allowed);
                 }
             }
