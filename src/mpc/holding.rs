@@ -1,7 +1,16 @@
-//! What it takes to hold the tip where it should be: the control from which effort is counted.
+//! What it takes to keep the tip where it should be: the control from which effort is counted.
 //!
 //! An effort that counts from zero pulls the arm off its target for ever, by what the target's weight allows. Counted from the control that holds
 //! the arm there at rest, it weighs the ways to get there and leaves no offset (Rawlings, Mayne and Diehl 2017, section 1.5).
+//!
+//! Along a reference that moves, the arm also takes what moves its mass. With `ξ` the pose of the tip and `J` the derivatives of all positions
+//! by it, over shapes that are held at rest, the arm is reduced to its tip (static condensation; Guyan 1965), and
+//!
+//! ```text
+//! W = W_static(ξ) + M (ξ̈ + α ξ̇),     M = Σ m Jᵀ J
+//! ```
+//!
+//! with the viscous damping `α`. Turns of the elements have too little inertia to count.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -16,7 +25,7 @@ pub(in crate::mpc) struct TipPose {
     pub rotation: Option<Matrix3<f64>>,
 }
 
-/// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that holds a model at the poses of a reference, at rest.
+/// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a reference.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
     /// At multiples of `spacing` from time 0 on: of the model, and its derivative by the factor on its stiffness.
@@ -54,20 +63,25 @@ impl Holding {
         let mut stiffer = rod.clone();
         stiffer.take_stiffness(rod, 1.0 + STIFFER);
         let mut shape = start.clone();
-        let mut before: Option<(TipPose, [Vector6<f64>; 2])> = None;
+        let mut before: Option<(TipPose, [Vector6<f64>; 2], Matrix6<f64>)> = None;
         let wrenches = (0..=(end / spacing).ceil() as usize)
             .map(|i| {
                 let t = i as f64 * spacing;
                 let target = reference(t);
-                if let Some((_, wrenches)) = before.filter(|(pose, _)| *pose == target) {
-                    return wrenches;
-                }
-                let own = Search::new(rod, target, t).wrench(&mut shape);
-                // From there: an arm that is pressed together may be held in several shapes.
-                let other = Search::new(&stiffer, target, t).wrench(&mut shape.clone());
-                let wrenches = [own, (other - own) / STIFFER];
-                before = Some((target, wrenches));
-                wrenches
+                let (_, [own, slope], mass) = match before.filter(|(pose, ..)| *pose == target) {
+                    Some(held) => held,
+                    None => {
+                        let (own, mass) = Search::new(rod, target, t).wrench(&mut shape);
+                        // From there: an arm that is pressed together may be held in several shapes.
+                        let (other, _) =
+                            Search::new(&stiffer, target, t).wrench(&mut shape.clone());
+                        (target, [own, (other - own) / STIFFER], mass)
+                    }
+                };
+                before = Some((target, [own, slope], mass));
+                let [speed, acceleration] = motion(&reference, t, spacing, rod.scales.length);
+                let moving = mass * (acceleration + speed * rod.viscous_damping);
+                [own + moving, slope]
             })
             .collect();
         Some(Self { wrenches, spacing })
@@ -85,6 +99,40 @@ impl Holding {
             moment: found.fixed_rows::<3>(3).into(),
         }
     }
+}
+
+/// Speed and acceleration of a reference at `t`, of its place over the length and of its turn in the body frame: medians of neighboring
+/// differences over `spacing`, which see no corner and no jump (Tukey 1977). No arm follows these.
+fn motion(
+    reference: &impl Fn(f64) -> TipPose,
+    t: f64,
+    spacing: f64,
+    length: f64,
+) -> [Vector6<f64>; 2] {
+    let here = reference(t);
+    let to = |other: f64| {
+        let other = reference(t + other * spacing);
+        let way = (here.position.zip(other.position))
+            .map_or_else(Vector3::zeros, |(from, to)| (to - from) / length);
+        let turn = (here.rotation.zip(other.rotation))
+            .map_or_else(Vector3::zeros, |(from, to)| log(&(from.transpose() * to)));
+        Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z)
+    };
+    let [far_back, back, ahead, far_ahead] = [-2.0, -1.0, 1.0, 2.0].map(to);
+    let median = |of: &[Vector6<f64>]| {
+        Vector6::from_fn(|axis, _| {
+            let mut sorted: Vec<f64> = of.iter().map(|v| v[axis]).collect();
+            sorted.sort_by(f64::total_cmp);
+            let (low, high) = (sorted[(of.len() - 1) / 2], sorted[of.len() / 2]);
+            0.5 * (low + high)
+        })
+    };
+    let speeds = [back - far_back, -back, ahead, far_ahead - ahead];
+    let bends = [far_back - back * 2.0, back + ahead, far_ahead - ahead * 2.0];
+    [
+        median(&speeds) / spacing,
+        median(&bends) / (spacing * spacing),
+    ]
 }
 
 /// A tip that springs pull: it is to be at a pose. Vectors of six are a way over the length and a turn in rad, each from the target, and wrenches
@@ -141,8 +189,9 @@ impl<'a> Search<'a> {
 
     /// The wrench that holds the tip at the target, from near `shape`, which follows: the least of `|ξ|² + λ² |W|²` over where springs pull the
     /// tip to, with the distance `ξ` and the wrench `W`. Where the arm is as stiff as along itself, it need not give way: a target that lies a
-    /// little out of reach asks for no force that bends it.
-    fn wrench(&self, shape: &mut Configuration) -> Vector6<f64> {
+    /// little out of reach asks for no force that bends it. With it comes the mass of the arm at its tip, of forces and moments (N, N m) by
+    /// accelerations of a way over the length and of a turn.
+    fn wrench(&self, shape: &mut Configuration) -> (Vector6<f64>, Matrix6<f64>) {
         let is_held = |axis: usize| {
             if axis < 3 {
                 self.target.position.is_some()
@@ -153,6 +202,7 @@ impl<'a> Search<'a> {
         let clamped = self.target.position.and(self.target.rotation).is_some();
         let least = 1.0 / (STIFFEST * if clamped { CLAMPED } else { 1.0 });
         let mut aim = Vector6::zeros();
+        let mut mass = Matrix6::zeros();
         for _ in 0..AIMS {
             let Some(found) = self.held(&aim, shape) else {
                 break;
@@ -160,23 +210,43 @@ impl<'a> Search<'a> {
             *shape = found;
             let [off, pull] = self.read(&aim, shape);
             let (mut slope, mut give) = (Matrix6::identity(), Matrix6::zeros());
+            let mut columns: [Vec<Vector3<f64>>; 6] = Default::default();
             for axis in (0..6).filter(|axis| is_held(*axis)) {
                 let mut moved = aim;
                 moved[axis] += NUDGE;
                 let Some(there) = self.held(&moved, shape) else {
-                    return self.at(&aim, shape);
+                    return (self.at(&aim, shape), mass);
                 };
+                let ways = (there.positions.iter().zip(&shape.positions))
+                    .map(|(to, from)| (to - from) / NUDGE);
+                columns[axis].extend(ways);
                 let [off_there, pull_there] = self.read(&moved, &there);
                 slope.set_column(axis, &((off_there - off) / NUDGE));
                 give.set_column(axis, &((pull_there - pull) * (least / NUDGE)));
             }
+            mass = self.mass(&columns, &slope).unwrap_or(mass);
             let square = slope.tr_mul(&slope) + give.tr_mul(&give);
             let Some(inverse) = square.try_inverse() else {
                 break;
             };
             aim -= inverse * (slope.tr_mul(&off) + give.tr_mul(&(pull * least)));
         }
-        self.at(&aim, shape)
+        (self.at(&aim, shape), mass)
+    }
+
+    /// `Σ m Jᵀ J` over all nodes; `columns` are the derivatives of their positions along the aim, and `slope` that of the tip's pose.
+    fn mass(&self, columns: &[Vec<Vector3<f64>>; 6], slope: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+        let along_aim = Matrix6::from_fn(|i, j| {
+            (columns[i].iter().zip(&columns[j]).zip(&self.rod.nodes))
+                .map(|((a, b), node)| node.mass * a.dot(b))
+                .sum()
+        });
+        let inverse = slope.try_inverse()?;
+        let mut mass = inverse.tr_mul(&along_aim) * inverse;
+        // Of forces, not of forces times the length.
+        mass.fixed_rows_mut::<3>(0)
+            .unscale_mut(self.rod.scales.length);
+        Some(mass)
     }
 
     /// N and N m, where springs pull to `aim`; none where nothing is at rest there.
@@ -248,5 +318,52 @@ mod tests {
         assert!((found.moment.y / moment - 1.0).abs() < 0.02, "{found:?}");
         let others = [found.force.y, found.moment.x, found.moment.z];
         assert!(others.iter().all(|other| other.abs() < 1e-9), "{found:?}");
+    }
+    /// A tip that turns on a small circle takes, besides what bends the arm, the force that keeps 33/140 of its mass on the circle (the mass of a
+    /// cantilever at its tip) and what overcomes the damping; on a path with a corner and a jump, nothing moves a mass.
+    #[test]
+    fn masses_are_moved() {
+        let material = Material::isotropic(1e6, 0.5, 1000.0);
+        let section = SectionProfile::Uniform(Section::circle(&material, 0.01));
+        let parameters = RodParameters {
+            viscous_damping: 2.0,
+            ..RodParameters::straight(0.5, 20, section)
+        };
+        let rod = Rod::new(&parameters).expect("a rod");
+        let (radius, frequency) = (1e-3, 3.0_f64);
+        let circle = |t: f64| TipPose {
+            position: Some(Vector3::new(
+                radius * (frequency * t).cos(),
+                radius * (frequency * t).sin(),
+                0.5 - 0.6 * radius * radius / 0.5,
+            )),
+            rotation: None,
+        };
+        let holding = Holding::along(&rod, &rod.rest, circle, 0.005, 1.0).expect("short");
+        let mass = 33.0 / 140.0 * rod.mass();
+        let stiffness = 3.0 * rod.scales.force / rod.scales.length;
+        let along = radius * (stiffness - mass * frequency * frequency);
+        let across = radius * mass * 2.0 * frequency;
+        let found = holding.wrench(0.5, 1.0).force;
+        let (sin, cos) = (frequency * 0.5).sin_cos();
+        let expected = Vector3::new(along * cos - across * sin, along * sin + across * cos, 0.0);
+        let size = radius * stiffness;
+        assert!(
+            (found - expected).norm() < 0.02 * size,
+            "{found} {expected}"
+        );
+        let broken = |t: f64| TipPose {
+            position: Some(Vector3::new(
+                if t < 0.5 { radius * t } else { 2.0 * radius },
+                0.0,
+                0.5,
+            )),
+            rotation: None,
+        };
+        for t in [0.25, 0.5, 0.75] {
+            let [speed, acceleration] = motion(&broken, t, 0.01, 0.5);
+            assert!(acceleration.norm() < 1e-9, "{t}: {acceleration}");
+            assert!(speed.norm() < 1.001 * radius / 0.5, "{t}: {speed}");
+        }
     }
 }
