@@ -137,10 +137,14 @@ fn words(
             .fold(0.0, f64::max)
     };
     let acts = |peak: f64| (peak > 0.0).then_some(peak);
-    let does = if follows {
-        "The tip follows its path"
-    } else {
-        "The tip is driven to its target"
+    let [places, turns] = [
+        samples.iter().any(|sample| sample.error.is_finite()),
+        samples.iter().any(|sample| sample.turn.is_finite()),
+    ];
+    let does = match (follows, places, turns) {
+        (true, _, _) => "The tip follows its path",
+        (false, false, true) => "The tip is turned as it should be",
+        _ => "The tip is driven to its target",
     };
     let off = summary.number("tip_error_over_length.rms");
     let missed = match off.is_finite() {
@@ -150,6 +154,11 @@ fn words(
             summary.measure("counted_from_s", "s")
         ),
         false => String::new(),
+    };
+    let turned = summary.number("tip_turn_rad.rms");
+    let missed = match turned.is_finite() {
+        true => format!("{missed}, turned off by {}", measure(turned, "rad")),
+        false => missed,
     };
     let lead = format!(
         "{does} for {}{missed}{}; {}{}",
