@@ -20,8 +20,8 @@ const NUMBER: f64 = 8.0;
 /// Numbers of the position and rotation of a node.
 const POSE: f64 = 12.0;
 /// Poses that an iteration of a solve holds for every node and time: point, best point and trial, the direction between them, defects with
-/// their adjoint, and what they are made from; one more for the point that a saddle left.
-const SOLVE_POSES: f64 = 7.0;
+/// their adjoint, and what they are made from.
+const SOLVE_POSES: f64 = 6.0;
 /// Poses that a check holds: the solution, its replay, and the covectors of the adjoint equations.
 const CHECK_POSES: f64 = 4.0;
 /// Poses that writing a motion holds: the motion and its rows.
