@@ -1,14 +1,14 @@
 //! The part of the objective that depends on the states: least squares of rows, sampled over the horizon.
 
-use nalgebra::{DMatrix, Matrix3, SVector, Vector3};
+use nalgebra::{Matrix3, SVector, Vector3};
 
 use super::path::{
     RodView, RowCurvature, RowGradient, along, at, element_curvature, element_form, term_curvature,
-    vector_forms,
+    turn_curvature,
 };
 use super::problem::OptimalControlProblem;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
-use crate::mechanics::strain::{IntervalStress, log_second_derivative};
+use crate::mechanics::strain::IntervalStress;
 use crate::mechanics::{Rod, StrainRule};
 
 /// `½ r²` and the gradient of `r`.
@@ -177,11 +177,7 @@ pub fn cost_curvature(
         let r = &rod_view.trajectory.rotations_at(k)[tracking.node];
         if let Some(psi) = tracking.turn(t, r) {
             let weighted = psi * (tracking.rotation_weight * duration);
-            let matrix = log_second_derivative(&psi, &weighted);
-            bent.push(RowCurvature {
-                forms: vector_forms(k, tracking.node, 3),
-                matrix: DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)]),
-            });
+            bent.push(turn_curvature(k, tracking.node, &psi, &weighted));
         }
     }
     for cost in &problem.objective.terms {

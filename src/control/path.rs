@@ -267,6 +267,20 @@ pub(super) fn vector_forms(k: usize, node: usize, from: usize) -> Vec<RowGradien
         .collect()
 }
 
+/// Second derivative of `y · ψ`, `ψ = log(R*ᵀ R)` of a node.
+pub(super) fn turn_curvature(
+    k: usize,
+    node: usize,
+    psi: &Vector3<f64>,
+    y: &Vector3<f64>,
+) -> RowCurvature {
+    let matrix = log_second_derivative(psi, y);
+    RowCurvature {
+        forms: vector_forms(k, node, 3),
+        matrix: DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)]),
+    }
+}
+
 /// Of limits on both sides: 1 for the items of the upper, which are even, -1 for those of the lower.
 fn side(item: usize) -> f64 {
     if item.is_multiple_of(2) { 1.0 } else { -1.0 }

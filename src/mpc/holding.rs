@@ -25,6 +25,21 @@ pub(in crate::mpc) struct TipPose {
     pub rotation: Option<Matrix3<f64>>,
 }
 
+impl TipPose {
+    /// The way to another pose over the length, and the turn in the body frame, rad; none of what nothing asks for.
+    fn way_to(&self, other: &Self, length: f64) -> Vector6<f64> {
+        let way = (self.position.zip(other.position))
+            .map_or_else(Vector3::zeros, |(from, to)| (to - from) / length);
+        let turn = (self.rotation.zip(other.rotation))
+            .map_or_else(Vector3::zeros, |(from, to)| log(&(from.transpose() * to)));
+        six(way, turn)
+    }
+}
+
+fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
+}
+
 /// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a reference.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
@@ -110,14 +125,7 @@ fn motion(
     length: f64,
 ) -> [Vector6<f64>; 2] {
     let here = reference(t);
-    let to = |other: f64| {
-        let other = reference(t + other * spacing);
-        let way = (here.position.zip(other.position))
-            .map_or_else(Vector3::zeros, |(from, to)| (to - from) / length);
-        let turn = (here.rotation.zip(other.rotation))
-            .map_or_else(Vector3::zeros, |(from, to)| log(&(from.transpose() * to)));
-        Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z)
-    };
+    let to = |other: f64| here.way_to(&reference(t + other * spacing), length);
     let [far_back, back, ahead, far_ahead] = [-2.0, -1.0, 1.0, 2.0].map(to);
     let median = |of: &[Vector6<f64>]| {
         Vector6::from_fn(|axis, _| {
@@ -176,15 +184,15 @@ impl<'a> Search<'a> {
     /// How far the tip is from the target, and the wrench of the springs.
     fn read(&self, aim: &Vector6<f64>, shape: &Configuration) -> [Vector6<f64>; 2] {
         let (tip, length) = (self.rod.tip(), self.rod.scales.length);
-        let (x, r) = (&shape.positions[tip], &shape.rotations[tip]);
-        let way = (self.target.position).map_or_else(Vector3::zeros, |place| (x - place) / length);
-        let turn = (self.target.rotation)
-            .map_or_else(Vector3::zeros, |rotation| log(&(rotation.transpose() * r)));
-        let pull = self.spring(aim).wrench(x, r);
+        let (x, r) = (shape.positions[tip], shape.rotations[tip]);
+        let pull = self.spring(aim).wrench(&x, &r);
+        let pose = TipPose {
+            position: Some(x),
+            rotation: Some(r),
+        };
         let force = pull.force / (self.own * length);
         let moment = pull.moment / (self.own * length * length);
-        let both = |a: Vector3<f64>, b: Vector3<f64>| Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z);
-        [both(way, turn), both(force, moment)]
+        [self.target.way_to(&pose, length), six(force, moment)]
     }
 
     /// The wrench that holds the tip at the target, from near `shape`, which follows: the least of `|ξ|² + λ² |W|²` over where springs pull the

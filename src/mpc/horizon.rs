@@ -372,7 +372,7 @@ impl Horizon {
         }
     }
 
-    /// Simulates the plan from the start.
+    /// Simulates the plan from the start, and evaluates the residuals of its motion.
     ///
     /// # Errors
     /// [`MpcError::Rollout`] where the motion breaks down.
@@ -421,17 +421,18 @@ impl Horizon {
         }
         stepper.write_state(&mut self.end);
         self.memory = Some(stepper.into_memory());
-        outcome.map_err(MpcError::from)
+        outcome?;
+        for at in self.first_row..self.rows.len() {
+            self.evaluate(at);
+        }
+        Ok(())
     }
 
-    /// Residuals and their derivatives along the plan and the start, and `JᵀJ`, at the motion of the last roll-out.
+    /// Derivatives of the residuals along the plan and the start, and `JᵀJ`, at the motion of the last roll-out.
     ///
     /// # Errors
     /// [`MpcError::Rollout`] where the motion cannot be linearized.
     pub fn linearize(&mut self) -> Result<(), MpcError> {
-        for at in self.first_row..self.rows.len() {
-            self.evaluate(at);
-        }
         let motion = Motion {
             rod: &self.problem.rod,
             grid: self.grid,
@@ -515,10 +516,7 @@ impl Horizon {
     }
 
     /// `½ |r|²` of the present horizon, from the motion of the last roll-out.
-    pub fn cost(&mut self) -> f64 {
-        for at in self.first_row..self.rows.len() {
-            self.evaluate(at);
-        }
+    pub fn cost(&self) -> f64 {
         let present = &self.residuals[self.first_row..];
         0.5 * present.iter().map(|r| r * r).sum::<f64>()
     }

@@ -4,21 +4,20 @@
 //! the linearized motion (condensing), or its transpose. The constraints are the scaled residuals of the goals, the inequalities the rows of
 //! the path constraints; a soft goal has variables of its own for its residuals.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::Vector3;
 
 use crate::control::acting::ActingAlong;
 use crate::control::control_cost::ControlCost;
 use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times};
 use crate::control::path::{
     PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient, along, at,
-    vector_forms,
+    turn_curvature,
 };
 use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
-use crate::mechanics::strain::log_second_derivative;
 use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, TrajectoryTangent};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
@@ -350,12 +349,8 @@ impl<'a> Transcription<'a> {
             .map(|(first, row)| {
                 let goal = &self.problem.goals[row.goal];
                 let y = Vector3::from_fn(|axis, _| multipliers[first + axis]);
-                let second =
-                    log_second_derivative(&rotation_error(self.problem, trajectory, row), &y);
-                RowCurvature {
-                    forms: vector_forms(goal.time_node, goal.node, 3),
-                    matrix: DMatrix::from_fn(3, 3, |i, j| 0.5 * (second[(i, j)] + second[(j, i)])),
-                }
+                let psi = rotation_error(self.problem, trajectory, row);
+                turn_curvature(goal.time_node, goal.node, &psi, &y)
             })
             .collect()
     }

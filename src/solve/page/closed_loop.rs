@@ -38,10 +38,12 @@ pub(crate) fn closed_loop_page(
     let mut charts = Vec::new();
     // A path to follow has a chart of its own.
     if !follows && thin.iter().any(|sample| sample.error.is_finite()) {
-        charts.push(error_chart(&thin));
+        let title = "Distance of the tip from its reference, at every sample";
+        charts.push(tip_chart(title, "m", &thin, |sample| sample.error));
     }
     if thin.iter().any(|sample| sample.turn.is_finite()) {
-        charts.push(turn_chart(&thin));
+        let title = "Angle of the tip from how it should be turned, at every sample";
+        charts.push(tip_chart(title, "rad", &thin, |sample| sample.turn));
     }
     charts.extend([histogram(samples, period), times_chart(&thin, period)]);
     charts.extend(disturbance_charts(&thin));
@@ -343,24 +345,13 @@ fn curve(
     )
 }
 
-fn error_chart(samples: &[&SampleRow]) -> ReportChart {
-    let error = curve("tip", "target", samples, |sample| sample.error);
-    over_time(
-        LOOP,
-        "Distance of the tip from its reference, at every sample",
-        "m",
-        vec![error],
-    )
-}
-
-fn turn_chart(samples: &[&SampleRow]) -> ReportChart {
-    let turn = curve("tip", "target", samples, |sample| sample.turn);
-    over_time(
-        LOOP,
-        "Angle of the tip from how it should be turned, at every sample",
-        "rad",
-        vec![turn],
-    )
+fn tip_chart(
+    title: &str,
+    unit: &str,
+    samples: &[&SampleRow],
+    of: impl Fn(&SampleRow) -> f64,
+) -> ReportChart {
+    over_time(LOOP, title, unit, vec![curve("tip", "target", samples, of)])
 }
 
 /// Index of the time of the whole sample.
