@@ -61,7 +61,7 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
             force: ChannelLimits::at_most(force),
             moment: ChannelLimits {
                 bound: Some(Bound::PerAxis(Vector3::new(5.0, 5.0, 0.0))),
-                rate_bound: None,
+                ..ChannelLimits::default()
             },
         }],
         cost: Cost {

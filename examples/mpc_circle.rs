@@ -54,7 +54,7 @@ fn task() -> Task {
             moment: ChannelLimits {
                 // A moment about the arm's own axis twists it where the reference does not see it.
                 bound: Some(Bound::PerAxis(Vector3::new(5.0, 5.0, 0.0))),
-                rate_bound: None,
+                ..ChannelLimits::default()
             },
         }],
         cost: Cost {

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use common::tasks::reach;
 use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Bound, Hold, Observation, OptimalControlProblem, observe};
@@ -102,14 +104,14 @@ fn static_need_is_that_of_a_cantilever() {
 #[test]
 fn jumps_ring_undamped_arms() {
     let (_, mut problem) = reach(Hold::Constant);
-    problem.rod.viscous_damping = 0.0;
+    Arc::make_mut(&mut problem.rod).viscous_damping = 0.0;
     let mut trajectory = Trajectory::with_capacity(5, 1);
     trajectory.push(&problem.rod.rest);
     assert!(matches!(
         observe(&problem, &trajectory, &quiet(&problem))[..],
         [Observation::RingingWaves { .. }]
     ));
-    problem.rod.internal_damping = 1e-3;
+    Arc::make_mut(&mut problem.rod).internal_damping = 1e-3;
     assert_eq!(observe(&problem, &trajectory, &quiet(&problem)), []);
 }
 

@@ -67,7 +67,7 @@ fn free_rod(
             ..Objective::default()
         },
         radii: Vec::new(),
-        rod,
+        rod: rod.into(),
     }
 }
 

@@ -3,6 +3,7 @@
 mod common;
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use common::tasks::{long_reach, reach};
 use common::{Dice, bases, busy_arm, finer_at_rest, methods, random_state};
@@ -529,10 +530,10 @@ fn momentum_balances_to_rounding() {
             assert!(balance.over_rounding <= 1.0);
 
             let kept = problem.rod.gravity;
-            problem.rod.gravity *= 1.0 + 1e-6;
+            Arc::make_mut(&mut problem.rod).gravity *= 1.0 + 1e-6;
             let other = MomentumBalance::of(&problem, &motion, &signal);
             assert!(other.over_rounding > 10.0, "{other:?}");
-            problem.rod.gravity = kept;
+            Arc::make_mut(&mut problem.rod).gravity = kept;
             motion.positions[30 * 6 + 3].x += 1e-6;
             let other = MomentumBalance::of(&problem, &motion, &signal);
             assert!(other.over_rounding > 1e3, "{other:?}");
@@ -560,7 +561,7 @@ fn disturbances_of_a_resting_arm_do_not_grow() {
         problem.control = ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap();
         problem.goals[0].position = Some(rod.rest.positions[rod.tip()]);
         problem.goals[0].time_node = n_steps;
-        problem.rod = rod;
+        problem.rod = rod.into();
         let solved = Solved::of(parameters, problem);
         let check = solved.deep_check();
         let growth = check.growth.unwrap();

@@ -3,6 +3,7 @@
 mod common;
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use common::tasks::reach;
 use common::{Dice, Method, bases, busy_arm, methods, random_signal, random_state, soft_arm};
@@ -433,7 +434,7 @@ fn mismatches_are_motions_of_other_arms() {
             Quantity::Damping => other.viscous_damping *= mismatch.factor,
         }
         let mut there = problem.clone();
-        there.rod = Rod::new(&other).unwrap();
+        there.rod = Rod::new(&other).unwrap().into();
         for (gains, deviation) in [
             (None, mismatch.open_loop),
             (Some(&feedback), mismatch.closed_loop),
@@ -452,7 +453,7 @@ fn mismatches_are_motions_of_other_arms() {
 #[test]
 fn growth_is_that_of_the_energy() {
     let (_, mut problem) = reach(Hold::Constant);
-    problem.rod.viscous_damping = 0.0;
+    Arc::make_mut(&mut problem.rod).viscous_damping = 0.0;
     let nothing = vec![Wrench::default(); 5];
     let weights = FeedbackWeights::default();
     let signal = problem.signal(&problem.control, &nothing);

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use softarm::control::static_need;
-use softarm::mechanics::{Load, LoadFrame, TimeScheme, TipSpring, static_equilibrium};
+use softarm::mechanics::{Load, LoadFrame, Rod, TimeScheme, TipSpring, static_equilibrium};
 use softarm::scene::{MaterialPreset, Scene, Simulation};
 
 /// Each preset is written as the name in its row of the table, lies in its own range, and has positive figures of its kind.
@@ -216,10 +216,15 @@ fn stiff_wires_get_implicit_steps() {
 fn soft_scenes_keep_explicit_steps() {
     for name in softarm::scene::builtin::names() {
         let (scene, source) = Scene::load(name, &[]).unwrap_or_else(|error| panic!("{error}"));
-        let rod = if scene.task.is_some() {
-            scene.optimal_control(&source).expect(name).problem.rod
+        let scheme = if scene.task.is_some() {
+            scene
+                .optimal_control(&source)
+                .expect(name)
+                .problem
+                .rod
+                .scheme
         } else {
-            scene.simulation(&source).expect(name).rod
+            scene.simulation(&source).expect(name).rod.scheme
         };
         let named = softarm::scene::builtin::text(name)
             .expect(name)
@@ -229,7 +234,7 @@ fn soft_scenes_keep_explicit_steps() {
         } else {
             TimeScheme::Explicit
         };
-        assert_eq!(rod.scheme, expected, "{name}");
+        assert_eq!(scheme, expected, "{name}");
     }
 }
 
@@ -249,7 +254,8 @@ fn the_force_that_holds_a_target_is_found() {
             .unwrap_or_else(|error| panic!("{error}"))
             .problem
     };
-    let mut rod = scene("force_max_n = 1\nmoment_max_n_m = 0", [0.0, 0.0, -0.3]).rod;
+    let problem = scene("force_max_n = 1\nmoment_max_n_m = 0", [0.0, 0.0, -0.3]);
+    let mut rod = Rod::clone(&problem.rod);
     let force = Vector3::new(0.05, -0.02, 0.03);
     rod.loads.push(Load {
         node: rod.tip(),

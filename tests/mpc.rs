@@ -186,6 +186,20 @@ fn settings_are_checked() {
         ),
         ("jump", MpcSettings { jump: -1.0, ..good }),
         (
+            "equal_blocks",
+            MpcSettings {
+                equal_blocks: Some(0),
+                ..good
+            },
+        ),
+        (
+            "deadline",
+            MpcSettings {
+                deadline: Some(0.0),
+                ..good
+            },
+        ),
+        (
             "iterations",
             MpcSettings {
                 iterations: 0,
@@ -204,4 +218,35 @@ fn settings_are_checked() {
         make(good, softarm::control::Hold::Cubic),
         Err(MpcError::Hold)
     );
+}
+
+/// Iterations of a sample end where the plan does not change any more; a deadline that one iteration misses leaves that one, and a late one
+/// leaves all, to the bit.
+#[test]
+fn deadlines_end_iterations() {
+    let commands = |iterations: usize, deadline: Option<f64>| {
+        let settings = MpcSettings {
+            iterations,
+            deadline,
+            ..MpcSettings::receding(0.3)
+        };
+        let mut controller = tracking::controller(5.0, &settings);
+        let steps = steps_per_period(&controller, &settings);
+        let rod = controller.rod().clone();
+        let mut stepper =
+            Stepper::new(&rod, controller.model_step(), controller.expected().clone());
+        let mut counts = Vec::new();
+        for _ in 0..5 {
+            let command = controller.step(&stepper.state()).unwrap().clone();
+            counts.push(controller.record().iterations);
+            apply(&mut stepper, &command, steps);
+        }
+        (counts, stepper.state())
+    };
+    let (counts, settled) = commands(60, None);
+    assert!(counts.iter().all(|n| (2..60).contains(n)), "{counts:?}");
+    assert_eq!(commands(60, Some(1e6)), (counts, settled));
+    let (counts, hurried) = commands(60, Some(1e-9));
+    assert_eq!(counts, [1; 5]);
+    assert_eq!(commands(1, None), (counts, hurried));
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use std::ops::ControlFlow;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use common::{
     Dice, Method, RULES, bases, busy_arm, exact_methods, finer_at_rest, methods, shaking, soft_arm,
@@ -83,7 +83,7 @@ impl Case {
                 ..Objective::default()
             },
             radii: Vec::new(),
-            rod,
+            rod: rod.into(),
         };
         Self {
             parameters,
@@ -119,7 +119,7 @@ impl Case {
         self.problem.initial = State::at_rest(rod.rest.clone());
         self.problem.actuators[0].force.scale = rod.scales.force;
         self.problem.actuators[0].moment.scale = rod.scales.moment;
-        self.problem.rod = rod;
+        self.problem.rod = rod.into();
         self
     }
 
@@ -131,7 +131,7 @@ impl Case {
     /// The same arm by another method.
     fn by(mut self, method: Method) -> Self {
         self.parameters = method.of(self.parameters);
-        self.problem.rod = Rod::new(&self.parameters).unwrap();
+        self.problem.rod = Rod::new(&self.parameters).unwrap().into();
         self
     }
 
@@ -241,7 +241,7 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
             ..Objective::default()
         },
         radii: Vec::new(),
-        rod,
+        rod: rod.into(),
     };
     Case {
         parameters,
@@ -793,7 +793,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     case.problem.initial = rod.at_rest_on_base(rod.rest.clone());
     case.problem.goals[0].node = rod.tip();
     case.problem.actuators[0].node = rod.tip();
-    case.problem.rod = rod;
+    case.problem.rod = rod.into();
     let base = case
         .problem
         .rod
@@ -815,7 +815,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     assert!(check.is_certified(), "{:?}", failed(&check));
 
     // The same trajectory on a base that should have stood still: nothing but its place is wrong.
-    case.problem.rod.base = BaseCondition::Clamped;
+    Arc::make_mut(&mut case.problem.rod).base = BaseCondition::Clamped;
     let found = kkt::recompute(
         &case.problem,
         &outcome.point.trajectory,
@@ -959,7 +959,8 @@ fn every_start_begins_and_ends_once() {
 /// A start without a first point ends as well, with the reason.
 #[test]
 fn starts_without_a_first_point_end() {
-    let case = Case::reach().with(|p| p.rod.gravity = Vector3::new(1e12, 0.0, 0.0));
+    let case =
+        Case::reach().with(|p| Arc::make_mut(&mut p.rod).gravity = Vector3::new(1e12, 0.0, 0.0));
     let told = Mutex::new(Vec::new());
     let found = search_telling(
         &case.problem,

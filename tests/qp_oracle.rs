@@ -89,7 +89,7 @@ fn problem(look: Look) -> OptimalControlProblem {
         radii: Vec::new(),
         duration: None,
         initial,
-        rod,
+        rod: rod.into(),
     }
 }
 

@@ -3,6 +3,7 @@
 mod common;
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use common::tasks::{busy_problem, reach};
 use common::{Dice, RULES};
@@ -47,7 +48,7 @@ fn rows_with_states_are_the_condensed_rows() {
     for rule in RULES {
         for base in [BaseCondition::Clamped, BaseCondition::Free] {
             let mut problem = busy_problem(rule);
-            problem.rod.base = base.clone();
+            Arc::make_mut(&mut problem.rod).base = base.clone();
             let dice = &mut Dice(7);
             let program = Transcription::new(&problem, 1);
             let point = lifted(&program, dice);
@@ -267,7 +268,8 @@ fn iterations_are_the_same() {
         model: RodModel::Consistent,
         ..parameters
     })
-    .unwrap();
+    .unwrap()
+    .into();
     let outcome = begun(&coupled, QpRoute::Sparse, HessianChoice::Auto);
     assert_eq!(outcome.route, QpRoute::Condensed);
 }

@@ -2,6 +2,7 @@
 //! memory.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 
@@ -75,7 +76,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         let output = output_size(&setup);
         concerns.extend(size_warning(&output));
         let memory = of_simulation(&setup);
-        (setup.rod, setup.grid, None, Some(output), memory)
+        (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
     };
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let at_rest = at_rest(&rod);
@@ -259,9 +260,8 @@ fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
 }
 
 fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
-    let limit = |channel: &Channel, unit: &str| match channel.bound {
+    let bounded = |channel: &Channel, unit: &str| match channel.bound {
         None => "UNBOUNDED".to_string(),
-        Some(bound) if !(0..3).any(|axis| bound.actuates(axis)) => NO_WRENCH.into(),
         Some(Bound::Norm(limit)) => format!("at most {}", quantity(limit, unit)),
         Some(Bound::PerAxis(limits)) => {
             let [x, y, z] = [0, 1, 2].map(|axis| match limits[axis] {
@@ -270,6 +270,18 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             });
             format!("at most [{x}, {y}, {z}] {unit} per axis")
         }
+    };
+    let limit = |channel: &Channel, unit: &str| {
+        if !channel.acts() {
+            return NO_WRENCH.into();
+        }
+        let mut text = bounded(channel, unit);
+        if channel.axes != [true; 3] {
+            let named = (0..3).filter(|&axis| channel.acts_along(axis));
+            let named: Vec<&str> = named.map(|axis| ["x", "y", "z"][axis]).collect();
+            text += &format!(", along {} alone", named.join(" and "));
+        }
+        text
     };
     (problem.actuators.iter())
         .map(|actuator| ActuatorSummary {

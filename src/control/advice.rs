@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 
 use super::hold::Hold;
-use super::problem::{Bound, Channel, OptimalControlProblem};
+use super::problem::{Bound, OptimalControlProblem};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{Rod, Trajectory, Wrench};
 
@@ -211,7 +211,7 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     let Some(Bound::Norm(bound)) = actuator.force.bound else {
         return None;
     };
-    let has_moment = (0..3).any(|axis| actuates(&actuator.moment, axis));
+    let has_moment = actuator.moment.acts();
     let at_rest = problem.final_goals().any(|goal| goal.at_rest);
     if has_moment || problem.actuators.len() > 1 || !at_rest {
         return None;
@@ -220,10 +220,6 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     let at = problem.actuators.iter().position(|a| a.node == tip)?;
     let force = need.wrenches[at].force.norm();
     (force > bound).then_some(Observation::StaticNeed { force, bound })
-}
-
-fn actuates(channel: &Channel, axis: usize) -> bool {
-    channel.bound.is_none_or(|bound| bound.actuates(axis))
 }
 
 /// A moment whose price is small beside that of the forces, where the arm bends most at the node that it acts on.

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::problem::{ActuatedNode, Bound, Goal, OptimalControlProblem};
+use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
@@ -288,16 +288,8 @@ impl StaticPath {
 
 /// The wrench, scaled back into the actuator's bounds.
 fn within_bounds(actuator: &ActuatedNode, wrench: Wrench) -> Wrench {
-    let clip = |u: Vector3<f64>, bound: Option<Bound>| match bound {
-        None => u,
-        Some(Bound::Norm(limit)) => {
-            let norm = u.norm();
-            if norm > limit { u * (limit / norm) } else { u }
-        }
-        Some(Bound::PerAxis(limits)) => Vector3::from_fn(|i, _| u[i].clamp(-limits[i], limits[i])),
-    };
     Wrench {
-        force: clip(wrench.force, actuator.force.bound),
-        moment: clip(wrench.moment, actuator.moment.bound),
+        force: actuator.force.within(&wrench.force),
+        moment: actuator.moment.within(&wrench.moment),
     }
 }

@@ -1,5 +1,7 @@
 //! The discrete optimal-control problem: a rod, a time grid, actuators with bounds, goals, limits and an objective.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::hold::ControlGrid;
@@ -52,17 +54,59 @@ pub struct Channel {
     pub bound: Option<Bound>,
     /// Limit of the rate of change, N/s or N m/s; none means unbounded.
     pub rate_bound: Option<Bound>,
+    /// Components that may act, whatever their bound.
+    pub axes: [bool; 3],
 }
 
 impl Channel {
-    /// A channel without a limit of its rate.
+    /// A channel of all three components, without a limit of its rate.
     #[must_use]
     pub fn new(scale: f64, bound: Option<Bound>) -> Self {
         Self {
             scale,
             bound,
             rate_bound: None,
+            axes: [true; 3],
         }
+    }
+
+    /// Whether component `axis` can be used at all.
+    #[must_use]
+    pub fn acts_along(&self, axis: usize) -> bool {
+        self.axes[axis] && self.bound.is_none_or(|bound| bound.actuates(axis))
+    }
+
+    /// Whether any component can be used.
+    #[must_use]
+    pub fn acts(&self) -> bool {
+        (0..3).any(|axis| self.acts_along(axis))
+    }
+
+    /// The components of `u` that may act; the others are 0.
+    #[must_use]
+    pub fn acting(&self, u: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| if self.axes[axis] { u[axis] } else { 0.0 })
+    }
+
+    /// `u` brought within the limit: by its length where that is bounded, component by component otherwise.
+    #[must_use]
+    pub fn within(&self, u: &Vector3<f64>) -> Vector3<f64> {
+        let u = self.acting(u);
+        match self.bound {
+            None => u,
+            Some(Bound::Norm(limit)) => {
+                let norm = u.norm();
+                if norm > limit { u * (limit / norm) } else { u }
+            }
+            Some(Bound::PerAxis(limits)) => u.zip_map(&limits, |u, limit| u.clamp(-limit, limit)),
+        }
+    }
+
+    /// By how much `u` exceeds the limit, or acts where nothing may (0 inside).
+    #[must_use]
+    pub fn violation(&self, u: &Vector3<f64>) -> f64 {
+        let beyond = self.bound.map_or(0.0, |bound| bound.violation(u));
+        beyond.max((u - self.acting(u)).amax())
     }
 }
 
@@ -209,8 +253,8 @@ pub struct FreeDuration {
 /// constraints.
 #[derive(Clone, Debug)]
 pub struct OptimalControlProblem {
-    /// The rod.
-    pub rod: Rod,
+    /// The rod, shared by the problems that are made from this one.
+    pub rod: Arc<Rod>,
     /// Radius of the arm at every node, m: what keeps clear of obstacles. Empty for a line without thickness.
     pub radii: Vec<f64>,
     /// The time grid of the horizon; where the duration is free, the one that the search starts from.
@@ -332,13 +376,14 @@ impl OptimalControlProblem {
     /// The least effort of a tip wrench that brings the tip to a goal.
     #[must_use]
     pub fn least_effort(
-        rod: Rod,
+        rod: impl Into<Arc<Rod>>,
         grid: TimeGrid,
         initial: State,
         control: ControlGrid,
         [force, moment]: [Channel; 2],
         goal: Goal,
     ) -> Self {
+        let rod = rod.into();
         Self {
             grid,
             duration: None,
@@ -473,11 +518,7 @@ impl OptimalControlProblem {
         (0..self.actuators.len())
             .flat_map(|actuator| (0..6).map(move |axis| Component { actuator, axis }))
             .filter(|component| self.is_control(component))
-            .filter(|component| {
-                self.channel(component)
-                    .bound
-                    .is_none_or(|bound| bound.actuates(component.axis % 3))
-            })
+            .filter(|component| self.channel(component).acts_along(component.axis % 3))
             .collect()
     }
 

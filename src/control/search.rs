@@ -1,7 +1,7 @@
 //! From a problem to a solution: several first points, continuation from easier problems, and several starts.
 
 use std::ops::ControlFlow;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use nalgebra::Vector3;
 
@@ -566,8 +566,9 @@ fn eased(
             }
         }
         Continuation::Load { .. } => {
-            easier.rod.gravity *= fraction;
-            for load in &mut easier.rod.loads {
+            let rod = Arc::make_mut(&mut easier.rod);
+            rod.gravity *= fraction;
+            for load in &mut rod.loads {
                 load.force *= fraction;
                 load.moment *= fraction;
             }

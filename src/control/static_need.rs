@@ -175,7 +175,7 @@ impl Statics<'_> {
         u: &DVector<f64>,
         start: &Configuration,
     ) -> Result<Configuration, EquilibriumError> {
-        let mut rod: Rod = self.problem.rod.clone();
+        let mut rod = Rod::clone(&self.problem.rod);
         for (wrench, actuator) in self.wrenches(u).iter().zip(&self.problem.actuators) {
             let load = |force, moment, frame| Load {
                 node: actuator.node,

@@ -16,7 +16,7 @@ use super::holding::Holding;
 use super::horizon::{Horizon, add_effects};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::{ActuatedNode, Bound, Channel, Hold};
+use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
 use crate::task::{Arm, Discretization, Task, Track};
@@ -59,6 +59,8 @@ impl Command {
 /// What one sample took and found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampleRecord {
+    /// Gauss-Newton iterations from the measured state to the command; the first of them was prepared.
+    pub iterations: usize,
     /// Seconds from the measured state to the command.
     pub feedback_s: f64,
     /// Seconds for the preparation of the next sample.
@@ -130,8 +132,10 @@ const SAMPLES_A_BLOCK: usize = 2;
 const BLOCKS_A_CHANGE: f64 = 2.0;
 
 impl Controller {
-    /// Most iterations before the first sample, and the change of the plan below which they end.
-    const FIRST: (usize, f64) = (50, 1e-9);
+    /// Most iterations before the first sample.
+    const FIRST: usize = 50;
+    /// Change of the scaled coefficients of a plan below which no further iteration is made.
+    const SETTLED: f64 = 1e-9;
     /// Most iterations of a restart.
     pub const RESTART: usize = 3;
 
@@ -152,7 +156,13 @@ impl Controller {
         settings: &MpcSettings,
     ) -> Result<Self, MpcError> {
         settings.check()?;
-        let blocks = (settings.horizon / settings.block).round().max(1.0) as usize;
+        let knots = Knots::new(
+            discretization.hold,
+            settings.block,
+            settings.equal_blocks,
+            settings.horizon,
+        )?;
+        let blocks = knots.blocks(settings.horizon);
         let mut cut = Discretization {
             blocks,
             ..*discretization
@@ -197,7 +207,6 @@ impl Controller {
         for goal in &mut problem.goals {
             goal.time_node = problem.grid.n_steps;
         }
-        let knots = Knots::new(discretization.hold, settings.block, problem.grid.duration())?;
         let mut weights = [problem.objective.effort, problem.objective.rate];
         if settings.due.is_none() && weights[1] == 0.0 {
             weights[1] = weights[0] * (BLOCKS_A_CHANGE * settings.block).powi(2);
@@ -244,6 +253,7 @@ impl Controller {
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             acts: false,
             record: SampleRecord {
+                iterations: 0,
                 feedback_s: 0.0,
                 prepare_s: 0.0,
                 predicted_cost: 0.0,
@@ -264,7 +274,7 @@ impl Controller {
         controller
             .before_knots
             .place(settings.start, controller.horizon.grid.time(0));
-        controller.settle(Self::FIRST.0)?;
+        controller.settle(Self::FIRST)?;
         Ok(controller)
     }
 
@@ -432,22 +442,6 @@ impl Controller {
         }
     }
 
-    /// Brings a command within the bounds of the task on forces and moments, by their length where the bound is on that; what is not actuated
-    /// is taken away. What actuators of one's own do to other nodes stays as it is.
-    pub fn within_bounds(&self, command: &mut Command) {
-        let problem = &self.horizon.problem;
-        for (at, node) in command.nodes.iter().enumerate() {
-            let actuators = problem.wrench_actuators();
-            let Some(actuator) = actuators.iter().find(|own| own.node == *node) else {
-                continue;
-            };
-            for wrench in [&mut command.from[at], &mut command.to[at]] {
-                limit(&actuator.force, &mut wrench.force);
-                limit(&actuator.moment, &mut wrench.moment);
-            }
-        }
-    }
-
     /// The actuators of the task, with their bounds.
     pub(super) fn actuators(&self) -> &[ActuatedNode] {
         self.horizon.problem.wrench_actuators()
@@ -502,11 +496,20 @@ impl Controller {
         self.state.clone_from(measured);
         measured.difference_into(&self.horizon.start, &mut self.deviation);
         self.correct()?;
-        for _ in 1..self.settings.iterations {
+        let mut one = self.record.prepare_s + begin.elapsed().as_secs_f64();
+        self.record.iterations = 1;
+        while self.record.iterations < self.settings.iterations {
+            let so_far = begin.elapsed().as_secs_f64();
+            let is_late = (self.settings.deadline).is_some_and(|deadline| so_far + one > deadline);
+            if is_late || self.record.change < Self::SETTLED {
+                break;
+            }
             self.horizon.start.clone_from(&self.state);
             self.model()?;
             self.deviation.fill_zero();
             self.correct()?;
+            self.record.iterations += 1;
+            one = begin.elapsed().as_secs_f64() - so_far;
         }
         self.issue(self.horizon.grid.start);
         self.record.feedback_s = begin.elapsed().as_secs_f64();
@@ -776,18 +779,6 @@ impl Controller {
                 }
             }
         }
-    }
-}
-
-/// Brings a force or moment within its bound.
-fn limit(channel: &Channel, value: &mut Vector3<f64>) {
-    let length = value.norm();
-    match channel.bound {
-        Some(Bound::Norm(most)) if length > most => *value *= most / length,
-        Some(Bound::PerAxis(most)) => {
-            *value = value.zip_map(&most, |v, most| v.clamp(-most, most));
-        }
-        _ => {}
     }
 }
 

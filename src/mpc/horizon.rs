@@ -10,6 +10,8 @@
 //! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. `C` is effort
 //! and rate, `a` the control that acts when the horizon begins.
 
+use std::sync::Arc;
+
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nalgebra::Vector3;
@@ -128,7 +130,7 @@ pub(super) struct Horizon {
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
     /// The model without anything wrong with it.
-    model: Rod,
+    model: Arc<Rod>,
     /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
     parameters: [f64; 3],
     tuned: [f64; 3],
@@ -187,7 +189,7 @@ impl ControlColumns for Columns<'_> {
 impl Horizon {
     /// `weight` is what a unit of a target's scaled residual costs, squared and halved, `price` that of a violated limit.
     pub fn new(
-        problem: OptimalControlProblem,
+        mut problem: OptimalControlProblem,
         mut knots: Knots,
         weight: f64,
         price: f64,
@@ -203,6 +205,9 @@ impl Horizon {
                 "the controller knows a fixed duration; leave out free_duration",
             ));
         }
+        let model = Arc::clone(&problem.rod);
+        // The rod that disturbances change is the horizon's own from the beginning: a sample allocates nothing.
+        Arc::make_mut(&mut problem.rod);
         let grid = problem.grid;
         let components = problem.actuated_components();
         let Some(effects) = effects(&problem, &components) else {
@@ -251,7 +256,7 @@ impl Horizon {
             first_row: 0,
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             nodes: (0..n_nodes).collect(),
-            model: problem.rod.clone(),
+            model,
             parameters: Disturbance::NONE.parameters(),
             tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
@@ -341,7 +346,7 @@ impl Horizon {
         disturbance.add_to(&self.model, &mut self.disturbing);
         let parameters = disturbance.parameters();
         if parameters != self.parameters {
-            disturbance.change_model(&self.model, &mut self.problem.rod);
+            disturbance.change_model(&self.model, Arc::make_mut(&mut self.problem.rod));
             self.parameters = parameters;
         }
     }

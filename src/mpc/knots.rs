@@ -11,11 +11,15 @@ const SAME: f64 = 1e-6;
 /// Coefficients of a control over `[start, end]`, on a lattice of block lengths that stays where it is while the horizon moves: a plan
 /// that is carried over from one sample to the next is the same function of time.
 ///
-/// The first and the last knot are the ends of the horizon, those between them lie on the lattice.
+/// The first and the last knot are the ends of the horizon, those between them lie on the lattice. Blocks may double in length with their
+/// distance from the start: a block of `2^m` lattice lengths then begins at a multiple of itself, so that one that comes nearer is divided
+/// and no other knot is lost.
 #[derive(Debug)]
 pub(super) struct Knots {
     hold: Hold,
     block: f64,
+    /// So many blocks there are of each length; `None`: all are equal.
+    doubling: Option<usize>,
     times: Vec<f64>,
 }
 
@@ -34,6 +38,7 @@ impl Clone for Knots {
     fn clone_from(&mut self, other: &Self) {
         self.hold = other.hold;
         self.block = other.block;
+        self.doubling = other.doubling;
         self.times.clone_from(&other.times);
     }
 }
@@ -41,7 +46,12 @@ impl Clone for Knots {
 impl Knots {
     /// # Errors
     /// [`MpcError::Hold`] for a course that is neither constant nor linear.
-    pub fn new(hold: Hold, block: f64, longest: f64) -> Result<Self, MpcError> {
+    pub fn new(
+        hold: Hold,
+        block: f64,
+        doubling: Option<usize>,
+        longest: f64,
+    ) -> Result<Self, MpcError> {
         if hold == Hold::Cubic {
             return Err(MpcError::Hold);
         }
@@ -49,13 +59,34 @@ impl Knots {
         Ok(Self {
             hold,
             block,
+            doubling,
             times: Vec::with_capacity(most),
         })
     }
 
+    /// Most blocks in a horizon of this length.
+    pub fn blocks(&self, longest: f64) -> usize {
+        match self.doubling {
+            None => (longest / self.block).round().max(1.0) as usize,
+            Some(_) => self.most(longest) - 1,
+        }
+    }
+
     /// The most coefficients that a horizon of this length may have.
     pub fn most(&self, longest: f64) -> usize {
-        let inside = (longest / self.block - SAME).ceil() as usize;
+        let inside = if self.doubling.is_none() {
+            (longest / self.block - SAME).ceil() as usize
+        } else {
+            // What repeats itself does so with the longest block, which no horizon exceeds.
+            let phases = ((longest / self.block).ceil() as usize).next_power_of_two();
+            let mut tried = self.clone();
+            let inside = (0..phases).map(|phase| {
+                let start = (phase as f64 + 0.5) * self.block;
+                tried.place(start, start + longest);
+                tried.times.len() - 2
+            });
+            inside.max().unwrap_or(0)
+        };
         match self.hold {
             Hold::Constant => inside + 1,
             Hold::Linear | Hold::Cubic => inside + 2,
@@ -67,14 +98,29 @@ impl Knots {
         let least = SAME * self.block;
         self.times.clear();
         self.times.push(start);
-        let mut index = (start / self.block).floor() + 1.0;
+        let first = (start / self.block).floor();
+        let mut index = first + 1.0;
         while index * self.block < end - least {
             if index * self.block > start + least {
                 self.times.push(index * self.block);
             }
-            index += 1.0;
+            index += self.stride(index, index - first);
         }
         self.times.push(end);
+    }
+
+    /// Length of the block that begins at a place of the lattice, so far from the start, in lattice lengths.
+    fn stride(&self, index: f64, distance: f64) -> f64 {
+        let Some(equal) = self.doubling else {
+            return 1.0;
+        };
+        // As many blocks of each length: those of length m begin (m - 1) times so many lattice lengths away.
+        let longest = 1.0 + distance / equal as f64;
+        let mut stride = 1.0;
+        while 2.0 * stride <= longest && index % (2.0 * stride) == 0.0 {
+            stride *= 2.0;
+        }
+        stride
     }
 
     /// Its course within a block.
@@ -162,7 +208,7 @@ mod tests {
             knots.at(t).iter().map(|(i, w)| w * u[*i]).sum()
         };
         for hold in [Hold::Constant, Hold::Linear] {
-            let mut before = Knots::new(hold, 0.05, 0.5).unwrap();
+            let mut before = Knots::new(hold, 0.05, None, 0.5).unwrap();
             let mut after = before.clone();
             // Moves of whole blocks, which a constant course needs, and for a linear one the knot at the start moves as well.
             for start in [0.0, 0.35, 1.05] {
@@ -194,6 +240,38 @@ mod tests {
                     })
                     .sum();
                 assert!((ones - 0.5).abs() < 1e-12, "{hold:?} {ones}");
+            }
+        }
+    }
+
+    /// Blocks that double cover the horizon with few knots, the shortest first; whatever the start, one that moves on by a block loses none of the
+    /// knots ahead, so that a linear plan is carried over exactly.
+    #[test]
+    fn doubling_blocks_are_carried_over() {
+        for (equal, blocks) in [(1, 40), (2, 40), (3, 57), (4, 100)] {
+            let longest = f64::from(blocks) * 0.05;
+            let mut before = Knots::new(Hold::Linear, 0.05, Some(equal), longest).unwrap();
+            let most = before.most(longest);
+            assert!(most < blocks as usize / 2 + 2, "{equal}: {most}");
+            let mut after = before.clone();
+            for phase in 0..130 {
+                let start = (f64::from(phase) + 0.3) * 0.05;
+                before.place(start, start + longest);
+                after.place(start + 0.05, start + 0.05 + longest);
+                assert!(before.len() <= most && after.len() <= most);
+                let lengths: Vec<f64> = before.times.windows(2).map(|w| w[1] - w[0]).collect();
+                for block in &lengths[1..=equal] {
+                    assert!((block - 0.05).abs() < 1e-9, "{equal} {phase}: {block}");
+                }
+                // The last is what is left.
+                let whole = &lengths[1..lengths.len() - 1];
+                let growth = whole.windows(2).map(|w| w[1] / w[0]);
+                assert!(growth.clone().all(|factor| factor < 2.0 + 1e-9));
+                for knot in before.times.iter().filter(|t| **t > start + 0.0501) {
+                    let is_end = *knot == start + longest;
+                    let kept = (after.times.iter()).any(|own| (own - knot).abs() < 1e-9);
+                    assert!(is_end || kept, "{equal} {phase}: {knot}");
+                }
             }
         }
     }

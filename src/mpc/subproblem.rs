@@ -110,6 +110,13 @@ impl std::fmt::Debug for Subproblem {
     }
 }
 
+#[cfg(test)]
+thread_local! {
+    /// Which factorizations of this thread fail, for tests of what a loop does then.
+    pub(in crate::mpc) static FAILS: std::cell::RefCell<Box<dyn FnMut() -> bool>> =
+        std::cell::RefCell::new(Box::new(|| false));
+}
+
 impl Subproblem {
     /// For at most so many variables, rows and soft rows.
     pub fn new(n: usize, most_rows: usize, most_soft: usize) -> Self {
@@ -136,6 +143,10 @@ impl Subproblem {
     /// # Errors
     /// [`MpcError::Subproblem`] where it has no factor.
     pub fn factor(&mut self) -> Result<(), MpcError> {
+        #[cfg(test)]
+        if FAILS.with_borrow_mut(|fails| fails()) {
+            return Err(MpcError::Subproblem);
+        }
         self.free.copy_from(&self.hessian);
         factor(&mut self.free, &mut self.scratch)
     }

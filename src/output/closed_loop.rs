@@ -113,7 +113,7 @@ pub struct BaselineSummary {
 }
 
 /// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
-const COLUMNS: [&str; 56] = [
+const COLUMNS: [&str; 57] = [
     "t",
     "acts_from",
     "age",
@@ -130,6 +130,7 @@ const COLUMNS: [&str; 56] = [
     "innovation_normalized",
     "innovation_distance",
     "predicted_cost",
+    "iterations",
     "subproblem_iterations",
     "subproblem_converged",
     "fx",
@@ -376,6 +377,7 @@ fn row(sample: &Sample) -> Vec<String> {
         None => row.nothing(4),
     }
     row.numbers(&[sample.predicted_cost]);
+    row.0.push(sample.iterations.to_string());
     row.0.push(sample.subproblem.iterations.to_string());
     row.0.push(sample.subproblem.converged.to_string());
     row.numbers(sample.wrench.force.as_slice());

@@ -1,6 +1,7 @@
 //! From a checked scene to a closed loop: controller, plant, sensors, estimator.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use super::error::SceneError;
 use super::model::{
@@ -26,9 +27,9 @@ pub struct ClosedLoopSetup {
     /// The loop.
     pub experiment: Experiment,
     /// Rod of the controller's model.
-    pub model: Rod,
+    pub model: Arc<Rod>,
     /// Rod of the arm as it is.
-    pub plant: Rod,
+    pub plant: Arc<Rod>,
     /// State of the arm as it is at time 0.
     pub initial: State,
     /// The scene with every default and derived value written out.
@@ -83,11 +84,13 @@ impl Scene {
             horizon,
             due: due.map(Number::get),
             block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
+            equal_blocks: mpc.equal_blocks,
             jump: mpc.jump.get(),
             effort: mpc.effort_from,
             target_weight: mpc.target_weight.get(),
             limit_price: mpc.limit_price.get(),
             iterations: mpc.iterations,
+            deadline: mpc.deadline_s.map(Number::get),
             ..MpcSettings::receding(horizon)
         };
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
@@ -326,6 +329,8 @@ impl Scene {
             }));
         let own = Discretization {
             elements: keys.elements.unwrap_or(elements),
+            scheme: None,
+            rotary_inertia: None,
             step: None,
             ..*discretization
         };

@@ -366,6 +366,10 @@ fn bound(bound: Option<control::Bound>) -> Option<Bound> {
     }
 }
 
+fn axes(limits: &ChannelLimits) -> Option<[bool; 3]> {
+    (limits.off != [false; 3]).then(|| limits.off.map(|is_off| !is_off))
+}
+
 fn control(problem: &Problem) -> Result<Control, DescribeError> {
     let chosen = &problem.discretization;
     if !problem.task.own_actuators.is_empty() {
@@ -389,14 +393,18 @@ fn control(problem: &Problem) -> Result<Control, DescribeError> {
         blocks: chosen.blocks,
         hold: chosen.hold,
         force_max_n: bound(tip.force.bound),
+        force_axes: axes(&tip.force),
         moment_max_n_m: bound(tip.moment.bound),
+        moment_axes: axes(&tip.moment),
         force_rate_max_n_s: rate(&tip.force),
         moment_rate_max_n_m_s: rate(&tip.moment),
         actuator: (others.iter())
             .map(|other| Actuator {
                 node: other.at.node(chosen.elements),
                 force_max_n: bound(other.force.bound),
+                force_axes: axes(&other.force),
                 moment_max_n_m: bound(other.moment.bound),
+                moment_axes: axes(&other.moment),
             })
             .collect(),
         distributed: None,

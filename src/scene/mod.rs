@@ -24,6 +24,7 @@ mod accuracy;
 pub mod builtin;
 mod check;
 mod check_closed_loop;
+mod check_control;
 mod closed_loop;
 mod csv_path;
 mod describe;

@@ -453,9 +453,11 @@ impl Scene {
             return Err(error.expecting("expected a positive duration"));
         }
         let elements = self.rod.elements;
-        let limits = |limit: Option<model::Bound>, rate: Option<model::Bound>| ChannelLimits {
+        type Part = (Option<model::Bound>, Option<[bool; 3]>);
+        let limits = |(limit, axes): Part, rate: Option<model::Bound>| ChannelLimits {
             bound: limit.map_or(ChannelLimits::NONE.bound, bound),
             rate_bound: rate.and_then(bound),
+            off: axes.unwrap_or([true; 3]).map(|acts| !acts),
         };
         let actuator = |at, force, moment| WrenchActuator {
             at,
@@ -464,14 +466,14 @@ impl Scene {
         };
         let mut actuators = vec![actuator(
             Place::Tip,
-            control.force_max_n,
-            control.moment_max_n_m,
+            (control.force_max_n, control.force_axes),
+            (control.moment_max_n_m, control.moment_axes),
         )];
         actuators.extend((control.actuator.iter()).map(|definition| {
             actuator(
                 Place::of_node(definition.node, elements),
-                definition.force_max_n,
-                definition.moment_max_n_m,
+                (definition.force_max_n, definition.force_axes),
+                (definition.moment_max_n_m, definition.moment_axes),
             )
         }));
         Ok(Task {

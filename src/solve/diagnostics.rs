@@ -38,7 +38,7 @@ pub(super) fn visit(
 ) -> Result<(), StepError> {
     let (grid, h) = (problem.grid, problem.grid.step);
     let control = problem.signal(&problem.control, coefficients);
-    let mut loaded = problem.rod.clone();
+    let mut loaded = Rod::clone(&problem.rod);
     let n_own = loaded.loads.len();
     let mut stepper = Stepper::new(&problem.rod, grid, problem.initial.clone());
     let mut before = None;

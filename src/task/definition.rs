@@ -186,6 +186,8 @@ pub struct ChannelLimits {
     pub bound: Option<Bound>,
     /// Largest rate of change, N/s or N m/s; `None`: unbounded.
     pub rate_bound: Option<Bound>,
+    /// Components that do not act, whatever their bound.
+    pub off: [bool; 3],
 }
 
 impl ChannelLimits {
@@ -193,6 +195,7 @@ impl ChannelLimits {
     pub const NONE: Self = Self {
         bound: Some(Bound::Norm(0.0)),
         rate_bound: None,
+        off: [false; 3],
     };
 
     /// A bound on the Euclidean norm, N or N m; no bound on the rate.
@@ -201,11 +204,21 @@ impl ChannelLimits {
         Self {
             bound: Some(Bound::Norm(limit)),
             rate_bound: None,
+            off: [false; 3],
+        }
+    }
+
+    /// The channel of a discrete problem, of which `scale` (N or N m) counts as 1.
+    pub(crate) fn channel(&self, scale: f64) -> Channel {
+        Channel {
+            rate_bound: self.rate_bound,
+            axes: self.off.map(|is_off| !is_off),
+            ..Channel::new(scale, self.bound)
         }
     }
 
     pub(crate) fn acts(&self) -> bool {
-        (self.bound).is_none_or(|bound| (0..3).any(|axis| bound.actuates(axis)))
+        self.channel(1.0).acts()
     }
 }
 

@@ -1,9 +1,11 @@
 //! From a continuous problem to a discrete one: the rod, the time grid, and the optimal-control problem on both.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
-use super::definition::{ChannelLimits, Hardness, LimitKind, Target, Task};
+use super::definition::{Hardness, LimitKind, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
@@ -11,8 +13,8 @@ use super::prediction::{Work, automatic_scheme, prefers_segments};
 use super::tracking::default_weights;
 use crate::control::path::thinnest;
 use crate::control::{
-    ActuatedNode, Channel, ControlGrid, Enforcement, Goal, GoalPart, Objective,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
+    ActuatedNode, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
+    PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
 };
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
@@ -209,7 +211,7 @@ impl Task {
             control,
             actuators,
             acting,
-            rod,
+            rod: Arc::new(rod),
         };
         check_start(&discrete)?;
         check_goals(&discrete)?;
@@ -360,16 +362,11 @@ impl Task {
         let force_scale = self.cost.force_scale.unwrap_or(rod.scales.force);
         let moment_scale = (self.cost.moment_scale)
             .unwrap_or_else(|| self.weakest_bending(rod) / rod.scales.length);
-        let channel = |scale: f64, limits: &ChannelLimits| Channel {
-            scale,
-            bound: limits.bound,
-            rate_bound: limits.rate_bound,
-        };
         (self.actuators.iter())
             .map(|actuator| ActuatedNode {
                 node: actuator.at.node(rod.tip()),
-                force: channel(force_scale, &actuator.force),
-                moment: channel(moment_scale, &actuator.moment),
+                force: actuator.force.channel(force_scale),
+                moment: actuator.moment.channel(moment_scale),
             })
             .collect()
     }

@@ -11,6 +11,7 @@ const NONE: Channel = Channel {
     scale: 1.0,
     bound: Some(Bound::Norm(0.0)),
     rate_bound: None,
+    axes: [true; 3],
 };
 
 /// What carries the controls after `first` wrenches, and where each of them is: every group in a force or a moment of its own.

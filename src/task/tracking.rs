@@ -1,6 +1,6 @@
 //! The weights of a path to follow that has no weights of its own.
 
-use crate::control::{ActuatedNode, Bound, Channel};
+use crate::control::{ActuatedNode, Channel};
 use crate::mechanics::Rod;
 
 /// Part of a displacement that is missed where it is held statically.
@@ -24,12 +24,9 @@ fn default_weight(
     actuators: &[ActuatedNode],
     [across, about]: [f64; 2],
 ) -> f64 {
-    let acts = |channel: &Channel| {
-        (channel.bound).is_none_or(|bound: Bound| (0..3).any(|axis| bound.actuates(axis)))
-    };
     let held = |part: &dyn Fn(&ActuatedNode) -> Channel, unit: f64| {
         (actuators.iter().map(part))
-            .filter(acts)
+            .filter(Channel::acts)
             .map(|channel| channel.scale / unit)
             .fold(0.0, f64::max)
     };

@@ -188,7 +188,7 @@ impl Plant {
             .unwrap();
         let controller = scene.controller().unwrap();
         Self {
-            rod: plant.discrete.rod,
+            rod: Arc::unwrap_or_clone(plant.discrete.rod),
             initial: plant.discrete.initial,
             model: controller.rod().clone(),
             nodes: controller.command().nodes.clone(),

@@ -174,6 +174,6 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
             samples: 30,
         },
         grid,
-        rod,
+        rod: rod.into(),
     }
 }

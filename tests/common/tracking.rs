@@ -32,7 +32,7 @@ pub fn task(largest_force: f64) -> Task {
             force: ChannelLimits::at_most(largest_force),
             moment: ChannelLimits {
                 bound: Some(Bound::PerAxis(moment)),
-                rate_bound: None,
+                ..ChannelLimits::default()
             },
         }],
         cost: Cost {

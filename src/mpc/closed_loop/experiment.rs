@@ -1,6 +1,7 @@
 //! One scene, several laws, and the parts that may be wrong taken away one at a time.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
@@ -324,7 +325,7 @@ impl Experiment {
             .discretize(&self.plant, &self.plant_discretization)?;
         let (mut rod, start) = (plant.discrete.rod, plant.discrete.initial);
         if let Some(adjust) = self.adjust {
-            adjust(&mut rod);
+            adjust(Arc::make_mut(&mut rod));
         }
         let knowledge = self.knowledge(&controller, &rod)?;
         let period = self.mpc.period;

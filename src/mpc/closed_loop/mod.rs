@@ -18,6 +18,8 @@ mod experiment;
 mod fallback;
 mod law;
 mod sample;
+#[cfg(test)]
+mod tests;
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;

@@ -27,6 +27,8 @@ pub struct Sample {
     pub innovation: Option<Innovation>,
     /// `½ |r|²` of tracks and targets that the controller predicted.
     pub predicted_cost: f64,
+    /// Gauss-Newton iterations from the estimate to the command; 0 where there was no command of its own.
+    pub iterations: usize,
     /// How the subproblem ended.
     pub subproblem: SubproblemEnd,
     /// First wrench of the command: force (spatial, N) and moment (body frame, N m) when it begins to act.
@@ -62,6 +64,7 @@ impl Sample {
             turn: None,
             innovation: None,
             predicted_cost: 0.0,
+            iterations: 0,
             subproblem: SubproblemEnd {
                 iterations: 0,
                 converged: true,
@@ -82,6 +85,7 @@ impl Sample {
     pub(super) fn note_command(&mut self, command: &Command, record: &SampleRecord) {
         self.wrench = command.from.first().copied().unwrap_or_default();
         self.predicted_cost = record.predicted_cost;
+        self.iterations = record.iterations;
         self.subproblem = record.subproblem;
     }
 

@@ -2,7 +2,7 @@
 
 use super::super::horizon::Horizon;
 use super::super::subproblem::{Set, Subproblem};
-use super::Controller;
+use super::{Command, Controller};
 use crate::control::{Bound, Hold};
 
 impl Controller {
@@ -51,6 +51,22 @@ impl Controller {
                     });
                 }
                 c = end;
+            }
+        }
+    }
+
+    /// Brings a command within the bounds of the task on forces and moments, by their length where the bound is on that; what is not actuated
+    /// is taken away. What actuators of one's own do to other nodes stays as it is.
+    pub fn within_bounds(&self, command: &mut Command) {
+        let problem = &self.horizon.problem;
+        for (at, node) in command.nodes.iter().enumerate() {
+            let actuators = problem.wrench_actuators();
+            let Some(actuator) = actuators.iter().find(|own| own.node == *node) else {
+                continue;
+            };
+            for wrench in [&mut command.from[at], &mut command.to[at]] {
+                wrench.force = actuator.force.within(&wrench.force);
+                wrench.moment = actuator.moment.within(&wrench.moment);
             }
         }
     }

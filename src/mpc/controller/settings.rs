@@ -27,6 +27,8 @@ pub struct MpcSettings {
     pub due: Option<f64>,
     /// Length of a block of the control.
     pub block: f64,
+    /// After so many blocks of one length the next ones are twice as long: near decisions are fine, far ones coarse. `None`: all are equal.
+    pub equal_blocks: Option<usize>,
     /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts when a sample begins, in scaled controls.
     pub jump: f64,
     /// Where effort counts from, while the horizon recedes; where it has an end, from zero.
@@ -37,8 +39,11 @@ pub struct MpcSettings {
     /// as long as nothing is worth more: no plan fails for their sake. A price far above what keeps them, the weight of a track times the
     /// distance over the length by which they hold its node back, makes commands jump for the sake of violations that are next to nothing.
     pub limit_price: f64,
-    /// Gauss-Newton iterations a sample, at least 1.
+    /// Gauss-Newton iterations a sample, at least 1; they end before where the plan does not change any more.
     pub iterations: usize,
+    /// Time after which [feedback](super::Controller::feedback) is to have its command: of several iterations none is begun that would end later if
+    /// it took as long as the one before. The first is always made. `None`: all are made. Commands depend on the machine with it.
+    pub deadline: Option<f64>,
     /// Most iterations of the subproblem.
     pub subproblem_iterations: usize,
     /// Duality gap of the subproblem, over the decrease that it promises without bounds.
@@ -55,11 +60,13 @@ impl MpcSettings {
             horizon,
             due: None,
             block: horizon / 10.0,
+            equal_blocks: None,
             jump: 100.0,
             effort: EffortFrom::Holding,
             target_weight: 1e4,
             limit_price: 5e3,
             iterations: 1,
+            deadline: None,
             subproblem_iterations: 40,
             subproblem_tolerance: 1e-6,
         }
@@ -81,6 +88,7 @@ impl MpcSettings {
         positive("period", self.period)?;
         positive("horizon", self.horizon)?;
         positive("block", self.block)?;
+        positive("deadline", self.deadline.unwrap_or(1.0))?;
         positive("target_weight", self.target_weight)?;
         positive("limit_price", self.limit_price)?;
         positive("subproblem_tolerance", self.subproblem_tolerance)?;
@@ -101,6 +109,7 @@ impl MpcSettings {
         }
         let counts = [
             ("iterations", self.iterations),
+            ("equal_blocks", self.equal_blocks.unwrap_or(1)),
             ("subproblem_iterations", self.subproblem_iterations),
         ];
         for (name, count) in counts {

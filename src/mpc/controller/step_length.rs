@@ -66,7 +66,7 @@ impl Controller {
             }
             self.horizon.linearize()?;
             self.condense()?;
-            if part * self.record.change < Self::FIRST.1 {
+            if part * self.record.change < Self::SETTLED {
                 break;
             }
         }

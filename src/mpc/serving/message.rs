@@ -143,10 +143,7 @@ impl ChannelLine {
             Some(Bound::PerAxis(most)) => Some(Vector::from(most).map(finite)),
             _ => None,
         };
-        let acts = channel
-            .bound
-            .is_none_or(|bound| (0..3).any(|axis| bound.actuates(axis)));
-        acts.then(|| Self {
+        channel.acts().then(|| Self {
             unit,
             frame,
             max_norm: norm(channel.bound),

@@ -26,6 +26,10 @@ pub struct Mpc {
     /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub block_s: Option<Positive<values::Duration>>,
+    /// After so many blocks of one length the next ones are twice as long, at least 1. Absent: all are equal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub equal_blocks: Option<usize>,
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of `objective.force_scale_n` and
     /// `moment_scale_n_m`; not negative, default 100.
     pub jump: NonNegative<values::Weight>,
@@ -42,6 +46,10 @@ pub struct Mpc {
     /// Gauss-Newton iterations a sample, at least 1, default 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub iterations: usize,
+    /// Time in s after which a command is to be there, positive: no iteration but the first is begun that would end later. Commands then depend on
+    /// the machine. Absent: all iterations are made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline_s: Option<Positive<values::Duration>>,
     /// How long the loop runs in s, positive. Absent: `time.end_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<Positive<values::Duration>>,
@@ -255,11 +263,13 @@ impl Default for Mpc {
             horizon_s: None,
             due_s: None,
             block_s: None,
+            equal_blocks: None,
             jump: known(JUMP),
             effort_from: settings.effort,
             target_weight: known(settings.target_weight),
             limit_price: known(settings.limit_price),
             iterations: settings.iterations,
+            deadline_s: None,
             duration_s: None,
             counted_from_s: None,
             computing: Computing::default(),

@@ -23,9 +23,15 @@ pub struct Control {
     /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
+    /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_axes: Option<[bool; 3]>,
     /// Largest tip moment in N m; `inf` is unbounded. Absent, or 0: there is no tip moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
+    /// Components of that moment (body frame; the third is twist) that act. Absent: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_axes: Option<[bool; 3]>,
     /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_rate_max_n_s: Option<Bound>,
@@ -93,9 +99,15 @@ pub struct Actuator {
     /// Largest force in N; `inf` is unbounded. Absent, or 0: there is no force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
+    /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_axes: Option<[bool; 3]>,
     /// Largest moment in N m; `inf` is unbounded. Absent, or 0: there is no moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
+    /// Components of that moment (body frame; the third is twist) that act. Absent: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_axes: Option<[bool; 3]>,
 }
 
 /// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.

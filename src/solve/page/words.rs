@@ -5,10 +5,10 @@ use nalgebra::Vector3;
 use super::arrows::largest_controls;
 use super::fact;
 use super::summary::{Fields, counted, measure, vector};
-use crate::control::{ActuatedNode, Bound, Enforcement, OptimalControlProblem};
+use crate::control::{ActuatedNode, Bound, Channel, Enforcement, OptimalControlProblem};
 use crate::mechanics::{BaseCondition, LoadFrame, Rod, SectionProfile, Wrench};
 use crate::output::figure;
-use crate::task::{Arm, Limit, LimitKind, Place, Problem, WrenchActuator};
+use crate::task::{Arm, ChannelLimits, Limit, LimitKind, Place, Problem, WrenchActuator};
 
 /// Sentence and reason for trust of a solve.
 pub(super) fn solve_words(
@@ -101,16 +101,12 @@ fn what(problem: &OptimalControlProblem, certain: bool) -> String {
 fn peaks(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> [Option<f64>; 2] {
     let actuators = problem.wrench_actuators();
     let largest = largest_controls(problem, coefficients);
-    let of = |part: usize, bound: fn(&ActuatedNode) -> &Option<Bound>| {
-        let acts = |bound: &Bound| (0..3).any(|axis| bound.actuates(axis));
+    let of = |part: usize, channel: fn(&ActuatedNode) -> &Channel| {
         (actuators.iter())
-            .any(|node| bound(node).as_ref().is_none_or(acts))
+            .any(|node| channel(node).acts())
             .then(|| largest.iter().map(|sizes| sizes[part]).fold(0.0, f64::max))
     };
-    [
-        of(0, |node| &node.force.bound),
-        of(1, |node| &node.moment.bound),
-    ]
+    [of(0, |node| &node.force), of(1, |node| &node.moment)]
 }
 
 /// " with at most 2.3 N and 4.9 N m", as far as there are forces and moments.
@@ -272,11 +268,11 @@ pub(super) fn acting_facts(
     let mut facts = Vec::new();
     for actuator in actuators {
         let parts: Vec<String> = [
-            ("force", &actuator.force.bound, "N"),
-            ("moment", &actuator.moment.bound, "N·m"),
+            ("force", &actuator.force, "N"),
+            ("moment", &actuator.moment, "N·m"),
         ]
         .into_iter()
-        .filter_map(|(name, bound, unit)| Some(format!("{name} {}", bounded(bound, unit)?)))
+        .filter_map(|(name, limits, unit)| Some(format!("{name} {}", bounded(limits, unit)?)))
         .collect();
         if !parts.is_empty() {
             facts.push(fact(
@@ -360,14 +356,22 @@ fn place(place: Place) -> String {
 }
 
 /// The limit of a control; `None` of one that does not act.
-fn bounded(bound: &Option<Bound>, unit: &str) -> Option<String> {
-    match bound {
-        None => Some("without limit".into()),
-        Some(bound) if (0..3).all(|axis| !bound.actuates(axis)) => None,
-        Some(Bound::Norm(limit)) if limit.is_infinite() => Some("without limit".into()),
-        Some(Bound::Norm(limit)) => Some(format!("up to {}", measure(*limit, unit))),
-        Some(Bound::PerAxis(limits)) => Some(format!("up to {} {unit} per axis", vector(*limits))),
+fn bounded(limits: &ChannelLimits, unit: &str) -> Option<String> {
+    if !limits.acts() {
+        return None;
     }
+    let mut text = match limits.bound {
+        None => "without limit".into(),
+        Some(Bound::Norm(limit)) if limit.is_infinite() => "without limit".into(),
+        Some(Bound::Norm(limit)) => format!("up to {}", measure(limit, unit)),
+        Some(Bound::PerAxis(limits)) => format!("up to {} {unit} per axis", vector(limits)),
+    };
+    if limits.off != [false; 3] {
+        let named = (0..3).filter(|&axis| !limits.off[axis]);
+        let named: Vec<&str> = named.map(|axis| ["x", "y", "z"][axis]).collect();
+        text += &format!(", along {} alone", named.join(" and "));
+    }
+    Some(text)
 }
 
 fn given(

@@ -7,8 +7,9 @@ use super::super::course::Errors;
 use super::{
     Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work, fit,
 };
+use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
-use crate::scene::EstimatorKind;
+use crate::scene::{EstimatorKind, TimeScheme};
 
 /// Part of the budget that one run may take, so that there are enough of them.
 const OF_A_RUN: f64 = 0.08;
@@ -210,6 +211,21 @@ impl Work<'_, '_> {
                 add(&|setting| setting.horizon_s = Some(whole));
             }
         }
+        // Steps that are solved for may be as long as the time between two samples, and a horizon has few of them.
+        if usual.model == RodModel::Standard
+            && let Some(mpc) = &self.sweep.scene.mpc
+        {
+            add(&|setting| {
+                setting.integrator = TimeScheme::Explicit;
+                setting.model_step_s = None;
+            });
+            for parts in [1.0, 2.0] {
+                add(&|setting| {
+                    setting.integrator = TimeScheme::Implicit;
+                    setting.model_step_s = Some(mpc.period_s.get() / parts);
+                });
+            }
+        }
         for iterations in [1, 2, 3] {
             add(&|setting| setting.iterations = Some(iterations));
         }
@@ -307,6 +323,8 @@ fn both(usual: &Setting, a: &Setting, b: &Setting) -> Setting {
     }
     Setting {
         elements: pick(&usual.elements, &a.elements, &b.elements),
+        integrator: pick(&usual.integrator, &a.integrator, &b.integrator),
+        model_step_s: pick(&usual.model_step_s, &a.model_step_s, &b.model_step_s),
         horizon_s: pick(&usual.horizon_s, &a.horizon_s, &b.horizon_s),
         block_s: pick(&usual.block_s, &a.block_s, &b.block_s),
         iterations: pick(&usual.iterations, &a.iterations, &b.iterations),

@@ -1,6 +1,7 @@
 //! The sweep of an optimal-control problem: what the controls do on a finer grid, and what they cost.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::super::course::{Course, Errors};
@@ -301,7 +302,7 @@ impl Solved {
         let mut courses = Vec::new();
         for factor in [1, 2, 4] {
             let (rod, start) = if factor == 1 {
-                (discrete.rod.clone(), discrete.initial.clone())
+                (Arc::clone(&discrete.rod), discrete.initial.clone())
             } else {
                 let finer = Discretization {
                     strain_rule: StrainRule::Helical,
@@ -312,7 +313,7 @@ impl Solved {
                     .map_err(|error| super::RunError::Discretize(error.into()))?;
                 let start = (problem.task.start.state(&rod, work.sweep.stop))
                     .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
-                (rod, start)
+                (Arc::new(rod), start)
             };
             let needed = (discrete.grid.step / automatic_step(&rod) * (1.0 - 1e-9)).ceil() as usize;
             let parts = if rod.scheme == crate::mechanics::TimeScheme::Implicit {

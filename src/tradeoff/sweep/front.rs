@@ -44,6 +44,7 @@ mod tests {
             hold: None,
             tolerance: None,
             hessian: None,
+            model_step_s: None,
             horizon_s: None,
             block_s: None,
             iterations: None,

@@ -22,7 +22,9 @@ use super::motion::RunError;
 use crate::control::{GuessError, Hold};
 use crate::mechanics::{RodModel, StrainRule};
 use crate::mpc::MpcError;
-use crate::scene::{EstimatorKind, RotaryInertia, Scene, SceneError, SceneSource, TimeScheme};
+use crate::scene::{
+    EstimatorKind, RotaryInertia, Scene, SceneError, SceneSource, TimeScheme, TimeStep,
+};
 use crate::sqp::HessianChoice;
 use crate::stop::StopSignal;
 use crate::task::{Discretization, prediction::simulation_seconds};
@@ -92,6 +94,9 @@ pub struct Setting {
     /// Hessian of the solver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hessian: Option<HessianChoice>,
+    /// Time step of a controller's model, s, where it is not the automatic one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model_step_s: Option<f64>,
     /// Horizon of a controller, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
@@ -155,6 +160,13 @@ impl Setting {
                 format!("{} Hessian", hessian.name()),
             );
         }
+        add(
+            self.model_step_s != usual.model_step_s,
+            match self.model_step_s {
+                Some(step) => format!("steps of {step} s"),
+                None => "automatic steps".into(),
+            },
+        );
         add(
             self.horizon_s != usual.horizon_s,
             format!("horizon {} s", number(self.horizon_s)),
@@ -434,6 +446,10 @@ impl Sweep<'_> {
                 (resolved, mpc)
             }
         };
+        let own_step = match scene.time.step_s {
+            TimeStep::Seconds(step) => Some(step),
+            TimeStep::Auto => None,
+        };
         let controlled = subject == Subject::OptimalControl;
         let control = scene.control.as_ref().filter(|_| controlled);
         let solver = scene.solver.clone().unwrap_or_default();
@@ -448,6 +464,7 @@ impl Sweep<'_> {
             hold: control.map(|control| control.hold),
             tolerance: controlled.then(|| solver.tolerance.get()),
             hessian: controlled.then_some(solver.hessian),
+            model_step_s: loops.as_ref().and(own_step),
             horizon_s: loops.as_ref().and_then(|mpc| Some(mpc.horizon_s?.get())),
             block_s: loops.as_ref().and_then(|mpc| Some(mpc.block_s?.get())),
             iterations: loops.as_ref().map(|mpc| mpc.iterations),
@@ -570,7 +587,7 @@ impl Setting {
         let mut out = scene.with_grid(&Discretization {
             elements: self.elements,
             strain_rule: self.strain,
-            step,
+            step: step.or(self.model_step_s),
             hold: self.hold.unwrap_or(own.hold),
             blocks: self.blocks.unwrap_or(own.blocks),
             scheme: None,

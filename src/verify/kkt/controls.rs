@@ -174,21 +174,22 @@ impl ControlConditions {
                     });
                 }
                 for (j, time) in times.iter().enumerate() {
-                    let (g, u) = (gradient[j * n + a][c], at(j));
+                    // What may not act has a gradient and nothing to choose.
+                    let (g, u) = (channel.acting(&gradient[j * n + a][c]), at(j));
                     let (rest, gap, normal) = normal_cone(&channel.bound, &g, &u, scale);
                     out.stationarity.note(rest.amax(), || {
                         let value = rest.amax() / scale;
                         place(*time, "", largest_axis(&rest), value, per(unit))
                     });
                     (out.complementarity).note(gap, || place(*time, "", "", gap, String::new()));
-                    let Some(bound) = channel.bound else {
-                        continue;
-                    };
-                    let violation = bound.violation(&u);
+                    let violation = channel.violation(&u);
                     out.violation = super::worse(out.violation, violation);
                     out.bounds.note(violation / scale, || {
                         place(*time, "", largest_axis(&u), violation, unit.into())
                     });
+                    let Some(bound) = channel.bound else {
+                        continue;
+                    };
                     out.active.push(ActiveBound {
                         at: j * n + a,
                         earlier: None,
@@ -213,8 +214,7 @@ impl ControlConditions {
     fn note(&mut self, problem: &OptimalControlProblem, terms: &[Pair]) {
         for (terms, actuator) in terms.iter().zip(problem.actuators.iter().cycle()) {
             for (term, channel) in terms.iter().zip([&actuator.force, &actuator.moment]) {
-                let acts = |axis: usize| channel.bound.is_none_or(|bound| bound.actuates(axis));
-                for axis in (0..3).filter(|&axis| acts(axis)) {
+                for axis in (0..3).filter(|&axis| channel.acts_along(axis)) {
                     self.largest = self.largest.max(term[axis].abs());
                 }
             }

@@ -1,0 +1,122 @@
+//! What a loop does where its controller fails by itself.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+
+use super::{Cause, Contender, Experiment};
+use crate::mechanics::Material;
+use crate::mpc::MpcSettings;
+use crate::mpc::subproblem::FAILS;
+use crate::task::{
+    Arm, ChannelLimits, Cost, Discretization, Place, PointLoad, Task, Track, WrenchActuator,
+};
+
+const FORCE: f64 = 3.0;
+const SAMPLES: usize = 10_000;
+
+/// A soft arm whose tip is to be held a tenth of its length aside, pushed once a second.
+fn scene() -> Experiment {
+    let arm = Arm {
+        gravity: Vector3::zeros(),
+        viscous_damping: 2.0,
+        ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
+    };
+    let seconds = 0.01 * SAMPLES as f64;
+    let task = Task {
+        horizon: seconds,
+        targets: Vec::new(),
+        actuators: vec![WrenchActuator {
+            at: Place::Tip,
+            force: ChannelLimits::at_most(FORCE),
+            moment: ChannelLimits::NONE,
+        }],
+        cost: Cost {
+            tracks: vec![Track {
+                path: vec![(0.0, Vector3::new(0.1, 0.0, 0.994))],
+                weight: Some(3e3),
+                ..Track::default()
+            }],
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::zeros(), 1.0, FORCE)
+    };
+    let discretization = Discretization {
+        samples: 10,
+        ..Discretization::with_elements(4)
+    };
+    let settings = MpcSettings::receding(0.2);
+    let mut scene = Experiment::new(arm, task, discretization, settings);
+    let profile = (0..SAMPLES / 100).flat_map(|i| {
+        let t = i as f64 + 0.3;
+        [(t, 0.0), (t + 0.01, 1.0), (t + 0.05, 1.0), (t + 0.06, 0.0)]
+    });
+    scene.plant.loads.push(PointLoad {
+        at: Place::Tip,
+        force: Vector3::new(0.0, 2.0, 0.0),
+        profile: profile.collect(),
+        ..PointLoad::default()
+    });
+    scene.duration = seconds;
+    scene
+}
+
+/// Ten thousand samples in which factorizations fail one at a time and in bursts that outlast the plan: every command is finite and within its bound,
+/// every fall-back has its cause, a restart follows each burst, and the tip is where it should be once the controller works again.
+#[test]
+fn forced_failures_are_survived() {
+    let scene = scene();
+    let mut dice = fastrand::Rng::with_seed(7);
+    let mut burst = 0;
+    let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
+        let chance = dice.f64();
+        burst = match chance {
+            _ if burst > 0 => burst - 1,
+            0.0..0.002 => 100,
+            0.002..0.05 => 1,
+            _ => 0,
+        };
+        burst > 0
+    });
+    // The first plan is made with a controller that works.
+    let mut forced = Some(forced);
+    let mut causes = BTreeMap::new();
+    let (mut n, mut since, mut worst) = (0, 0, 0.0f64);
+    let outcome = scene.run(Contender::Mpc, &mut |sample, _| {
+        if let Some(forced) = forced.take() {
+            FAILS.set(forced);
+        }
+        n += 1;
+        let force = sample.wrench.force;
+        assert!(force.norm() <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
+        assert!(sample.tip.iter().all(|x| x.is_finite()), "{}", sample.t);
+        since = match sample.fallback {
+            Some((cause, action)) => {
+                *causes.entry((cause, action.to_string())).or_insert(0) += 1;
+                0
+            }
+            None => since + 1,
+        };
+        // A push is over after a tenth of a second, and the arm back after another half.
+        let is_quiet = sample.t % 1.0 > 0.95 && since > 60;
+        if is_quiet {
+            worst = worst.max(sample.tip_error());
+        }
+        ControlFlow::Continue(())
+    });
+    FAILS.set(Box::new(|| false));
+    outcome.unwrap();
+    println!("{causes:?} {worst}");
+    assert_eq!(n, SAMPLES);
+    let of = |wanted: Cause, action: &str| {
+        let found = causes
+            .iter()
+            .filter(|((cause, own), _)| *cause == wanted && own == action);
+        found.map(|(_, n)| *n).sum::<usize>()
+    };
+    for action in ["plan", "damping", "ramp"] {
+        assert!(of(Cause::Subproblem, action) > 0, "{action}: {causes:?}");
+    }
+    assert!(worst < 0.01, "{worst}");
+}
