@@ -244,7 +244,10 @@ fn deadlines_end_iterations() {
         (counts, stepper.state())
     };
     let (counts, settled) = commands(60, None);
-    assert!(counts.iter().all(|n| (2..60).contains(n)), "{counts:?}");
+    assert!(
+        counts.iter().all(|n| *n < 60) && counts[1] > 1,
+        "{counts:?}"
+    );
     assert_eq!(commands(60, Some(1e6)), (counts, settled));
     let (counts, hurried) = commands(60, Some(1e-9));
     assert_eq!(counts, [1; 5]);
