@@ -12,11 +12,11 @@ use softarm::scene::Scene;
 use softarm::solve::Solution;
 use softarm::task::{ChannelLimits, Discretization, Task};
 
-const OFF: [bool; 3] = [false, true, false];
+const OFF: [bool; 3] = [false, false, true];
 
-/// A reach out of the plane by forces in a plane.
+/// A reach out of the plane by transverse forces. (Within a plane that forces cannot leave, the rows of rest across it depend on nothing.)
 fn solved(force: ChannelLimits) -> Solution {
-    let mut task = Task::reach(Vector3::new(0.25, 0.0, 0.94), 0.6, 1.0);
+    let mut task = Task::reach(Vector3::new(0.2, 0.1, 0.96), 0.6, 1.0);
     task.actuators[0].force = force;
     task.actuators[0].moment = ChannelLimits::NONE;
     let arm = tracking::arm(1e6);
@@ -45,11 +45,11 @@ fn bounds_hold_in_a_plane() {
     };
     let free = solved(in_plane(1e3));
     let by_components = solved(ChannelLimits {
-        bound: Some(Bound::PerAxis(Vector3::new(1e3, 0.0, 1e3))),
+        bound: Some(Bound::PerAxis(Vector3::new(1e3, 1e3, 0.0))),
         ..ChannelLimits::default()
     });
     let most = largest(&free);
-    assert_eq!(most.y, 0.0);
+    assert_eq!(most.z, 0.0);
     let gap = (most - largest(&by_components)).norm();
     assert!(gap < 1e-6 * most.norm(), "{gap:e}");
 
@@ -63,11 +63,8 @@ fn bounds_hold_in_a_plane() {
     assert!((peak - bound).abs() < 1e-6 * bound, "{peak} {bound}");
     for solution in [free, by_components, held] {
         let certificate = solution.certify().unwrap();
-        for item in &certificate.items {
-            let of_bounds = ["kkt.feasibility", "kkt.complementarity"].contains(&item.name);
-            assert!(!of_bounds || item.holds(), "{item:?}");
-        }
-        assert_eq!(largest(&solution).y, 0.0);
+        assert!(certificate.is_certified(), "{:?}", certificate.items);
+        assert_eq!(largest(&solution).z, 0.0);
     }
 }
 
@@ -78,7 +75,7 @@ fn what_does_not_act_is_refused() {
         off: OFF,
         ..ChannelLimits::at_most(1e3)
     });
-    solution.coefficients[0].force.y = 1.0;
+    solution.coefficients[0].force.z = 1.0;
     let certificate = solution.certify().unwrap();
     assert!(!certificate.is_certified());
     let failed =

@@ -244,8 +244,10 @@ fn deadlines_end_iterations() {
         (counts, stepper.state())
     };
     let (counts, settled) = commands(60, None);
+    // The first plan was iterated to its end before.
+    assert_eq!(counts[0], 1);
     assert!(
-        counts.iter().all(|n| *n < 60) && counts[1] > 1,
+        counts[1..].iter().all(|n| (2..60).contains(n)),
         "{counts:?}"
     );
     assert_eq!(commands(60, Some(1e6)), (counts, settled));

@@ -9,7 +9,9 @@ use nalgebra::Vector3;
 use super::console::Console;
 use super::quantity::{digits, entry, mass, quantity};
 use super::{Global, Outcome, exit, scene_name};
-use crate::control::{Bound, Channel, OptimalControlProblem, StaticNeedError, static_need};
+use crate::control::{
+    Bound, Channel, OptimalControlProblem, StaticNeedError, named_axes, static_need,
+};
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::vibration::{SmallMotions, TOPPLING_WEIGHT_NUMBER, weight_number};
 use crate::mechanics::{
@@ -275,13 +277,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         if !channel.acts() {
             return NO_WRENCH.into();
         }
-        let mut text = bounded(channel, unit);
-        if channel.axes != [true; 3] {
-            let named = (0..3).filter(|&axis| channel.acts_along(axis));
-            let named: Vec<&str> = named.map(|axis| ["x", "y", "z"][axis]).collect();
-            text += &format!(", along {} alone", named.join(" and "));
-        }
-        text
+        bounded(channel, unit) + &named_axes(channel.axes)
     };
     (problem.actuators.iter())
         .map(|actuator| ActuatorSummary {

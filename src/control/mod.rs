@@ -61,6 +61,7 @@ pub use hold::{ControlGrid, Hold};
 pub use journal::{Listener, SearchEvent, SolveLog};
 pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
+pub(crate) use problem::named_axes;
 pub use problem::{
     ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
     Objective, OptimalControlProblem,

@@ -45,6 +45,19 @@ impl Bound {
     }
 }
 
+/// In words, which components act where not all of them do: what follows a bound; empty where all do.
+pub(crate) fn named_axes(axes: [bool; 3]) -> String {
+    if axes == [true; 3] {
+        return String::new();
+    }
+    let named = ["x", "y", "z"].into_iter().zip(axes);
+    let named: Vec<&str> = named
+        .filter(|(_, acts)| *acts)
+        .map(|(name, _)| name)
+        .collect();
+    format!(", along {} alone", named.join(" and "))
+}
+
 /// One of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {

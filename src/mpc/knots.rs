@@ -18,7 +18,7 @@ const SAME: f64 = 1e-6;
 pub(super) struct Knots {
     hold: Hold,
     block: f64,
-    /// So many blocks there are of each length; `None`: all are equal.
+    /// So many whole blocks there are of each length, after the one that has begun; `None`: all are equal.
     doubling: Option<usize>,
     times: Vec<f64>,
 }
@@ -104,17 +104,17 @@ impl Knots {
             if index * self.block > start + least {
                 self.times.push(index * self.block);
             }
-            index += self.stride(index, index - first);
+            index += self.stride(index, index - first - 1.0);
         }
         self.times.push(end);
     }
 
-    /// Length of the block that begins at a place of the lattice, so far from the start, in lattice lengths.
+    /// Length of the block that begins at a place of the lattice, so far from the first one ahead, in lattice lengths.
     fn stride(&self, index: f64, distance: f64) -> f64 {
         let Some(equal) = self.doubling else {
             return 1.0;
         };
-        // As many blocks of each length: those of length m begin (m - 1) times so many lattice lengths away.
+        // As many blocks of each length: those of `m` lattice lengths begin `m - 1` times as many of these away.
         let longest = 1.0 + distance / equal as f64;
         let mut stride = 1.0;
         while 2.0 * stride <= longest && index % (2.0 * stride) == 0.0 {

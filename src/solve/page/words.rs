@@ -5,7 +5,9 @@ use nalgebra::Vector3;
 use super::arrows::largest_controls;
 use super::fact;
 use super::summary::{Fields, counted, measure, vector};
-use crate::control::{ActuatedNode, Bound, Channel, Enforcement, OptimalControlProblem};
+use crate::control::{
+    ActuatedNode, Bound, Channel, Enforcement, OptimalControlProblem, named_axes,
+};
 use crate::mechanics::{BaseCondition, LoadFrame, Rod, SectionProfile, Wrench};
 use crate::output::figure;
 use crate::task::{Arm, ChannelLimits, Limit, LimitKind, Place, Problem, WrenchActuator};
@@ -360,18 +362,13 @@ fn bounded(limits: &ChannelLimits, unit: &str) -> Option<String> {
     if !limits.acts() {
         return None;
     }
-    let mut text = match limits.bound {
+    let text = match limits.bound {
         None => "without limit".into(),
         Some(Bound::Norm(limit)) if limit.is_infinite() => "without limit".into(),
         Some(Bound::Norm(limit)) => format!("up to {}", measure(limit, unit)),
         Some(Bound::PerAxis(limits)) => format!("up to {} {unit} per axis", vector(limits)),
     };
-    if limits.off != [false; 3] {
-        let named = (0..3).filter(|&axis| !limits.off[axis]);
-        let named: Vec<&str> = named.map(|axis| ["x", "y", "z"][axis]).collect();
-        text += &format!(", along {} alone", named.join(" and "));
-    }
-    Some(text)
+    Some(text + &named_axes(limits.channel(1.0).axes))
 }
 
 fn given(
