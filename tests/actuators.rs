@@ -252,8 +252,10 @@ fn grid(scheme: TimeScheme) -> Discretization {
 
 const SCHEMES: [TimeScheme; 2] = [TimeScheme::Explicit, TimeScheme::Implicit];
 
+/// A reach to a target off the planes of symmetry: where the target is in one, the least effort leaves it, to either side, and
+/// rounding says to which.
 fn built_in() -> Task {
-    let mut task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 0.5, 30.0);
+    let mut task = Task::reach(Vector3::new(0.4, 0.1, 0.85), 0.5, 30.0);
     task.actuators[0].moment = ChannelLimits::at_most(5.0);
     task.cost.force_scale = Some(5.0);
     task.cost.moment_scale = Some(2.0);
