@@ -94,6 +94,7 @@ energy = 0.3
                 weight: 2.0,
                 rotations: vec![(0.0, Matrix3::identity()), (0.3, exp(&turn))],
                 rotation_weight: 3.0,
+                speed_weight: 0.7,
                 from: 0.0,
             }],
             samples: 30,

@@ -33,12 +33,22 @@ fn steps_per_period(controller: &Controller, settings: &MpcSettings) -> usize {
     (settings.period / controller.model_step()).round() as usize
 }
 
+/// The controller of [`tracking`], where the speed of the tip beside its path's has a price.
+fn with_priced_speed(largest_force: f64, weight: f64, settings: &MpcSettings) -> Controller {
+    let mut task = tracking::task(largest_force);
+    task.cost.tracks[0].speed_weight = weight;
+    let (arm, discretization) = (tracking::arm(1e6), tracking::discretization());
+    Controller::new(&arm, &task, &discretization, settings).unwrap()
+}
+
 /// Plant = model, no noise, no delay, and a horizon that covers the task: the closed loop is the optimal motion that was planned before
 /// the first sample, to 1e-6 of the length, with bounds that are active and with none. Knots of the plan are where samples begin and
 /// the control does not jump: what is left of the horizon then has no freedom that the whole had not.
 #[test]
 fn closed_loops_retrace_the_optimum() {
-    for (largest_force, is_active) in [(1e3, false), (0.4, true)] {
+    for (largest_force, is_active, speed_weight) in
+        [(1e3, false, 0.0), (0.4, true, 0.0), (1e3, false, 100.0)]
+    {
         let settings = MpcSettings {
             period: 0.02,
             block: 0.02,
@@ -48,7 +58,7 @@ fn closed_loops_retrace_the_optimum() {
             subproblem_iterations: 100,
             ..MpcSettings::receding(0.4)
         };
-        let mut controller = tracking::controller(largest_force, &settings);
+        let mut controller = with_priced_speed(largest_force, speed_weight, &settings);
         let rod = controller.rod().clone();
         let planned: Vec<(f64, [f64; 3])> = controller.prediction(rod.tip()).collect();
         let steps = steps_per_period(&controller, &settings);
@@ -71,6 +81,39 @@ fn closed_loops_retrace_the_optimum() {
         }
         assert_eq!(used_bounds, is_active);
     }
+}
+
+/// A tip that may be anywhere and should not move: an eighth of the first natural period after a push, a tenth of its speed is left; where the
+/// speed has no price, a third and more.
+#[test]
+fn speeds_have_a_price() {
+    let settings = MpcSettings::receding(0.3);
+    let speed_after = |weight: f64| {
+        let mut task = tracking::task(20.0);
+        task.cost.tracks[0].path.clear();
+        task.cost.tracks[0].weight = Some(0.0);
+        task.cost.tracks[0].speed_weight = weight;
+        let (arm, discretization) = (tracking::arm(1e6), tracking::discretization());
+        let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        let rod = controller.rod().clone();
+        let mut pushed = controller.expected().clone();
+        for q in 1..rod.n_nodes() {
+            let s = q as f64 / rod.tip() as f64;
+            pushed.linear_momentum[q] = Vector3::new(0.5 * s * s, 0.0, 0.0) * rod.nodes[q].mass;
+        }
+        let steps = steps_per_period(&controller, &settings);
+        let mut stepper = Stepper::new(&rod, controller.model_step(), pushed);
+        for _ in 0..30 {
+            let command = controller.step(&stepper.state()).unwrap().clone();
+            apply(&mut stepper, &command, steps);
+        }
+        (stepper.state().linear_momentum[rod.tip()] / rod.nodes[rod.tip()].mass).norm()
+    };
+    let (free, priced) = (speed_after(1e-9), speed_after(100.0));
+    println!("{free} {priced}");
+    let pushed = 0.5;
+    assert!(priced < pushed / 10.0, "{priced}");
+    assert!(free > pushed / 3.0, "{free}");
 }
 
 /// On a plant of a fifth less stiffness the tip keeps within 2 % of the length of its path, six times nearer than the model's open-loop

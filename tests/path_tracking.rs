@@ -223,6 +223,38 @@ fn orientations_are_followed() {
     assert_eq!(again, setup.problem.objective);
 }
 
+/// A price of the speed, small and large: the solution of both is certified, and is off by so much (rms, m/s).
+fn with_priced_speed(track: &str, overrides: &[&str]) -> [f64; 2] {
+    ["1e-6", "30.0"].map(|weight| {
+        let track = format!("objective.track=[{{ {track}, speed_weight = {weight} }}]");
+        let setup = setup(&[&[track.as_str(), "time.end_s=1"], overrides].concat());
+        let outcome = solved(&setup);
+        assert_eq!(outcome.status, SqpStatus::Converged);
+        let check = checked(&setup, &outcome);
+        let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
+        assert!(failed.is_empty(), "{failed:?}");
+        let again = setup.resolved.to_toml();
+        let (scene, source) = Scene::from_toml("scene.toml", &again, &[]).unwrap();
+        let again = scene.optimal_control(&source).unwrap().problem.objective;
+        assert_eq!(again, setup.problem.objective);
+        let errors = tracking_errors(&setup.problem, &outcome.point.trajectory);
+        errors[0].rms_m_s.unwrap()
+    })
+}
+
+/// Where the speed has a price, the tip takes the velocity of its path; without a path it moves as evenly as rest at both ends allows, and
+/// never with less than the mean speed that its way takes. The check agrees by its own derivatives.
+#[test]
+fn speeds_are_followed() {
+    let path =
+        "path_m = [[0.0, 0.0, 0.0, 1.0], [1.0, 0.1, 0.0, 0.995]], weight = 1e-3, from_s = 0.3";
+    let [free, priced] = with_priced_speed(path, &[]);
+    assert!(priced < 0.2 * free, "{priced} and {free}");
+    let target = "task.position_m=[0.1, 0.0, 0.99]";
+    let [free, priced] = with_priced_speed("from_s = 0.0", &[target]);
+    assert!(priced < 0.99 * free && priced > 0.1, "{priced} and {free}");
+}
+
 /// The weight of an orientation that is not named misses a turn that a moment holds, `m L/(EI)`, by one part in ten thousand.
 #[test]
 fn default_weight_of_an_orientation_misses_a_ten_thousandth() {
@@ -266,6 +298,10 @@ fn what_is_missing_is_named() {
         (
             "objective.track=[{ weight = 2.0, orientations_wxyz = [[0.0, 1.0, 0.0, 0.0, 0.0]] }]",
             "goes with weight",
+        ),
+        (
+            "objective.track=[{ speed_weight = 1.0, path_m = [[0.0, 0.0, 0.0, 1.0]], switches = true }]",
+            "have no velocity",
         ),
     ] {
         let error = Scene::from_toml("scene.toml", &scene(), &[overrides.to_string()])

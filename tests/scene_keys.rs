@@ -291,6 +291,7 @@ const SCENES: [&[&str]; 5] = [
         "objective.track.0.from_s=0.4",
         "objective.track.0.orientations_wxyz=[[0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.1, 0.0, 0.0]]",
         "objective.track.0.orientation_weight=3.0",
+        "objective.track.0.speed_weight=0.1",
         "objective.track.0.figure_eight.center_m=[0.0, 0.0, 0.28]",
         "objective.track.0.figure_eight.half_length_m=0.02",
         "objective.track.0.figure_eight.normal=[0.0, 1.0, 1.0]",

@@ -110,6 +110,45 @@ pub fn cost_rows(
     rows
 }
 
+/// The residuals of velocities that have a price, between two samples that follow each other: of the mean velocity there,
+/// `sqrt(w Δt) T/L ((x_b - x_a) - (x*_b - x*_a))/Δt`. Linear in the states.
+#[must_use]
+pub fn speed_rows(
+    problem: &OptimalControlProblem,
+    rod_view: &RodView,
+    [from, to]: [usize; 2],
+) -> Vec<CostRow> {
+    let times = [from, to].map(|k| rod_view.grid.time(k));
+    let [between, scales] = [
+        times[1] - times[0],
+        problem.rod.scales.time / problem.rod.scales.length,
+    ];
+    let mut rows = Vec::new();
+    for tracking in &problem.objective.tracking {
+        if tracking.speed_weight == 0.0 || !tracking.counts(times[0]) {
+            continue;
+        }
+        let [a, b] = [from, to].map(|k| rod_view.trajectory.positions_at(k)[tracking.node]);
+        let off = (b - a) / between - tracking.velocity(times);
+        let factor = (tracking.speed_weight * between).sqrt() * scales;
+        rows.extend((0..3).map(|axis| {
+            let along_axis = |k: usize, slope: f64| {
+                let direction = Vector3::ith(axis, slope);
+                at(k, along(tracking.node, 0, &direction).collect())
+            };
+            CostRow {
+                residual: factor * off[axis],
+                gradient: [
+                    along_axis(from, -factor / between),
+                    along_axis(to, factor / between),
+                ]
+                .concat(),
+            }
+        }));
+    }
+    rows
+}
+
 /// Weight of the elastic energy at a sample, 1/J.
 fn energy_weight(problem: &OptimalControlProblem, duration: f64) -> f64 {
     problem.objective.energy * duration / problem.rod.scales.moment

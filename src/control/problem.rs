@@ -306,6 +306,8 @@ pub enum DurationConflict {
     Term,
     /// An actuator of one's own, which may depend on time.
     Actuator,
+    /// A track with a price of its speed, which the check does not follow over the duration; its index.
+    Speed(usize),
 }
 
 /// One scalar residual of a goal.
@@ -613,6 +615,11 @@ impl OptimalControlProblem {
         if let Some(at) = (self.path.iter()).position(|p| p.enforcement != PathEnforcement::Hard) {
             let what = format!("the soft limit \"{}\"; make it hard", self.path[at].name);
             return Some((DurationConflict::Path(at), what));
+        }
+        let tracks = &self.objective.tracking;
+        if let Some(at) = tracks.iter().position(|track| track.speed_weight > 0.0) {
+            let what = "a track with a price of its speed; leave speed_weight out".into();
+            return Some((DurationConflict::Speed(at), what));
         }
         if self.rod.driven_base(0.0).is_some() {
             let what = "a driven base; hold it or free it".into();

@@ -1,4 +1,4 @@
-//! Paths that a node should follow, of its position and of its orientation.
+//! Paths that a node should follow, of its position, of its orientation, and of its velocity.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -21,6 +21,9 @@ pub struct Tracking {
     pub rotations: Vec<(f64, Matrix3<f64>)>,
     /// Weight of `½ |log(R*ᵀ R)|²`, per second.
     pub rotation_weight: f64,
+    /// Weight of `½ |v - v*|² T²/L²`, per second, with `v*` the velocity along the path, 0 without a path. Both are means from one
+    /// sample to the next; 0: any velocity.
+    pub speed_weight: f64,
     /// Time from which on the distances count, s.
     pub from: f64,
 }
@@ -47,6 +50,15 @@ impl Tracking {
     #[must_use]
     pub fn position(&self, t: f64) -> Option<Vector3<f64>> {
         around(&self.path, t).map(|(from, to, part)| from + (to - from) * part)
+    }
+
+    /// Mean velocity of the path between two times, m/s; 0 without a path.
+    #[must_use]
+    pub fn velocity(&self, [from, to]: [f64; 2]) -> Vector3<f64> {
+        match (self.position(from), self.position(to)) {
+            (Some(a), Some(b)) => (b - a) / (to - from),
+            _ => Vector3::zeros(),
+        }
     }
 
     /// How the node should be turned at time `t`, body to space; `None` where that is free.

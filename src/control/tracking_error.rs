@@ -1,10 +1,10 @@
-//! The distance of a motion from the paths that it should follow.
+//! How far a motion is from the paths that it should follow.
 
 use super::problem::OptimalControlProblem;
 use super::tracking::Tracking;
 use crate::mechanics::Trajectory;
 
-/// Distances of a node from where it should be, and from how it should be turned; those that nothing asks for are absent.
+/// Distances of a node from where it should be, from how it should be turned and from how fast it should be; those that nothing asks for are absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TrackingError {
     /// The node.
@@ -28,6 +28,15 @@ pub struct TrackingError {
     /// Time of the largest, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_rad_at_s: Option<f64>,
+    /// `sqrt(1/T ∫ |v - v*|² dt)` with mean velocities over steps, m/s; where the objective has a price of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_m_s: Option<f64>,
+    /// Largest of these differences, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_m_s: Option<f64>,
+    /// Time at the end of its step, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_m_s_at_s: Option<f64>,
 }
 
 /// The error of every path that the objective wants to be followed, in their order.
@@ -47,8 +56,18 @@ pub fn tracking_errors(
             let r = &trajectory.rotations_at(k)[node];
             Some(tracking.turn(grid.time(k), r)?.norm())
         };
+        let speed = |k: usize| {
+            (tracking.speed_weight > 0.0).then(|| {
+                k.checked_sub(1).map_or(0.0, |before| {
+                    let x = |k: usize| trajectory.positions_at(k)[node];
+                    let should = tracking.velocity([before, k].map(|k| grid.time(k)));
+                    ((x(k) - x(before)) / grid.step - should).norm()
+                })
+            })
+        };
         let [rms_m, max_m, max_at_s] = sized(problem, tracking, place);
         let [rms_rad, max_rad, max_rad_at_s] = sized(problem, tracking, turn);
+        let [rms_m_s, max_m_s, max_m_s_at_s] = sized(problem, tracking, speed);
         TrackingError {
             node,
             rms_m,
@@ -57,6 +76,9 @@ pub fn tracking_errors(
             rms_rad,
             max_rad,
             max_rad_at_s,
+            rms_m_s,
+            max_m_s,
+            max_m_s_at_s,
         }
     };
     problem.objective.tracking.iter().map(of).collect()
@@ -94,6 +116,7 @@ impl std::fmt::Display for TrackingError {
         for (sizes, unit) in [
             ([self.rms_m, self.max_m, self.max_at_s], "m"),
             ([self.rms_rad, self.max_rad, self.max_rad_at_s], "rad"),
+            ([self.rms_m_s, self.max_m_s, self.max_m_s_at_s], "m/s"),
         ] {
             if let [Some(rms), Some(max), Some(at)] = sizes {
                 write!(

@@ -169,7 +169,10 @@ fn objective_blocks(
     for (i, track) in whole.tracking.iter().enumerate() {
         add(
             format!("objective.track.{i}"),
-            track.weight.max(track.rotation_weight),
+            track
+                .weight
+                .max(track.rotation_weight)
+                .max(track.speed_weight),
             Objective {
                 tracking: vec![track.clone()],
                 ..nothing.clone()

@@ -47,6 +47,12 @@ enum Quantity {
         index: usize,
         axis: usize,
     },
+    /// The difference of a node's mean velocity since the sample before from that of its path, one axis, over the rod's length and time. The
+    /// sweep knows the row as the node's position; [`Horizon::linearize`] takes differences.
+    TrackSpeed {
+        index: usize,
+        axis: usize,
+    },
     /// A target's position, rotation, velocity or angular velocity, one axis, in the scales of its goal.
     Position {
         goal: usize,
@@ -76,6 +82,25 @@ struct Row {
     quantity: Quantity,
     /// Square root of its weight, over its scale.
     factor: f64,
+}
+
+/// A row of the speed of a node.
+#[derive(Clone, Copy, Debug)]
+struct SpeedRow {
+    row: usize,
+    /// The row of the same node and axis at the sample before.
+    before: Option<usize>,
+    /// What the difference of the two positions is multiplied by, 1/m; 0 where the speed does not count.
+    factor: f64,
+}
+
+/// Takes, in a column of slopes from row `first` on, those of speeds from those of the positions.
+fn take_differences(speeds: &[SpeedRow], first: usize, column: &mut [f64]) {
+    for speed in speeds.iter().rev().take_while(|speed| speed.row >= first) {
+        let at = speed.row - first;
+        let before = speed.before.and_then(|row| row.checked_sub(first));
+        column[at] = before.map_or(0.0, |before| speed.factor * (column[at] - column[before]));
+    }
 }
 
 /// What a unit of a component does: node, component of its wrench, and N or N m.
@@ -120,6 +145,8 @@ pub(super) struct Horizon {
     pub grid: TimeGrid,
     longest: TimeGrid,
     rows: Vec<Row>,
+    /// Those of speeds, ascending.
+    speeds: Vec<SpeedRow>,
     /// Of every row, on the longest grid: ascending in time. Those of the present horizon are the last ones, moved to its grid.
     forms: Vec<StateForm>,
     form_nodes: Vec<usize>,
@@ -224,6 +251,7 @@ impl Horizon {
         let limited = rows.iter().enumerate();
         let limited = limited.filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }));
         limits.place(limited.map(|(place, _)| place));
+        let speeds = speed_rows(&rows);
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
@@ -270,6 +298,7 @@ impl Horizon {
             along_start: Mat::zeros(rows.len(), n_states),
             square: Mat::zeros(n, n),
             rows,
+            speeds,
             forms,
             components,
             scales,
@@ -334,9 +363,7 @@ impl Horizon {
         // A motion that broke down is simulated anew before anything asks for its residuals.
         let whole = (self.grid.n_steps + 1) * self.problem.rod.n_nodes();
         if self.trajectory.positions.len() == whole {
-            for at in self.first_row..self.rows.len() {
-                self.evaluate(at);
-            }
+            self.evaluate_all();
         }
     }
 
@@ -427,9 +454,7 @@ impl Horizon {
         stepper.write_state(&mut self.end);
         self.memory = Some(stepper.into_memory());
         outcome?;
-        for at in self.first_row..self.rows.len() {
-            self.evaluate(at);
-        }
+        self.evaluate_all();
         Ok(())
     }
 
@@ -463,6 +488,7 @@ impl Horizon {
             for (_, row) in self.limits.present(self.first_row) {
                 column[row] = 0.0;
             }
+            take_differences(&self.speeds, self.first_row, column);
         }
         for i in 0..self.along_start.ncols() {
             let column = self.along_start.col_as_slice_mut(i);
@@ -470,6 +496,7 @@ impl Horizon {
                 *value = self.sweep.along_start(row, i);
             }
             self.limits.take_along_start(self.first_row, i, column);
+            take_differences(&self.speeds, self.first_row, column);
         }
         let jacobian = self.jacobian.get(..forms.len(), ..n);
         let square = self.square.as_mut().get_mut(..n, ..n);
@@ -532,7 +559,10 @@ impl Horizon {
         let of = |row: &Row| match row.quantity {
             Quantity::Track { .. } | Quantity::Position { .. } => row.factor * length,
             Quantity::TrackRotation { .. } | Quantity::Rotation { .. } => row.factor,
-            Quantity::Velocity { .. } | Quantity::Spin { .. } | Quantity::Limit { .. } => 0.0,
+            Quantity::TrackSpeed { .. }
+            | Quantity::Velocity { .. }
+            | Quantity::Spin { .. }
+            | Quantity::Limit { .. } => 0.0,
         };
         let square: f64 = self.rows.iter().map(|row| of(row).powi(2)).sum();
         0.5 * NEGLIGIBLE * NEGLIGIBLE * square
@@ -543,7 +573,41 @@ impl Horizon {
         self.trajectory.positions_at(k)[node]
     }
 
-    /// Value and form of one row.
+    /// Values and forms of all rows of the present horizon.
+    fn evaluate_all(&mut self) {
+        for at in self.first_row..self.rows.len() {
+            self.evaluate(at);
+        }
+        for at in 0..self.speeds.len() {
+            self.evaluate_speed(at);
+        }
+    }
+
+    /// Value of a row of a speed, and the factor of its slopes. Of an interval that has begun before the horizon the velocity is not known.
+    fn evaluate_speed(&mut self, at: usize) {
+        let SpeedRow { row, before, .. } = self.speeds[at];
+        let Quantity::TrackSpeed { index, axis } = self.rows[row].quantity else {
+            return;
+        };
+        let track = &self.problem.objective.tracking[index];
+        let node_of = |row: usize| self.forms[row].time_node;
+        let interval = (before.filter(|before| *before >= self.first_row))
+            .map(|before| [node_of(before), node_of(row)])
+            .filter(|[from, _]| track.counts(self.grid.time(*from)));
+        let (mut value, mut factor) = (0.0, 0.0);
+        if let Some(ends) = interval {
+            let times = ends.map(|k| self.grid.time(k));
+            let between = times[1] - times[0];
+            let [a, b] = ends.map(|k| self.trajectory.positions_at(k)[track.node][axis]);
+            // Rows of this kind are weighted per unit of time.
+            factor = self.rows[row].factor / between.sqrt();
+            value = b - a - track.velocity(times)[axis] * between;
+        }
+        self.speeds[at].factor = factor;
+        self.residuals[row] = factor * value;
+    }
+
+    /// Value and form of one row, but for those of speeds.
     fn evaluate(&mut self, at: usize) {
         let Row { quantity, factor } = self.rows[at];
         let form = &mut self.forms[at];
@@ -601,7 +665,7 @@ impl Horizon {
                 let node = goals[goal].node;
                 self.end.angular_momentum[node][axis] / self.problem.rod.nodes[node].rotary[axis]
             }
-            Quantity::Limit { .. } => 0.0,
+            Quantity::TrackSpeed { .. } | Quantity::Limit { .. } => 0.0,
         };
         self.residuals[at] = factor * value;
     }
@@ -623,6 +687,22 @@ pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrenc
             Some(axis) => wrenches[node].moment[axis] += amount * effect,
         }
     }
+}
+
+/// The rows of speeds, each with the one at the sample before.
+fn speed_rows(rows: &[Row]) -> Vec<SpeedRow> {
+    let mut out: Vec<SpeedRow> = Vec::new();
+    for (row, own) in rows.iter().enumerate() {
+        if matches!(own.quantity, Quantity::TrackSpeed { .. }) {
+            let before = (out.iter().rev()).find(|other| rows[other.row].quantity == own.quantity);
+            out.push(SpeedRow {
+                row,
+                before: before.map(|other| other.row),
+                factor: 0.0,
+            });
+        }
+    }
+    out
 }
 
 /// All rows of the longest horizon, with their forms, in ascending order of time.
@@ -647,6 +727,16 @@ fn rows(
             for axis in (0..3).filter(|_| !track.path.is_empty()) {
                 let terms = vec![one(track.node, axis, factor)];
                 push(time_node, Quantity::Track { index, axis }, factor, terms);
+            }
+            let factor = track.speed_weight.sqrt() * rod.scales.time / rod.scales.length;
+            for axis in (0..3).filter(|_| factor > 0.0) {
+                let terms = vec![one(track.node, axis, 1.0)];
+                push(
+                    time_node,
+                    Quantity::TrackSpeed { index, axis },
+                    factor,
+                    terms,
+                );
             }
             let factor = (track.rotation_weight * duration).sqrt();
             for axis in (0..3).filter(|_| !track.rotations.is_empty()) {

@@ -172,9 +172,9 @@ impl Keys<'_> {
             return Err(self.missing(&key("orientations_wxyz"), "goes with orientation_weight"));
         }
         let goes_somewhere = kinds.iter().any(|(_, given)| *given);
-        if !goes_somewhere && turns.is_empty() {
+        if !goes_somewhere && turns.is_empty() && track.speed_weight.is_none() {
             let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight, or \
-                            orientations_wxyz";
+                            orientations_wxyz, or speed_weight";
             return Err(self.missing(&key("path_m"), relation));
         }
         if goes_somewhere {
@@ -184,6 +184,13 @@ impl Keys<'_> {
         }
         if track.switches && track.path_m.is_empty() {
             return Err(self.missing(&key("path_m"), "goes with switches"));
+        }
+        if track.switches && track.speed_weight.is_some() {
+            let message = "targets that switch have no velocity";
+            let help = "leave out switches or speed_weight".into();
+            return Err(self
+                .source
+                .error_at(&key("speed_weight"), message, Some(help)));
         }
         let circle = circle.map(|turns| ("circle", turns));
         let Some((name, turns)) = circle.or(eight.map(|turns| ("figure_eight", turns))) else {

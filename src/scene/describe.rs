@@ -157,6 +157,8 @@ impl Scene {
                     path_csv: None,
                     switches: false,
                     weight: (!track.path.is_empty()).then(|| known(discrete.weight)),
+                    speed_weight: (discrete.speed_weight > 0.0)
+                        .then(|| known(discrete.speed_weight)),
                     from_s: (discrete.from > 0.0).then(|| known(discrete.from)),
                 })
                 .collect(),

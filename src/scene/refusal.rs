@@ -99,6 +99,7 @@ impl Scene {
             DiscretizeError::Duration { conflict, what } => {
                 let key = match conflict {
                     DurationConflict::Rate => "control".into(),
+                    DurationConflict::Speed(at) => format!("objective.track.{at}.speed_weight"),
                     DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
                         None => format!("obstacle.{at}.soft"),
                         Some(at) => format!("limit.{at}.soft"),

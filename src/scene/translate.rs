@@ -501,6 +501,7 @@ impl Scene {
                         weight: track.weight.map(Number::get),
                         rotations: track.rotations(),
                         rotation_weight: track.orientation_weight.map(Number::get),
+                        speed_weight: track.speed_weight.map_or(0.0, Number::get),
                         from: track.from_s.map_or(0.0, Number::get),
                     })
                     .collect(),

@@ -71,8 +71,8 @@ pub struct Target {
     pub tolerances: Tolerances,
 }
 
-/// A place that should follow a path of positions, of orientations, or of both:
-/// `∫ weight/2 |x - x*|²/L² + rotation_weight/2 |log(R*ᵀ R)|² dt` in the objective, from a time on.
+/// A place that should follow a path of positions, of orientations, or of both, and move as the path does:
+/// `∫ weight/2 |x - x*|²/L² + rotation_weight/2 |log(R*ᵀ R)|² + speed_weight/2 |v - v*|² T²/L² dt` in the objective, from a time on.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
     /// The place on the arm.
@@ -87,6 +87,9 @@ pub struct Track {
     /// Weight of the orientation, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by one part in 10 000 of
     /// itself.
     pub rotation_weight: Option<f64>,
+    /// Weight of the difference of its velocity from that of the path, or of its velocity without one, 1/s; `L/T` counts as 1. Velocities are
+    /// means from one sample to the next.
+    pub speed_weight: f64,
     /// Time from which on it should be there, s: the place meets what moves along the path, and goes along with it.
     pub from: f64,
 }

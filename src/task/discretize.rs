@@ -200,6 +200,7 @@ impl Task {
                         weight: track.weight.unwrap_or(default_weights[0]),
                         rotations: track.rotations.clone(),
                         rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
+                        speed_weight: track.speed_weight,
                         from: track.from,
                     })
                     .collect(),

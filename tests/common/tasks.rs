@@ -169,6 +169,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
                     (0.2, exp(&Vector3::new(0.0, 0.3, -0.4))),
                 ],
                 rotation_weight: 5.0,
+                speed_weight: 0.1,
                 from: 0.05,
             }],
             samples: 30,

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use crate::control::acting::ActingAlong;
 use crate::control::control_cost::ControlCost;
-use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times};
+use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times, speed_rows};
 use crate::control::path::{
     PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient, along, at,
     turn_curvature,
@@ -358,8 +358,13 @@ impl<'a> Transcription<'a> {
     /// The residuals of the costs over states.
     fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
         let rod_view = self.rod_view(point);
-        (self.samples.iter())
-            .flat_map(|&(k, duration)| cost_rows(self.problem, &rod_view, k, duration))
+        let at = |&(k, duration): &(usize, f64)| cost_rows(self.problem, &rod_view, k, duration);
+        let between = |pair: &[(usize, f64)]| {
+            let ends = [pair[0].0, pair[1].0];
+            speed_rows(self.problem, &rod_view, ends)
+        };
+        (self.samples.iter().flat_map(at))
+            .chain(self.samples.windows(2).flat_map(between))
             .collect()
     }
 

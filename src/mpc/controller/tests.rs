@@ -6,7 +6,7 @@ use super::*;
 use crate::mechanics::Material;
 use crate::task::{ChannelLimits, Cost, Place, Track, WrenchActuator};
 
-/// A bent arm whose tip is to stay where it rests: residuals and plan are zero, so that the Gauss-Newton model is exact to first
+/// A bent arm whose tip is to stay, still, where it rests: residuals and plan are zero, so that the Gauss-Newton model is exact to first
 /// order.
 fn controller(bound: f64) -> Controller {
     let arm = Arm {
@@ -32,6 +32,7 @@ fn controller(bound: f64) -> Controller {
             tracks: vec![Track {
                 path,
                 weight: Some(1e4),
+                speed_weight: 100.0,
                 ..Track::default()
             }],
             ..Cost::default()

@@ -37,7 +37,8 @@ pub struct Objective {
 }
 
 /// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time, and
-/// `orientation_weight` times half the squared angle from how it should be turned.
+/// `orientation_weight` times half the squared angle from how it should be turned, and `speed_weight` times half the squared difference of its
+/// velocity from that of the path.
 ///
 /// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,6 +77,10 @@ pub struct Track {
     /// 10 000 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_weight: Option<Positive<values::Weight>>,
+    /// Weight of the difference of the node's velocity from that along the path, or of its velocity where there is no path; positive. A speed of the
+    /// length over the time scale, sqrt(rho A L^4/(E I)), counts as 1. Absent: any velocity.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_weight: Option<Positive<values::Weight>>,
     /// Time in s from which on the node should be there, not negative: it meets what moves along the path, and goes along with it. Absent: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_s: Option<NonNegative<values::Time>>,

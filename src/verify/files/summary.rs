@@ -126,6 +126,7 @@ impl Expected<'_> {
         }
         if let Some(list) = summary.get("tracking") {
             let errors = tracking_errors(problem, self.trajectory);
+            let of_speeds = problem.rod.scales.length / problem.grid.step;
             let count = list.as_array().map_or(0, Vec::len);
             let expected = format!("{} paths", errors.len());
             (walk.check).word(&format!("{count} paths"), &expected, || "tracking".into());
@@ -141,6 +142,8 @@ impl Expected<'_> {
                     ("max_m", error.max_m, problem.rod.scales.length),
                     ("rms_rad", error.rms_rad, 1.0),
                     ("max_rad", error.max_rad, 1.0),
+                    ("rms_m_s", error.rms_m_s, of_speeds),
+                    ("max_m_s", error.max_m_s, of_speeds),
                 ] {
                     let Some(value) = value else { continue };
                     let allowed = ELSEWHERE * scale + DERIVED * value;

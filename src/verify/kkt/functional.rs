@@ -82,7 +82,11 @@ impl Conditions<'_> {
             }
         }
         let mut cost = 0.0;
-        for (k, duration) in samples::of_costs(self.problem) {
+        let samples = samples::of_costs(self.problem);
+        for pair in samples.windows(2) {
+            cost += self.add_speed_cost([pair[0].0, pair[1].0], &mut out.x);
+        }
+        for (k, duration) in samples {
             if self.problem.stop.check_at(k).is_err() {
                 break;
             }
@@ -96,6 +100,30 @@ impl Conditions<'_> {
             );
         }
         (out, cost)
+    }
+
+    /// Cost of the velocities of nodes, as means between two samples that follow each other, and its slopes along both ends.
+    fn add_speed_cost(&self, [from, to]: [usize; 2], cx: &mut [Vector3<f64>]) -> f64 {
+        let n = self.rod().n_nodes();
+        let [start, end] = [from, to].map(|k| self.problem.grid.time(k));
+        let way = self.rod().scales.length * (end - start) / self.rod().scales.time;
+        let mut cost = 0.0;
+        for track in &self.problem.objective.tracking {
+            if !track.counts(start) {
+                continue;
+            }
+            let at = |k: usize| self.trajectory.positions_at(k)[track.node];
+            let should = match (track.position(start), track.position(end)) {
+                (Some(from), Some(to)) => to - from,
+                _ => Vector3::zeros(),
+            };
+            let off = (at(to) - at(from) - should) / way;
+            let weight = track.speed_weight * (end - start);
+            cost += 0.5 * weight * off.norm_squared();
+            cx[to * n + track.node] += off * (weight / way);
+            cx[from * n + track.node] -= off * (weight / way);
+        }
+        cost
     }
 
     /// Of all rows of the path constraints: the largest scaled violation of a hard one, the cost of soft ones, and how far
