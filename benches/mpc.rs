@@ -6,7 +6,8 @@
 //! ```
 //!
 //! The scene is one arm and one task: 1 m of silicone (E = 1 MPa, 5 cm radius, viscous damping 1/s), whose tip turns on a circle of 0.2 m once
-//! every two seconds. The controller's model has ten helical elements; the arm has forty, and is softer, heavier, damped or shaped otherwise.
+//! every two seconds. The controller's model has ten helical elements and implicit
+//! steps of half a block; the arm has forty, and is softer, heavier, damped or shaped otherwise.
 //! One tuning serves all rows.
 
 use std::f64::consts::PI;
@@ -14,7 +15,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 use softarm::control::Bound;
-use softarm::mechanics::{Material, NodeInertia, Rod};
+use softarm::mechanics::{Material, NodeInertia, Rod, TimeScheme};
 use softarm::mpc::{
     Computing, Contender, EstimatorChoice, Experiment, MpcError, MpcSettings, Outcome, Sensing,
     SensorChoice, SensorPreset, TipError, Unknowns,
@@ -28,6 +29,9 @@ const TURN: f64 = 2.0;
 /// Height of the circle, m, and its radius.
 const HEIGHT: f64 = 0.976;
 const RADIUS: f64 = 0.2;
+
+/// Time step of the controller's model, s: half a block of its plan.
+const MODEL_STEP: f64 = 0.025;
 
 fn reference(t: f64, turn: f64) -> Vector3<f64> {
     let part = (t / turn).min(1.0);
@@ -82,6 +86,8 @@ fn task(seconds: f64, path: &dyn Fn(f64) -> Vector3<f64>, force: f64) -> Task {
 fn scene(seconds: f64, elements: usize) -> Experiment {
     let discretization = Discretization {
         samples: 20,
+        scheme: Some(TimeScheme::Implicit),
+        step: Some(MODEL_STEP),
         ..Discretization::with_elements(elements)
     };
     let settings = MpcSettings::receding(0.5);

@@ -4,12 +4,15 @@ mod bounds;
 mod effort;
 mod settings;
 mod step_length;
+mod steps;
 
 use std::time::Instant;
 
 use nalgebra::Vector3;
 
 pub use self::settings::{EffortFrom, MpcSettings};
+pub(crate) use self::steps::with_long_steps;
+use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
 use super::estimator::Disturbance;
 use super::holding::Holding;
@@ -114,7 +117,7 @@ pub struct Controller {
     prediction: Option<StepperMemory>,
     /// What is wrong with the model that its constants are for.
     tuned: [f64; 3],
-    steps_per_period: usize,
+    in_period: Divided,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
     /// Whether a command acts: before the first, nothing jumps.
@@ -144,7 +147,8 @@ impl Controller {
     /// Without a price of rates, a receding horizon has one of its own, by which a change over two blocks is as dear as the effort.
     /// A target is there to be reached by the end of the horizon; where the horizon recedes, its place is a track, and it holds from now on.
     /// Tracks, targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits but those of speed count; its duration does not. Hold and elements are those
-    /// of `discretization`, steps are shortened so that they divide the sample period.
+    /// of `discretization`. Steps are shortened so that they divide the sample period, implicit ones of a horizon that recedes so that they divide
+    /// that; where `discretization` names neither integrator nor step, these are implicit and long if that is faster.
     ///
     /// # Errors
     /// [`MpcError`] for settings out of range, for a task that cannot be discretized or has what the controller does not know, and where
@@ -165,7 +169,7 @@ impl Controller {
         let blocks = knots.blocks(settings.horizon);
         let mut cut = Discretization {
             blocks,
-            ..*discretization
+            ..with_long_steps(arm, discretization, settings)?
         };
         if settings.due.is_none() {
             // No plan tells more of them apart, and each takes a sweep.
@@ -192,18 +196,18 @@ impl Controller {
         (task.targets).retain(|target| {
             target.position.is_some() || target.rotation.is_some() || target.at_rest
         });
-        let chosen = task.discretize(arm, &cut)?.discrete.grid.step;
-        let steps_per_period = (settings.period / chosen * (1.0 - 1e-9)).ceil().max(1.0) as usize;
-        let step = settings.period / steps_per_period as f64;
-        cut.step = Some(step);
+        let chosen = task.discretize(arm, &cut)?.discrete;
+        let [in_period, in_horizon] =
+            period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
+        cut.step = Some(in_horizon.step);
         let mut problem = task.discretize(arm, &cut)?.discrete;
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
             if held.rotations.is_empty() {
                 held.weight *= HELD_NEARER;
             }
         }
-        problem.grid.step = step;
-        problem.grid.n_steps = (settings.horizon / step).round().max(1.0) as usize;
+        problem.grid.step = in_horizon.step;
+        problem.grid.n_steps = in_horizon.n;
         for goal in &mut problem.goals {
             goal.time_node = problem.grid.n_steps;
         }
@@ -246,10 +250,10 @@ impl Controller {
                 to: vec![Wrench::default(); nodes.len()],
                 nodes,
             },
-            prediction: Some(StepperMemory::new(&horizon.problem.rod, step)),
+            prediction: Some(StepperMemory::new(&horizon.problem.rod, in_period.step)),
             tuned: Disturbance::NONE.parameters(),
             state,
-            steps_per_period,
+            in_period,
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             acts: false,
             record: SampleRecord {
@@ -729,7 +733,7 @@ impl Controller {
     /// The state at the end of the command.
     fn predict(&mut self) -> Result<(), MpcError> {
         let rod = &self.horizon.problem.rod;
-        let step = self.horizon.grid.step;
+        let Divided { n, step } = self.in_period;
         let memory = self.prediction.take();
         let mut memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
         if self.tuned != self.horizon.parameters() {
@@ -738,7 +742,7 @@ impl Controller {
         }
         let mut stepper = memory.begin(rod, self.command.start, &self.state);
         let n_steps = ((self.command.end - self.command.start) / step).round() as usize;
-        let n_steps = n_steps.min(self.steps_per_period);
+        let n_steps = n_steps.min(n);
         let mut outcome = Ok(());
         let [now, next] = &mut self.wrenches;
         let time = |k: usize| self.command.start + k as f64 * step;

@@ -72,6 +72,7 @@ pub use closed_loop::{
     FallbackSettings, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Sample,
     SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
+pub(crate) use controller::with_long_steps;
 pub use controller::{Command, Controller, EffortFrom, MpcSettings, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{

@@ -17,6 +17,7 @@ use crate::mechanics::{NodeInertia, Rod, SectionProfile, State};
 use crate::mpc::{
     ActuatorDynamics, Computing, EstimatorChoice, Experiment, FallbackSettings, LoopSettings,
     MpcError, MpcSettings, Sensing, Sensor, SensorChoice, SensorSettings, Unknowns,
+    with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, PointLoad};
@@ -93,6 +94,7 @@ impl Scene {
             deadline: mpc.deadline_s.map(Number::get),
             ..MpcSettings::receding(horizon)
         };
+        let asked = with_long_steps(&arm, &asked, &settings).map_err(refused)?;
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
         let posed = task
             .discretize_until(&arm, &Discretization { blocks, ..asked }, stop)

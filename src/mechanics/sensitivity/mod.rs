@@ -15,6 +15,7 @@
 
 mod arriving;
 mod bent;
+mod columns;
 mod conveyor;
 mod linearize;
 mod packed;

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
+use super::columns::{AT_ONCE, Columns, Wide, for_all_vectors};
 use super::packed::{PackedSolve, PackedStep};
-use super::tile::Columns;
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
@@ -386,10 +386,7 @@ impl WithSimd for CoupledDriftTransposed<'_> {
             columns.hold();
             return;
         }
-        for at in 0..used {
-            columns.at = at;
-            columns.drift_transposed();
-        }
+        for_all_vectors!(columns, drift_transposed());
         columns.hold();
     }
 }
@@ -400,28 +397,22 @@ impl<S: Simd> Columns<'_, S> {
         self.data[..held].fill(self.simd.splat_f64s(0.0));
     }
 
-    #[inline(always)]
-    fn set(&mut self, node: usize, part: usize, value: [S::f64s; 3]) {
-        for (i, value) in value.into_iter().enumerate() {
-            self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at] = value;
-        }
-    }
-
     /// Adds a covector of `δx_b - δx_a` of element `q` to the nodes' rows from `part` on.
     #[inline(always)]
-    fn stretch(&mut self, q: usize, part: usize, covector: [S::f64s; 3]) {
+    fn stretch<const V: usize>(&mut self, q: usize, part: usize, covector: [Wide<S, V>; 3]) {
         self.add(q, part, -1.0, covector);
         self.add(q + 1, part, 1.0, covector);
     }
 
     /// The increments are the covectors of `turns` (at 0) and `spins` (at 3).
     #[inline(always)]
-    fn drift_transposed(&mut self) {
+    fn drift_transposed<const V: usize>(&mut self) {
         let step = self.step;
         let (first, n) = (step.first_free_node, step.drifts.len());
-        let zero = self.simd.splat_f64s(0.0);
+        let zero: Wide<S, V> = self.zero();
         for node in 0..n {
-            let (turns, spins) = (self.rows(node, 3), self.rows(node, 9));
+            let (turns, spins): ([Wide<S, V>; 3], [Wide<S, V>; 3]) =
+                (self.get(node, 3), self.get(node, 9));
             self.set_increment(node, 0, turns);
             self.set_increment(node, 3, spins);
         }
@@ -430,8 +421,11 @@ impl<S: Simd> Columns<'_, S> {
                 let Some(reaction) = element.reaction.as_ref().filter(|r| r.at == at) else {
                     continue;
                 };
-                let (a, b) = (self.rows(q, 6), self.rows(q + 1, 6));
-                let pull = std::array::from_fn(|i| self.simd.sub_f64s(b[i], a[i]));
+                let (a, b): ([Wide<S, V>; 3], _) = (self.get(q, 6), self.get(q + 1, 6));
+                let mut pull = b;
+                for (pull, a) in pull.iter_mut().zip(a) {
+                    *pull = self.minus(*pull, a);
+                }
                 let change = self.product_transposed(&reaction.stiffness, pull);
                 self.stretch(q, 0, change);
                 let energy = self.dot(&reaction.along, pull, zero);
@@ -448,122 +442,121 @@ impl<S: Simd> Columns<'_, S> {
                     de = self.dot(&element.turn[at][end], self.increment(q + end, 0), de);
                     de = self.dot(&element.spin[at][end], self.increment(q + end, 3), de);
                 }
-                let covector = std::array::from_fn(|i| {
-                    let stretch = self.simd.splat_f64s(element.stretch[at][i]);
-                    self.simd.mul_f64s(stretch, de)
-                });
+                let mut covector = [zero; 3];
+                for (covector, stretch) in covector.iter_mut().zip(element.stretch[at]) {
+                    *covector = self.times(stretch, de);
+                }
                 self.stretch(q, 0, covector);
             }
             if at == 1 {
                 for (node, drift) in step.drifts.iter().enumerate().skip(first) {
-                    let x = self.rows(node, 0);
+                    let x: [Wide<S, V>; 3] = self.get(node, 0);
                     self.add(node, 6, drift.mobility, x);
                 }
             }
         }
         for (node, drift) in step.drifts.iter().enumerate().skip(first) {
-            let (turns, spins) = (self.increment(node, 0), self.increment(node, 3));
+            let (turns, spins): ([Wide<S, V>; 3], [Wide<S, V>; 3]) =
+                (self.increment(node, 0), self.increment(node, 3));
             let from_turns = self.product_transposed(&drift.theta, turns);
             self.set(node, 9, self.product_transposed(&drift.momentum, spins));
             self.add(node, 9, 1.0, from_turns);
-            let zeta = self.product_transposed(&drift.turn_transposed, self.rows(node, 3));
-            self.set(node, 3, zeta);
+            let zeta: [Wide<S, V>; 3] = self.get(node, 3);
+            self.set(
+                node,
+                3,
+                self.product_transposed(&drift.turn_transposed, zeta),
+            );
         }
     }
 
     /// The increments are the covectors of the arriving momenta. All vectors of the tile, one after the other at every node.
     #[inline(always)]
     fn drift_solved_transposed(&mut self, solve: &PackedSolve) {
-        let first = self.step.first_free_node;
-        let zero = self.simd.splat_f64s(0.0);
-        // From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration
-        // that is carried.
-        for (node, spin) in solve.nodes.iter().enumerate() {
-            for at in 0..self.used {
-                self.at = at;
-                let (linear, angular) = (self.rows(node, 6), self.rows(node, 9));
-                self.set_increment(node, 0, linear);
-                self.set_increment(node, 3, angular);
-                let Some(i) = node.checked_sub(first) else {
-                    self.set_momenta(node, [zero; 6]);
-                    continue;
-                };
-                let turned = self.product_transposed(&spin.spin, angular);
-                let (x, zeta) = (self.rows(node, 0), self.rows(node, 3));
-                let mass_rate = self.simd.splat_f64s(spin.mass_rate);
-                let mut added = [zero; 6];
-                for axis in 0..3 {
-                    added[axis] = self.simd.mul_add_e_f64s(mass_rate, linear[axis], x[axis]);
-                    added[3 + axis] = self.simd.add_f64s(zeta[axis], turned[axis]);
-                }
-                if i > 0 {
-                    let before =
-                        self.product_transposed(&solve.above[i - 1], self.momenta(node - 1));
-                    for (added, before) in added.iter_mut().zip(before) {
-                        *added = self.simd.sub_f64s(*added, before);
-                    }
-                }
-                self.set_momenta(node, added);
-                let carried = self.product_transposed(&spin.turn_transposed, zeta);
-                self.set(node, 3, carried);
-            }
+        for node in 0..solve.nodes.len() {
+            for_all_vectors!(self, solve_upper_transposed(solve, node));
         }
-        // And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
         for node in (0..solve.nodes.len()).rev() {
-            for at in 0..self.used {
-                self.at = at;
-                if let Some(i) = node.checked_sub(first) {
-                    let mut right = self.momenta(node);
-                    if let Some(below) = solve.below.get(i) {
-                        let after = self.product_transposed(below, self.momenta(node + 1));
-                        for (right, after) in right.iter_mut().zip(after) {
-                            *right = self.simd.sub_f64s(*right, after);
-                        }
-                    }
-                    self.set_momenta(node, self.product_transposed(&solve.pivots[i], right));
-                }
-                if let Some(coupling) = solve.coupling.get(node) {
-                    let mut pull = self.arriving_pull(node);
-                    let ratio = self.simd.splat_f64s(solve.ratio);
-                    for value in &mut pull {
-                        *value = self.simd.mul_f64s(*value, ratio);
-                    }
-                    let change = self.product(coupling, pull);
-                    self.add_element(node, 0, change);
-                }
-            }
+            for_all_vectors!(self, solve_lower_transposed(solve, node));
         }
     }
 
-    /// What the covectors of the momenta say about `(F, M_a, M_b)` of an element.
+    /// From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration that is
+    /// carried.
     #[inline(always)]
-    fn pull(&self, p: [[S::f64s; 3]; 2], pi: [[S::f64s; 3]; 2]) -> [S::f64s; 9] {
-        let mut out = [self.simd.splat_f64s(0.0); 9];
+    fn solve_upper_transposed<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+        let spin = &solve.nodes[node];
+        let (linear, angular): ([Wide<S, V>; 3], _) = (self.get(node, 6), self.get(node, 9));
+        self.set_increment(node, 0, linear);
+        self.set_increment(node, 3, angular);
+        let Some(i) = node.checked_sub(self.step.first_free_node) else {
+            self.set(node, 6, [self.zero::<V>(); 6]);
+            return;
+        };
+        let turned = self.product_transposed(&spin.spin, angular);
+        let (x, zeta): ([Wide<S, V>; 3], _) = (self.get(node, 0), self.get(node, 3));
+        let mut added = [self.zero(); 6];
+        for axis in 0..3 {
+            added[axis] = self.fused(spin.mass_rate, linear[axis], x[axis]);
+            added[3 + axis] = self.plus(zeta[axis], turned[axis]);
+        }
+        if i > 0 {
+            let before = self.product_transposed(&solve.above[i - 1], self.get(node - 1, 6));
+            for (added, before) in added.iter_mut().zip(before) {
+                *added = self.minus(*added, before);
+            }
+        }
+        self.set(node, 6, added);
+        self.set(
+            node,
+            3,
+            self.product_transposed(&spin.turn_transposed, zeta),
+        );
+    }
+
+    /// And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
+    #[inline(always)]
+    fn solve_lower_transposed<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+        if let Some(i) = node.checked_sub(self.step.first_free_node) {
+            let mut right: [Wide<S, V>; 6] = self.get(node, 6);
+            if let Some(below) = solve.below.get(i) {
+                let after = self.product_transposed(below, self.get(node + 1, 6));
+                for (right, after) in right.iter_mut().zip(after) {
+                    *right = self.minus(*right, after);
+                }
+            }
+            self.set(node, 6, self.product_transposed(&solve.pivots[i], right));
+        }
+        if let Some(coupling) = solve.coupling.get(node) {
+            let mut pull: [Wide<S, V>; 9] = self.arriving_pull(node);
+            for value in &mut pull {
+                *value = self.times(solve.ratio, *value);
+            }
+            self.add_element(node, self.product(coupling, pull));
+        }
+    }
+
+    /// What the covectors of the arriving momenta say about `(F, M_a, M_b)` of element `q`.
+    #[inline(always)]
+    fn arriving_pull<const V: usize>(&self, q: usize) -> [Wide<S, V>; 9] {
+        let (a, b) = (self.increment(q, 0), self.increment(q + 1, 0));
+        let turns = [self.increment(q, 3), self.increment(q + 1, 3)];
+        let zero = self.zero();
+        let mut out = [zero; 9];
         for i in 0..3 {
-            out[i] = self.simd.sub_f64s(p[0][i], p[1][i]);
-            out[3 + i] = self.simd.neg_f64s(pi[0][i]);
-            out[6 + i] = self.simd.neg_f64s(pi[1][i]);
+            out[i] = self.minus(a[i], b[i]);
+            out[3 + i] = self.minus(zero, turns[0][i]);
+            out[6 + i] = self.minus(zero, turns[1][i]);
         }
         out
     }
 
+    /// Adds a covector of `(δx_b - δx_a, ζ_a, ζ_b)` to the rows of the ends of element `q`.
     #[inline(always)]
-    fn arriving_pull(&self, q: usize) -> [S::f64s; 9] {
-        let p = [self.increment(q, 0), self.increment(q + 1, 0)];
-        let pi = [self.increment(q, 3), self.increment(q + 1, 3)];
-        self.pull(p, pi)
-    }
-
-    /// Adds a covector of `(δx_b - δx_a, ζ_a, ζ_b)`, or of the same of the rows from `part` on.
-    #[inline(always)]
-    fn add_element(&mut self, q: usize, part: usize, covector: [S::f64s; 9]) {
-        self.stretch(q, part, [covector[0], covector[1], covector[2]]);
-        self.add(q, part + 3, 1.0, [covector[3], covector[4], covector[5]]);
-        self.add(
-            q + 1,
-            part + 3,
-            1.0,
-            [covector[6], covector[7], covector[8]],
-        );
+    fn add_element<const V: usize>(&mut self, q: usize, covector: [Wide<S, V>; 9]) {
+        let [x, y, z, a, b, c, d, e, f] = covector;
+        self.stretch(q, 0, [x, y, z]);
+        self.add(q, 3, 1.0, [a, b, c]);
+        self.add(q + 1, 3, 1.0, [d, e, f]);
     }
 }

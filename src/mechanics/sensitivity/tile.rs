@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
+use super::columns::{AT_ONCE, Columns, Wide, for_all_vectors};
 use super::packed::{PackedSolve, PackedStep};
 use super::reduction::Record;
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
@@ -438,40 +439,23 @@ impl WithSimd for CoupledDrift<'_> {
             columns.drift_solved(&self.step.solve);
             return;
         }
-        for at in 0..used {
-            columns.at = at;
-            columns.drift();
-        }
+        for_all_vectors!(columns, drift());
     }
-}
-
-/// One vector of columns of a tile.
-pub(super) struct Columns<'a, S: Simd> {
-    pub simd: S,
-    pub step: &'a PackedStep,
-    pub data: &'a mut [S::f64s],
-    pub increments: &'a mut [S::f64s],
-    pub width: usize,
-    /// Vectors with columns.
-    pub used: usize,
-    pub at: usize,
 }
 
 impl<S: Simd> Columns<'_, S> {
     #[inline(always)]
-    fn drift(&mut self) {
+    fn drift<const V: usize>(&mut self) {
         let step = self.step;
         let (first, n) = (step.first_free_node, step.drifts.len());
-        let zero = self.simd.splat_f64s(0.0);
+        let zero: Wide<S, V> = self.zero();
         for node in 0..first {
-            for row in 0..NODE_COMPONENTS {
-                self.data[(node * NODE_COMPONENTS + row) * self.width + self.at] = zero;
-            }
+            self.set(node, 0, [zero; NODE_COMPONENTS]);
             self.set_increment(node, 0, [zero; 3]);
             self.set_increment(node, 3, [zero; 3]);
         }
         for (node, drift) in step.drifts.iter().enumerate().skip(first) {
-            let g = self.rows(node, 9);
+            let g: [Wide<S, V>; 3] = self.get(node, 9);
             let turn = self.product(&drift.theta, g);
             let spin = self.product(&drift.momentum, g);
             self.set_increment(node, 0, turn);
@@ -480,7 +464,7 @@ impl<S: Simd> Columns<'_, S> {
         for at in 0..2 {
             if at == 1 {
                 for (node, drift) in step.drifts.iter().enumerate().skip(first) {
-                    let p = self.rows(node, 6);
+                    let p: [Wide<S, V>; 3] = self.get(node, 6);
                     self.add(node, 0, drift.mobility, p);
                 }
             }
@@ -504,8 +488,7 @@ impl<S: Simd> Columns<'_, S> {
                 let dx = self.dx(q);
                 let mut impulse = self.product(&reaction.stiffness, dx);
                 for (impulse, along) in impulse.iter_mut().zip(reaction.along) {
-                    let along = self.simd.splat_f64s(along);
-                    *impulse = self.simd.mul_add_e_f64s(along, energy, *impulse);
+                    *impulse = self.fused(along, energy, *impulse);
                 }
                 if q >= first {
                     self.add(q, 6, -1.0, impulse);
@@ -514,15 +497,14 @@ impl<S: Simd> Columns<'_, S> {
             }
         }
         for node in first..n {
-            let zeta = self.rows(node, 3);
-            let turned = self.product(&step.drifts[node].turn_transposed, zeta);
-            let turn = self.increment(node, 0);
-            let spin = self.increment(node, 3);
-            for i in 0..3 {
-                let row = (node * NODE_COMPONENTS + 3 + i) * self.width + self.at;
-                self.data[row] = self.simd.add_f64s(turned[i], turn[i]);
-                self.data[row + 6 * self.width] = spin[i];
+            let zeta: [Wide<S, V>; 3] = self.get(node, 3);
+            let mut turned = self.product(&step.drifts[node].turn_transposed, zeta);
+            for (turned, turn) in turned.iter_mut().zip(self.increment(node, 0)) {
+                *turned = self.plus(*turned, turn);
             }
+            let spin: [Wide<S, V>; 3] = self.increment(node, 3);
+            self.set(node, 3, turned);
+            self.set(node, 9, spin);
         }
     }
 
@@ -534,188 +516,99 @@ impl<S: Simd> Columns<'_, S> {
         let zero = self.simd.splat_f64s(0.0);
         self.data[..first * NODE_COMPONENTS * self.width].fill(zero);
         self.increments[..INCREMENT_ROWS * self.width].fill(zero);
-        // From the base to the tip: what the start of the interval does to the momenta that arrive, and the solution's first half.
-        for (node, _) in solve.nodes.iter().enumerate() {
-            for at in 0..self.used {
-                self.at = at;
-                if let Some(coupling) = solve.coupling.get(node) {
-                    self.arrive_from(node, solve.ratio, coupling);
-                }
-                let Some(i) = node.checked_sub(first) else {
-                    continue;
-                };
-                let mut right = self.momenta(node);
-                if i > 0 {
-                    let before = self.product(&solve.below[i - 1], self.momenta(node - 1));
-                    for (right, before) in right.iter_mut().zip(before) {
-                        *right = self.simd.sub_f64s(*right, before);
-                    }
-                }
-                self.set_momenta(node, self.product(&solve.pivots[i], right));
-            }
+        for node in 0..solve.nodes.len() {
+            for_all_vectors!(self, solve_first_half(solve, node));
         }
-        // And back: what the step adds to the configuration, and then all that follows from it.
         let mut added = [[zero; 6]; TILE];
-        for (node, spin) in solve.nodes.iter().enumerate().skip(first).rev() {
-            for at in 0..self.used {
-                self.at = at;
-                let mut u = self.momenta(node);
-                if let Some(above) = solve.above.get(node - first) {
-                    let after = self.product(above, added[at]);
-                    for (u, after) in u.iter_mut().zip(after) {
-                        *u = self.simd.sub_f64s(*u, after);
-                    }
-                }
-                added[at] = u;
-                let carried = self.product(&spin.turn_transposed, self.rows(node, 3));
-                let linear = self.increment(node, 0);
-                let angular = self.increment(node, 3);
-                let spun = self.product(&spin.spin, [u[3], u[4], u[5]]);
-                let mass_rate = self.simd.splat_f64s(spin.mass_rate);
-                for i in 0..3 {
-                    let row = (node * NODE_COMPONENTS + i) * self.width + self.at;
-                    self.data[row] = self.simd.add_f64s(self.data[row], u[i]);
-                    self.data[row + 3 * self.width] = self.simd.add_f64s(carried[i], u[3 + i]);
-                    self.data[row + 6 * self.width] =
-                        self.simd.mul_add_e_f64s(mass_rate, u[i], linear[i]);
-                    self.data[row + 9 * self.width] = self.simd.add_f64s(spun[i], angular[i]);
-                }
+        for node in (first..solve.nodes.len()).rev() {
+            for_all_vectors!(self, solve_second_half(solve, node, &mut added));
+        }
+    }
+
+    /// From the base to the tip: what the start of the interval does to the momenta that arrive, and the solution's first half.
+    #[inline(always)]
+    fn solve_first_half<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+        if let Some(coupling) = solve.coupling.get(node) {
+            self.arrive_from::<V>(node, solve.ratio, coupling);
+        }
+        let Some(i) = node.checked_sub(self.step.first_free_node) else {
+            return;
+        };
+        let mut right: [Wide<S, V>; 6] = self.get(node, 6);
+        if i > 0 {
+            let before = self.product(&solve.below[i - 1], self.get(node - 1, 6));
+            for (right, before) in right.iter_mut().zip(before) {
+                *right = self.minus(*right, before);
             }
         }
+        self.set(node, 6, self.product(&solve.pivots[i], right));
+    }
+
+    /// And back: what the step adds to the configuration, and then all that follows from it. `added` is that of the node after it.
+    #[inline(always)]
+    fn solve_second_half<const V: usize>(
+        &mut self,
+        solve: &PackedSolve,
+        node: usize,
+        added: &mut [[S::f64s; 6]; TILE],
+    ) {
+        let mut u: [Wide<S, V>; 6] = self.get(node, 6);
+        let here = &mut added[self.at..][..V];
+        if let Some(above) = solve.above.get(node - self.step.first_free_node) {
+            let mut next = [self.zero(); 6];
+            for (v, own) in here.iter().enumerate() {
+                for (next, own) in next.iter_mut().zip(own) {
+                    next[v] = *own;
+                }
+            }
+            let after = self.product(above, next);
+            for (u, after) in u.iter_mut().zip(after) {
+                *u = self.minus(*u, after);
+            }
+        }
+        for (v, own) in here.iter_mut().enumerate() {
+            for (own, u) in own.iter_mut().zip(&u) {
+                *own = u[v];
+            }
+        }
+        let spin = &solve.nodes[node];
+        let (mut x, zeta): ([Wide<S, V>; 3], [Wide<S, V>; 3]) =
+            (self.get(node, 0), self.get(node, 3));
+        let mut turned = self.product(&spin.turn_transposed, zeta);
+        let mut linear = self.increment(node, 0);
+        let mut angular = self.product(&spin.spin, [u[3], u[4], u[5]]);
+        for (i, arrived) in self.increment(node, 3).into_iter().enumerate() {
+            x[i] = self.plus(x[i], u[i]);
+            turned[i] = self.plus(turned[i], u[3 + i]);
+            linear[i] = self.fused(spin.mass_rate, u[i], linear[i]);
+            angular[i] = self.plus(angular[i], arrived);
+        }
+        self.set(node, 0, x);
+        self.set(node, 3, turned);
+        self.set(node, 6, linear);
+        self.set(node, 9, angular);
     }
 
     /// Takes `ratio Xᵀ z` of element `q` from the increments of its ends, of which the second has none yet.
     #[inline(always)]
-    fn arrive_from(&mut self, q: usize, ratio: f64, coupling: &[[f64; 9]; 9]) {
-        let mut here = self.element(q, 0);
-        let ratio = self.simd.splat_f64s(ratio);
+    fn arrive_from<const V: usize>(&mut self, q: usize, ratio: f64, coupling: &[[f64; 9]; 9]) {
+        let mut here: [Wide<S, V>; 9] = self.element(q);
         for value in &mut here {
-            *value = self.simd.mul_f64s(*value, ratio);
+            *value = self.times(ratio, *value);
         }
         let pull = self.product_transposed(coupling, here);
-        let zero = self.simd.splat_f64s(0.0);
+        let (mut linear, mut angular) = (self.increment(q, 0), self.increment(q, 3));
+        let (mut next_linear, mut next_angular) = (linear, angular);
+        let zero = self.zero();
         for axis in 0..3 {
-            let row = (q * INCREMENT_ROWS + axis) * self.width + self.at;
-            self.increments[row] = self.simd.add_f64s(self.increments[row], pull[axis]);
-            let row = row + 3 * self.width;
-            self.increments[row] = self.simd.sub_f64s(self.increments[row], pull[3 + axis]);
-            let row = row + 3 * self.width;
-            self.increments[row] = self.simd.sub_f64s(zero, pull[axis]);
-            let row = row + 3 * self.width;
-            self.increments[row] = self.simd.sub_f64s(zero, pull[6 + axis]);
+            linear[axis] = self.plus(linear[axis], pull[axis]);
+            angular[axis] = self.minus(angular[axis], pull[3 + axis]);
+            next_linear[axis] = self.minus(zero, pull[axis]);
+            next_angular[axis] = self.minus(zero, pull[6 + axis]);
         }
-    }
-
-    /// `(δx_b - δx_a, ζ_a, ζ_b)` of element `q`, or the same of the rows from `part` on.
-    #[inline(always)]
-    pub fn element(&self, q: usize, part: usize) -> [S::f64s; 9] {
-        let (a, b) = (self.rows(q, part), self.rows(q + 1, part));
-        let (turn_a, turn_b) = (self.rows(q, part + 3), self.rows(q + 1, part + 3));
-        let mut out = [self.simd.splat_f64s(0.0); 9];
-        for i in 0..3 {
-            out[i] = self.simd.sub_f64s(b[i], a[i]);
-            out[3 + i] = turn_a[i];
-            out[6 + i] = turn_b[i];
-        }
-        out
-    }
-
-    #[inline(always)]
-    pub fn momenta(&self, node: usize) -> [S::f64s; 6] {
-        let mut out = [self.simd.splat_f64s(0.0); 6];
-        for (i, out) in out.iter_mut().enumerate() {
-            *out = self.data[(node * NODE_COMPONENTS + 6 + i) * self.width + self.at];
-        }
-        out
-    }
-
-    #[inline(always)]
-    pub fn set_momenta(&mut self, node: usize, value: [S::f64s; 6]) {
-        for (i, value) in value.into_iter().enumerate() {
-            self.data[(node * NODE_COMPONENTS + 6 + i) * self.width + self.at] = value;
-        }
-    }
-
-    #[inline(always)]
-    pub fn rows(&self, node: usize, part: usize) -> [S::f64s; 3] {
-        std::array::from_fn(|i| {
-            self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at]
-        })
-    }
-
-    #[inline(always)]
-    pub fn add(&mut self, node: usize, part: usize, factor: f64, change: [S::f64s; 3]) {
-        let factor = self.simd.splat_f64s(factor);
-        for (i, change) in change.into_iter().enumerate() {
-            let row = &mut self.data[(node * NODE_COMPONENTS + part + i) * self.width + self.at];
-            *row = self.simd.mul_add_e_f64s(factor, change, *row);
-        }
-    }
-
-    #[inline(always)]
-    pub fn increment(&self, node: usize, part: usize) -> [S::f64s; 3] {
-        std::array::from_fn(|i| {
-            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at]
-        })
-    }
-
-    #[inline(always)]
-    pub fn set_increment(&mut self, node: usize, part: usize, value: [S::f64s; 3]) {
-        for (i, value) in value.into_iter().enumerate() {
-            self.increments[(node * INCREMENT_ROWS + part + i) * self.width + self.at] = value;
-        }
-    }
-
-    #[inline(always)]
-    pub fn add_increment(&mut self, node: usize, part: usize, along: &[f64; 3], change: S::f64s) {
-        let mut value = self.increment(node, part);
-        for (value, along) in value.iter_mut().zip(along) {
-            let along = self.simd.splat_f64s(*along);
-            *value = self.simd.mul_add_e_f64s(along, change, *value);
-        }
-        self.set_increment(node, part, value);
-    }
-
-    /// `x_{q+1} - x_q`
-    #[inline(always)]
-    pub fn dx(&self, q: usize) -> [S::f64s; 3] {
-        let (a, b) = (self.rows(q, 0), self.rows(q + 1, 0));
-        std::array::from_fn(|i| self.simd.sub_f64s(b[i], a[i]))
-    }
-
-    #[inline(always)]
-    pub fn dot<const N: usize>(&self, a: &[f64; N], b: [S::f64s; N], start: S::f64s) -> S::f64s {
-        let mut sum = start;
-        for (a, b) in a.iter().zip(b) {
-            sum = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*a), b, sum);
-        }
-        sum
-    }
-
-    #[inline(always)]
-    pub fn product<const N: usize>(&self, m: &[[f64; N]; N], v: [S::f64s; N]) -> [S::f64s; N] {
-        let zero = self.simd.splat_f64s(0.0);
-        // Closures over this many are not inlined, and the vector instructions with them.
-        let mut out = [zero; N];
-        for (out, row) in out.iter_mut().zip(m) {
-            *out = self.dot(row, v, zero);
-        }
-        out
-    }
-
-    /// `Mᵀ v`
-    #[inline(always)]
-    pub fn product_transposed<const N: usize>(
-        &self,
-        m: &[[f64; N]; N],
-        v: [S::f64s; N],
-    ) -> [S::f64s; N] {
-        let mut out = [self.simd.splat_f64s(0.0); N];
-        for (row, v) in m.iter().zip(v) {
-            for (out, m) in out.iter_mut().zip(row) {
-                *out = self.simd.mul_add_e_f64s(self.simd.splat_f64s(*m), v, *out);
-            }
-        }
-        out
+        self.set_increment(q, 0, linear);
+        self.set_increment(q, 3, angular);
+        self.set_increment(q + 1, 0, next_linear);
+        self.set_increment(q + 1, 3, next_angular);
     }
 }

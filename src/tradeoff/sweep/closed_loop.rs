@@ -211,18 +211,18 @@ impl Work<'_, '_> {
                 add(&|setting| setting.horizon_s = Some(whole));
             }
         }
-        // Steps that are solved for may be as long as the time between two samples, and a horizon has few of them.
+        // Steps that are solved for may be as long as a block, and a horizon has few of them.
         if usual.model == RodModel::Standard
-            && let Some(mpc) = &self.sweep.scene.mpc
+            && let Some(block) = usual.block_s
         {
             add(&|setting| {
                 setting.integrator = TimeScheme::Explicit;
                 setting.model_step_s = None;
             });
-            for parts in [1.0, 2.0] {
+            for parts in [1.0, 2.0, 4.0] {
                 add(&|setting| {
                     setting.integrator = TimeScheme::Implicit;
-                    setting.model_step_s = Some(mpc.period_s.get() / parts);
+                    setting.model_step_s = Some(block / parts);
                 });
             }
         }

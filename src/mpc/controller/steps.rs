@@ -1,0 +1,77 @@
+//! Time steps of a controller's model.
+
+use super::settings::MpcSettings;
+use crate::mechanics::stability::{automatic_step, bent_step};
+use crate::mechanics::{RodModel, TimeScheme};
+use crate::task::{Arm, Discretization, DiscretizeError};
+
+/// An implicit step takes a sample as long as so many explicit ones, without and with internal damping (`cargo bench --bench mpc -- times`).
+const AS_LONG_AS: [f64; 2] = [9.0, 4.0];
+/// Implicit steps in a block of the plan, at least: within one, it has no more to say.
+const STEPS_A_BLOCK: f64 = 2.0;
+
+/// Steps of one length, s, that divide a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Divided {
+    pub n: usize,
+    pub step: f64,
+}
+
+impl Divided {
+    /// The fewest that are no longer than `longest` (s), but for rounding.
+    fn new(time: f64, longest: f64) -> Self {
+        let n = (time / longest * (1.0 - 1e-9)).ceil().max(1.0);
+        Self {
+            n: n as usize,
+            step: time / n,
+        }
+    }
+}
+
+/// Steps of the sample period and of the horizon, of which none is longer than `chosen` (s). They are the same, but for implicit ones of a horizon
+/// that recedes: what is due ends on a time node wherever the horizon begins.
+pub(super) fn period_and_horizon(
+    chosen: f64,
+    scheme: TimeScheme,
+    settings: &MpcSettings,
+) -> [Divided; 2] {
+    let period = Divided::new(settings.period, chosen);
+    let horizon = if scheme == TimeScheme::Implicit && settings.due.is_none() {
+        Divided::new(settings.horizon, chosen)
+    } else {
+        Divided {
+            n: (settings.horizon / period.step).round().max(1.0) as usize,
+            ..period
+        }
+    };
+    [period, horizon]
+}
+
+/// The discretization with the steps that suit a receding horizon, where it leaves integrator and step open: implicit ones of half a block, or less
+/// if the arm must be able to bend into a circle, where they are so much longer than explicit ones that they are faster. What a plan cannot
+/// control need not be resolved.
+///
+/// # Errors
+/// [`DiscretizeError`] where the arm has no rod.
+pub(crate) fn with_long_steps(
+    arm: &Arm,
+    discretization: &Discretization,
+    settings: &MpcSettings,
+) -> Result<Discretization, DiscretizeError> {
+    let is_open = discretization.scheme.is_none() && discretization.step.is_none();
+    if !is_open || settings.due.is_some() || arm.model != RodModel::Standard {
+        return Ok(*discretization);
+    }
+    let rod = arm.rod(discretization)?;
+    let step = bent_step(&rod).min(settings.block / STEPS_A_BLOCK);
+    let as_long_as = AS_LONG_AS[usize::from(rod.internal_damping > 0.0)];
+    Ok(if step > as_long_as * automatic_step(&rod) {
+        Discretization {
+            scheme: Some(TimeScheme::Implicit),
+            step: Some(step),
+            ..*discretization
+        }
+    } else {
+        *discretization
+    })
+}
