@@ -5,7 +5,9 @@
 mod tracking;
 
 use nalgebra::Vector3;
-use softarm::mechanics::{NodeWrenches, Rod, State, Stepper, Wrench, stable_step};
+use softarm::mechanics::{
+    NodeWrenches, Rod, State, Stepper, TimeScheme, Wrench, stability::bent_step, stable_step,
+};
 use softarm::mpc::{Command, Controller, MpcError, MpcSettings};
 use softarm::task::Discretization;
 
@@ -152,6 +154,91 @@ fn softer_plants_follow() {
     let open = run(&mut again, false);
     assert!(closed < 0.02, "{closed}");
     assert!(closed < open / 6.0, "{closed} {open}");
+}
+
+/// Implicit steps of a receding horizon divide it and are as long as they are asked for, be the sample period longer or shorter; others, and
+/// those of a horizon that is due, divide the period. A model that names no steps has long ones where they are faster.
+#[test]
+fn periods_do_not_shorten_steps() {
+    let task = tracking::task(3.0);
+    let make = |elements: usize, scheme, step, settings: &MpcSettings| {
+        let discretization = Discretization {
+            elements,
+            scheme,
+            step,
+            ..tracking::discretization()
+        };
+        Controller::new(&tracking::arm(1e6), &task, &discretization, settings).unwrap()
+    };
+    let implicit = Some(TimeScheme::Implicit);
+    for period in [0.001, 0.01, 0.03] {
+        let receding = MpcSettings {
+            period,
+            ..MpcSettings::receding(0.3)
+        };
+        let mut controller = make(6, implicit, Some(0.016), &receding);
+        assert!((controller.model_step() - 0.3 / 19.0).abs() < 1e-12);
+        // What is expected at the next sample is one period on, whatever the steps of the horizon are.
+        let state = controller.expected().clone();
+        let end = controller.step(&state).unwrap().end;
+        assert!((end - period).abs() < 1e-12);
+        let (expected, first) = (
+            controller.expected().clone(),
+            controller.prediction(6).next(),
+        );
+        let (t, place) = first.unwrap();
+        assert!((t - period).abs() < 1e-12);
+        assert_eq!(Vector3::from(place), expected.configuration.positions[6]);
+        let due = MpcSettings {
+            due: Some(0.3),
+            ..receding
+        };
+        let step = make(6, implicit, Some(0.016), &due).model_step();
+        let whole = period / step;
+        assert!(
+            step <= 0.016 && (whole - whole.round()).abs() < 1e-9,
+            "{step}"
+        );
+    }
+    let settings = MpcSettings::receding(0.3);
+    assert_eq!(
+        make(3, None, None, &settings).rod().scheme,
+        TimeScheme::Explicit
+    );
+    let fine = make(24, None, None, &settings);
+    assert_eq!(fine.rod().scheme, TimeScheme::Implicit);
+    assert!(fine.model_step() <= bent_step(fine.rod()));
+}
+
+/// A model of long implicit steps holds a bent arm on its path as well as one whose steps resolve all waves.
+#[test]
+fn long_steps_follow_as_well() {
+    let settings = MpcSettings::receding(0.3);
+    let plant = tracking::arm(0.8e6)
+        .rod(&Discretization::with_elements(6))
+        .unwrap();
+    let [short, long] = [None, Some(0.015)].map(|step| {
+        let discretization = Discretization {
+            scheme: Some(step.map_or(TimeScheme::Explicit, |_| TimeScheme::Implicit)),
+            step,
+            ..tracking::discretization()
+        };
+        let arm = tracking::arm(1e6);
+        let mut controller =
+            Controller::new(&arm, &tracking::task(20.0), &discretization, &settings).unwrap();
+        let steps = (settings.period / (0.5 * stable_step(&plant))).ceil() as usize;
+        let step = settings.period / steps as f64;
+        let mut stepper = Stepper::new(&plant, step, State::at_rest(plant.rest.clone()));
+        let mut square = 0.0;
+        for sample in 1..=100 {
+            let command = controller.step(&stepper.state()).unwrap().clone();
+            apply(&mut stepper, &command, steps);
+            let gap = stepper.position(plant.tip()) - tracking::path(0.01 * f64::from(sample));
+            square += gap.norm_squared() / 100.0;
+        }
+        f64::sqrt(square)
+    });
+    assert!(long < 1.1 * short && long < 0.01, "{long} {short}");
 }
 
 /// A measurement that is not finite, or of another rod, is refused with what is wrong; the next good one gets the command that it would

@@ -464,6 +464,20 @@ fn what_is_not_meant_is_said() {
     let run = desk.run(&["verify", "run"]);
     assert_eq!(run.code, USAGE, "{}", run.stderr);
     assert!(run.stderr.contains("of a closed loop"), "{}", run.stderr);
+    // An observer of a model that is too stiff.
+    let run = desk.run(&[
+        "mpc",
+        "mpc-track-circle",
+        "--set",
+        "mpc.duration_s=4",
+        "--set",
+        "estimator.kind='observer'",
+        "--set",
+        "estimator.disturbances=[]",
+    ]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    let words = "holds its model against the measurements";
+    assert!(run.stderr.contains(words), "{}", run.stderr);
 }
 
 /// A circle is a path of points: on the circle to four parts in 100 000 of its radius, and from its beginning on to the end of the loop and

@@ -14,7 +14,7 @@ use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
-use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{Energy, Rod, State, TimeGrid, TimeScheme, Trajectory, Wrench};
 use crate::mpc::{
     ClosedLoop, Contender, EstimatorChoice, Outcome as Run, Percentiles, Sample, Sensing, TipError,
     Unknowns,
@@ -127,8 +127,12 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
 
 fn announce(setup: &ClosedLoopSetup, console: &Console) {
     let own = &setup.experiment;
+    let steps = match setup.model.scheme {
+        TimeScheme::Explicit => "explicit",
+        TimeScheme::Implicit => "implicit",
+    };
     console.say(&format!(
-        "model {} elements, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; sensors: {}",
+        "model {} elements, {steps} steps, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; sensors: {}",
         setup.model.n_elements(),
         setup.plant.n_elements(),
         (own.duration / own.mpc.period).round().max(1.0),
@@ -525,26 +529,28 @@ fn advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
         return Vec::new();
     }
     let mut what = Vec::new();
-    let knows_nothing = match &own.sensing {
-        Sensing::Everything => true,
+    let looks_for = match &own.sensing {
+        Sensing::Everything => Some(Unknowns::NONE),
         Sensing::Estimated { estimator, .. } => match *estimator {
-            EstimatorChoice::Observer { estimates_wrench } => !estimates_wrench,
-            EstimatorChoice::Kalman(unknowns) => {
-                let wrench_change = unknowns.wrench_change;
-                unknowns
-                    == Unknowns {
-                        wrench_change,
-                        ..Unknowns::NONE
-                    }
-            }
+            EstimatorChoice::Observer { .. } => None,
+            EstimatorChoice::Kalman(unknowns) => Some(Unknowns {
+                wrench_change: Unknowns::NONE.wrench_change,
+                ..unknowns
+            }),
         },
     };
-    if knows_nothing {
-        what.push(
+    match looks_for {
+        None => what.push(
+            "an observer holds its model against the measurements: estimator.kind = \"kalman\" with estimator.disturbances finds what the model \
+             has wrong",
+        ),
+        Some(unknowns) if unknowns == Unknowns::NONE => what.push(
             "[estimator] with estimator.disturbances finds what the model has wrong, which nothing here looks for",
-        );
+        ),
+        Some(_) => {}
     }
-    if own.task.cost.rate == 0.0 {
+    // A horizon that recedes has a price of its own.
+    if own.task.cost.rate == 0.0 && own.mpc.due.is_some() {
         what.push("objective.rate makes plans smooth, where the tip trembles");
     }
     let is_damped = own.arm.viscous_damping > 0.0 || own.arm.internal_damping > 0.0;

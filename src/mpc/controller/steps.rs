@@ -5,8 +5,8 @@ use crate::mechanics::stability::{automatic_step, bent_step};
 use crate::mechanics::{RodModel, TimeScheme};
 use crate::task::{Arm, Discretization, DiscretizeError};
 
-/// An implicit step takes a sample as long as so many explicit ones, without and with internal damping (`cargo bench --bench mpc -- times`).
-const AS_LONG_AS: [f64; 2] = [9.0, 4.0];
+/// An implicit step takes as much of a sample as at most so many explicit ones, without and with internal damping (`softarm mpc` with both).
+const AS_LONG_AS: [f64; 2] = [5.0, 2.0];
 /// Implicit steps in a block of the plan, at least: within one, it has no more to say.
 const STEPS_A_BLOCK: f64 = 2.0;
 
