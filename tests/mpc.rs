@@ -97,14 +97,15 @@ fn speeds_have_a_price() {
         task.cost.tracks[0].speed_weight = weight;
         let (arm, discretization) = (tracking::arm(1e6), tracking::discretization());
         let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
-        let rod = controller.rod().clone();
+        // An arm with steps of its own.
+        let rod = arm.rod(&Discretization::with_elements(6)).unwrap();
         let mut pushed = controller.expected().clone();
         for q in 1..rod.n_nodes() {
             let s = q as f64 / rod.tip() as f64;
             pushed.linear_momentum[q] = Vector3::new(0.5 * s * s, 0.0, 0.0) * rod.nodes[q].mass;
         }
-        let steps = steps_per_period(&controller, &settings);
-        let mut stepper = Stepper::new(&rod, controller.model_step(), pushed);
+        let steps = (settings.period / (0.5 * stable_step(&rod))).ceil() as usize;
+        let mut stepper = Stepper::new(&rod, settings.period / steps as f64, pushed);
         for _ in 0..30 {
             let command = controller.step(&stepper.state()).unwrap().clone();
             apply(&mut stepper, &command, steps);
@@ -177,7 +178,9 @@ fn periods_do_not_shorten_steps() {
             ..MpcSettings::receding(0.3)
         };
         let mut controller = make(6, implicit, Some(0.016), &receding);
-        assert!((controller.model_step() - 0.3 / 19.0).abs() < 1e-12);
+        let step = controller.model_step();
+        // Two in each of the ten blocks.
+        assert!((step - 0.015).abs() < 1e-12, "{step}");
         // What is expected at the next sample is one period on, whatever the steps of the horizon are.
         let state = controller.expected().clone();
         let end = controller.step(&state).unwrap().end;
@@ -202,7 +205,7 @@ fn periods_do_not_shorten_steps() {
     }
     let settings = MpcSettings::receding(0.3);
     assert_eq!(
-        make(3, None, None, &settings).rod().scheme,
+        make(10, None, None, &settings).rod().scheme,
         TimeScheme::Explicit
     );
     let fine = make(24, None, None, &settings);
