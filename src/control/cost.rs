@@ -119,7 +119,7 @@ pub fn speed_rows(
     [from, to]: [usize; 2],
 ) -> Vec<CostRow> {
     let times = [from, to].map(|k| rod_view.grid.time(k));
-    let [between, scales] = [
+    let [between, unit] = [
         times[1] - times[0],
         problem.rod.scales.time / problem.rod.scales.length,
     ];
@@ -130,7 +130,7 @@ pub fn speed_rows(
         }
         let [a, b] = [from, to].map(|k| rod_view.trajectory.positions_at(k)[tracking.node]);
         let off = (b - a) / between - tracking.velocity(times);
-        let factor = (tracking.speed_weight * between).sqrt() * scales;
+        let factor = (tracking.speed_weight * between).sqrt() * unit;
         rows.extend((0..3).map(|axis| {
             let along_axis = |k: usize, slope: f64| {
                 let direction = Vector3::ith(axis, slope);
