@@ -221,7 +221,7 @@ fn resolved_scene_has_the_duration_that_was_found() {
 /// What does not go with a free duration is refused at its key.
 #[test]
 fn conflicts_are_refused_by_name() {
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 8] = [
         (
             &["control.force_rate_max_n_s=60.0"],
             "a bound on the magnitude of a rate",
@@ -229,6 +229,10 @@ fn conflicts_are_refused_by_name() {
         (
             &["limit=[{ speed_max_m_s = 0.6, soft = { linear = 1.0 } }]"],
             "soft limit",
+        ),
+        (
+            &["objective.track=[{ speed_weight = 1.0 }]"],
+            "objective.track.0.speed_weight",
         ),
         (
             &["task.free_duration.shortest_s=0.0"],
