@@ -31,6 +31,15 @@ fn apply(stepper: &mut Stepper, command: &Command, steps: usize) -> (f64, f64) {
     most
 }
 
+/// An arm with steps of its own, half of the stable one and of which a whole number is a period; and that number.
+fn plant<'a>(rod: &'a Rod, settings: &MpcSettings, start: State) -> (Stepper<'a>, usize) {
+    let steps = (settings.period / (0.5 * stable_step(rod))).ceil() as usize;
+    (
+        Stepper::new(rod, settings.period / steps as f64, start),
+        steps,
+    )
+}
+
 fn steps_per_period(controller: &Controller, settings: &MpcSettings) -> usize {
     (settings.period / controller.model_step()).round() as usize
 }
@@ -104,8 +113,7 @@ fn speeds_have_a_price() {
             let s = q as f64 / rod.tip() as f64;
             pushed.linear_momentum[q] = Vector3::new(0.5 * s * s, 0.0, 0.0) * rod.nodes[q].mass;
         }
-        let steps = (settings.period / (0.5 * stable_step(&rod))).ceil() as usize;
-        let mut stepper = Stepper::new(&rod, settings.period / steps as f64, pushed);
+        let (mut stepper, steps) = plant(&rod, &settings, pushed);
         for _ in 0..30 {
             let command = controller.step(&stepper.state()).unwrap().clone();
             apply(&mut stepper, &command, steps);
@@ -125,13 +133,11 @@ fn speeds_have_a_price() {
 fn softer_plants_follow() {
     let settings = MpcSettings::receding(0.3);
     let mut controller = tracking::controller(3.0, &settings);
-    let plant = tracking::arm(0.8e6)
+    let rod = tracking::arm(0.8e6)
         .rod(&Discretization::with_elements(6))
         .unwrap();
     let run = |controller: &mut Controller, feeds_back: bool| {
-        let steps = (settings.period / (0.5 * stable_step(&plant))).ceil() as usize;
-        let step = settings.period / steps as f64;
-        let mut stepper = Stepper::new(&plant, step, State::at_rest(plant.rest.clone()));
+        let (mut stepper, steps) = plant(&rod, &settings, State::at_rest(rod.rest.clone()));
         let mut worst = 0.0f64;
         for sample in 1..=100 {
             let state = if feeds_back {
@@ -144,7 +150,7 @@ fn softer_plants_follow() {
             assert!(force <= 3.0 && moment <= 3.0);
             if sample > 10 {
                 let t = 0.01 * f64::from(sample);
-                let gap = stepper.position(plant.tip()) - tracking::path(t);
+                let gap = stepper.position(rod.tip()) - tracking::path(t);
                 worst = worst.max(gap.norm());
             }
         }
@@ -217,7 +223,7 @@ fn periods_do_not_shorten_steps() {
 #[test]
 fn long_steps_follow_as_well() {
     let settings = MpcSettings::receding(0.3);
-    let plant = tracking::arm(0.8e6)
+    let rod = tracking::arm(0.8e6)
         .rod(&Discretization::with_elements(6))
         .unwrap();
     let [short, long] = [None, Some(0.015)].map(|step| {
@@ -229,14 +235,12 @@ fn long_steps_follow_as_well() {
         let arm = tracking::arm(1e6);
         let mut controller =
             Controller::new(&arm, &tracking::task(20.0), &discretization, &settings).unwrap();
-        let steps = (settings.period / (0.5 * stable_step(&plant))).ceil() as usize;
-        let step = settings.period / steps as f64;
-        let mut stepper = Stepper::new(&plant, step, State::at_rest(plant.rest.clone()));
+        let (mut stepper, steps) = plant(&rod, &settings, State::at_rest(rod.rest.clone()));
         let mut square = 0.0;
         for sample in 1..=100 {
             let command = controller.step(&stepper.state()).unwrap().clone();
             apply(&mut stepper, &command, steps);
-            let gap = stepper.position(plant.tip()) - tracking::path(0.01 * f64::from(sample));
+            let gap = stepper.position(rod.tip()) - tracking::path(0.01 * f64::from(sample));
             square += gap.norm_squared() / 100.0;
         }
         f64::sqrt(square)

@@ -79,6 +79,25 @@ fn checked(setup: &OptimalControl, outcome: &SqpOutcome<LiftedPoint>) -> Forward
     setup.certify(&solution).unwrap()
 }
 
+/// A solution that has converged and whose check finds nothing wrong.
+fn certified(setup: &OptimalControl) -> SqpOutcome<LiftedPoint> {
+    let outcome = solved(setup);
+    assert_eq!(outcome.status, SqpStatus::Converged);
+    let check = checked(setup, &outcome);
+    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
+    assert!(failed.is_empty(), "{failed:?}");
+    outcome
+}
+
+/// The resolved scene has the objective and the grid of the problem.
+fn assert_describes_itself(setup: &OptimalControl) {
+    let text = setup.resolved.to_toml();
+    let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
+    let again = scene.optimal_control(&source).unwrap();
+    assert_eq!(again.problem.objective, setup.problem.objective);
+    assert_eq!(again.problem.grid, setup.problem.grid);
+}
+
 fn residual(setup: &OptimalControl, outcome: &SqpOutcome<LiftedPoint>) -> KktResidual {
     let program = Transcription::new(&setup.problem, 1);
     let evaluation = program.evaluate(&outcome.point).unwrap();
@@ -101,14 +120,10 @@ fn residual(setup: &OptimalControl, outcome: &SqpOutcome<LiftedPoint>) -> KktRes
 #[test]
 fn circle_is_followed_to_a_millimeter() {
     let setup = setup(&[]);
-    let outcome = solved(&setup);
-    assert_eq!(outcome.status, SqpStatus::Converged);
+    let outcome = certified(&setup);
     assert!(outcome.history.len() < 40, "{}", outcome.history.len());
     let errors = tracking_errors(&setup.problem, &outcome.point.trajectory);
     assert!(errors[0].rms_m.unwrap() <= 1e-3, "{}", errors[0]);
-    let check = checked(&setup, &outcome);
-    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
-    assert!(failed.is_empty(), "{failed:?}");
 }
 
 /// The solver's stationarity and the check's are relative to the same terms, so that they agree to what is left of both at a point that
@@ -209,18 +224,11 @@ fn orientations_are_followed() {
         );
     }
     assert_eq!(tracking.position(0.5), None);
-    let outcome = solved(&setup);
-    assert_eq!(outcome.status, SqpStatus::Converged);
+    let outcome = certified(&setup);
     let error = tracking_errors(&setup.problem, &outcome.point.trajectory)[0];
     assert!(error.rms_rad.unwrap() < 5e-3, "{error}");
     assert_eq!(error.rms_m, None);
-    let check = checked(&setup, &outcome);
-    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
-    assert!(failed.is_empty(), "{failed:?}");
-    let again = setup.resolved.to_toml();
-    let (scene, source) = Scene::from_toml("scene.toml", &again, &[]).unwrap();
-    let again = scene.optimal_control(&source).unwrap().problem.objective;
-    assert_eq!(again, setup.problem.objective);
+    assert_describes_itself(&setup);
 }
 
 /// A price of the speed, small and large: the solution of both is certified, and is off by so much (rms, m/s).
@@ -228,15 +236,8 @@ fn with_priced_speed(track: &str, overrides: &[&str]) -> [f64; 2] {
     ["1e-6", "30.0"].map(|weight| {
         let track = format!("objective.track=[{{ {track}, speed_weight = {weight} }}]");
         let setup = setup(&[&[track.as_str(), "time.end_s=1"], overrides].concat());
-        let outcome = solved(&setup);
-        assert_eq!(outcome.status, SqpStatus::Converged);
-        let check = checked(&setup, &outcome);
-        let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
-        assert!(failed.is_empty(), "{failed:?}");
-        let again = setup.resolved.to_toml();
-        let (scene, source) = Scene::from_toml("scene.toml", &again, &[]).unwrap();
-        let again = scene.optimal_control(&source).unwrap().problem.objective;
-        assert_eq!(again, setup.problem.objective);
+        let outcome = certified(&setup);
+        assert_describes_itself(&setup);
         let errors = tracking_errors(&setup.problem, &outcome.point.trajectory);
         errors[0].rms_m_s.unwrap()
     })
@@ -273,12 +274,8 @@ fn weights_are_resolved() {
     let given = setup(&["objective.track.0.weight=7.5"]);
     assert_eq!(given.problem.objective.tracking[0].weight, 7.5);
     let setup = setup(&[]);
-    let text = setup.resolved.to_toml();
-    let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
-    let again = scene.optimal_control(&source).unwrap();
-    assert_eq!(again.problem.objective, setup.problem.objective);
-    assert_eq!(again.problem.grid, setup.problem.grid);
-    assert!(text.contains("weight = "));
+    assert_describes_itself(&setup);
+    assert!(setup.resolved.to_toml().contains("weight = "));
 }
 
 /// What is neither a task nor a path, and a path that takes no time, are refused where they are missing.
