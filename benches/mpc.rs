@@ -104,6 +104,7 @@ fn noisy(mut scene: Experiment, estimator: EstimatorChoice, preset: SensorPreset
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(preset)],
         estimator,
+        elements: None,
         seed: 1,
     };
     scene.settings.computing = Computing::Fixed(0.01);

@@ -13,7 +13,7 @@ use estimating::{Truth, command, rod, upright};
 use softarm::mechanics::State;
 use softarm::mpc::{
     BoundaryObserver, Disturbance, Estimator, Inbox, KalmanFilter, KalmanSettings, Measurement,
-    ObserverSettings, Predictor, RandomWalk, Sensor, SensorPreset, SensorSettings,
+    ObserverSettings, Predictor, RandomWalk, Regridded, Sensor, SensorPreset, SensorSettings,
 };
 
 /// Counts what is asked for by each thread, as the one that reports on tests asks for memory as well.
@@ -43,7 +43,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Prediction with all disturbances (the stiffness changes the constants of every step), correction by every kind of reading, one step of
-/// linearization and several, the observer's replay, the prediction over a delay, the sensor and the inbox allocate nothing after the first
+/// linearization and several, a filter on nodes of its own, the observer's replay, the prediction over a delay, the sensor and the inbox allocate nothing after the first
 /// few samples.
 #[test]
 fn estimates_allocate_nothing() {
@@ -66,6 +66,14 @@ fn estimates_allocate_nothing() {
         ..KalmanSettings::of(&model)
     };
     let mut filter = KalmanFilter::new(&model, 0.0, &start, &settings).unwrap();
+    let coarse = rod(&upright(), 4);
+    let own = KalmanFilter::new(
+        &coarse,
+        0.0,
+        &State::at_rest(coarse.rest.clone()),
+        &settings,
+    );
+    let mut shown = Regridded::new(&model, &coarse, Box::new(own.unwrap()));
     let observer_settings = ObserverSettings {
         integral_time: Some(1.0),
         ..ObserverSettings::of(&model)
@@ -104,7 +112,7 @@ fn estimates_allocate_nothing() {
             .unwrap();
         inbox.put(&measurement);
         let measurement = inbox.take(act.end).unwrap();
-        for estimator in [&mut filter as &mut dyn Estimator, &mut observer] {
+        for estimator in [&mut filter as &mut dyn Estimator, &mut observer, &mut shown] {
             estimator.advance(act, act.start + 0.3 * PERIOD).unwrap();
             estimator.advance(act, act.end).unwrap();
             estimator.correct(measurement).unwrap();

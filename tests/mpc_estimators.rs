@@ -10,8 +10,10 @@ use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{EnergyNorm, Rod, State, Wrench};
 use softarm::mpc::{
     BoundaryObserver, Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter,
-    Measurement, MpcError, ObserverSettings, Reading, Sensor, SensorPreset, SensorSettings,
+    Measurement, MpcError, ObserverSettings, Reading, Regridded, Sensor, SensorPreset,
+    SensorSettings,
 };
+use softarm::task::Arm;
 
 const PERIOD: f64 = 0.01;
 
@@ -143,8 +145,8 @@ fn observers_find_a_tip_force() {
     assert!((mean - force).norm() < 0.1, "{mean}");
 }
 
-/// Two of every estimator, new.
-fn estimators(model: &Rod) -> [[Box<dyn Estimator>; 2]; 2] {
+/// Two of every estimator of an arm, new, the last one on nodes of its own.
+fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 3] {
     let state = at_rest(model);
     let kalman = || -> Box<dyn Estimator> {
         let settings = all_disturbances(model);
@@ -157,15 +159,63 @@ fn estimators(model: &Rod) -> [[Box<dyn Estimator>; 2]; 2] {
         };
         Box::new(BoundaryObserver::new(model, 0.0, &state, &settings).unwrap())
     };
-    [[kalman(), kalman()], [observer(), observer()]]
+    let regridded = || -> Box<dyn Estimator> {
+        let own = rod(arm, model.n_elements().div_ceil(2));
+        let filter = KalmanFilter::new(&own, 0.0, &at_rest(&own), &all_disturbances(&own));
+        Box::new(Regridded::new(model, &own, Box::new(filter.unwrap())))
+    };
+    [
+        [kalman(), kalman()],
+        [observer(), observer()],
+        [regridded(), regridded()],
+    ]
+}
+
+/// A filter that is shown on nodes that are its own gives the same estimates, whatever the command acts on.
+#[test]
+fn the_same_nodes_change_nothing() {
+    let model = rod(&hanging(), 5);
+    let start = at_rest(&model);
+    let filter = || {
+        let settings = all_disturbances(&model);
+        KalmanFilter::new(&model, 0.0, &start, &settings).unwrap()
+    };
+    let mut direct = filter();
+    let mut shown = Regridded::new(&model, &model, Box::new(filter()));
+    let mut truth = Truth::new(&model, start.clone(), Disturbance::NONE);
+    let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
+    let mut measurement = Measurement::default();
+    for k in 0..10 {
+        let mut act = command(&model, k as f64 * PERIOD, PERIOD);
+        act.nodes.push(2);
+        act.from.push(Wrench {
+            force: Vector3::new(0.02, 0.01, 0.0),
+            moment: Vector3::new(0.0, 0.003, 0.001),
+        });
+        act.to.push(Wrench::default());
+        truth.advance(&act, act.end);
+        (sensor.measure(act.end, &truth.state, &mut measurement)).unwrap();
+        for estimator in [&mut direct as &mut dyn Estimator, &mut shown] {
+            estimator.advance(&act, act.end).unwrap();
+            estimator.correct(&measurement).unwrap();
+        }
+    }
+    let (a, b) = (direct.estimate(), shown.estimate());
+    assert!(distance(&model, &a.state, &b.state) < 1e-12);
+    assert_eq!(
+        (a.time, a.disturbance, a.deviation),
+        (b.time, b.disturbance, b.deviation)
+    );
+    assert!(distance(&model, &start, &b.state) > 1e-3);
 }
 
 /// What is refused leaves no trace: after measurements that are no numbers, no rotations, of no place, too old or too new, and after commands that
 /// are none or that blow the arm up, an estimator goes on as one that has not seen them, to the bit; and so does one that is restarted.
 #[test]
 fn what_is_refused_leaves_no_trace() {
-    let model = rod(&hanging(), 5);
-    for [mut tried, mut fresh] in estimators(&model) {
+    let arm = hanging();
+    let model = rod(&arm, 5);
+    for (kind, [mut tried, mut fresh]) in estimators(&arm, &model).into_iter().enumerate() {
         let mut truth = Truth::new(&model, at_rest(&model), Disturbance::NONE);
         let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
         let mut measurement = Measurement::default();
@@ -284,10 +334,7 @@ fn what_is_refused_leaves_no_trace() {
             tried.restart(0.0, &other),
             Err(MpcError::Measurement { .. })
         ));
-        let kind = estimators(&model)
-            .into_iter()
-            .find(|[new, _]| new.estimate().deviation == tried.estimate().deviation);
-        let [mut new, _] = kind.expect("the same kind");
+        let [mut new, _] = estimators(&arm, &model).into_iter().nth(kind).unwrap();
         for estimator in [&mut tried, &mut new] {
             let act = command(&model, 0.0, PERIOD);
             estimator.advance(&act, PERIOD).unwrap();
@@ -316,9 +363,10 @@ fn observers_need_the_tip() {
 /// of their time, to the bit; and it lags by the largest age.
 #[test]
 fn ages_do_not_matter() {
-    let model = rod(&upright(), 4);
+    let arm = upright();
+    let model = rod(&arm, 4);
     let lag = 0.015;
-    for [mut late, mut direct] in estimators(&model) {
+    for [mut late, mut direct] in estimators(&arm, &model) {
         let mut truth = Truth::new(&model, at_rest(&model), Disturbance::NONE);
         let mut sensors = [SensorPreset::Em, SensorPreset::Imu]
             .map(|preset| Sensor::new(&preset.settings(&model), &model).unwrap());

@@ -56,6 +56,7 @@ fn estimated(mut scene: Experiment, estimator: EstimatorChoice) -> Experiment {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator,
+        elements: None,
         seed: 3,
     };
     scene
@@ -87,6 +88,25 @@ fn disturbances_are_estimated() {
         off.abs() < 4.0 * last.deviation.stiffness.max(0.03),
         "{off}"
     );
+}
+
+/// A filter on half of the model's elements keeps the tip of the same arm as near to its path, within a tenth.
+#[test]
+fn estimators_need_fewer_nodes() {
+    let mut soft = scene();
+    soft.plant = tracking::arm(0.8e6);
+    soft.discretization.elements = 12;
+    soft.duration = 3.0;
+    soft.counted_from = 1.5;
+    let whole = estimated(soft, FILTER);
+    let mut half = whole.clone();
+    if let Sensing::Estimated { elements, .. } = &mut half.sensing {
+        *elements = Some(whole.discretization.elements / 2);
+    }
+    let [whole, half] = [whole, half].map(|scene| run(&scene, Contender::Mpc).tip_error.rms);
+    println!("{whole} {half}");
+    assert!(half < 1.1 * whole, "{half} {whole}");
+    assert_ne!(half, whole);
 }
 
 /// A delay of four periods costs less than half as much again where it is predicted over, and several times as much where it is not; both

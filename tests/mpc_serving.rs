@@ -72,6 +72,7 @@ fn served_filters_are_those_of_the_library() {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator: EstimatorChoice::Kalman(Unknowns::ALL),
+        elements: None,
         seed: 3,
     };
     let plant = Plant::new(&scene);

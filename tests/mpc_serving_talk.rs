@@ -254,6 +254,7 @@ fn estimates_bridge_bad_lines() {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Em)],
         estimator: EstimatorChoice::Kalman(Unknowns::default()),
+        elements: None,
         seed: 0,
     };
     let mut desk = Desk::new(&scene);

@@ -190,6 +190,7 @@ const SCENES: [&[&str]; 5] = [
         "sensor.0.rate_hz=150.0",
         "sensor.0.age_s=0.004",
         "estimator.kind='kalman'",
+        "estimator.elements=5",
         "estimator.disturbances.0='tip_force'",
         "estimator.wrench_change_1_s=0.02",
         "disturbance.0.node='tip'",

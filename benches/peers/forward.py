@@ -1,16 +1,21 @@
 """Forward simulation beside peers: error of the tip against time, all in one run.
 
     cargo build --release
-    python3.11 -m venv venv && venv/bin/pip install numpy matplotlib pyelastica exudyn
-    venv/bin/python benches/peers/forward.py [--picture forward.png] [--repeat 3] [--only softarm,pyelastica,exudyn]
+    python3.11 -m venv venv && venv/bin/pip install numpy matplotlib pyelastica exudyn mujoco
+    venv/bin/python benches/peers/forward.py [--picture forward.png] [--repeat 3] [--only softarm,pyelastica,exudyn,mujoco]
 
 A soft arm, 1 m long, is clamped at its base, upright and straight, without gravity and damping. A force of 5 N pulls its tip aside from one moment to the
 next; the motion is followed for one second. All programs have the same length, radius, density, Young's modulus, Poisson's ratio and shear factor (27/28, which
 PyElastica uses). The error is the largest distance of the tip from the reference at fifty times, over the largest deflection of the tip. The reference is
 softarm with 160 elements; its distance from the finest Exudyn run is printed, because neither program knows of the other.
 
+MuJoCo has no rods: it gets rigid cylinders with ball joints between them, whose springs are those of an element's bending (its own cable bends in the same
+way). The first and the last cylinder are half as long, so that the clamp is in the middle of a joint's part of the arm; it neither stretches nor shears, which a real
+rod does, so that its error has a floor. Its integrator is that of Runge and Kutta, at two thirds of the largest stable step.
+
 Times are those of the steps alone, in one thread: of softarm by the field node_steps_per_s of its summary, of PyElastica the loop of steps after the first call has
-compiled them, of Exudyn the call of its solver. Of softarm the whole process, with start and files, is printed as well. Least of the repeats.
+compiled them, of Exudyn the call of its solver, of MuJoCo the calls of
+mj_step. Of softarm the whole process, with start and files, is printed as well. Least of the repeats.
 """
 
 import argparse
@@ -139,6 +144,41 @@ def exudyn(elements, step):
     return np.array([np.interp(times, found[:, 0], found[:, axis]) for axis in (2, 1)]).T, seconds, None, step
 
 
+def mujoco(elements):
+    import mujoco as mj
+
+    def cylinder(start, end):
+        return f'<geom type="cylinder" size="{RADIUS}" fromto="0 0 {start} 0 0 {end}" density="{DENSITY}"/>'
+
+    part = LENGTH / elements
+    stiffness = YOUNGS * INERTIA / part
+    inner = f'<body pos="0 0 {0.5 * part}"><joint type="ball" stiffness="{stiffness}"/>'
+    for _ in range(elements - 1):
+        inner += cylinder(0, part) + f'<body pos="0 0 {part}"><joint type="ball" stiffness="{stiffness}"/>'
+    inner += cylinder(0, 0.5 * part) + f'<site name="tip" pos="0 0 {0.5 * part}"/>' + "</body>" * elements
+    fastest = 4.0 * np.sqrt(YOUNGS * INERTIA / (DENSITY * AREA)) / part**2
+    per_row = int(np.ceil(DURATION / TIMES / (2.0 / 3.0 * 2.8 / fastest)))
+    step = DURATION / TIMES / per_row
+    model = mj.MjModel.from_xml_string(f"""
+<mujoco>
+  <option gravity="0 0 0" timestep="{step!r}" integrator="RK4"><flag contact="disable" constraint="disable"/></option>
+  <worldbody><site name="world"/>{inner}</worldbody>
+  <actuator><general site="tip" refsite="world" gear="1 0 0 0 0 0"/></actuator>
+</mujoco>""")
+    data = mj.MjData(model)
+    data.ctrl[0] = FORCE
+    site = mj.mj_name2id(model, mj.mjtObj.mjOBJ_SITE, "tip")
+    mj.mj_forward(model, data)
+    tip, seconds = [data.site_xpos[site][[0, 2]].copy()], 0.0
+    for _ in range(TIMES):
+        begun = time.perf_counter()
+        mj.mj_step(model, data, per_row)
+        seconds += time.perf_counter() - begun
+        mj.mj_kinematics(model, data)
+        tip.append(data.site_xpos[site][[0, 2]].copy())
+    return np.array(tip), seconds, None, step
+
+
 def least(run, repeat):
     """The run with the least time; slow ones are made once."""
     best = run()
@@ -153,7 +193,7 @@ def main():
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--softarm", default=str(Path(__file__).resolve().parents[2] / "target/release/softarm"))
-    parser.add_argument("--only", default="softarm,pyelastica,exudyn")
+    parser.add_argument("--only", default="softarm,pyelastica,exudyn,mujoco")
     options = parser.parse_args()
     wanted = options.only.split(",")
     rows = []
@@ -179,6 +219,9 @@ def main():
         if "exudyn" in wanted:
             for elements, step in [(4, 0.02), (6, 0.01), (10, 0.01), (16, 0.004), (24, 0.002), (40, 0.001), (64, 0.0005)]:
                 add("Exudyn", elements, lambda: exudyn(elements, step))
+        if "mujoco" in wanted:
+            for elements in [4, 6, 10, 14, 20, 30, 40]:
+                add("MuJoCo", elements, lambda: mujoco(elements))
         if "pyelastica" in wanted:
             pyelastica(10)  # compiles
             for elements in [10, 20, 40, 80, 160, 320]:

@@ -14,7 +14,7 @@ use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
-use crate::mechanics::{Energy, Rod, State, TimeGrid, TimeScheme, Trajectory, Wrench};
+use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{
     ClosedLoop, Contender, EstimatorChoice, Outcome as Run, Percentiles, Sample, Sensing, TipError,
     Unknowns,
@@ -127,13 +127,10 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
 
 fn announce(setup: &ClosedLoopSetup, console: &Console) {
     let own = &setup.experiment;
-    let steps = match setup.model.scheme {
-        TimeScheme::Explicit => "explicit",
-        TimeScheme::Implicit => "implicit",
-    };
     console.say(&format!(
-        "model {} elements, {steps} steps, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; sensors: {}",
+        "model {} elements, {} steps, plant {}; {:.0} samples of {} s, horizon {} s in blocks of {} s; sensors: {}",
         setup.model.n_elements(),
+        setup.model.scheme.name(),
         setup.plant.n_elements(),
         (own.duration / own.mpc.period).round().max(1.0),
         own.mpc.period,

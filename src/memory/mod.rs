@@ -286,14 +286,9 @@ fn n_cost_rows(problem: &OptimalControlProblem) -> usize {
     let followed = (objective.tracking.iter())
         .map(|track| {
             // A row of a velocity reads positions at two samples.
-            [
-                (!track.path.is_empty(), 3),
-                (!track.rotations.is_empty(), 3),
-                (track.speed_weight > 0.0, 6),
-            ]
-            .into_iter()
-            .map(|(is_followed, forms)| if is_followed { forms } else { 0 })
-            .sum::<usize>()
+            3 * usize::from(!track.path.is_empty())
+                + 3 * usize::from(!track.rotations.is_empty())
+                + 6 * usize::from(track.speed_weight > 0.0)
         })
         .sum::<usize>();
     let a_time = energy + followed;

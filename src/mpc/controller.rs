@@ -22,7 +22,7 @@ use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
-use crate::task::{Arm, Discretization, Task, Track};
+use crate::task::{Arm, Discretization, DiscretizeError, Task, Track};
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
 #[derive(Clone, Debug, PartialEq)]
@@ -167,9 +167,10 @@ impl Controller {
             settings.horizon,
         )?;
         let blocks = knots.blocks(settings.horizon);
+        let model = arm.rod(discretization).map_err(DiscretizeError::from)?;
         let mut cut = Discretization {
             blocks,
-            ..with_long_steps(arm, discretization, settings)?
+            ..with_long_steps(&model, discretization, settings)
         };
         if settings.due.is_none() {
             // No plan tells more of them apart, and each takes a sweep.

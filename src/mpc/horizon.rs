@@ -21,6 +21,7 @@ use super::estimator::Disturbance;
 use super::knots::Knots;
 use super::limits::{self, Limits};
 use super::soft_rows::SoftRows;
+use super::speeds::Speeds;
 use crate::control::path::RodView;
 use crate::control::{Component, OptimalControlProblem};
 use crate::mechanics::forms::NODE_COMPONENTS;
@@ -47,8 +48,8 @@ enum Quantity {
         index: usize,
         axis: usize,
     },
-    /// The difference of a node's mean velocity since the sample before from that of its path, one axis, over the rod's length and time. The
-    /// sweep knows the row as the node's position; [`Horizon::linearize`] takes differences.
+    /// The difference of a node's mean velocity since the sample before from that of its path, one axis, over the rod's length and time; see
+    /// [`Speeds`].
     TrackSpeed {
         index: usize,
         axis: usize,
@@ -82,25 +83,6 @@ struct Row {
     quantity: Quantity,
     /// Square root of its weight, over its scale.
     factor: f64,
-}
-
-/// A row of the speed of a node.
-#[derive(Clone, Copy, Debug)]
-struct SpeedRow {
-    row: usize,
-    /// The row of the same node and axis at the sample before.
-    before: Option<usize>,
-    /// What the difference of the two positions is multiplied by, 1/m; 0 where the speed does not count.
-    factor: f64,
-}
-
-/// Takes, in a column of slopes from row `first` on, those of speeds from those of the positions.
-fn take_differences(speeds: &[SpeedRow], first: usize, column: &mut [f64]) {
-    for speed in speeds.iter().rev().take_while(|speed| speed.row >= first) {
-        let at = speed.row - first;
-        let before = speed.before.and_then(|row| row.checked_sub(first));
-        column[at] = before.map_or(0.0, |before| speed.factor * (column[at] - column[before]));
-    }
 }
 
 /// What a unit of a component does: node, component of its wrench, and N or N m.
@@ -145,8 +127,7 @@ pub(super) struct Horizon {
     pub grid: TimeGrid,
     longest: TimeGrid,
     rows: Vec<Row>,
-    /// Those of speeds, ascending.
-    speeds: Vec<SpeedRow>,
+    speeds: Speeds,
     /// Of every row, on the longest grid: ascending in time. Those of the present horizon are the last ones, moved to its grid.
     forms: Vec<StateForm>,
     form_nodes: Vec<usize>,
@@ -251,7 +232,11 @@ impl Horizon {
         let limited = rows.iter().enumerate();
         let limited = limited.filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }));
         limits.place(limited.map(|(place, _)| place));
-        let speeds = speed_rows(&rows);
+        let speeds = rows.iter().enumerate();
+        let speeds = Speeds::new(speeds.filter_map(|(place, row)| match row.quantity {
+            Quantity::TrackSpeed { index, axis } => Some((place, [index, axis], row.factor)),
+            _ => None,
+        }));
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
@@ -488,7 +473,7 @@ impl Horizon {
             for (_, row) in self.limits.present(self.first_row) {
                 column[row] = 0.0;
             }
-            take_differences(&self.speeds, self.first_row, column);
+            self.speeds.take_differences(self.first_row, column);
         }
         for i in 0..self.along_start.ncols() {
             let column = self.along_start.col_as_slice_mut(i);
@@ -496,7 +481,7 @@ impl Horizon {
                 *value = self.sweep.along_start(row, i);
             }
             self.limits.take_along_start(self.first_row, i, column);
-            take_differences(&self.speeds, self.first_row, column);
+            self.speeds.take_differences(self.first_row, column);
         }
         let jacobian = self.jacobian.get(..forms.len(), ..n);
         let square = self.square.as_mut().get_mut(..n, ..n);
@@ -578,33 +563,12 @@ impl Horizon {
         for at in self.first_row..self.rows.len() {
             self.evaluate(at);
         }
-        for at in 0..self.speeds.len() {
-            self.evaluate_speed(at);
-        }
-    }
-
-    /// Value of a row of a speed, and the factor of its slopes. Of an interval that has begun before the horizon the velocity is not known.
-    fn evaluate_speed(&mut self, at: usize) {
-        let SpeedRow { row, before, .. } = self.speeds[at];
-        let Quantity::TrackSpeed { index, axis } = self.rows[row].quantity else {
-            return;
-        };
-        let track = &self.problem.objective.tracking[index];
-        let node_of = |row: usize| self.forms[row].time_node;
-        let interval = (before.filter(|before| *before >= self.first_row))
-            .map(|before| [node_of(before), node_of(row)])
-            .filter(|[from, _]| track.counts(self.grid.time(*from)));
-        let (mut value, mut factor) = (0.0, 0.0);
-        if let Some(ends) = interval {
-            let times = ends.map(|k| self.grid.time(k));
-            let between = times[1] - times[0];
-            let [a, b] = ends.map(|k| self.trajectory.positions_at(k)[track.node][axis]);
-            // Rows of this kind are weighted per unit of time.
-            factor = self.rows[row].factor / between.sqrt();
-            value = b - a - track.velocity(times)[axis] * between;
-        }
-        self.speeds[at].factor = factor;
-        self.residuals[row] = factor * value;
+        self.speeds.evaluate(
+            &self.problem,
+            (&self.trajectory, &self.grid),
+            (&self.forms, self.first_row),
+            &mut self.residuals,
+        );
     }
 
     /// Value and form of one row, but for those of speeds.
@@ -687,22 +651,6 @@ pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrenc
             Some(axis) => wrenches[node].moment[axis] += amount * effect,
         }
     }
-}
-
-/// The rows of speeds, each with the one at the sample before.
-fn speed_rows(rows: &[Row]) -> Vec<SpeedRow> {
-    let mut out: Vec<SpeedRow> = Vec::new();
-    for (row, own) in rows.iter().enumerate() {
-        if matches!(own.quantity, Quantity::TrackSpeed { .. }) {
-            let before = (out.iter().rev()).find(|other| rows[other.row].quantity == own.quantity);
-            out.push(SpeedRow {
-                row,
-                before: before.map(|other| other.row),
-                factor: 0.0,
-            });
-        }
-    }
-    out
 }
 
 /// All rows of the longest horizon, with their forms, in ascending order of time.

@@ -64,6 +64,7 @@ mod serving;
 mod signal;
 mod simulated_arm;
 mod soft_rows;
+mod speeds;
 mod subproblem;
 mod transfer;
 
@@ -77,7 +78,7 @@ pub use controller::{Command, Controller, EffortFrom, MpcSettings, SampleRecord}
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,
-    KalmanFilter, KalmanSettings, ObserverSettings, Predictor, RandomWalk,
+    KalmanFilter, KalmanSettings, ObserverSettings, Predictor, RandomWalk, Regridded,
 };
 pub use plant::{Plant, RodPlant};
 pub use sensor::{Sensor, SensorPreset, SensorSettings};

@@ -38,23 +38,38 @@ impl Transfer {
     /// The state on the other rod's nodes.
     #[must_use]
     pub fn state(&self, state: &State) -> State {
+        let mut out = State::at_rest(Configuration {
+            positions: Vec::new(),
+            rotations: Vec::new(),
+        });
+        self.state_into(state, &mut out);
+        out
+    }
+
+    /// The same in memory that is there.
+    pub fn state_into(&self, state: &State, out: &mut State) {
         let [from, to] = &self.inertia;
-        let configuration = carried(&self.places, &state.configuration);
+        carry(&self.places, &state.configuration, &mut out.configuration);
         let velocity = |q: usize| state.linear_momentum[q] / from[q].0;
         let spin = |q: usize| state.angular_momentum[q].component_div(&from[q].1);
         let between = |(q, s): (usize, f64), of: &dyn Fn(usize) -> Vector3<f64>| {
             of(q) * (1.0 - s) + of(q + 1) * s
         };
         let nodes = || self.places.iter().zip(to);
-        State {
-            linear_momentum: nodes()
-                .map(|(place, (mass, _))| between(*place, &velocity) * *mass)
-                .collect(),
-            angular_momentum: nodes()
-                .map(|(place, (_, rotary))| between(*place, &spin).component_mul(rotary))
-                .collect(),
-            configuration,
-        }
+        out.linear_momentum.clear();
+        (out.linear_momentum)
+            .extend(nodes().map(|(place, (mass, _))| between(*place, &velocity) * *mass));
+        out.angular_momentum.clear();
+        (out.angular_momentum).extend(
+            nodes().map(|(place, (_, rotary))| between(*place, &spin).component_mul(rotary)),
+        );
+    }
+
+    /// The nodes here beside a node of the other rod, and the parts that linear functions take of them; `None` for a node that is none.
+    #[must_use]
+    pub fn shares(&self, node: usize) -> Option<[(usize, f64); 2]> {
+        let &(q, s) = self.places.get(node)?;
+        Some([(q, 1.0 - s), (q + 1, s)])
     }
 
     /// Of every node of the other rod, the nearest node here.
@@ -76,10 +91,21 @@ impl Transfer {
 }
 
 fn carried(places: &[(usize, f64)], from: &Configuration) -> Configuration {
-    let (positions, rotations) = (places.iter()).map(|&(q, s)| pose(from, q, s)).unzip();
-    Configuration {
-        positions,
-        rotations,
+    let mut out = Configuration {
+        positions: Vec::new(),
+        rotations: Vec::new(),
+    };
+    carry(places, from, &mut out);
+    out
+}
+
+fn carry(places: &[(usize, f64)], from: &Configuration, out: &mut Configuration) {
+    out.positions.clear();
+    out.rotations.clear();
+    for &(q, s) in places {
+        let (position, rotation) = pose(from, q, s);
+        out.positions.push(position);
+        out.rotations.push(rotation);
     }
 }
 

@@ -124,6 +124,9 @@ impl Keys<'_> {
         if estimator.kind != EstimatorKind::None && no_sensor {
             return Err(self.missing("sensor", "an estimator needs one; preset = \"mocap\""));
         }
+        if let Some(elements) = estimator.elements {
+            self.count("estimator.elements", elements, MOST_ELEMENTS)?;
+        }
         let named = &estimator.disturbances;
         for (index, one) in named.iter().enumerate() {
             if named[..index].contains(one) {

@@ -94,7 +94,7 @@ impl Scene {
             deadline: mpc.deadline_s.map(Number::get),
             ..MpcSettings::receding(horizon)
         };
-        let asked = with_long_steps(&arm, &asked, &settings).map_err(refused)?;
+        let asked = with_long_steps(&rod, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
         let posed = task
             .discretize_until(&arm, &Discretization { blocks, ..asked }, stop)
@@ -401,6 +401,7 @@ impl Scene {
         Sensing::Estimated {
             sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
             estimator,
+            elements: keys.elements,
             seed: seed.into(),
         }
     }

@@ -13,17 +13,20 @@ pub(super) type Wide<S, const V: usize> = [<S as Simd>::f64s; V];
 /// Vectors that a kernel works on at a time, where there are as many: their sums fill the registers of AVX2.
 pub(super) const AT_ONCE: usize = 2;
 
-/// Calls a method for all vectors with columns, [`AT_ONCE`] at a time and the last one by itself.
+/// Evaluates an expression for all vectors with columns, `at` the first of those at hand and `V` their number: [`AT_ONCE`] at a time and the last
+/// one by itself.
 macro_rules! for_all_vectors {
-    ($columns:expr, $method:ident($($argument:expr),*)) => {{
-        $columns.at = 0;
-        while $columns.at + AT_ONCE <= $columns.used {
-            $columns.$method::<AT_ONCE>($($argument),*);
-            $columns.at += AT_ONCE;
+    ($at:expr, $used:expr, $V:ident => $call:expr) => {{
+        $at = 0;
+        while $at + $crate::mechanics::sensitivity::columns::AT_ONCE <= $used {
+            const $V: usize = $crate::mechanics::sensitivity::columns::AT_ONCE;
+            $call;
+            $at += $V;
         }
-        while $columns.at < $columns.used {
-            $columns.$method::<1>($($argument),*);
-            $columns.at += 1;
+        while $at < $used {
+            const $V: usize = 1;
+            $call;
+            $at += $V;
         }
     }};
 }
@@ -61,6 +64,20 @@ impl<S: Simd> Columns<'_, S> {
         let mut out = a;
         for (out, b) in out.iter_mut().zip(b) {
             *out = self.simd.sub_f64s(*out, b);
+        }
+        out
+    }
+
+    /// `a - b`, row by row.
+    #[inline(always)]
+    pub fn less<const N: usize, const V: usize>(
+        &self,
+        a: [Wide<S, V>; N],
+        b: [Wide<S, V>; N],
+    ) -> [Wide<S, V>; N] {
+        let mut out = a;
+        for (out, b) in out.iter_mut().zip(b) {
+            *out = self.minus(*out, b);
         }
         out
     }
@@ -177,12 +194,7 @@ impl<S: Simd> Columns<'_, S> {
     /// `x_{q+1} - x_q`
     #[inline(always)]
     pub fn dx<const V: usize>(&self, q: usize) -> [Wide<S, V>; 3] {
-        let (a, b): ([_; 3], [_; 3]) = (self.get(q, 0), self.get(q + 1, 0));
-        let mut out = b;
-        for (out, a) in out.iter_mut().zip(a) {
-            *out = self.minus(*out, a);
-        }
-        out
+        self.less(self.get(q + 1, 0), self.get(q, 0))
     }
 
     /// `(δx_b - δx_a, ζ_a, ζ_b)` of element `q`.

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
-use super::columns::{AT_ONCE, Columns, Wide, for_all_vectors};
+use super::columns::{Columns, Wide, for_all_vectors};
 use super::packed::{PackedSolve, PackedStep};
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
@@ -234,14 +234,8 @@ impl WithSimd for KickTransposed<'_> {
         for (q, stiffness) in self.step.elements.iter().enumerate() {
             let both = &mut data[q * size..(q + 2) * size];
             let (a, b) = both.split_at_mut(size);
-            let mut at = 0;
-            while at + 2 <= used {
-                pull_element::<S, 2>(simd, stiffness, a, b, at, width);
-                at += 2;
-            }
-            if at < used {
-                pull_element::<S, 1>(simd, stiffness, a, b, at, width);
-            }
+            let mut at;
+            for_all_vectors!(at, used, V => pull_element::<S, V>(simd, stiffness, a, b, at, width));
         }
         for (node, derivative) in &self.step.loads {
             let node = &mut data[node * size..(node + 1) * size];
@@ -386,7 +380,7 @@ impl WithSimd for CoupledDriftTransposed<'_> {
             columns.hold();
             return;
         }
-        for_all_vectors!(columns, drift_transposed());
+        for_all_vectors!(columns.at, columns.used, V => columns.drift_transposed::<V>());
         columns.hold();
     }
 }
@@ -422,10 +416,7 @@ impl<S: Simd> Columns<'_, S> {
                     continue;
                 };
                 let (a, b): ([Wide<S, V>; 3], _) = (self.get(q, 6), self.get(q + 1, 6));
-                let mut pull = b;
-                for (pull, a) in pull.iter_mut().zip(a) {
-                    *pull = self.minus(*pull, a);
-                }
+                let pull = self.less(b, a);
                 let change = self.product_transposed(&reaction.stiffness, pull);
                 self.stretch(q, 0, change);
                 let energy = self.dot(&reaction.along, pull, zero);
@@ -474,10 +465,10 @@ impl<S: Simd> Columns<'_, S> {
     #[inline(always)]
     fn drift_solved_transposed(&mut self, solve: &PackedSolve) {
         for node in 0..solve.nodes.len() {
-            for_all_vectors!(self, solve_upper_transposed(solve, node));
+            for_all_vectors!(self.at, self.used, V => self.solve_upper_transposed::<V>(solve, node));
         }
         for node in (0..solve.nodes.len()).rev() {
-            for_all_vectors!(self, solve_lower_transposed(solve, node));
+            for_all_vectors!(self.at, self.used, V => self.solve_lower_transposed::<V>(solve, node));
         }
     }
 
@@ -502,9 +493,7 @@ impl<S: Simd> Columns<'_, S> {
         }
         if i > 0 {
             let before = self.product_transposed(&solve.above[i - 1], self.get(node - 1, 6));
-            for (added, before) in added.iter_mut().zip(before) {
-                *added = self.minus(*added, before);
-            }
+            added = self.less(added, before);
         }
         self.set(node, 6, added);
         self.set(
@@ -521,9 +510,7 @@ impl<S: Simd> Columns<'_, S> {
             let mut right: [Wide<S, V>; 6] = self.get(node, 6);
             if let Some(below) = solve.below.get(i) {
                 let after = self.product_transposed(below, self.get(node + 1, 6));
-                for (right, after) in right.iter_mut().zip(after) {
-                    *right = self.minus(*right, after);
-                }
+                right = self.less(right, after);
             }
             self.set(node, 6, self.product_transposed(&solve.pivots[i], right));
         }

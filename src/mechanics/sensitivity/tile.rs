@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
-use super::columns::{AT_ONCE, Columns, Wide, for_all_vectors};
+use super::columns::{Columns, Wide, for_all_vectors};
 use super::packed::{PackedSolve, PackedStep};
 use super::reduction::Record;
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
@@ -260,15 +260,8 @@ impl WithSimd for Kick<'_> {
         for (q, stiffness) in elements.take(self.reach.end).skip(first) {
             let both = &mut data[q * NODE_COMPONENTS * width..(q + 2) * NODE_COMPONENTS * width];
             let (a, b) = both.split_at_mut(NODE_COMPONENTS * width);
-            // Two vectors at a time share each coefficient's broadcast.
-            let mut at = 0;
-            while at + 2 <= used {
-                kick_element::<S, 2>(simd, stiffness, a, b, at, width);
-                at += 2;
-            }
-            if at < used {
-                kick_element::<S, 1>(simd, stiffness, a, b, at, width);
-            }
+            let mut at;
+            for_all_vectors!(at, used, V => kick_element::<S, V>(simd, stiffness, a, b, at, width));
         }
         for (node, derivative) in &self.step.loads {
             let node =
@@ -439,7 +432,7 @@ impl WithSimd for CoupledDrift<'_> {
             columns.drift_solved(&self.step.solve);
             return;
         }
-        for_all_vectors!(columns, drift());
+        for_all_vectors!(columns.at, columns.used, V => columns.drift::<V>());
     }
 }
 
@@ -517,11 +510,11 @@ impl<S: Simd> Columns<'_, S> {
         self.data[..first * NODE_COMPONENTS * self.width].fill(zero);
         self.increments[..INCREMENT_ROWS * self.width].fill(zero);
         for node in 0..solve.nodes.len() {
-            for_all_vectors!(self, solve_first_half(solve, node));
+            for_all_vectors!(self.at, self.used, V => self.solve_first_half::<V>(solve, node));
         }
         let mut added = [[zero; 6]; TILE];
         for node in (first..solve.nodes.len()).rev() {
-            for_all_vectors!(self, solve_second_half(solve, node, &mut added));
+            for_all_vectors!(self.at, self.used, V => self.solve_second_half::<V>(solve, node, &mut added));
         }
     }
 
@@ -537,9 +530,7 @@ impl<S: Simd> Columns<'_, S> {
         let mut right: [Wide<S, V>; 6] = self.get(node, 6);
         if i > 0 {
             let before = self.product(&solve.below[i - 1], self.get(node - 1, 6));
-            for (right, before) in right.iter_mut().zip(before) {
-                *right = self.minus(*right, before);
-            }
+            right = self.less(right, before);
         }
         self.set(node, 6, self.product(&solve.pivots[i], right));
     }
@@ -561,10 +552,7 @@ impl<S: Simd> Columns<'_, S> {
                     next[v] = *own;
                 }
             }
-            let after = self.product(above, next);
-            for (u, after) in u.iter_mut().zip(after) {
-                *u = self.minus(*u, after);
-            }
+            u = self.less(u, self.product(above, next));
         }
         for (v, own) in here.iter_mut().enumerate() {
             for (own, u) in own.iter_mut().zip(&u) {

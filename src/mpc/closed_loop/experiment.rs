@@ -6,15 +6,17 @@ use std::sync::Arc;
 use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
-use crate::mechanics::{Rod, StepError};
+use crate::mechanics::{Rod, State, StepError};
 use crate::mpc::controller::{Controller, MpcSettings};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{
     BoundaryObserver, Estimator, KalmanFilter, KalmanSettings, ObserverSettings, RandomWalk,
+    Regridded,
 };
 use crate::mpc::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::mpc::simulated_arm::{ActuatorDynamics, SimulatedArm};
-use crate::task::{Arm, Discretization, Task};
+use crate::mpc::transfer::Transfer;
+use crate::task::{Arm, Discretization, DiscretizeError, Task};
 
 /// A closed loop to be: everything that it is made of, before anything is discretized.
 #[derive(Clone, Debug)]
@@ -57,6 +59,8 @@ pub enum Sensing {
         sensors: Vec<SensorChoice>,
         /// The estimator.
         estimator: EstimatorChoice,
+        /// Elements of the estimator's own model; those of the controller's where there is no number.
+        elements: Option<usize>,
         /// Seed of the noise; every sensor has its own from it.
         seed: u64,
     },
@@ -81,6 +85,26 @@ pub enum EstimatorChoice {
     },
     /// An extended Kalman filter.
     Kalman(Unknowns),
+}
+
+impl EstimatorChoice {
+    /// One of this kind that is at time 0 in a state of a model.
+    fn start(self, model: &Rod, start: &State) -> Result<Box<dyn Estimator>, MpcError> {
+        Ok(match self {
+            Self::Observer { estimates_wrench } => {
+                let settings = ObserverSettings {
+                    integral_time: estimates_wrench
+                        .then_some(OBSERVER_INTEGRAL * model.scales.time),
+                    ..ObserverSettings::of(model)
+                };
+                Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
+            }
+            Self::Kalman(unknowns) => {
+                let settings = unknowns.settings(model);
+                Box::new(KalmanFilter::new(model, 0.0, start, &settings)?)
+            }
+        })
+    }
 }
 
 /// What a Kalman filter estimates besides the state.
@@ -396,26 +420,28 @@ impl Experiment {
     }
 
     fn estimator(&self, controller: &Controller) -> Result<Option<Box<dyn Estimator>>, MpcError> {
-        let Sensing::Estimated { estimator, .. } = &self.sensing else {
+        let Sensing::Estimated {
+            estimator,
+            elements,
+            ..
+        } = &self.sensing
+        else {
             return Ok(None);
         };
         let (model, start) = (controller.rod(), controller.initial());
-        Ok(Some(match estimator {
-            EstimatorChoice::Observer { estimates_wrench } => {
-                let settings = ObserverSettings {
-                    integral_time: estimates_wrench
-                        .then_some(OBSERVER_INTEGRAL * model.scales.time),
-                    ..ObserverSettings::of(model)
-                };
-                Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
-            }
-            EstimatorChoice::Kalman(unknowns) => Box::new(KalmanFilter::new(
-                model,
-                0.0,
-                start,
-                &unknowns.settings(model),
-            )?),
-        }))
+        let Some(elements) = elements.filter(|own| *own != model.n_elements()) else {
+            return estimator.start(model, start).map(Some);
+        };
+        let own = Discretization {
+            elements,
+            step: None,
+            scheme: None,
+            ..self.discretization
+        };
+        let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
+        let start = Transfer::new(model, &own).state(start);
+        let estimator = estimator.start(&own, &start)?;
+        Ok(Some(Box::new(Regridded::new(model, &own, estimator))))
     }
 
     fn knowledge(&self, controller: &Controller, rod: &Rod) -> Result<Knowledge, MpcError> {

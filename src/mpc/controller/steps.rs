@@ -2,8 +2,8 @@
 
 use super::settings::MpcSettings;
 use crate::mechanics::stability::{automatic_step, bent_step};
-use crate::mechanics::{RodModel, TimeScheme};
-use crate::task::{Arm, Discretization, DiscretizeError};
+use crate::mechanics::{Rod, RodModel, TimeScheme};
+use crate::task::Discretization;
 
 /// An implicit step takes as much of a sample as at most so many explicit ones, without and with internal damping (`softarm mpc` with both).
 const AS_LONG_AS: [f64; 2] = [5.0, 2.0];
@@ -50,28 +50,23 @@ pub(super) fn period_and_horizon(
 /// The discretization with the steps that suit a receding horizon, where it leaves integrator and step open: implicit ones of half a block, or less
 /// if the arm must be able to bend into a circle, where they are so much longer than explicit ones that they are faster. What a plan cannot
 /// control need not be resolved.
-///
-/// # Errors
-/// [`DiscretizeError`] where the arm has no rod.
 pub(crate) fn with_long_steps(
-    arm: &Arm,
+    model: &Rod,
     discretization: &Discretization,
     settings: &MpcSettings,
-) -> Result<Discretization, DiscretizeError> {
+) -> Discretization {
     let is_open = discretization.scheme.is_none() && discretization.step.is_none();
-    if !is_open || settings.due.is_some() || arm.model != RodModel::Standard {
-        return Ok(*discretization);
+    if !is_open || settings.due.is_some() || model.model != RodModel::Standard {
+        return *discretization;
     }
-    let rod = arm.rod(discretization)?;
-    let step = bent_step(&rod).min(settings.block / STEPS_A_BLOCK);
-    let as_long_as = AS_LONG_AS[usize::from(rod.internal_damping > 0.0)];
-    Ok(if step > as_long_as * automatic_step(&rod) {
-        Discretization {
-            scheme: Some(TimeScheme::Implicit),
-            step: Some(step),
-            ..*discretization
-        }
-    } else {
-        *discretization
-    })
+    let step = bent_step(model).min(settings.block / STEPS_A_BLOCK);
+    let as_long_as = AS_LONG_AS[usize::from(model.internal_damping > 0.0)];
+    if step <= as_long_as * automatic_step(model) {
+        return *discretization;
+    }
+    Discretization {
+        scheme: Some(TimeScheme::Implicit),
+        step: Some(step),
+        ..*discretization
+    }
 }

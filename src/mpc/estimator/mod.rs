@@ -31,6 +31,7 @@ mod observer;
 mod parameter;
 mod prediction;
 mod readings;
+mod regridded;
 mod slow;
 
 pub use self::inbox::Inbox;
@@ -39,6 +40,7 @@ pub use self::observer::{BoundaryObserver, ObserverSettings};
 use self::parameter::Parameter;
 pub use self::prediction::Predictor;
 pub(super) use self::readings::{Kind, Reader};
+pub use self::regridded::Regridded;
 
 /// What acts on the arm, or is wrong with its model, beyond what the model knows.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -211,6 +211,10 @@ pub struct Sensor {
 pub struct Estimator {
     /// The method.
     pub kind: EstimatorKind,
+    /// Number of elements of the estimator's own model, 1 to 5000. Absent: `rod.elements`.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub elements: Option<usize>,
     /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Default: nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disturbances: Vec<Unknown>,

@@ -108,15 +108,10 @@ impl Conditions<'_> {
         let [start, end] = [from, to].map(|k| self.problem.grid.time(k));
         let way = self.rod().scales.length * (end - start) / self.rod().scales.time;
         let mut cost = 0.0;
-        for track in &self.problem.objective.tracking {
-            if !track.counts(start) {
-                continue;
-            }
+        let tracks = self.problem.objective.tracking.iter();
+        for track in tracks.filter(|track| track.speed_weight > 0.0 && track.counts(start)) {
             let at = |k: usize| self.trajectory.positions_at(k)[track.node];
-            let should = match (track.position(start), track.position(end)) {
-                (Some(from), Some(to)) => to - from,
-                _ => Vector3::zeros(),
-            };
+            let should = track.velocity([start, end]) * (end - start);
             let off = (at(to) - at(from) - should) / way;
             let weight = track.speed_weight * (end - start);
             cost += 0.5 * weight * off.norm_squared();
