@@ -11,7 +11,7 @@ use softarm::mechanics::{EnergyNorm, Rod, State, Wrench};
 use softarm::mpc::{
     BoundaryObserver, Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter,
     Measurement, MpcError, ObserverSettings, Reading, Regridded, Sensor, SensorPreset,
-    SensorSettings,
+    SensorSettings, Transfer,
 };
 use softarm::task::Arm;
 
@@ -161,7 +161,8 @@ fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 3] {
     };
     let regridded = || -> Box<dyn Estimator> {
         let own = rod(arm, model.n_elements().div_ceil(2));
-        let filter = KalmanFilter::new(&own, 0.0, &at_rest(&own), &all_disturbances(&own));
+        let start = Transfer::new(model, &own).state(&state);
+        let filter = KalmanFilter::new(&own, 0.0, &start, &all_disturbances(&own));
         Box::new(Regridded::new(model, &own, Box::new(filter.unwrap())))
     };
     [
