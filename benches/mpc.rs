@@ -426,16 +426,27 @@ fn times() -> Result<(), MpcError> {
         "Milliseconds, p50 / p95 / p99 / max of 5000 samples (the first apart), one thread, 100 Hz, E x 0.8, with noise and delay. With bounds: at most 4 N, which the circle exceeds.\n"
     );
     println!(
-        "| elements, steps | estimator | bounds | estimate and predict | feedback | prepare | whole sample | first | samples with active bounds |"
+        "| elements, steps | estimator | bounds | estimate and predict | feedback | prepare | whole sample | first | samples with active bounds | error, % |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
     for elements in [10, 20, 40] {
-        for (name, estimator) in [("observer", OBSERVER), ("filter", FILTER)] {
+        let estimators = [
+            ("observer", OBSERVER, None),
+            ("filter", FILTER, None),
+            ("filter on 10 elements", FILTER, Some(10)),
+        ];
+        for (name, estimator, own) in estimators {
+            if own == Some(elements) {
+                continue;
+            }
             for force in [20.0, 4.0] {
                 let mut timed = scene(50.0, elements);
                 timed.plant = arm(if name == "observer" { 0.98e6 } else { 0.8e6 });
                 timed.task = task(50.0, &|t| reference(t, TURN), force);
-                let timed = noisy(timed, estimator, SensorPreset::Mocap);
+                let mut timed = noisy(timed, estimator, SensorPreset::Mocap);
+                if let Sensing::Estimated { elements, .. } = &mut timed.sensing {
+                    *elements = own;
+                }
                 let steps = (0.5 / timed.controller()?.model_step()).round();
                 let found = run(&timed, Contender::Mpc)?;
                 let show = |p: softarm::mpc::Percentiles| {
@@ -450,13 +461,14 @@ fn times() -> Result<(), MpcError> {
                 };
                 let tally = &found.tally;
                 println!(
-                    "| {elements}, {steps} | {name} | {force} N | {} | {} | {} | {} | {:.3} | {} |",
+                    "| {elements}, {steps} | {name} | {force} N | {} | {} | {} | {} | {:.3} | {} | {} |",
                     show(tally.estimate_s),
                     show(tally.feedback_s),
                     show(tally.prepare_s),
                     show(tally.sample_s),
                     1e3 * tally.first_s,
-                    tally.bounded
+                    tally.bounded,
+                    percent(found.tip_error.rms)
                 );
             }
         }

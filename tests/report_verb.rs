@@ -243,7 +243,7 @@ fn a_page_begins_with_what_happened() {
     let data = desk.data("sag/report.html");
     let lead = data["lead"].as_str().unwrap();
     assert!(
-        lead.contains("under its weight and 1 load; completed"),
+        lead.contains("under its weight and a force of 5 N; completed"),
         "{lead}"
     );
     let arrows = data["arrows"].as_array().unwrap();

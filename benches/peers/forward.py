@@ -157,7 +157,7 @@ def mujoco(elements):
         inner += cylinder(0, part) + f'<body pos="0 0 {part}"><joint type="ball" stiffness="{stiffness}"/>'
     inner += cylinder(0, 0.5 * part) + f'<site name="tip" pos="0 0 {0.5 * part}"/>' + "</body>" * elements
     fastest = 4.0 * np.sqrt(YOUNGS * INERTIA / (DENSITY * AREA)) / part**2
-    per_row = int(np.ceil(DURATION / TIMES / (2.0 / 3.0 * 2.8 / fastest)))
+    per_row = max(2, int(np.ceil(DURATION / TIMES / (2.0 / 3.0 * 2.8 / fastest))))
     step = DURATION / TIMES / per_row
     model = mj.MjModel.from_xml_string(f"""
 <mujoco>

@@ -2,7 +2,9 @@
 
 use serde::Serialize;
 
+use super::check::solve_time;
 use super::console::Console;
+use super::progress::Awaited;
 use super::{Global, Outcome, exit, scene_name};
 use crate::derivatives::{Report, Verdict, check, check_motion};
 use crate::output::summary::SCHEMA_VERSION;
@@ -22,7 +24,10 @@ struct DerivativesSummary {
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let report = if scene.task.is_some() || scene.control.is_some() {
-        check(&scene.optimal_control(&source)?.problem, global.seed())?
+        let problem = scene.optimal_control(&source)?.problem;
+        let predicted = solve_time(&problem).derivatives();
+        let _awaited = Awaited::new("comparing derivatives", predicted, console);
+        check(&problem, global.seed())?
     } else {
         let setup = scene.simulation(&source)?;
         check_motion(&setup.rod, setup.grid, global.seed())?

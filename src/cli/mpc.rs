@@ -654,8 +654,13 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     }
     let needed = setup.experiment.mpc.period;
     if summary.sample_s.p99 > needed {
+        let most = if summary.estimate_s.p50 > 0.5 * summary.sample_s.p50 {
+            "most of it the estimator's: a smaller estimator.elements, "
+        } else {
+            ""
+        };
         console.warn(&format!(
-            "one sample in a hundred takes more than the period, {} ms here: fewer elements, a shorter mpc.horizon_s, longer blocks, or a \
+            "one sample in a hundred takes more than the period, {} ms here: {most}fewer elements, a shorter mpc.horizon_s, longer blocks, or a \
              longer mpc.period_s",
             1e3 * needed
         ));

@@ -179,6 +179,41 @@ pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar 
     bar
 }
 
+/// Work that does not tell how far it is, shown with what is left of the time that it is predicted to take. The line goes with the value.
+pub(super) struct Awaited(ProgressBar);
+
+impl Awaited {
+    pub(super) fn new(what: &'static str, predicted_s: f64, console: &Console) -> Self {
+        let bar = ProgressBar::with_draw_target(None, console.draw_target());
+        let predicted = Duration::try_from_secs_f64(predicted_s).unwrap_or_default();
+        let left = move |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = out.write_str(&left_of(predicted, state.elapsed()));
+        };
+        if let Ok(style) = ProgressStyle::with_template("{msg} for {elapsed}, {left}") {
+            bar.set_style(style.with_key("left", left));
+        }
+        bar.set_message(what);
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(TICK);
+        }
+        Self(bar)
+    }
+}
+
+impl Drop for Awaited {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+/// What is left of a predicted time.
+fn left_of(predicted: Duration, elapsed: Duration) -> String {
+    match predicted.checked_sub(elapsed) {
+        Some(left) if left >= TICK => format!("about {} left", in_words(left)),
+        _ => "nearly done, or slower than predicted".into(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,5 +233,13 @@ mod tests {
             countdown.part_is_done(at(40));
         }
         assert_eq!(countdown.left(at(40)), Some(Duration::ZERO));
+    }
+
+    /// What is left is what was predicted without what has passed, and nothing is promised after that.
+    #[test]
+    fn predictions_run_out() {
+        let left = |elapsed| left_of(Duration::from_secs(90), Duration::from_secs(elapsed));
+        assert_eq!(left(20), "about 70 s left");
+        assert!(left(90).starts_with("nearly done") && left(500).starts_with("nearly done"));
     }
 }

@@ -7,8 +7,10 @@ use clap::Args;
 use nalgebra::Matrix3;
 use serde_json::Value;
 
+use super::check::solve_time;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
+use super::progress::Awaited;
 use super::solve::{show_check, show_tracking};
 use super::{Global, Outcome, exit, memory};
 use crate::control::{Feedback, OptimalControlProblem, tracking_errors};
@@ -78,7 +80,16 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         solution: &solution,
         threads: global.n_threads(),
     };
-    let (check, cover) = match files.examine(&rows, &record, arguments.quick) {
+    let time = solve_time(&setup.problem);
+    let predicted = if arguments.quick {
+        time.check
+    } else {
+        time.deep_check()
+    };
+    let awaited = Awaited::new("checking", predicted, console);
+    let examined = files.examine(&rows, &record, arguments.quick);
+    drop(awaited);
+    let (check, cover) = match examined {
         Ok(found) => found,
         Err(error) => {
             let CliError::Check(check) = &error else {

@@ -361,28 +361,10 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
 /// The page of a trade-off, which opens without a network.
 #[must_use]
 pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
-    let mut rows = String::new();
     let mut points: Vec<&Point> = found.points.iter().collect();
     points.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-    for point in points {
-        let class = if point.on_front {
-            " class=\"front\""
-        } else {
-            ""
-        };
-        let error = match (point.error, &point.why) {
-            (Some(error), _) => format!("{error:.2e}"),
-            (None, Some(why)) => escaped(why),
-            (None, None) => "none".into(),
-        };
-        let objective = (point.objective).map_or(String::new(), |value| format!("{value:.6}"));
-        let _ = writeln!(
-            rows,
-            "<tr{class}><td>{}</td><td>{}</td><td>{error}</td><td>{objective}</td></tr>",
-            escaped(&point.setting.differences(usual)),
-            milliseconds(point.wall_s),
-        );
-    }
+    let all = settings(points.iter().copied(), usual);
+    let front = settings(points.into_iter().filter(|point| point.on_front), usual);
     let mut models = String::new();
     for model in &found.models.error {
         let _ = writeln!(
@@ -446,8 +428,46 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         .replace("{{findings}}", &findings)
         .replace("{{models}}", &models)
         .replace("{{features}}", &features)
-        .replace("{{rows}}", &rows)
+        .replace("{{front}}", &front)
+        .replace("{{all}}", &all)
         .replace("{{svg}}", svg)
+}
+
+/// A table of settings; those on the front are marked.
+fn settings<'a>(points: impl Iterator<Item = &'a Point> + Clone, usual: &Setting) -> String {
+    let has_objectives = points.clone().any(|point| point.objective.is_some());
+    let mut out = String::from("<table>\n<thead><tr><th>setting</th><th>time</th><th>error</th>");
+    out.push_str(if has_objectives {
+        "<th>objective</th></tr></thead>\n<tbody>\n"
+    } else {
+        "</tr></thead>\n<tbody>\n"
+    });
+    for point in points {
+        let class = if point.on_front {
+            " class=\"front\""
+        } else {
+            ""
+        };
+        let error = match (point.error, &point.why) {
+            (Some(error), _) => format!("{error:.2e}"),
+            (None, Some(why)) => escaped(why),
+            (None, None) => "none".into(),
+        };
+        let objective = if has_objectives {
+            let value = (point.objective).map_or(String::new(), |value| format!("{value:.6}"));
+            format!("<td>{value}</td>")
+        } else {
+            String::new()
+        };
+        let _ = writeln!(
+            out,
+            "<tr{class}><td>{}</td><td>{}</td><td>{error}</td>{objective}</tr>",
+            escaped(&point.setting.differences(usual)),
+            milliseconds(point.wall_s),
+        );
+    }
+    out.push_str("</tbody>\n</table>");
+    out
 }
 
 fn milliseconds(seconds: f64) -> String {

@@ -83,7 +83,7 @@ impl Arm {
     }
 
     /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open, and its rod.
-    fn choose(
+    pub(crate) fn choose(
         &self,
         discretization: &Discretization,
         duration: f64,

@@ -49,6 +49,11 @@ const SUBPROBLEM_POWER: f64 = 1.95;
 
 /// Iterations of a solve that is neither lucky nor hard: between the quartiles of `benches/reach_suite.md`.
 pub const TYPICAL_ITERATIONS: usize = 15;
+/// Checks that take as long as the curvature over the directions that active constraints leave free, and the growth of disturbances: 50 to 80 in the
+/// built-in scenes (`softarm verify` with and without `--quick`).
+const CHECKS_OF_CURVATURE: f64 = 60.0;
+/// Checks that take as long as the comparison of all derivatives with differences (`softarm derivatives`).
+const CHECKS_OF_DERIVATIVES: f64 = 3.0;
 /// Below so many seconds nobody waits: the explicit integrator, whose steps resolve every wave, is kept.
 const WORTH_CHOOSING_S: f64 = 1.0;
 /// Implicit steps are chosen where they are predicted to take at most this part of the time of explicit ones. Waves that their long steps do not
@@ -96,6 +101,18 @@ impl SolveTime {
             iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
             check: node_steps(rod, n_steps) * costs.check,
         }
+    }
+
+    /// Seconds of the check of a solution with its curvature and growth.
+    #[must_use]
+    pub fn deep_check(&self) -> f64 {
+        (1.0 + CHECKS_OF_CURVATURE) * self.check
+    }
+
+    /// Seconds of the comparison of all derivatives with differences.
+    #[must_use]
+    pub fn derivatives(&self) -> f64 {
+        CHECKS_OF_DERIVATIVES * self.check
     }
 
     /// Seconds of a solve of [`TYPICAL_ITERATIONS`] from one start, and its check.

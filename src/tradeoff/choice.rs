@@ -7,13 +7,14 @@
 use super::motion::{Motion, Run, RunError, Setup};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
+use crate::task::prediction::Work;
 
 /// Part of the accuracy that the model of the error may use up; the rest is for what it does not know.
-const MODELLED: f64 = 0.8;
+const MODELLED: f64 = 0.65;
 /// Part of the accuracy up to which an error is left as it is.
 const SLIGHT: f64 = 0.15;
-/// An estimate up to this part of the accuracy confirms a grid.
-const CONFIRMED: f64 = 0.9;
+/// An estimate up to this part of the accuracy confirms a grid: estimates are good to a fifth.
+const CONFIRMED: f64 = 0.8;
 /// What a grid that is refined once more aims at.
 const AIM: f64 = 0.6;
 /// How much coarser the grid is that confirms another.
@@ -28,6 +29,8 @@ const FEWEST: usize = 4;
 const MOST_REFINED: usize = 2;
 /// Most elements.
 const MOST_ELEMENTS: f64 = 5000.0;
+/// Motions that a search simulates, as if all were as long as that on the grid with which it begins.
+const MOTIONS: f64 = 5.0;
 /// Nobody waits longer for one of the runs, s.
 const LONGEST: f64 = 3600.0;
 
@@ -134,9 +137,21 @@ pub fn choose(
     accuracy: f64,
     stop: &StopSignal,
 ) -> Result<Choice, ChoiceError> {
+    let first = Discretization {
+        elements: first_elements(accuracy),
+        ..*base
+    };
+    // What suits all of the search: its first motion is the fastest.
+    let (first, _) = (motion.arm)
+        .choose(&first, MOTIONS * motion.duration, Work::Simulation)
+        .map_err(RunError::from)?;
     let mut search = Search {
         motion,
-        base: *base,
+        base: Discretization {
+            scheme: first.scheme,
+            rotary_inertia: first.rotary_inertia,
+            ..*base
+        },
         accuracy,
         stop,
         levels: Vec::new(),

@@ -158,12 +158,15 @@ impl Unknowns {
 
 /// Deflection over the length that an unknown wrench is expected to cause.
 const EXPECTED_DEFLECTION: f64 = 0.05;
-/// Expected factor on the stiffness beyond 1, and its change within a second.
-const EXPECTED_STIFFNESS: [f64; 2] = [0.3, 0.1];
-/// Expected payload over the mass of the arm, and its change within a second.
-const EXPECTED_PAYLOAD: [f64; 2] = [0.1, 0.02];
-/// The same of the viscous damping, over one by the time scale of the arm: a tenth of the critical damping of a cantilever's first motion.
-const EXPECTED_DAMPING: [f64; 2] = [0.7, 0.1];
+/// Expected factor on the stiffness beyond 1.
+const EXPECTED_STIFFNESS: f64 = 0.3;
+/// Expected payload over the mass of the arm.
+const EXPECTED_PAYLOAD: f64 = 0.1;
+/// Expected viscous damping over one by the time scale of the arm: a tenth of the critical damping of a cantilever's first motion.
+const EXPECTED_DAMPING: f64 = 0.7;
+/// What a parameter of the arm changes by within one second, over what is expected of it: as much as that within most of an hour. One that
+/// changes faster takes for its own what the model has wrong otherwise.
+const PARAMETER_CHANGE: f64 = 0.02;
 /// Deflection over the length by what forces that nobody knows add within one second: what a coarse model has wrong about the faster waves
 /// of an arm must be less certain than what slow disturbances explain.
 const UNKNOWN_FORCES: f64 = 0.015;
@@ -184,10 +187,10 @@ impl Unknowns {
                 change: self.wrench_change * size,
             })
         };
-        let parameter = |is_unknown: bool, [initial, change]: [f64; 2], unit: f64| {
+        let parameter = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
-                initial: initial * unit,
-                change: change * unit,
+                initial: size,
+                change: PARAMETER_CHANGE * size,
             })
         };
         KalmanSettings {
@@ -195,9 +198,9 @@ impl Unknowns {
             tip_force: walk(self.tip_force, 3.0 * bending / (length * length)),
             tip_moment: walk(self.tip_moment, 2.0 * bending / length),
             distributed: walk(self.distributed, 8.0 * bending / length.powi(3)),
-            stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS, 1.0),
-            payload: parameter(self.payload, EXPECTED_PAYLOAD, model.mass()),
-            viscous: parameter(self.viscous, EXPECTED_DAMPING, 1.0 / model.scales.time),
+            stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS),
+            payload: parameter(self.payload, EXPECTED_PAYLOAD * model.mass()),
+            viscous: parameter(self.viscous, EXPECTED_DAMPING / model.scales.time),
             ..KalmanSettings::of(model)
         }
     }

@@ -12,6 +12,7 @@ use crate::output::{
     ReportVerdict, figure,
 };
 use crate::scene::{Scene, Simulation};
+use crate::task::PointLoad;
 
 /// The page of a motion that `setup` made of `scene`; `summary` is the contents of `summary.json`, and the reaction that of
 /// `diagnostics.npz`, if there is one.
@@ -34,6 +35,12 @@ pub(crate) fn simulation_page(
         found.count("steps"),
         found.measure("step_s", "s")
     );
+    // What is below the rounding of the energies of such an arm is none.
+    let energy = |path: &str| {
+        let joule = found.number(path);
+        let none = joule.abs() < f64::EPSILON * rod.scales.moment;
+        measure(if none { 0.0 } else { joule }, "J")
+    };
     let mut facts = vec![
         fact("status", found.text("status")),
         fact("steps", steps),
@@ -42,11 +49,8 @@ pub(crate) fn simulation_page(
             "tip at the end",
             format!("{} m", vector(tip_at(record, record.n_rows() - 1))),
         ),
-        fact(
-            "energy at the start",
-            found.measure("energy_J.initial", "J"),
-        ),
-        fact("energy at the end", found.measure("energy_J.final", "J")),
+        fact("energy at the start", energy("energy_J.initial")),
+        fact("energy at the end", energy("energy_J.final")),
         fact(
             "length of an element over that at rest",
             range("dilatation", ""),
@@ -114,6 +118,19 @@ fn farthest(record: &MotionRecord) -> (usize, f64) {
         )
 }
 
+/// A load by its largest size over time: its force and its moment.
+fn in_numbers(load: &PointLoad) -> impl Iterator<Item = String> {
+    let factors = load.profile.iter().map(|(_, factor)| factor.abs());
+    let most = factors.reduce(f64::max).unwrap_or(1.0);
+    let parts = [
+        ("force", load.force.norm(), "N"),
+        ("moment", load.moment.norm(), "N\u{b7}m"),
+    ];
+    (parts.into_iter())
+        .filter(|(_, size, _)| *size > 0.0)
+        .map(move |(what, size, unit)| format!("a {what} of {}", measure(most * size, unit)))
+}
+
 fn words(setup: &Simulation, record: &MotionRecord, summary: Fields) -> (String, String) {
     let arm = &setup.arm;
     let (row, way) = farthest(record);
@@ -137,8 +154,10 @@ fn words(setup: &Simulation, record: &MotionRecord, summary: Fields) -> (String,
         causes.push("its weight".to_string());
     }
     let loads = (arm.loads.len() + arm.distributed_loads.len()) as u64;
-    if loads > 0 {
-        causes.push(counted(loads, "load", "loads"));
+    match (&arm.loads[..], loads) {
+        (_, 0) => {}
+        ([only], 1) => causes.extend(in_numbers(only)),
+        _ => causes.push(counted(loads, "load", "loads")),
     }
     if matches!(arm.base, BaseCondition::Driven(_)) {
         causes.push("a moving base".into());
