@@ -137,12 +137,9 @@ fn refinement_follows_the_errors() {
     // The elements alone are too few: their error may be half of the accuracy.
     assert_eq!(elements, (10.0 * (1.5f64 / 0.5).sqrt()).ceil() as usize);
     assert!(step >= 0.01 * (1.0 - 1e-12));
-    let (elements, step) = finer(10, 0.01, [1e-5, 3e-3], 1e-3).unwrap();
+    let (elements, step) = finer(10, 0.01, [1e-5, 1.5e-3], 1e-3).unwrap();
     assert_eq!(elements, 10);
-    assert!(
-        (step / 0.01 - (0.5f64 / 3.0).sqrt()).abs() < 0.05,
-        "{step}"
-    );
+    assert!((step / 0.01 - (0.5f64 / 1.5).sqrt()).abs() < 0.05, "{step}");
     let (elements, step) = finer(10, 0.01, [1.0, 1.0], 1e-3).unwrap();
     assert_eq!((elements, step), (20, 0.005));
 }
