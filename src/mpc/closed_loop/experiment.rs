@@ -164,9 +164,9 @@ const EXPECTED_STIFFNESS: f64 = 0.3;
 const EXPECTED_PAYLOAD: f64 = 0.1;
 /// Expected viscous damping over one by the time scale of the arm: a tenth of the critical damping of a cantilever's first motion.
 const EXPECTED_DAMPING: f64 = 0.7;
-/// What a parameter of the arm changes by within one second, over what is expected of it: as much as that within most of an hour. One that
-/// changes faster takes for its own what the model has wrong otherwise.
-const PARAMETER_CHANGE: f64 = 0.02;
+/// What a parameter of the arm changes by within one second, over what is expected of it, which it so changes by within most of an hour. One
+/// that may change faster takes for its own what the model has wrong otherwise.
+const PARAMETER_WALK: f64 = 0.02;
 /// Deflection over the length by what forces that nobody knows add within one second: what a coarse model has wrong about the faster waves
 /// of an arm must be less certain than what slow disturbances explain.
 const UNKNOWN_FORCES: f64 = 0.015;
@@ -190,7 +190,7 @@ impl Unknowns {
         let parameter = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
                 initial: size,
-                change: PARAMETER_CHANGE * size,
+                change: PARAMETER_WALK * size,
             })
         };
         KalmanSettings {
@@ -438,7 +438,7 @@ impl Experiment {
         let own = Discretization {
             elements,
             step: None,
-            scheme: None,
+            scheme: Some(model.scheme),
             ..self.discretization
         };
         let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
