@@ -95,6 +95,8 @@ pub struct ReportVerdict {
     pub text: String,
     /// Whether it is good news.
     pub ok: bool,
+    /// Whether it is that of a check, and not only that of a run to its end.
+    pub checked: bool,
 }
 
 /// What the picture of the arm needs beside its motion.

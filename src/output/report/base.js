@@ -133,8 +133,8 @@ const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed l
 const joined = (text) => text.replace(/(\d) (?=[A-Za-z%\u00b7]{1,3}\b|%)/g, '$1\u00a0');
 
 function badge(verdict) {
-  return el('div', { class: `badge ${verdict.ok ? 'good' : 'bad'}`, role: 'status' },
-    el('span', { 'aria-hidden': 'true' }, verdict.ok ? '\u2713' : '\u2717'), verdict.text);
+  const [tone, sign] = !verdict.ok ? ['bad', '\u2717'] : verdict.checked ? ['good', '\u2713'] : ['done', '\u2022'];
+  return el('div', { class: `badge ${tone}`, role: 'status' }, el('span', { 'aria-hidden': 'true' }, sign), verdict.text);
 }
 
 function pageHeader() {

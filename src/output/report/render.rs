@@ -116,6 +116,7 @@ mod tests {
             verdict: ReportVerdict {
                 text: "certified".into(),
                 ok: true,
+                checked: true,
             },
             lead: "The tip moves.".into(),
             trust: "Nobody checked.".into(),

@@ -5,7 +5,7 @@ use serde_json::Value;
 use super::obstacles::obstacles;
 use super::solve::drawn_bound;
 use super::summary::{Fields, counted, measure};
-use super::words::{acting_facts, arm_facts, at_most, cost};
+use super::words::{acting_facts, arm_facts, at_most, cost, in_numbers};
 use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, over_time, reaction};
 use crate::control::Hold;
 use crate::output::closed_loop::SampleRow;
@@ -59,6 +59,7 @@ pub(crate) fn closed_loop_page(
         verdict: ReportVerdict {
             text: found.text("status").into(),
             ok: found.text("status") == "completed",
+            checked: false,
         },
         lead,
         trust,
@@ -151,9 +152,10 @@ fn words(
     let off = summary.number("tip_error_over_length.rms");
     let missed = match off.is_finite() {
         true => format!(
-            ", off by {} of the length (rms from {} on)",
+            ", off by {} of the length (rms from {} on) and {} at most",
             percent(off),
-            summary.measure("counted_from_s", "s")
+            summary.measure("counted_from_s", "s"),
+            percent(summary.number("tip_error_over_length.max"))
         ),
         false => String::new(),
     };
@@ -162,8 +164,15 @@ fn words(
         true => format!("{missed}, turned off by {}", measure(turned, "rad")),
         false => missed,
     };
+    let comma = if missed.is_empty() { "" } else { "," };
+    let unknown = own.plant.loads.iter().skip(own.arm.loads.len());
+    let unknown: Vec<String> = unknown.flat_map(in_numbers).collect();
+    let spite = match unknown.is_empty() {
+        true => String::new(),
+        false => format!(" in spite of {}", unknown.join(" and ")),
+    };
     let lead = format!(
-        "{does} for {}{missed}{}; {}{}",
+        "{does} for {}{spite}{missed}{comma}{}; {}{}",
         measure(own.duration, "s"),
         at_most(acts(peak(|s| &s.force)), acts(peak(|s| &s.moment))),
         summary.text("status"),

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::obstacles::obstacles;
 use super::summary::{Fields, counted, measure, vector};
-use super::words::{acting_facts, arm_facts, cost};
+use super::words::{acting_facts, arm_facts, cost, in_numbers};
 use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, reaction};
 use crate::mechanics::BaseCondition;
 use crate::output::{
@@ -12,7 +12,6 @@ use crate::output::{
     ReportVerdict, figure,
 };
 use crate::scene::{Scene, Simulation};
-use crate::task::PointLoad;
 
 /// The page of a motion that `setup` made of `scene`; `summary` is the contents of `summary.json`, and the reaction that of
 /// `diagnostics.npz`, if there is one.
@@ -67,6 +66,7 @@ pub(crate) fn simulation_page(
         verdict: ReportVerdict {
             text: found.text("status").into(),
             ok: found.text("status") == "completed",
+            checked: false,
         },
         lead,
         trust,
@@ -116,19 +116,6 @@ fn farthest(record: &MotionRecord) -> (usize, f64) {
             (0, 0.0),
             |most, next| if next.1 > most.1 { next } else { most },
         )
-}
-
-/// A load by its largest size over time: its force and its moment.
-fn in_numbers(load: &PointLoad) -> impl Iterator<Item = String> {
-    let factors = load.profile.iter().map(|(_, factor)| factor.abs());
-    let most = factors.reduce(f64::max).unwrap_or(1.0);
-    let parts = [
-        ("force", load.force.norm(), "N"),
-        ("moment", load.moment.norm(), "N\u{b7}m"),
-    ];
-    (parts.into_iter())
-        .filter(|(_, size, _)| *size > 0.0)
-        .map(move |(what, size, unit)| format!("a {what} of {}", measure(most * size, unit)))
 }
 
 fn words(setup: &Simulation, record: &MotionRecord, summary: Fields) -> (String, String) {

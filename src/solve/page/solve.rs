@@ -50,13 +50,15 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         verdict => verdict,
     };
     let motion = ReportMotion::thinned(record, FRAMES);
-    let (lead, trust) = solve_words(page.problem, page.coefficients, summary);
+    let obstacles = obstacles(&task.limits, &discrete.rod, &discrete.radii, record);
+    let (lead, trust) = solve_words(page.problem, page.coefficients, summary, obstacles.as_ref());
     ReportData {
         title: summary.text("scene").into(),
         command: ReportCommand::Solve,
         verdict: ReportVerdict {
             text: verdict.into(),
             ok: verdict == "certified",
+            checked: true,
         },
         lead,
         trust,
@@ -79,7 +81,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
             .chain(arrows::given(&discrete.rod, record, |_| arrows::LOAD))
             .collect(),
         fields: fields::fields(&discrete.rod, record),
-        obstacles: obstacles(&task.limits, &discrete.rod, &discrete.radii, record),
+        obstacles,
         controls: Some(controls(discrete, page.coefficients)),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: page.sensitivity,

@@ -9,14 +9,18 @@ use crate::control::{
     ActuatedNode, Bound, Channel, Enforcement, OptimalControlProblem, named_axes,
 };
 use crate::mechanics::{BaseCondition, LoadFrame, Rod, SectionProfile, Wrench};
-use crate::output::figure;
-use crate::task::{Arm, ChannelLimits, Limit, LimitKind, Place, Problem, WrenchActuator};
+use crate::output::{ReportObstacles, figure};
+use crate::task::{Arm, ChannelLimits, Limit, Place, PointLoad, Problem, WrenchActuator};
+
+/// Part of the length up to which a distance from an obstacle is none.
+const TOUCHING: f64 = 1e-6;
 
 /// Sentence and reason for trust of a solve.
 pub(super) fn solve_words(
     problem: &Problem,
     coefficients: &[Wrench],
     summary: Fields,
+    obstacles: Option<&ReportObstacles>,
 ) -> (String, String) {
     let discrete = &problem.discrete;
     let verdict = summary.text("check.verdict");
@@ -29,9 +33,21 @@ pub(super) fn solve_words(
     } else {
         format!(" in {seconds}")
     };
-    let obstacles = clearances(&problem.task.limits);
-    if obstacles > 0 {
-        lead += &format!(" past {}", counted(obstacles, "obstacle", "obstacles"));
+    if let Some(obstacles) = obstacles {
+        let n = obstacles.bodies.len() as u64;
+        let nearest = (obstacles.bodies.iter().flat_map(|body| &body.clearance))
+            .fold(f32::INFINITY, |nearest, clearance| nearest.min(*clearance));
+        let nearest = f64::from(nearest);
+        let distance = measure(nearest.abs(), "m");
+        let how_near = if nearest.abs() < TOUCHING * problem.arm.length {
+            "which it touches".into()
+        } else if nearest > 0.0 {
+            format!("no nearer than {distance}")
+        } else {
+            format!("into which it goes by {distance}")
+        };
+        let obstacles = counted(n, "obstacle", "obstacles");
+        lead += &format!(" past {obstacles}, {how_near},");
     }
     lead += &at_most(force, moment);
     let outcome = match verdict {
@@ -64,9 +80,11 @@ fn what(problem: &OptimalControlProblem, certain: bool) -> String {
         Some((place, enforcement)) => {
             let soft = matches!(enforcement, Enforcement::Soft { .. });
             let verb = if soft {
-                "The tip comes as near as it pays to"
+                "The tip comes as near as it pays to".into()
             } else {
-                &say("The tip reaches", "The tip should reach")
+                let start = vector(problem.initial.configuration.positions[tip]);
+                let goes = say("The tip goes", "The tip should go");
+                format!("{goes} from {start} to")
             };
             format!("{verb} {} m", vector(place))
         }
@@ -91,9 +109,9 @@ fn what(problem: &OptimalControlProblem, certain: bool) -> String {
     if final_goals().any(|goal| goal.at_rest) {
         let should = text.contains("should");
         text += if should {
-            " and come to rest there"
+            " and arrive at rest"
         } else {
-            " and comes to rest there"
+            " and arrives at rest"
         };
     }
     text
@@ -123,6 +141,19 @@ pub(super) fn at_most(force: Option<f64>, moment: Option<f64>) -> String {
     }
 }
 
+/// A load by its largest size over time: its force and its moment.
+pub(super) fn in_numbers(load: &PointLoad) -> impl Iterator<Item = String> {
+    let factors = load.profile.iter().map(|(_, factor)| factor.abs());
+    let most = factors.reduce(f64::max).unwrap_or(1.0);
+    let parts = [
+        ("force", load.force.norm(), "N"),
+        ("moment", load.moment.norm(), "N\u{b7}m"),
+    ];
+    (parts.into_iter())
+        .filter(|(_, size, _)| *size > 0.0)
+        .map(move |(what, size, unit)| format!("a {what} of {}", measure(most * size, unit)))
+}
+
 /// "; 20 elements; 0.34 s."
 pub(super) fn cost(summary: Fields) -> String {
     format!(
@@ -135,11 +166,6 @@ pub(super) fn cost(summary: Fields) -> String {
 /// A number with two digits and its unit.
 fn short(value: f64, unit: &str) -> String {
     format!("{} {unit}", figure(value, 2))
-}
-
-fn clearances(limits: &[Limit]) -> u64 {
-    let is_obstacle = |limit: &&Limit| matches!(limit.kind, LimitKind::Clearance { .. });
-    limits.iter().filter(is_obstacle).count() as u64
 }
 
 fn solve_trust(problem: &OptimalControlProblem, summary: Fields, outcome: &str) -> String {
