@@ -200,7 +200,7 @@ fn a_page_begins_with_what_happened() {
         largest = largest.max((part(2).powi(2) + part(3).powi(2) + part(4).powi(2)).sqrt());
     }
     let force = softarm::output::figure(largest, 3);
-    let begins = "The tip goes from (0, 0, 1) m to (0.1, 0.03, 0.985) m in 0.3 s with at most";
+    let begins = "The tip goes from (0, 0, 1) to (0.1, 0.03, 0.985) m in 0.3 s with at most";
     assert!(
         lead.starts_with(&format!("{begins} {force} N and ")),
         "{lead}"
