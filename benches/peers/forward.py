@@ -11,11 +11,12 @@ softarm with 160 elements; its distance from the finest Exudyn run is printed, b
 
 MuJoCo has no rods: it gets rigid cylinders with ball joints between them, whose springs are those of an element's bending (its own cable bends in the same
 way). The first and the last cylinder are half as long, so that the clamp is in the middle of a joint's part of the arm; it neither stretches nor shears, which a real
-rod does, so that its error has a floor. Its integrator is that of Runge and Kutta, at two thirds of the largest stable step.
+rod does, so that its error has a floor. Its integrator is that of Runge and Kutta, at two thirds of the largest stable step, and at least twice between two of the
+fifty times.
 
 Times are those of the steps alone, in one thread: of softarm by the field node_steps_per_s of its summary, of PyElastica the loop of steps after the first call has
-compiled them, of Exudyn the call of its solver, of MuJoCo the calls of
-mj_step. Of softarm the whole process, with start and files, is printed as well. Least of the repeats.
+compiled them, of Exudyn the call of its solver, of MuJoCo the calls of mj_step. Of softarm the whole process, with start and
+files, is printed as well. Least of the repeats.
 """
 
 import argparse
