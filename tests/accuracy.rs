@@ -65,6 +65,18 @@ fn motions() -> [(&'static str, Motion); 3] {
     ]
 }
 
+/// How far the motion on a grid is from that with four times the elements and a quarter of the step, over the length.
+fn true_error(motion: &Motion, chosen: Discretization) -> f64 {
+    let fine = Discretization {
+        elements: 4 * chosen.elements,
+        step: chosen.step.map(|step| 0.25 * step),
+        ..chosen
+    };
+    let [own, truth] =
+        [chosen, fine].map(|grid| motion.run(&grid, &StopSignal::default()).unwrap());
+    own.course.errors(&truth.course, motion.arm.length).shape
+}
+
 /// The motion on the chosen grid is as near as promised to that with four times the elements and a quarter of the step; and the grid is not
 /// needlessly fine: the error is not below a twentieth of what was asked, unless the coarsest grid is that good.
 #[test]
@@ -74,14 +86,7 @@ fn grids_keep_their_promise() {
         for accuracy in [1e-2, 1e-3] {
             let choice = choose(&motion, &Discretization::default(), accuracy, &stop).unwrap();
             let chosen = choice.discretization;
-            let own = motion.run(&chosen, &stop).unwrap();
-            let fine = Discretization {
-                elements: 4 * chosen.elements,
-                step: chosen.step.map(|step| 0.25 * step),
-                ..chosen
-            };
-            let truth = motion.run(&fine, &stop).unwrap();
-            let error = own.course.errors(&truth.course, motion.arm.length).shape;
+            let error = true_error(&motion, chosen);
             assert!(error <= accuracy, "{name}: {error} for {accuracy}");
             assert!(choice.error <= accuracy, "{name}");
             let coarsest = chosen.elements <= first_elements(accuracy).div_ceil(2).max(4);
@@ -118,13 +123,7 @@ fn searches_take_the_integrator_of_their_grids() {
     let chosen = choice.discretization;
     assert_eq!(chosen.scheme, Some(TimeScheme::Implicit));
     assert!(choice.levels[0].step_s > 20.0 * alone.grid.step);
-    let fine = Discretization {
-        elements: 4 * chosen.elements,
-        step: chosen.step.map(|step| 0.25 * step),
-        ..chosen
-    };
-    let [own, truth] = [chosen, fine].map(|grid| motion.run(&grid, &stop).unwrap());
-    let error = own.course.errors(&truth.course, motion.arm.length).shape;
+    let error = true_error(&motion, chosen);
     assert!(error <= accuracy, "{error}");
 }
 

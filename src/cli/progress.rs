@@ -163,14 +163,17 @@ fn line() -> ProgressBar {
 /// How often a line is drawn whose work does not tell how far it is.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Points of a sweep, and what is left of its budget.
-pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar {
+/// A line that is drawn every second, with what `left` says of the time that has passed.
+fn ticking(
+    template: &str,
+    left: impl Fn(Duration) -> String + Clone + Send + Sync + 'static,
+    console: &Console,
+) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(None, console.draw_target());
     let left = move |state: &ProgressState, out: &mut dyn std::fmt::Write| {
-        let left = budget.saturating_sub(state.elapsed());
-        let _ = out.write_str(&in_words(left));
+        let _ = out.write_str(&left(state.elapsed()));
     };
-    if let Ok(style) = ProgressStyle::with_template("{pos} points, {left} of the budget left") {
+    if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style.with_key("left", left));
     }
     if !bar.is_hidden() {
@@ -179,23 +182,21 @@ pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar 
     bar
 }
 
+/// Points of a sweep, and what is left of its budget.
+pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar {
+    let left = move |elapsed| in_words(budget.saturating_sub(elapsed));
+    ticking("{pos} points, {left} of the budget left", left, console)
+}
+
 /// Work that does not tell how far it is, shown with what is left of the time that it is predicted to take. The line goes with the value.
 pub(super) struct Awaited(ProgressBar);
 
 impl Awaited {
     pub(super) fn new(what: &'static str, predicted_s: f64, console: &Console) -> Self {
-        let bar = ProgressBar::with_draw_target(None, console.draw_target());
         let predicted = Duration::try_from_secs_f64(predicted_s).unwrap_or_default();
-        let left = move |state: &ProgressState, out: &mut dyn std::fmt::Write| {
-            let _ = out.write_str(&left_of(predicted, state.elapsed()));
-        };
-        if let Ok(style) = ProgressStyle::with_template("{msg} for {elapsed}, {left}") {
-            bar.set_style(style.with_key("left", left));
-        }
+        let left = move |elapsed| left_of(predicted, elapsed);
+        let bar = ticking("{msg} for {elapsed}, {left}", left, console);
         bar.set_message(what);
-        if !bar.is_hidden() {
-            bar.enable_steady_tick(TICK);
-        }
         Self(bar)
     }
 }

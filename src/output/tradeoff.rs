@@ -436,12 +436,14 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
 /// A table of settings; those on the front are marked.
 fn settings<'a>(points: impl Iterator<Item = &'a Point> + Clone, usual: &Setting) -> String {
     let has_objectives = points.clone().any(|point| point.objective.is_some());
-    let mut out = String::from("<table>\n<thead><tr><th>setting</th><th>time</th><th>error</th>");
-    out.push_str(if has_objectives {
-        "<th>objective</th></tr></thead>\n<tbody>\n"
+    let objective = if has_objectives {
+        "<th>objective</th>"
     } else {
-        "</tr></thead>\n<tbody>\n"
-    });
+        ""
+    };
+    let mut out = format!(
+        "<table>\n<thead><tr><th>setting</th><th>time</th><th>error</th>{objective}</tr></thead>\n<tbody>\n"
+    );
     for point in points {
         let class = if point.on_front {
             " class=\"front\""

@@ -142,16 +142,12 @@ pub fn choose(
         ..*base
     };
     // What suits all of the search: its first motion is the fastest.
-    let (first, _) = (motion.arm)
+    let (base, _) = (motion.arm)
         .choose(&first, MOTIONS * motion.duration, Work::Simulation)
         .map_err(RunError::from)?;
     let mut search = Search {
         motion,
-        base: Discretization {
-            scheme: first.scheme,
-            rotary_inertia: first.rotary_inertia,
-            ..*base
-        },
+        base,
         accuracy,
         stop,
         levels: Vec::new(),
@@ -201,6 +197,7 @@ pub fn choose(
 
 struct Search<'a> {
     motion: &'a Motion,
+    /// What every grid has: one motion is simulated by one integrator, with one inertia.
     base: Discretization,
     accuracy: f64,
     stop: &'a StopSignal,
@@ -248,7 +245,7 @@ impl ErrorModel {
 
 impl Search<'_> {
     /// A run with no longer steps than `step`, or than the automatic one.
-    fn run(&mut self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
+    fn run(&self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
         let setup = self.setup(elements, step)?;
         let seconds = setup.predicted();
         if seconds > LONGEST {
@@ -259,11 +256,7 @@ impl Search<'_> {
                 hours: seconds / 3600.0,
             });
         }
-        let run = setup.run(self.stop).map_err(RunError::from)?;
-        // One motion is simulated by one integrator.
-        self.base.scheme = run.discretization.scheme;
-        self.base.rotary_inertia = run.discretization.rotary_inertia;
-        Ok(run)
+        Ok(setup.run(self.stop).map_err(RunError::from)?)
     }
 
     fn setup(&self, elements: usize, step: f64) -> Result<Setup, RunError> {
@@ -278,14 +271,12 @@ impl Search<'_> {
     /// Three coarse runs, with more elements where they break down.
     fn coarse(&mut self) -> Result<ErrorModel, ChoiceError> {
         let mut elements = first_elements(self.accuracy).div_ceil(2).max(FEWEST);
-        let given = self.base;
         loop {
             match self.coarse_with(elements) {
                 Err(ChoiceError::Run(RunError::Step(error)))
                     if !matches!(error, crate::mechanics::StepError::Stopped(_))
                         && elements < 8 * FEWEST =>
                 {
-                    self.base = given;
                     elements *= 2;
                 }
                 done => return done,

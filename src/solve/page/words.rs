@@ -34,20 +34,7 @@ pub(super) fn solve_words(
         format!(" in {seconds}")
     };
     if let Some(obstacles) = obstacles {
-        let n = obstacles.bodies.len() as u64;
-        let nearest = (obstacles.bodies.iter().flat_map(|body| &body.clearance))
-            .fold(f32::INFINITY, |nearest, clearance| nearest.min(*clearance));
-        let nearest = f64::from(nearest);
-        let distance = measure(nearest.abs(), "m");
-        let how_near = if nearest.abs() < TOUCHING * problem.arm.length {
-            "which it touches".into()
-        } else if nearest > 0.0 {
-            format!("no nearer than {distance}")
-        } else {
-            format!("into which it goes by {distance}")
-        };
-        let obstacles = counted(n, "obstacle", "obstacles");
-        lead += &format!(" past {obstacles}, {how_near},");
+        lead += &past(obstacles, problem.arm.length);
     }
     lead += &at_most(force, moment);
     let outcome = match verdict {
@@ -58,6 +45,22 @@ pub(super) fn solve_words(
     };
     lead += &format!("; {outcome}{}", cost(summary));
     (lead, solve_trust(discrete, summary, &outcome))
+}
+
+/// " past 2 obstacles, no nearer than 0.01 m,", for an arm of this length, m.
+fn past(obstacles: &ReportObstacles, length: f64) -> String {
+    let nearest = (obstacles.bodies.iter().flat_map(|body| &body.clearance))
+        .fold(f64::INFINITY, |nearest, c| nearest.min(f64::from(*c)));
+    let distance = measure(nearest.abs(), "m");
+    let how_near = if nearest.abs() < TOUCHING * length {
+        "which it touches".into()
+    } else if nearest > 0.0 {
+        format!("no nearer than {distance}")
+    } else {
+        format!("into which it goes by {distance}")
+    };
+    let n = obstacles.bodies.len() as u64;
+    format!(" past {}, {how_near},", counted(n, "obstacle", "obstacles"))
 }
 
 /// What the arm does, or, unless that is certified, should do.
