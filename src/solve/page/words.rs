@@ -10,7 +10,9 @@ use crate::control::{
 };
 use crate::mechanics::{BaseCondition, LoadFrame, Rod, SectionProfile, Wrench};
 use crate::output::{ReportObstacles, figure};
-use crate::task::{Arm, ChannelLimits, Limit, Place, PointLoad, Problem, WrenchActuator};
+#[cfg(feature = "cli")]
+use crate::task::PointLoad;
+use crate::task::{Arm, ChannelLimits, Limit, Place, Problem, WrenchActuator};
 
 /// Part of the length up to which a distance from an obstacle is none.
 const TOUCHING: f64 = 1e-6;
@@ -145,6 +147,7 @@ pub(super) fn at_most(force: Option<f64>, moment: Option<f64>) -> String {
 }
 
 /// A load by its largest size over time: its force and its moment.
+#[cfg(feature = "cli")]
 pub(super) fn in_numbers(load: &PointLoad) -> impl Iterator<Item = String> {
     let factors = load.profile.iter().map(|(_, factor)| factor.abs());
     let most = factors.reduce(f64::max).unwrap_or(1.0);
