@@ -127,6 +127,60 @@ fn searches_take_the_integrator_of_their_grids() {
     assert!(error <= accuracy, "{error}");
 }
 
+/// Implicit steps are longer than automatic ones, which allow for an arm that is bent into a circle, where a wire is little bent; where a moment bends
+/// it into that circle, they are not, or not by as much. Both promises hold.
+#[test]
+fn searches_take_long_steps_where_the_arm_is_little_bent() {
+    let stop = StopSignal::default();
+    let material = Material::isotropic(6e10, 0.33, 6450.0);
+    let wire = Arm {
+        viscous_damping: 20.0,
+        ..Arm::cylinder(&material, 0.3, 0.0005)
+    };
+    let stiffness = 6e10 * std::f64::consts::PI * 0.0005f64.powi(4) / 4.0;
+    let moment = std::f64::consts::TAU * stiffness / 0.3;
+    let slowly = |load: PointLoad| PointLoad {
+        profile: vec![(0.0, 0.0), (0.2, 1.0), (9.0, 1.0)],
+        ..load
+    };
+    let over_automatic = |load: PointLoad| {
+        let motion = Motion {
+            arm: Arm {
+                loads: vec![slowly(load)],
+                ..wire.clone()
+            },
+            start: Start::default(),
+            duration: 0.4,
+        };
+        let accuracy = 1e-2;
+        let open = Discretization {
+            scheme: Some(TimeScheme::Implicit),
+            ..Discretization::default()
+        };
+        let chosen = choose(&motion, &open, accuracy, &stop)
+            .unwrap()
+            .discretization;
+        let error = true_error(&motion, chosen);
+        assert!(error <= accuracy, "{error}");
+        let automatic = Discretization {
+            step: None,
+            ..chosen
+        };
+        let automatic = (motion.arm)
+            .discretize(motion.duration, &automatic)
+            .unwrap();
+        chosen.step.unwrap() / automatic.grid.step
+    };
+    let little = over_automatic(pull([0.01, 0.0, 0.0], &[]));
+    assert!(little > 2.0, "{little}");
+    let circle = over_automatic(PointLoad {
+        moment: Vector3::new(0.0, moment, 0.0),
+        frame: LoadFrame::Body,
+        ..pull([0.0; 3], &[])
+    });
+    assert!(circle < little, "{circle}");
+}
+
 /// A grid is refined by what its errors ask for, by no more than twice at once, and only where they are too large.
 #[test]
 fn refinement_follows_the_errors() {

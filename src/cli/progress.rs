@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 
+use super::check::solve_time;
 use super::console::Console;
+use crate::control::OptimalControlProblem;
 use crate::sqp::IterationRecord;
 
 /// Time that is left of work in parts that take equally long on average, told from those that are done.
@@ -192,6 +194,13 @@ pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar 
 pub(super) struct Awaited(ProgressBar);
 
 impl Awaited {
+    /// The check of a solution, with the curvature and the growth of disturbances where it is `deep`.
+    pub(super) fn check(problem: &OptimalControlProblem, deep: bool, console: &Console) -> Self {
+        let time = solve_time(problem);
+        let predicted = if deep { time.deep_check() } else { time.check };
+        Self::new("checking", predicted, console)
+    }
+
     pub(super) fn new(what: &'static str, predicted_s: f64, console: &Console) -> Self {
         let predicted = Duration::try_from_secs_f64(predicted_s).unwrap_or_default();
         let left = move |elapsed| left_of(predicted, elapsed);

@@ -11,7 +11,7 @@ use super::accuracy::Refinement;
 use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::progress::LiveStarts;
+use super::progress::{Awaited, LiveStarts};
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
@@ -154,6 +154,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             ControlFlow::Continue(())
         })?;
         let posed = described.posed();
+        let awaited = Awaited::check(&described.problem, arguments.deep, console);
         let chosen = choose(
             &posed,
             &described.settings,
@@ -165,6 +166,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
                 n_threads: global.n_threads(),
             },
         );
+        drop(awaited);
         let Some(refinement) = (refinement.as_mut()).filter(|_| chosen.solution.has_converged())
         else {
             break chosen;

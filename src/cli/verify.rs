@@ -7,7 +7,6 @@ use clap::Args;
 use nalgebra::Matrix3;
 use serde_json::Value;
 
-use super::check::solve_time;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::Awaited;
@@ -80,13 +79,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         solution: &solution,
         threads: global.n_threads(),
     };
-    let time = solve_time(&setup.problem);
-    let predicted = if arguments.quick {
-        time.check
-    } else {
-        time.deep_check()
-    };
-    let awaited = Awaited::new("checking", predicted, console);
+    let awaited = Awaited::check(&setup.problem, !arguments.quick, console);
     let examined = files.examine(&rows, &record, arguments.quick);
     drop(awaited);
     let (check, cover) = match examined {

@@ -5,6 +5,7 @@
 //! is 1.5 times coarser, and what the finer one still lacks follows by Richardson's extrapolation.
 
 use super::motion::{Motion, Run, RunError, Setup};
+use crate::mechanics::{StepError, TimeScheme};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
 use crate::task::prediction::Work;
@@ -13,8 +14,8 @@ use crate::task::prediction::Work;
 const MODELLED: f64 = 0.65;
 /// Part of the accuracy up to which an error is left as it is.
 const SLIGHT: f64 = 0.15;
-/// An estimate up to this part of the accuracy confirms a grid: estimates are good to a fifth.
-const CONFIRMED: f64 = 0.8;
+/// An estimate up to this part of the accuracy confirms a grid: estimates are good to a quarter.
+const CONFIRMED: f64 = 0.75;
 /// What a grid that is refined once more aims at.
 const AIM: f64 = 0.6;
 /// How much coarser the grid is that confirms another.
@@ -29,6 +30,8 @@ const FEWEST: usize = 4;
 const MOST_REFINED: usize = 2;
 /// Most elements.
 const MOST_ELEMENTS: f64 = 5000.0;
+/// Steps that are solved for may be so much longer than automatic ones, which allow for an arm that is bent into a circle.
+const LONGER: f64 = 4.0;
 /// Motions that a search simulates, as if all were as long as that on the grid with which it begins.
 const MOTIONS: f64 = 5.0;
 /// Nobody waits longer for one of the runs, s.
@@ -150,6 +153,11 @@ pub fn choose(
         base,
         accuracy,
         stop,
+        longer: if base.scheme == Some(TimeScheme::Implicit) {
+            LONGER
+        } else {
+            1.0
+        },
         levels: Vec::new(),
     };
     let model = search.coarse()?;
@@ -201,6 +209,8 @@ struct Search<'a> {
     base: Discretization,
     accuracy: f64,
     stop: &'a StopSignal,
+    /// Longest step over the automatic one.
+    longer: f64,
     levels: Vec<Level>,
 }
 
@@ -244,8 +254,21 @@ impl ErrorModel {
 }
 
 impl Search<'_> {
-    /// A run with no longer steps than `step`, or than the automatic one.
-    fn run(&self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
+    /// A run with no longer steps than `step`, or than the longest that is tried.
+    fn run(&mut self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
+        loop {
+            match self.try_run(elements, step) {
+                Err(ChoiceError::Run(RunError::Step(error)))
+                    if self.longer > 1.0 && !matches!(error, StepError::Stopped(_)) =>
+                {
+                    self.longer = (0.5 * self.longer).max(1.0);
+                }
+                done => return done,
+            }
+        }
+    }
+
+    fn try_run(&self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
         let setup = self.setup(elements, step)?;
         let seconds = setup.predicted();
         if seconds > LONGEST {
@@ -265,7 +288,7 @@ impl Search<'_> {
             step: None,
             ..self.base
         };
-        Ok(self.motion.setup(&open, step, self.stop)?)
+        Ok((self.motion).setup_longer(&open, self.longer, step, self.stop)?)
     }
 
     /// Three coarse runs, with more elements where they break down.
@@ -274,8 +297,7 @@ impl Search<'_> {
         loop {
             match self.coarse_with(elements) {
                 Err(ChoiceError::Run(RunError::Step(error)))
-                    if !matches!(error, crate::mechanics::StepError::Stopped(_))
-                        && elements < 8 * FEWEST =>
+                    if !matches!(error, StepError::Stopped(_)) && elements < 8 * FEWEST =>
                 {
                     elements *= 2;
                 }
@@ -289,10 +311,17 @@ impl Search<'_> {
         let coarse = self.run(elements, f64::INFINITY)?;
         let half = 0.5 * coarse.step();
         let in_time = self.run(elements, half)?;
-        let in_space = self.run(2 * elements, half)?;
+        // Explicit steps have to be shorter on shorter elements.
+        let is_explicit = coarse.discretization.scheme == Some(TimeScheme::Explicit);
+        let (like, step) = if is_explicit {
+            (&in_time, half)
+        } else {
+            (&coarse, coarse.step())
+        };
+        let in_space = self.run(2 * elements, step)?;
         // What a grid twice as fine still lacks is a quarter of it.
         let estimate = |a: &Run, b: &Run| a.course.errors(&b.course, length).shape * 4.0 / 3.0;
-        let parts = [estimate(&in_time, &in_space), estimate(&coarse, &in_time)];
+        let parts = [estimate(like, &in_space), estimate(&coarse, &in_time)];
         for (run, error) in [
             (&coarse, Some(parts[0] + parts[1])),
             (&in_time, None),

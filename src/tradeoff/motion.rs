@@ -113,8 +113,20 @@ impl Motion {
         longest: f64,
         stop: &StopSignal,
     ) -> Result<Setup, DiscretizeError> {
+        self.setup_longer(discretization, 1.0, longest, stop)
+    }
+
+    /// [`Self::setup`], the step of `discretization` or the automatic one times a factor.
+    pub(super) fn setup_longer(
+        &self,
+        discretization: &Discretization,
+        factor: f64,
+        longest: f64,
+        stop: &StopSignal,
+    ) -> Result<Setup, DiscretizeError> {
         let found = self.arm.discretize(self.duration, discretization)?;
-        let grid = TimeGrid::covering(self.duration, found.grid.step.min(longest), TIMES);
+        let step = (factor * found.grid.step).min(longest);
+        let grid = TimeGrid::covering(self.duration, step, TIMES);
         let initial = self.start.state(&found.rod, stop)?;
         Ok(Setup {
             discretization: Discretization {

@@ -1,18 +1,20 @@
 //! The sweep of a closed loop: distance of the tip from its reference beside the time of a sample.
 
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::super::course::Errors;
 use super::{
-    Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work, fit,
+    FOR_SETTINGS, Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff,
+    Work, fit,
 };
 use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
 use crate::scene::{EstimatorKind, TimeScheme};
 
 /// Part of the budget that one run may take, so that there are enough of them.
-const OF_A_RUN: f64 = 0.08;
+const OF_A_RUN: f64 = 0.04;
 /// Samples that count, at least.
 const FEWEST_SAMPLES: f64 = 50.0;
 /// Settings that are combined from those that are good by themselves.
@@ -25,7 +27,8 @@ impl Work<'_, '_> {
         let usual = self.usual.clone();
         let began = Instant::now();
         let first = self.looped(&usual, None, 1)?;
-        self.duration(began.elapsed().as_secs_f64());
+        let seconds = began.elapsed().as_secs_f64();
+        self.duration(seconds);
         let duration = self.run_s;
         let known = self.sweep.known.iter().any(|known| known.setting == usual);
         // Where the run is not shorter than the scene's own, its point is there already.
@@ -36,21 +39,13 @@ impl Work<'_, '_> {
         });
         let reference = self.loop_reference(&usual, duration);
 
-        let singles = self.loop_settings();
-        for setting in &singles {
-            if self.is_over() {
-                self.cut = true;
-                break;
-            }
-            self.point(setting, |work| work.looped_point(setting, Some(duration)));
-        }
-        for setting in self.combinations() {
-            if self.is_over() {
-                self.cut = true;
-                break;
-            }
-            self.point(&setting, |work| work.looped_point(&setting, Some(duration)));
-        }
+        let mut singles = VecDeque::from(self.loop_settings());
+        self.loop_points(&mut singles);
+        self.share = FOR_SETTINGS;
+        let mut pairs = VecDeque::from(self.combinations());
+        self.loop_points(&mut pairs);
+        self.loop_points(&mut singles);
+        self.cut |= !(pairs.is_empty() && singles.is_empty());
         let models = Models {
             cost: (fit::cost(
                 "samples",
@@ -64,9 +59,20 @@ impl Work<'_, '_> {
             .collect(),
             error: Vec::new(),
         };
-        let recommended = self.recommend_loop(duration);
+        let recommended = self.recommend_loop(seconds / self.sweep.scene_duration());
         self.loop_findings(reference.as_ref(), recommended.as_ref(), duration);
         Ok(self.finish(reference, models, recommended))
+    }
+
+    /// Runs one setting after the other while there is time.
+    fn loop_points(&mut self, settings: &mut VecDeque<Setting>) {
+        while !self.is_over() {
+            let Some(setting) = settings.pop_front() else {
+                return;
+            };
+            let duration = self.run_s;
+            self.point(&setting, |work| work.looped_point(&setting, Some(duration)));
+        }
     }
 
     /// Shortens the runs where the budget does not hold enough of them.
@@ -251,7 +257,7 @@ impl Work<'_, '_> {
         let mut settings: Vec<Setting> = Vec::new();
         for (index, a) in good.iter().enumerate() {
             for b in &good[index + 1..] {
-                let both = both(&self.usual, &a.setting, &b.setting);
+                let both = self.usual.with_both(&a.setting, &b.setting);
                 let is_new = !settings.contains(&both)
                     && !self.points.iter().any(|point| point.setting == both);
                 if is_new {
@@ -263,21 +269,19 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// The setting with the fastest samples that meets the tolerance, run once more with twice the elements of the arm.
-    fn recommend_loop(&self, duration: f64) -> Option<Recommendation> {
-        let tolerance = self.sweep.tolerance;
-        let best = (self.points.iter())
-            .filter(|point| point.meets(tolerance))
-            .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))?;
-        let checked_error = self
-            .looped(&best.setting, Some(duration), 2)
-            .ok()
-            .and_then(|point| point.error)
-            .unwrap_or(f64::NAN);
-        Some(Recommendation {
-            point: best.clone(),
-            checked_error,
-            checked: checked_error <= tolerance,
+    /// The setting with the fastest samples that meets the tolerance, also around an arm with twice the elements, for as much of the scene's own
+    /// duration as there is time for.
+    fn recommend_loop(&mut self, pace: f64) -> Option<Recommendation> {
+        let good = (self.points.iter())
+            .filter(|point| point.meets(self.sweep.tolerance))
+            .cloned()
+            .collect();
+        let against = "an arm as it is with twice the elements";
+        self.first_that_holds(good, against, |work, point| {
+            let own = work.sweep.scene_duration();
+            let longest = (work.left() / pace).clamp(work.run_s, own);
+            let checked = work.looped(&point.setting, Some(longest), 2)?;
+            Ok(checked.error.unwrap_or(f64::INFINITY))
         })
     }
 
@@ -297,10 +301,6 @@ impl Work<'_, '_> {
             ));
         }
         match recommended {
-            Some(found) if !found.checked => self.finding(format!(
-                "the fastest setting that meets the tolerance has an error of {:.1e} with twice the elements of the arm as it is",
-                found.checked_error
-            )),
             Some(_) => {}
             None => {
                 let best = (self.points.iter())
@@ -313,22 +313,5 @@ impl Work<'_, '_> {
                 ));
             }
         }
-    }
-}
-
-/// Both changes of a setting.
-fn both(usual: &Setting, a: &Setting, b: &Setting) -> Setting {
-    fn pick<T: PartialEq + Clone>(usual: &T, a: &T, b: &T) -> T {
-        if a == usual { b.clone() } else { a.clone() }
-    }
-    Setting {
-        elements: pick(&usual.elements, &a.elements, &b.elements),
-        integrator: pick(&usual.integrator, &a.integrator, &b.integrator),
-        model_step_s: pick(&usual.model_step_s, &a.model_step_s, &b.model_step_s),
-        horizon_s: pick(&usual.horizon_s, &a.horizon_s, &b.horizon_s),
-        block_s: pick(&usual.block_s, &a.block_s, &b.block_s),
-        iterations: pick(&usual.iterations, &a.iterations, &b.iterations),
-        estimator: pick(&usual.estimator, &a.estimator, &b.estimator),
-        ..usual.clone()
     }
 }

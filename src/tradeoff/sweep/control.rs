@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use super::super::course::{Course, Errors};
 use super::{
-    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
-    fit, least_time,
+    FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
+    Tradeoff, Work, fit, least_time,
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
@@ -35,30 +35,78 @@ struct Solved {
 
 impl Work<'_, '_> {
     pub(super) fn optimal_control(mut self) -> Result<Tradeoff, SweepError> {
-        let mut largest_rest = Errors::default();
         let mut plan = self.control_settings();
-        while let Some(setting) = self.next_setting(&mut plan) {
-            if self.is_over() {
-                self.cut = true;
-                break;
-            }
-            let mut rest = Errors::default();
-            self.point(&setting, |work| match work.solved(&setting) {
-                Ok((point, uncertain)) => {
-                    rest = uncertain;
-                    point
-                }
-                Err(error) => Point::new(&setting).failed(error),
-            });
-            if rest.shape > largest_rest.shape {
-                largest_rest = rest;
-            }
-        }
-        let reference = self.control_reference(largest_rest);
+        self.solve_settings(&mut plan);
+        self.share = FOR_SETTINGS;
+        let mut pairs = self.control_pairs();
+        self.solve_settings(&mut pairs);
+        self.solve_settings(&mut plan);
+        self.cut |= !(pairs.is_empty() && plan.is_empty());
+        let reference = self.control_reference();
         let models = self.control_models(reference.as_ref());
-        let recommended = self.recommend_control(reference.as_ref());
+        let recommended = self.recommend_control();
         self.control_findings(reference.as_ref(), &models, recommended.as_ref());
         Ok(self.finish(reference, models, recommended))
+    }
+
+    /// Solves one setting after the other while there is time.
+    fn solve_settings(&mut self, plan: &mut Vec<Setting>) {
+        while let Some(setting) = self.next_setting(plan) {
+            self.point(&setting, |work| {
+                (work.solved(&setting)).unwrap_or_else(|error| Point::new(&setting).failed(error))
+            });
+        }
+    }
+
+    /// Changes that are faster at the scene's own elements and whose objective is not worse, alone and two at a time, with the elements that the
+    /// tolerance needs.
+    fn control_pairs(&self) -> Vec<Setting> {
+        let own = self.points.iter().find(|point| point.setting == self.usual);
+        let fastest = |points: &mut dyn Iterator<Item = &Point>| {
+            (points.min_by(|a, b| a.wall_s.total_cmp(&b.wall_s)))
+                .map(|point| point.setting.elements)
+        };
+        let needed =
+            fastest(&mut (self.points.iter()).filter(|point| {
+                self.is_usual(&point.setting) && point.meets(self.sweep.tolerance)
+            }));
+        let (Some(own), Some(elements), Some(limit)) = (own, needed, self.objective_limit()) else {
+            return Vec::new();
+        };
+        let mut faster: Vec<&Point> = (self.points.iter())
+            .filter(|point| point.setting.elements == self.usual.elements)
+            .filter(|point| point.wall_s < own.wall_s)
+            .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
+            .collect();
+        faster.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        let mut settings: Vec<Setting> = Vec::new();
+        for (index, a) in faster.iter().enumerate() {
+            for b in &faster[index..] {
+                let setting = Setting {
+                    elements,
+                    ..self.usual.with_both(&a.setting, &b.setting)
+                };
+                let is_known = settings.contains(&setting)
+                    || self.points.iter().any(|point| point.setting == setting);
+                if !is_known {
+                    settings.push(setting);
+                }
+            }
+        }
+        settings
+    }
+
+    /// The largest objective of a setting that is recommended.
+    fn objective_limit(&self) -> Option<f64> {
+        let best = self.finest_solved()?.objective?;
+        Some(best + WORSE * best.abs())
+    }
+
+    /// The finest grid that was solved on, all else as in the scene.
+    fn finest_solved(&self) -> Option<&Point> {
+        (self.points.iter())
+            .filter(|point| self.is_usual(&point.setting) && point.status == Fate::Done)
+            .max_by_key(|point| point.setting.elements)
     }
 
     /// The settings, those of one kind after the other, the last one first.
@@ -107,7 +155,7 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// The setting that is predicted to take the least time, if the budget allows it: first of those that differ in their elements alone, until one is
+    /// The setting that is predicted to take the least time, of those that the budget allows: first of those that differ in their elements alone, until one is
     /// accurate enough, then of the others, and last of what is finer still.
     fn next_setting(&mut self, plan: &mut Vec<Setting>) -> Option<Setting> {
         let seconds = |setting: &Setting| {
@@ -126,14 +174,12 @@ impl Work<'_, '_> {
             (false, _) => 1,
             (true, true) => 2,
         };
+        let left = self.left();
         let best = (plan.iter().enumerate())
             .map(|(index, setting)| (index, phase(setting), seconds(setting)))
+            .filter(|(.., seconds)| *seconds <= left)
             .min_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
-        let (index, _, seconds) = best?;
-        if seconds > self.left() {
-            self.cut = true;
-            return None;
-        }
+        let (index, ..) = best.filter(|_| !self.sweep.stop.is_raised())?;
         Some(plan.remove(index))
     }
 
@@ -166,8 +212,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// A setting, solved, with the errors of its controls on finer grids, and what is uncertain about these.
-    fn solved(&mut self, setting: &Setting) -> Result<(Point, Errors), SweepError> {
+    /// A setting, solved, with the errors of its controls on finer grids.
+    fn solved(&self, setting: &Setting) -> Result<Point, SweepError> {
         let setup = self.setup(setting)?;
         let (attempt, seconds) = self.solve(&setup)?;
         let mut point = Point {
@@ -180,34 +226,33 @@ impl Work<'_, '_> {
         if attempt.outcome.status != SqpStatus::Converged {
             point.status = Fate::NotConverged;
             point.why = Some(words(&attempt.outcome.status));
-            return Ok((point, Errors::default()));
+            return Ok(point);
         }
         point.wall_s = least_time(seconds, || self.solve(&setup).map(|(_, seconds)| seconds));
         let solved = Solved { setup, attempt };
         point.objective = Some(solved.attempt.outcome.objective);
         match solved.errors(self) {
-            Ok((errors, rest)) => {
+            Ok((errors, bars)) => {
                 point.status = Fate::Done;
                 point.errors = Some(errors);
                 point.error = Some(errors.shape);
-                Ok((point, rest))
+                point.error_bars = Some(bars);
+                Ok(point)
             }
-            Err(error) => Ok((point.failed(error), Errors::default())),
+            Err(error) => Ok(point.failed(error)),
         }
     }
 
-    /// The finest grid that was solved on.
-    fn control_reference(&self, rest: Errors) -> Option<Reference> {
-        let usual = |point: &&Point| self.is_usual(&point.setting) && point.status == Fate::Done;
-        let mut grids: Vec<&Point> = self.points.iter().filter(usual).collect();
-        grids.sort_by_key(|point| point.setting.elements);
-        let finest = grids.last()?;
+    /// Of the finest grid that was solved on: its controls on four times the elements.
+    fn control_reference(&self) -> Option<Reference> {
+        let finest = self.finest_solved()?;
+        let errors = finest.error_bars?;
         Some(Reference {
             elements: 4 * finest.setting.elements,
             step_s: 0.25 * finest.step_s,
             order: None,
-            error: rest.shape,
-            errors: rest,
+            error: errors.shape,
+            errors,
             objective: finest.objective,
             wall_s: finest.wall_s,
         })
@@ -229,21 +274,31 @@ impl Work<'_, '_> {
         models
     }
 
-    /// The fastest setting with the scene's own controls whose motion meets the tolerance, at an objective that is not worse.
-    fn recommend_control(&mut self, reference: Option<&Reference>) -> Option<Recommendation> {
-        let best = reference?.objective?;
-        let limit = best + WORSE * best.abs();
-        let tolerance = self.sweep.tolerance;
-        let good = (self.points.iter())
-            .filter(|point| point.meets(tolerance))
-            .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
+    /// The fastest setting whose motion meets the tolerance, at an objective that is not worse.
+    fn recommend_control(&mut self) -> Option<Recommendation> {
+        let limit = self.objective_limit()?;
+        let best = self.finest_solved()?.objective?;
+        let good: Vec<Point> = (self.points.iter())
+            .filter(|point| point.meets(self.sweep.tolerance))
             .cloned()
             .collect();
+        let (good, worse): (Vec<_>, Vec<_>) = (good.into_iter())
+            .partition(|point| point.objective.is_some_and(|objective| objective <= limit));
         // Solved once more: what is recommended is what somebody else will get.
-        self.first_that_holds(good, |work, point| {
-            let (again, _) = work.solved(&point.setting)?;
-            Ok(again.error.unwrap_or(f64::NAN))
-        })
+        let found = self.first_that_holds(good, "its controls solved once more", |work, point| {
+            Ok(work.solved(&point.setting)?.error.unwrap_or(f64::NAN))
+        });
+        let time = |found: &Recommendation| found.point.wall_s;
+        let fastest = found.as_ref().map_or(f64::INFINITY, time);
+        for point in worse.iter().filter(|point| point.wall_s < fastest) {
+            let objective = point.objective.unwrap_or(f64::NAN);
+            self.finding(format!(
+                "{}: faster and within the tolerance, but at an objective {:.1} % above that of the finest grid",
+                point.setting.differences(&self.usual),
+                100.0 * (objective - best) / best.abs()
+            ));
+        }
+        found
     }
 
     fn control_findings(

@@ -220,6 +220,9 @@ pub struct Point {
     /// What a tolerance is compared with, over the length: of motions the largest distance of any place at any time, of a closed loop that of its
     /// tip, root mean square.
     pub error: Option<f64>,
+    /// By how much the errors may be off: what the motion that they are taken against lacks itself, by Richardson's extrapolation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_bars: Option<Errors>,
     /// Value of the objective.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<f64>,
@@ -248,6 +251,7 @@ impl Point {
             why: None,
             errors: None,
             error: None,
+            error_bars: None,
             objective: None,
             solver_iterations: None,
             wall_s: f64::NAN,
@@ -262,9 +266,10 @@ impl Point {
         self
     }
 
-    /// Whether it has an error up to `tolerance`.
+    /// Whether its error is up to `tolerance`, also where it is off by as much as it may be.
     fn meets(&self, tolerance: f64) -> bool {
-        self.error.is_some_and(|error| error <= tolerance)
+        let bar = self.error_bars.map_or(0.0, |errors| errors.shape);
+        self.error.is_some_and(|error| error + bar <= tolerance)
     }
 }
 
@@ -395,6 +400,8 @@ struct Work<'a, 'b> {
     cut: bool,
     /// Duration of the runs of a closed loop, s.
     run_s: f64,
+    /// Part of the budget that what is under way may use up.
+    share: f64,
 }
 
 impl Sweep<'_> {
@@ -412,6 +419,7 @@ impl Sweep<'_> {
             findings: Vec::new(),
             cut: false,
             run_s: f64::NAN,
+            share: FOR_SINGLES,
         };
         match Subject::of(work.sweep.scene) {
             Subject::Motion => work.motion(),
@@ -475,6 +483,10 @@ impl Sweep<'_> {
     }
 }
 
+/// Part of the budget for settings that change one thing; of what is left, pairs of such changes come first.
+const FOR_SINGLES: f64 = 0.6;
+/// Part of the budget for all settings; the rest is for the check of the recommended one and for the costs of features.
+const FOR_SETTINGS: f64 = 0.9;
 /// Settings that are checked before none is recommended.
 const CHECKS: usize = 3;
 /// Seconds within which a run is made again twice, and once.
@@ -483,7 +495,7 @@ const ONCE_S: f64 = 2.0;
 
 impl Work<'_, '_> {
     fn left(&self) -> f64 {
-        self.sweep.budget.as_secs_f64() - self.began.elapsed().as_secs_f64()
+        self.share * self.sweep.budget.as_secs_f64() - self.began.elapsed().as_secs_f64()
     }
 
     fn say(&mut self, words: String) {
@@ -519,22 +531,29 @@ impl Work<'_, '_> {
         setting.applied(self.sweep.scene, None)
     }
 
-    /// The fastest of some points whose error also holds when it is found by `check`; the last one that was checked where none does.
+    /// The fastest of some points whose error also holds when it is found by `check`, which compares it with `against`; the last one that was
+    /// checked where none does.
     fn first_that_holds(
         &mut self,
         mut good: Vec<Point>,
+        against: &str,
         mut check: impl FnMut(&mut Self, &Point) -> Result<f64, SweepError>,
     ) -> Option<Recommendation> {
+        self.share = 1.0;
         good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
         let mut last = None;
         for point in good.into_iter().take(CHECKS) {
+            let setting = point.setting.differences(&self.usual);
             let checked_error = check(self, &point).unwrap_or_else(|error| {
-                self.finding(format!(
-                    "the recommended setting could not be checked: {error}"
-                ));
+                self.finding(format!("{setting}: could not be checked: {error}"));
                 f64::NAN
             });
             let checked = checked_error <= self.sweep.tolerance;
+            if !checked && checked_error.is_finite() {
+                self.finding(format!(
+                    "{setting}: within the tolerance, but off by {checked_error:.1e} against {against}"
+                ));
+            }
             last = Some(Recommendation {
                 point,
                 checked_error,
@@ -578,6 +597,34 @@ impl Setting {
                 elements,
                 ..other.clone()
             }
+    }
+
+    /// This one with the changes that `a` and `b` make to it; where both change the same, with that of `a`.
+    fn with_both(&self, a: &Self, b: &Self) -> Self {
+        fn pick<T: PartialEq + Clone>(usual: &T, a: &T, b: &T) -> T {
+            if a == usual { b.clone() } else { a.clone() }
+        }
+        Self {
+            strain: pick(&self.strain, &a.strain, &b.strain),
+            elements: pick(&self.elements, &a.elements, &b.elements),
+            integrator: pick(&self.integrator, &a.integrator, &b.integrator),
+            step_over_automatic: pick(
+                &self.step_over_automatic,
+                &a.step_over_automatic,
+                &b.step_over_automatic,
+            ),
+            rotary_inertia: pick(&self.rotary_inertia, &a.rotary_inertia, &b.rotary_inertia),
+            model: pick(&self.model, &a.model, &b.model),
+            blocks: pick(&self.blocks, &a.blocks, &b.blocks),
+            hold: pick(&self.hold, &a.hold, &b.hold),
+            tolerance: pick(&self.tolerance, &a.tolerance, &b.tolerance),
+            hessian: pick(&self.hessian, &a.hessian, &b.hessian),
+            model_step_s: pick(&self.model_step_s, &a.model_step_s, &b.model_step_s),
+            horizon_s: pick(&self.horizon_s, &a.horizon_s, &b.horizon_s),
+            block_s: pick(&self.block_s, &a.block_s, &b.block_s),
+            iterations: pick(&self.iterations, &a.iterations, &b.iterations),
+            estimator: pick(&self.estimator, &a.estimator, &b.estimator),
+        }
     }
 
     /// A scene with this setting, and with a step of its own in s where one is given.

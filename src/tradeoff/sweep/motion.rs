@@ -3,8 +3,8 @@
 use super::super::course::{Course, Errors};
 use super::super::motion::{Motion, Run, RunError};
 use super::{
-    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
-    fit, least_time, simulation_seconds,
+    FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
+    Tradeoff, Work, fit, least_time, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
@@ -62,9 +62,18 @@ impl Finest {
     }
 }
 
-/// Settings that differ in their elements alone, from few to many.
+/// What settings are compared with.
+struct Truth<'a> {
+    motion: &'a Motion,
+    course: &'a Course,
+    /// What the course lacks itself.
+    errors: Errors,
+}
+
+/// Settings that differ in their elements alone.
 struct Family {
     setting: Setting,
+    /// Elements that are not tried yet, from many to few.
     rungs: Vec<usize>,
 }
 
@@ -84,28 +93,20 @@ impl Work<'_, '_> {
         ));
         self.sections(&motion);
 
+        let truth = Truth {
+            motion: &motion,
+            course: finest.course(),
+            errors: reference.errors,
+        };
         let mut families = self.families(reference.elements);
-        while let Some(next) = self.next(&mut families, &motion) {
-            if self.is_over() {
-                self.cut = true;
-                break;
-            }
-            let Some((family, elements)) = next else {
-                continue;
-            };
-            let setting = Setting {
-                elements,
-                ..families[family].setting.clone()
-            };
-            let tolerance = self.sweep.tolerance;
-            let point = self.point(&setting, |work| work.simulated(&setting, finest.course()));
-            let enough = point.error.is_some_and(|error| error < tolerance / ENOUGH);
-            if enough {
-                families[family].rungs.clear();
-            }
-        }
+        self.climb(&mut families, &truth);
+        self.share = FOR_SETTINGS;
+        let mut pairs = self.pairs(&families);
+        let all_pairs = self.climb(&mut pairs, &truth);
+        let all_families = self.climb(&mut families, &truth);
+        self.cut |= !(all_pairs && all_families);
         let models = self.motion_models(&reference);
-        let recommended = self.recommend_motion(&reference);
+        let recommended = self.recommend_motion();
         self.motion_findings(&reference, &models, recommended.as_ref());
         Ok(self.finish(Some(reference), models, recommended))
     }
@@ -245,29 +246,75 @@ impl Work<'_, '_> {
             .collect()
     }
 
-    /// The family whose next setting is predicted to take the least time, with that setting's elements. `None`: there is none left, or none
-    /// that the budget allows; `Some(None)`: one was dropped.
-    fn next(&mut self, families: &mut [Family], motion: &Motion) -> Option<Option<(usize, usize)>> {
-        let mut best: Option<(usize, f64)> = None;
-        for (index, family) in families.iter().enumerate() {
-            let Some(&elements) = family.rungs.last() else {
-                continue;
-            };
-            let seconds = self.predicted(&family.setting, elements, motion);
-            if best.is_none_or(|(_, least)| seconds < least) {
-                best = Some((index, seconds));
+    /// Families with the changes of two that are faster than the scene's own, about the elements that these need.
+    fn pairs(&self, families: &[Family]) -> Vec<Family> {
+        let best = |family: &Family| {
+            (self.points.iter())
+                .filter(|point| point.setting.is_but_for_elements(&family.setting))
+                .filter(|point| point.meets(self.sweep.tolerance))
+                .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))
+        };
+        let Some((own, changed)) = families.split_first() else {
+            return Vec::new();
+        };
+        let limit = best(own).map_or(f64::INFINITY, |point| point.wall_s);
+        let faster: Vec<&Point> = (changed.iter().filter_map(best))
+            .filter(|point| point.wall_s < limit)
+            .collect();
+        let mut pairs: Vec<Family> = Vec::new();
+        for (index, a) in faster.iter().enumerate() {
+            for b in &faster[index + 1..] {
+                let setting = self.usual.with_both(&a.setting, &b.setting);
+                let is_known = (families.iter().chain(&pairs))
+                    .any(|family| family.setting.is_but_for_elements(&setting));
+                if is_known {
+                    continue;
+                }
+                let needed = [a.setting.elements, b.setting.elements];
+                let [fewest, most] = [needed[0].min(needed[1]), needed[0].max(needed[1])];
+                let mut rungs: Vec<usize> = (LADDER.iter().copied().chain(needed))
+                    .filter(|k| 2 * k >= fewest && *k <= 2 * most)
+                    .filter(|k| self.sweep.scene.names_nodes_of(*k))
+                    .collect();
+                rungs.sort_unstable();
+                rungs.dedup();
+                rungs.reverse();
+                pairs.push(Family { setting, rungs });
             }
         }
-        let (index, seconds) = best?;
-        if seconds > self.left() {
-            families[index].rungs.clear();
-            self.cut = true;
-            return Some(None);
+        pairs
+    }
+
+    /// Simulates settings of some families, the fastest first, until all are done, or until there is no time for the next; whether all are done.
+    fn climb(&mut self, families: &mut [Family], truth: &Truth) -> bool {
+        while let Some((index, elements, seconds)) = self.next(families, truth.motion) {
+            if self.sweep.stop.is_raised() || seconds > self.left() {
+                return false;
+            }
+            let family = &mut families[index];
+            family.rungs.pop();
+            let setting = Setting {
+                elements,
+                ..family.setting.clone()
+            };
+            let tolerance = self.sweep.tolerance;
+            let point = self.point(&setting, |work| work.simulated(&setting, truth));
+            if point.error.is_some_and(|error| error < tolerance / ENOUGH) {
+                family.rungs.clear();
+            }
         }
-        families[index]
-            .rungs
-            .pop()
-            .map(|elements| Some((index, elements)))
+        true
+    }
+
+    /// The family whose next setting is predicted to take the least time, with that setting's elements and time.
+    fn next(&self, families: &[Family], motion: &Motion) -> Option<(usize, usize, f64)> {
+        (families.iter().enumerate())
+            .filter_map(|(index, family)| {
+                let elements = *family.rungs.last()?;
+                let seconds = self.predicted(&family.setting, elements, motion);
+                Some((index, elements, seconds))
+            })
+            .min_by(|a, b| a.2.total_cmp(&b.2))
     }
 
     /// Seconds of a run; none where it cannot be set up, so that it is tried and fails at once.
@@ -287,7 +334,7 @@ impl Work<'_, '_> {
     }
 
     /// A setting, simulated.
-    fn simulated(&mut self, setting: &Setting, truth: &Course) -> Point {
+    fn simulated(&mut self, setting: &Setting, truth: &Truth) -> Point {
         let point = Point::new(setting);
         let scene = self.scene(setting);
         let found = Motion::of_scene(&scene, self.sweep.source)
@@ -302,13 +349,14 @@ impl Work<'_, '_> {
             });
         match found {
             Ok((run, seconds, length)) => {
-                let errors = run.course.errors(truth, length);
+                let errors = run.course.errors(truth.course, length);
                 let simulation = scene.simulation_until(self.sweep.source, self.sweep.stop);
                 Point {
                     step_s: run.step(),
                     status: Fate::Done,
                     errors: Some(errors),
                     error: Some(errors.shape),
+                    error_bars: Some(truth.errors),
                     wall_s: seconds,
                     memory_mb: simulation.map_or(f64::NAN, |s| 1e-6 * of_simulation(&s).total()),
                     ..point
@@ -361,13 +409,14 @@ impl Work<'_, '_> {
     }
 
     /// The fastest setting that meets the tolerance, also against a run that is finer by four.
-    fn recommend_motion(&mut self, reference: &Reference) -> Option<Recommendation> {
-        let allowed = self.sweep.tolerance - reference.error;
+    fn recommend_motion(&mut self) -> Option<Recommendation> {
         let good = (self.points.iter())
-            .filter(|point| point.meets(allowed))
+            .filter(|point| point.meets(self.sweep.tolerance))
             .cloned()
             .collect();
-        self.first_that_holds(good, |work, point| work.against_finer(point))
+        self.first_that_holds(good, "a run finer by four", |work, point| {
+            work.against_finer(point)
+        })
     }
 
     /// The error of a setting against four times its elements and a quarter of its step.
@@ -400,10 +449,6 @@ impl Work<'_, '_> {
         let tolerance = self.sweep.tolerance;
         self.equal_accuracy(tolerance);
         let words = match recommended {
-            Some(found) if !found.checked => format!(
-                "{} elements are within {tolerance:e} of the reference but {:.1e} from a run finer by four",
-                found.point.setting.elements, found.checked_error
-            ),
             Some(_) => return,
             None if !(reference.error <= 0.5 * tolerance) => format!(
                 "the reference itself is only known to {:.1e} of the length, so that a tolerance of {tolerance:e} cannot be judged: give a larger \
