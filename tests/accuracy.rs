@@ -181,6 +181,42 @@ fn searches_take_long_steps_where_the_arm_is_little_bent() {
     assert!(circle < little, "{circle}");
 }
 
+/// A sudden moment that would hold a wire bent into a circle bends it further than automatic implicit steps can follow: the search takes shorter ones,
+/// and the promise holds.
+#[test]
+fn motions_that_break_down_are_tried_with_shorter_steps() {
+    let stop = StopSignal::default();
+    let stiffness = 6e10 * std::f64::consts::PI * 0.0005f64.powi(4) / 4.0;
+    let moment = PointLoad {
+        moment: Vector3::new(0.0, std::f64::consts::TAU * stiffness / 0.3, 0.0),
+        ..pull([0.0; 3], &[])
+    };
+    let motion = Motion {
+        arm: Arm {
+            viscous_damping: 2.0,
+            loads: vec![moment],
+            ..Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+        },
+        start: Start::default(),
+        duration: 0.01,
+    };
+    let open = Discretization {
+        scheme: Some(TimeScheme::Implicit),
+        ..Discretization::default()
+    };
+    let accuracy = 1e-2;
+    let chosen = choose(&motion, &open, accuracy, &stop)
+        .unwrap()
+        .discretization;
+    let automatic = Discretization {
+        step: None,
+        ..chosen
+    };
+    assert!(motion.run(&automatic, &stop).is_err());
+    let error = true_error(&motion, chosen);
+    assert!(error <= accuracy, "{error}");
+}
+
 /// A grid is refined by what its errors ask for, by no more than twice at once, and only where they are too large.
 #[test]
 fn refinement_follows_the_errors() {

@@ -12,7 +12,7 @@ use plotters::prelude::*;
 use serde::Serialize;
 
 use super::OutputError;
-use crate::tradeoff::{Fate, Point, Recommendation, Setting, Subject, Tradeoff};
+use crate::tradeoff::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
@@ -365,8 +365,12 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
 pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
     let mut points: Vec<&Point> = found.points.iter().collect();
     points.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-    let all = settings(points.iter().copied(), usual);
-    let front = settings(points.into_iter().filter(|point| point.on_front), usual);
+    let all = settings(points.iter().copied(), usual, |point| point.on_front);
+    let recommended = found.recommended.as_ref();
+    let front = points.into_iter().filter(|point| point.on_front);
+    let front = settings(front, usual, |point| {
+        recommended.is_some_and(|found| found.point.setting == point.setting)
+    });
     let mut models = String::new();
     for model in &found.models.error {
         let _ = writeln!(
@@ -402,7 +406,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
                 features,
                 "<tr{}><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
                 if cost.in_scene {
-                    " class=\"front\""
+                    " class=\"marked\""
                 } else {
                     ""
                 },
@@ -417,11 +421,8 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     let findings: String = (found.findings.iter())
         .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
         .collect();
-    let reference = found.reference.as_ref().map_or(String::new(), |reference| {
-        format!(
-            "<p>Errors are measured against {} elements, whose own error is {:.1e} of the length.</p>",
-            reference.elements, reference.error
-        )
+    let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
+        measured_against(found.subject, reference)
     });
     include_str!("tradeoff_template.html")
         .replace("{{title}}", &escaped(scene))
@@ -435,8 +436,33 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         .replace("{{svg}}", svg)
 }
 
-/// A table of settings; those on the front are marked.
-fn settings<'a>(points: impl Iterator<Item = &'a Point> + Clone, usual: &Setting) -> String {
+/// What errors are measured against, in a paragraph.
+fn measured_against(subject: Subject, reference: &Reference) -> String {
+    let Reference {
+        elements, error, ..
+    } = reference;
+    let words = match subject {
+        Subject::Motion => format!(
+            "Errors are measured against {elements} elements, whose own error is {error:.1e} of the length."
+        ),
+        Subject::OptimalControl => format!(
+            "The controls of every setting are simulated on four times its elements, and errors are measured against that motion. The finest has \
+             {elements} elements and an error of its own of {error:.1e} of the length."
+        ),
+        Subject::ClosedLoop => format!(
+            "Errors are those of the tip against its reference. Around an arm of {elements} elements, the scene's own setting has one that is \
+             different by {error:.1e} of the length."
+        ),
+    };
+    format!("<p>{words}</p>")
+}
+
+/// A table of settings, some of them marked.
+fn settings<'a>(
+    points: impl Iterator<Item = &'a Point> + Clone,
+    usual: &Setting,
+    is_marked: impl Fn(&Point) -> bool,
+) -> String {
     let has_objectives = points.clone().any(|point| point.objective.is_some());
     let objective = if has_objectives {
         "<th>objective</th>"
@@ -447,8 +473,8 @@ fn settings<'a>(points: impl Iterator<Item = &'a Point> + Clone, usual: &Setting
         "<table>\n<thead><tr><th>setting</th><th>time</th><th>error</th>{objective}</tr></thead>\n<tbody>\n"
     );
     for point in points {
-        let class = if point.on_front {
-            " class=\"front\""
+        let class = if is_marked(point) {
+            " class=\"marked\""
         } else {
             ""
         };

@@ -18,6 +18,8 @@ const SLIGHT: f64 = 0.15;
 const CONFIRMED: f64 = 0.75;
 /// What a grid that is refined once more aims at.
 const AIM: f64 = 0.6;
+/// Order of convergence that is expected of a grid which misses what the model, of second order, has promised.
+const SLOWER: f64 = 1.5;
 /// How much coarser the grid is that confirms another.
 const COARSER: f64 = 1.5;
 /// Grids that are tried before the accuracy counts as out of reach.
@@ -32,6 +34,8 @@ const MOST_REFINED: usize = 2;
 const MOST_ELEMENTS: f64 = 5000.0;
 /// Steps that are solved for may be so much longer than automatic ones, which allow for an arm that is bent into a circle.
 const LONGER: f64 = 4.0;
+/// The shortest step over the automatic one that is tried where a motion breaks down, as where a sudden load bends an arm into more than a circle.
+const SHORTEST: f64 = 1.0 / 16.0;
 /// Motions that a search simulates, as if all were as long as that on the grid with which it begins.
 const MOTIONS: f64 = 5.0;
 /// Nobody waits longer for one of the runs, s.
@@ -166,7 +170,7 @@ pub fn choose(
     let mut stalled = 0;
     let mut run = None;
     for _ in 0..ROUNDS {
-        let fine = search.run(elements, step)?;
+        let fine = search.run(elements, step, SHORTEST)?;
         let error = search.confirm(&fine, &model)?;
         search.levels.push(Level {
             elements,
@@ -182,7 +186,9 @@ pub fn choose(
             });
         }
         stalled += usize::from(error > STALLED * last);
-        let finer = (error / (AIM * accuracy)).sqrt().clamp(1.2, 3.0);
+        let finer = (error / (AIM * accuracy))
+            .powf(1.0 / SLOWER)
+            .clamp(1.2, 3.0);
         last = error;
         let wanted = (elements as f64 * finer).ceil();
         step = fine.step() / finer;
@@ -201,6 +207,13 @@ pub fn choose(
         elements,
         step,
     })
+}
+
+impl ChoiceError {
+    /// Whether a motion came to no end of its own.
+    fn breaks_down(&self) -> bool {
+        matches!(self, Self::Run(RunError::Step(error)) if !matches!(error, StepError::Stopped(_)))
+    }
 }
 
 struct Search<'a> {
@@ -254,15 +267,12 @@ impl ErrorModel {
 }
 
 impl Search<'_> {
-    /// A run with no longer steps than `step`, or than the longest that is tried.
-    fn run(&mut self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
+    /// A run with no longer steps than `step`, or than the longest that is tried; with shorter ones where the motion breaks down, the shortest of
+    /// them `shortest` times as long as the automatic step.
+    fn run(&mut self, elements: usize, step: f64, shortest: f64) -> Result<Run, ChoiceError> {
         loop {
             match self.try_run(elements, step) {
-                Err(ChoiceError::Run(RunError::Step(error)))
-                    if self.longer > 1.0 && !matches!(error, StepError::Stopped(_)) =>
-                {
-                    self.longer = (0.5 * self.longer).max(1.0);
-                }
+                Err(error) if error.breaks_down() && self.longer > shortest => self.longer *= 0.5,
                 done => return done,
             }
         }
@@ -291,26 +301,28 @@ impl Search<'_> {
         Ok((self.motion).setup_longer(&open, self.longer, step, self.stop)?)
     }
 
-    /// Three coarse runs, with more elements where they break down.
+    /// Three coarse runs, with more elements where they break down, and with steps shorter than automatic ones where that does not help.
     fn coarse(&mut self) -> Result<ErrorModel, ChoiceError> {
-        let mut elements = first_elements(self.accuracy).div_ceil(2).max(FEWEST);
+        let first = first_elements(self.accuracy).div_ceil(2).max(FEWEST);
+        let mut shortest = 1.0;
+        let mut elements = first;
         loop {
-            match self.coarse_with(elements) {
-                Err(ChoiceError::Run(RunError::Step(error)))
-                    if !matches!(error, StepError::Stopped(_)) && elements < 8 * FEWEST =>
-                {
-                    elements *= 2;
+            match self.coarse_with(elements, shortest) {
+                Err(error) if error.breaks_down() && elements < 8 * FEWEST => elements *= 2,
+                Err(error) if error.breaks_down() && shortest > SHORTEST => {
+                    shortest = SHORTEST;
+                    elements = first;
                 }
                 done => return done,
             }
         }
     }
 
-    fn coarse_with(&mut self, elements: usize) -> Result<ErrorModel, ChoiceError> {
+    fn coarse_with(&mut self, elements: usize, shortest: f64) -> Result<ErrorModel, ChoiceError> {
         let length = self.motion.arm.length;
-        let coarse = self.run(elements, f64::INFINITY)?;
+        let coarse = self.run(elements, f64::INFINITY, shortest)?;
         let half = 0.5 * coarse.step();
-        let in_time = self.run(elements, half)?;
+        let in_time = self.run(elements, half, shortest)?;
         // Explicit steps have to be shorter on shorter elements.
         let is_explicit = coarse.discretization.scheme == Some(TimeScheme::Explicit);
         let (like, step) = if is_explicit {
@@ -318,7 +330,7 @@ impl Search<'_> {
         } else {
             (&coarse, coarse.step())
         };
-        let in_space = self.run(2 * elements, step)?;
+        let in_space = self.run(2 * elements, step, shortest)?;
         // What a grid twice as fine still lacks is a quarter of it.
         let estimate = |a: &Run, b: &Run| a.course.errors(&b.course, length).shape * 4.0 / 3.0;
         let parts = [estimate(like, &in_space), estimate(&coarse, &in_time)];
@@ -344,7 +356,7 @@ impl Search<'_> {
     fn confirm(&mut self, fine: &Run, model: &ErrorModel) -> Result<f64, ChoiceError> {
         let own = fine.discretization.elements;
         let elements = ((own as f64 / COARSER).round() as usize).clamp(1, own.max(2) - 1);
-        let coarse = self.run(elements, COARSER * fine.step())?;
+        let coarse = self.run(elements, COARSER * fine.step(), SHORTEST)?;
         self.levels.push(Level {
             elements,
             step_s: coarse.step(),

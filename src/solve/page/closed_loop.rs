@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::obstacles::obstacles;
 use super::solve::drawn_bound;
-use super::summary::{Fields, counted, measure};
+use super::summary::{Fields, counted, measure, vector};
 use super::words::{acting_facts, arm_facts, at_most, cost, in_numbers};
 use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, over_time, reaction};
 use crate::control::Hold;
@@ -13,8 +13,8 @@ use crate::output::{
     self, MotionRecord, ReportChart, ReportCommand, ReportControls, ReportCurve, ReportData,
     ReportEnergy, ReportMotion, ReportPath, ReportTarget, ReportVerdict, ReportVia, figure,
 };
-use crate::scene::ClosedLoopSetup;
 use crate::scene::translate::directors;
+use crate::scene::{ClosedLoopSetup, LoadNode};
 
 /// Points of a curve over samples.
 const POINTS: usize = 1000;
@@ -145,9 +145,9 @@ fn words(
         samples.iter().any(|sample| sample.turn.is_finite()),
     ];
     let does = match (follows, places, turns) {
-        (true, _, _) => "The tip follows its path",
-        (false, false, true) => "The tip is turned as it should be",
-        _ => "The tip is driven to its target",
+        (true, _, _) => followed(setup, samples),
+        (false, false, true) => "The tip is turned as it should be".into(),
+        _ => "The tip is driven to its target".into(),
     };
     let off = summary.number("tip_error_over_length.rms");
     let missed = match off.is_finite() {
@@ -190,6 +190,42 @@ fn words(
         error => format!("Do not rely on it: {error}."),
     };
     (lead, trust)
+}
+
+/// "The tip goes round a circle of 0.2 m radius about (0, 0, 0.976) m, a turn in 2 s," for a path that has a name, and for others the box that
+/// they stay in.
+fn followed(setup: &ClosedLoopSetup, samples: &[SampleRow]) -> String {
+    let track = (setup.resolved.objective.iter())
+        .flat_map(|objective| &objective.track)
+        .find(|track| track.node == LoadNode::Tip);
+    if let Some(circle) = track.and_then(|track| track.circle.as_ref()) {
+        return format!(
+            "The tip goes round a circle of {} about {} m, a turn in {},",
+            measure(circle.radius_m.get(), "m radius"),
+            vector(circle.center_m),
+            measure(circle.turn_s.get(), "s")
+        );
+    }
+    if let Some(eight) = track.and_then(|track| track.figure_eight.as_ref()) {
+        return format!(
+            "The tip goes along a figure eight of {} about {} m, a turn in {},",
+            measure(2.0 * eight.half_length_m.get(), "m length"),
+            vector(eight.center_m),
+            measure(eight.turn_s.get(), "s")
+        );
+    }
+    let places = samples.iter().filter_map(|sample| sample.reference);
+    let corners = places.fold(
+        [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]],
+        |[low, high], x| {
+            [
+                std::array::from_fn(|i| low[i].min(x[i])),
+                std::array::from_fn(|i| high[i].max(x[i])),
+            ]
+        },
+    );
+    let [low, high] = corners.map(vector);
+    format!("The tip follows a path within {low} to {high} m")
 }
 
 /// Whether the load of this index on the arm as it is belongs to the controller's model, in a word.
