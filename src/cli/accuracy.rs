@@ -1,16 +1,18 @@
 //! Grids for the accuracy that a scene asks for: of a simulation before it begins, of a solve from its check.
 
+use std::cell::RefCell;
 use std::time::Instant;
 
 use super::check::solve_time;
 use super::console::Console;
 use super::error::CliError;
+use super::progress::Awaited;
 use crate::mechanics::StepError;
 use crate::output::summary::AccuracySummary;
 use crate::scene::{OptimalControl, Scene, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
-use crate::tradeoff::{ChoiceError, Level, Motion, RunError, choose, finer};
+use crate::tradeoff::{ChoiceError, Level, Motion, RunError, choose_telling, finer};
 use crate::verify::{CheckItem, ForwardCheck};
 
 /// The scene with elements and a step in the place of its accuracy, if it has one, and how they were found.
@@ -29,8 +31,16 @@ pub(super) fn of_simulation(
         let elements = scene.discretization();
         return Ok((scene.with_grid(&elements), None));
     }
-    let choice = choose(&motion, &scene.discretization(), asked, stop)
-        .map_err(|error| refused(&scene, source, error, stop))?;
+    let line = RefCell::new(None);
+    let tell = |elements, seconds| {
+        // The line before goes first.
+        line.take();
+        let what = format!("comparing grids: a motion of {elements} elements");
+        line.replace(Some(Awaited::new(what, seconds, console)));
+    };
+    let choice = choose_telling(&motion, &scene.discretization(), asked, stop, &tell);
+    line.take();
+    let choice = choice.map_err(|error| refused(&scene, source, error, stop))?;
     let chosen = choice.discretization;
     let why = format!(
         "{} elements and steps of {:.4e} s for an accuracy of {asked:e}: the estimated error is {:.1e} of the length, of which elements make \

@@ -1,5 +1,6 @@
 //! Work that is shown on a terminal while it is under way, and how long the rest of it takes.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -201,7 +202,11 @@ impl Awaited {
         Self::new("checking", predicted, console)
     }
 
-    pub(super) fn new(what: &'static str, predicted_s: f64, console: &Console) -> Self {
+    pub(super) fn new(
+        what: impl Into<Cow<'static, str>>,
+        predicted_s: f64,
+        console: &Console,
+    ) -> Self {
         let predicted = Duration::try_from_secs_f64(predicted_s).unwrap_or_default();
         let left = move |elapsed| left_of(predicted, elapsed);
         let bar = ticking("{msg} for {elapsed}, {left}", left, console);

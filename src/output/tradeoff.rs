@@ -11,7 +11,7 @@ use std::path::Path;
 use plotters::prelude::*;
 use serde::Serialize;
 
-use super::OutputError;
+use super::{OutputError, figure};
 use crate::tradeoff::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
 
 /// `summary.json` of `softarm tradeoff`.
@@ -342,9 +342,9 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
             checked_error,
             checked,
         }) => format!(
-            "Recommended for {tolerance:e} of the length: {}, which takes {:.3} ms and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
+            "Recommended for {tolerance:e} of the length: {}, which takes {} and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
             point.setting.differences(usual),
-            1e3 * point.wall_s,
+            milliseconds(point.wall_s),
             point.error.unwrap_or(f64::NAN),
             match found.subject {
                 Subject::ClosedLoop => "against an arm with twice the elements",
@@ -502,7 +502,7 @@ fn settings<'a>(
 
 fn milliseconds(seconds: f64) -> String {
     if seconds.is_finite() {
-        format!("{:.3} ms", 1e3 * seconds)
+        format!("{} ms", figure(1e3 * seconds, 3))
     } else {
         String::new()
     }

@@ -18,8 +18,6 @@ const SLIGHT: f64 = 0.15;
 const CONFIRMED: f64 = 0.75;
 /// What a grid that is refined once more aims at.
 const AIM: f64 = 0.6;
-/// Order of convergence that is expected of a grid which misses what the model, of second order, has promised.
-const SLOWER: f64 = 1.5;
 /// How much coarser the grid is that confirms another.
 const COARSER: f64 = 1.5;
 /// Grids that are tried before the accuracy counts as out of reach.
@@ -28,6 +26,8 @@ const ROUNDS: usize = 6;
 const STALLED: f64 = 0.9;
 /// Fewest elements of the coarse runs.
 const FEWEST: usize = 4;
+/// A search does not begin with more elements than twice these, though fewer show no motion.
+const MOST_AT_FIRST: usize = 32;
 /// By how much a grid is refined at once.
 const MOST_REFINED: usize = 2;
 /// Most elements.
@@ -144,19 +144,27 @@ pub fn choose(
     accuracy: f64,
     stop: &StopSignal,
 ) -> Result<Choice, ChoiceError> {
-    let first = Discretization {
-        elements: first_elements(accuracy),
-        ..*base
-    };
-    // What suits all of the search: its first motion is the fastest.
-    let (base, _) = (motion.arm)
-        .choose(&first, MOTIONS * motion.duration, Work::Simulation)
-        .map_err(RunError::from)?;
+    choose_telling(motion, base, accuracy, stop, &|_, _| ())
+}
+
+/// [`choose`]; `tell` is called before every motion, with its elements and the time that it is predicted to take, s.
+///
+/// # Errors
+/// [`ChoiceError`]
+pub fn choose_telling(
+    motion: &Motion,
+    base: &Discretization,
+    accuracy: f64,
+    stop: &StopSignal,
+    tell: &dyn Fn(usize, f64),
+) -> Result<Choice, ChoiceError> {
+    let base = suited(motion, base, accuracy)?;
     let mut search = Search {
         motion,
         base,
         accuracy,
         stop,
+        tell,
         longer: if base.scheme == Some(TimeScheme::Implicit) {
             LONGER
         } else {
@@ -186,9 +194,7 @@ pub fn choose(
             });
         }
         stalled += usize::from(error > STALLED * last);
-        let finer = (error / (AIM * accuracy))
-            .powf(1.0 / SLOWER)
-            .clamp(1.2, 3.0);
+        let finer = (error / (AIM * accuracy)).sqrt().clamp(1.2, 3.0);
         last = error;
         let wanted = (elements as f64 * finer).ceil();
         step = fine.step() / finer;
@@ -214,6 +220,32 @@ impl ChoiceError {
     fn breaks_down(&self) -> bool {
         matches!(self, Self::Run(RunError::Step(error)) if !matches!(error, StepError::Stopped(_)))
     }
+
+    /// Whether more elements may help.
+    fn is_of_coarse_grids(&self) -> bool {
+        self.breaks_down() || matches!(self, Self::Run(RunError::Discretize(_)))
+    }
+}
+
+/// What all grids of a search have: its first motion is the fastest, and would by itself be simulated by the integrator of short work.
+fn suited(
+    motion: &Motion,
+    base: &Discretization,
+    accuracy: f64,
+) -> Result<Discretization, ChoiceError> {
+    let mut first = Discretization {
+        elements: first_elements(accuracy),
+        ..*base
+    };
+    loop {
+        let found = (motion.arm).choose(&first, MOTIONS * motion.duration, Work::Simulation);
+        match found {
+            Ok((base, _)) => return Ok(base),
+            // Few elements may be unable to show the arm's shape at rest.
+            Err(_) if first.elements < MOST_AT_FIRST => first.elements *= 2,
+            Err(error) => return Err(RunError::from(error).into()),
+        }
+    }
 }
 
 struct Search<'a> {
@@ -222,6 +254,7 @@ struct Search<'a> {
     base: Discretization,
     accuracy: f64,
     stop: &'a StopSignal,
+    tell: &'a dyn Fn(usize, f64),
     /// Longest step over the automatic one.
     longer: f64,
     levels: Vec<Level>,
@@ -289,6 +322,7 @@ impl Search<'_> {
                 hours: seconds / 3600.0,
             });
         }
+        (self.tell)(elements, seconds);
         Ok(setup.run(self.stop).map_err(RunError::from)?)
     }
 
@@ -308,7 +342,9 @@ impl Search<'_> {
         let mut elements = first;
         loop {
             match self.coarse_with(elements, shortest) {
-                Err(error) if error.breaks_down() && elements < 8 * FEWEST => elements *= 2,
+                Err(error) if error.is_of_coarse_grids() && elements < MOST_AT_FIRST => {
+                    elements *= 2
+                }
                 Err(error) if error.breaks_down() && shortest > SHORTEST => {
                     shortest = SHORTEST;
                     elements = first;

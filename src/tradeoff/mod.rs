@@ -8,7 +8,7 @@ mod course;
 mod motion;
 mod sweep;
 
-pub use choice::{Choice, ChoiceError, Level, choose, finer, first_elements};
+pub use choice::{Choice, ChoiceError, Level, choose, choose_telling, finer, first_elements};
 pub use course::{Course, Errors};
 pub use motion::{Motion, Run, RunError};
 pub use sweep::{
