@@ -217,6 +217,34 @@ fn motions_that_break_down_are_tried_with_shorter_steps() {
     assert!(error <= accuracy, "{error}");
 }
 
+/// A coil has more turns than the elements that a loose accuracy begins with can show; the search takes as many as it needs, also to confirm them.
+#[test]
+fn coils_have_the_elements_that_their_shape_needs() {
+    let stop = StopSignal::default();
+    let motion = Motion {
+        arm: Arm {
+            viscous_damping: 2.0,
+            rest_curvature: Vector3::new(0.0, 60.0, 0.0),
+            loads: vec![pull(
+                [0.05, 0.02, 0.0],
+                &[(0.0, 0.0), (0.1, 1.0), (9.0, 1.0)],
+            )],
+            ..Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+        },
+        start: Start::default(),
+        duration: 0.2,
+    };
+    let accuracy = 1e-2;
+    let few = Discretization {
+        elements: first_elements(accuracy),
+        ..Discretization::default()
+    };
+    assert!(motion.run(&few, &stop).is_err());
+    let choice = choose(&motion, &Discretization::default(), accuracy, &stop).unwrap();
+    let error = true_error(&motion, choice.discretization);
+    assert!(error <= accuracy, "{error}");
+}
+
 /// A grid is refined by what its errors ask for, by no more than twice at once, and only where they are too large.
 #[test]
 fn refinement_follows_the_errors() {

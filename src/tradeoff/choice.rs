@@ -178,7 +178,8 @@ pub fn choose_telling(
     let mut stalled = 0;
     let mut run = None;
     for _ in 0..ROUNDS {
-        let fine = search.run(elements, step, SHORTEST)?;
+        let fine = search.run_shown(elements, elements.max(model.elements), step)?;
+        elements = fine.discretization.elements;
         let error = search.confirm(&fine, &model)?;
         search.levels.push(Level {
             elements,
@@ -311,6 +312,17 @@ impl Search<'_> {
         }
     }
 
+    /// A run with as many elements as the arm's shape at rest needs, from `elements` to `most`.
+    fn run_shown(&mut self, elements: usize, most: usize, step: f64) -> Result<Run, ChoiceError> {
+        let mut elements = elements;
+        loop {
+            match self.run(elements, step, SHORTEST) {
+                Err(ChoiceError::Run(RunError::Discretize(_))) if elements < most => elements += 1,
+                done => return done,
+            }
+        }
+    }
+
     fn try_run(&self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
         let setup = self.setup(elements, step)?;
         let seconds = setup.predicted();
@@ -392,7 +404,12 @@ impl Search<'_> {
     fn confirm(&mut self, fine: &Run, model: &ErrorModel) -> Result<f64, ChoiceError> {
         let own = fine.discretization.elements;
         let elements = ((own as f64 / COARSER).round() as usize).clamp(1, own.max(2) - 1);
-        let coarse = self.run(elements, COARSER * fine.step(), SHORTEST)?;
+        let coarse = match self.run_shown(elements, own - 1, COARSER * fine.step()) {
+            // No coarser grid shows the arm: nothing is known of the error of this one.
+            Err(ChoiceError::Run(RunError::Discretize(_))) => return Ok(f64::INFINITY),
+            found => found?,
+        };
+        let elements = coarse.discretization.elements;
         self.levels.push(Level {
             elements,
             step_s: coarse.step(),
