@@ -21,6 +21,17 @@ fn pull(force: [f64; 3], profile: &[(f64, f64)]) -> PointLoad {
     }
 }
 
+/// A wire of nitinol, 0.3 m long and 1 mm thick.
+fn wire() -> Arm {
+    Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+}
+
+/// The moment on its tip that holds this wire bent into a circle, `2π EI/L`, N m.
+fn circle_moment() -> Vector3<f64> {
+    let stiffness = 6e10 * std::f64::consts::PI * 0.0005f64.powi(4) / 4.0;
+    Vector3::new(0.0, std::f64::consts::TAU * stiffness / 0.3, 0.0)
+}
+
 /// A damped arm that a force pulls aside, a hanging tapered arm that is let go, and one with internal damping out of the plane.
 fn motions() -> [(&'static str, Motion); 3] {
     let from_rest = |arm, duration| Motion {
@@ -107,7 +118,7 @@ fn searches_take_the_integrator_of_their_grids() {
         arm: Arm {
             viscous_damping: 2.0,
             loads: vec![pull([0.02, 0.0, 0.0], &[])],
-            ..Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+            ..wire()
         },
         start: Start::default(),
         duration: 0.5,
@@ -132,13 +143,10 @@ fn searches_take_the_integrator_of_their_grids() {
 #[test]
 fn searches_take_long_steps_where_the_arm_is_little_bent() {
     let stop = StopSignal::default();
-    let material = Material::isotropic(6e10, 0.33, 6450.0);
     let wire = Arm {
         viscous_damping: 20.0,
-        ..Arm::cylinder(&material, 0.3, 0.0005)
+        ..wire()
     };
-    let stiffness = 6e10 * std::f64::consts::PI * 0.0005f64.powi(4) / 4.0;
-    let moment = std::f64::consts::TAU * stiffness / 0.3;
     let slowly = |load: PointLoad| PointLoad {
         profile: vec![(0.0, 0.0), (0.2, 1.0), (9.0, 1.0)],
         ..load
@@ -174,7 +182,7 @@ fn searches_take_long_steps_where_the_arm_is_little_bent() {
     let little = over_automatic(pull([0.01, 0.0, 0.0], &[]));
     assert!(little > 2.0, "{little}");
     let circle = over_automatic(PointLoad {
-        moment: Vector3::new(0.0, moment, 0.0),
+        moment: circle_moment(),
         frame: LoadFrame::Body,
         ..pull([0.0; 3], &[])
     });
@@ -186,16 +194,15 @@ fn searches_take_long_steps_where_the_arm_is_little_bent() {
 #[test]
 fn motions_that_break_down_are_tried_with_shorter_steps() {
     let stop = StopSignal::default();
-    let stiffness = 6e10 * std::f64::consts::PI * 0.0005f64.powi(4) / 4.0;
     let moment = PointLoad {
-        moment: Vector3::new(0.0, std::f64::consts::TAU * stiffness / 0.3, 0.0),
+        moment: circle_moment(),
         ..pull([0.0; 3], &[])
     };
     let motion = Motion {
         arm: Arm {
             viscous_damping: 2.0,
             loads: vec![moment],
-            ..Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+            ..wire()
         },
         start: Start::default(),
         duration: 0.01,
@@ -229,7 +236,7 @@ fn coils_have_the_elements_that_their_shape_needs() {
                 [0.05, 0.02, 0.0],
                 &[(0.0, 0.0), (0.1, 1.0), (9.0, 1.0)],
             )],
-            ..Arm::cylinder(&Material::isotropic(6e10, 0.33, 6450.0), 0.3, 0.0005)
+            ..wire()
         },
         start: Start::default(),
         duration: 0.2,

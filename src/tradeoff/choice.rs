@@ -26,7 +26,7 @@ const ROUNDS: usize = 6;
 const STALLED: f64 = 0.9;
 /// Fewest elements of the coarse runs.
 const FEWEST: usize = 4;
-/// A search does not begin with more elements than twice these, though fewer show no motion.
+/// The coarsest grid of a search has no more elements than these, also where fewer cannot show the arm or its motion.
 const MOST_AT_FIRST: usize = 32;
 /// By how much a grid is refined at once.
 const MOST_REFINED: usize = 2;

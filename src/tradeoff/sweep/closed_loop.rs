@@ -254,17 +254,7 @@ impl Work<'_, '_> {
             .filter(|point| point.error.is_some_and(|e| e <= AS_GOOD * error))
             .collect();
         good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-        let mut settings: Vec<Setting> = Vec::new();
-        for (index, a) in good.iter().enumerate() {
-            for b in &good[index + 1..] {
-                let both = self.usual.with_both(&a.setting, &b.setting);
-                let is_new = !settings.contains(&both)
-                    && !self.points.iter().any(|point| point.setting == both);
-                if is_new {
-                    settings.push(both);
-                }
-            }
-        }
+        let mut settings = self.combined(&good, None);
         settings.truncate(COMBINED);
         settings
     }

@@ -62,14 +62,9 @@ impl Work<'_, '_> {
     /// tolerance needs.
     fn control_pairs(&self) -> Vec<Setting> {
         let own = self.points.iter().find(|point| point.setting == self.usual);
-        let fastest = |points: &mut dyn Iterator<Item = &Point>| {
-            (points.min_by(|a, b| a.wall_s.total_cmp(&b.wall_s)))
-                .map(|point| point.setting.elements)
-        };
-        let needed =
-            fastest(&mut (self.points.iter()).filter(|point| {
-                self.is_usual(&point.setting) && point.meets(self.sweep.tolerance)
-            }));
+        let needed = self
+            .fastest_like(&self.usual)
+            .map(|point| point.setting.elements);
         let (Some(own), Some(elements), Some(limit)) = (own, needed, self.objective_limit()) else {
             return Vec::new();
         };
@@ -79,21 +74,7 @@ impl Work<'_, '_> {
             .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
             .collect();
         faster.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
-        let mut settings: Vec<Setting> = Vec::new();
-        for (index, a) in faster.iter().enumerate() {
-            for b in &faster[index..] {
-                let setting = Setting {
-                    elements,
-                    ..self.usual.with_both(&a.setting, &b.setting)
-                };
-                let is_known = settings.contains(&setting)
-                    || self.points.iter().any(|point| point.setting == setting);
-                if !is_known {
-                    settings.push(setting);
-                }
-            }
-        }
-        settings
+        self.combined(&faster, Some(elements))
     }
 
     /// The largest objective of a setting that is recommended.

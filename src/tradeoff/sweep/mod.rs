@@ -531,6 +531,31 @@ impl Work<'_, '_> {
         setting.applied(self.sweep.scene, None)
     }
 
+    /// The fastest point within the tolerance that differs from a setting in its elements alone, if at all.
+    fn fastest_like(&self, setting: &Setting) -> Option<&Point> {
+        (self.points.iter())
+            .filter(|point| point.setting.is_but_for_elements(setting))
+            .filter(|point| point.meets(self.sweep.tolerance))
+            .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))
+    }
+
+    /// The changes of some points, two at a time and each alone, with `elements` where they are given; without what was run already.
+    fn combined(&self, changed: &[&Point], elements: Option<usize>) -> Vec<Setting> {
+        let mut settings: Vec<Setting> = Vec::new();
+        for (index, a) in changed.iter().enumerate() {
+            for b in &changed[index..] {
+                let mut setting = self.usual.with_both(&a.setting, &b.setting);
+                setting.elements = elements.unwrap_or(setting.elements);
+                let is_known = settings.contains(&setting)
+                    || self.points.iter().any(|point| point.setting == setting);
+                if !is_known {
+                    settings.push(setting);
+                }
+            }
+        }
+        settings
+    }
+
     /// The fastest of some points whose error also holds when it is found by `check`, which compares it with `against`; the last one that was
     /// checked where none does.
     fn first_that_holds(

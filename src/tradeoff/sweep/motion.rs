@@ -248,12 +248,7 @@ impl Work<'_, '_> {
 
     /// Families with the changes of two that are faster than the scene's own, about the elements that these need.
     fn pairs(&self, families: &[Family]) -> Vec<Family> {
-        let best = |family: &Family| {
-            (self.points.iter())
-                .filter(|point| point.setting.is_but_for_elements(&family.setting))
-                .filter(|point| point.meets(self.sweep.tolerance))
-                .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))
-        };
+        let best = |family: &Family| self.fastest_like(&family.setting);
         let Some((own, changed)) = families.split_first() else {
             return Vec::new();
         };
