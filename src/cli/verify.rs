@@ -61,7 +61,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
         .map_err(|error| CliError::of_scene(error, &stop))?;
     memory::require(&of_verify(&setup, !arguments.quick), &source)?;
     let rows = read_rows(directory, &setup.problem)?;
-    let coefficients = coefficients_of(&rows);
+    let coefficients = coefficients_of(&rows, &setup.problem);
     let path = directory.join("multipliers.json");
     let multipliers = read_multipliers(&path, &setup.problem)?;
     (multipliers.borrowed().validate(&setup.problem))
@@ -348,7 +348,7 @@ pub(super) fn read_coefficients(
     directory: &Path,
     problem: &OptimalControlProblem,
 ) -> Result<Vec<Wrench>, CliError> {
-    Ok(coefficients_of(&read_rows(directory, problem)?))
+    Ok(coefficients_of(&read_rows(directory, problem)?, problem))
 }
 
 fn read_rows(
@@ -359,7 +359,7 @@ fn read_rows(
     let nodes: Vec<usize> = (problem.actuators.iter())
         .map(|actuator| actuator.node)
         .collect();
-    let rows = read_controls(&path, problem.control.n_coefficients() * nodes.len())?;
+    let rows = read_controls(&path, problem.n_control_rows())?;
     if let Some(row) = (rows.iter().zip(nodes.iter().cycle())).position(|(row, q)| row.node != *q) {
         return Err(CliError::Directory(format!(
             "{}:{}: node {}, but scene.toml describes node {} there",
@@ -372,8 +372,9 @@ fn read_rows(
     Ok(rows)
 }
 
-fn coefficients_of(rows: &[ControlRow]) -> Vec<Wrench> {
-    rows.iter()
+fn coefficients_of(rows: &[ControlRow], problem: &OptimalControlProblem) -> Vec<Wrench> {
+    (rows.iter())
+        .take(problem.control.n_coefficients() * problem.actuators.len())
         .map(|row| Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz]))
         .collect()
 }

@@ -43,6 +43,7 @@ pub mod search;
 #[doc(hidden)]
 pub mod second_opinion;
 mod static_need;
+mod stay;
 mod term;
 mod tracking;
 mod tracking_error;
@@ -70,6 +71,9 @@ pub use problem::{
 pub use problem::{Component, GoalRow};
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use static_need::{StaticNeed, StaticNeedError, static_need};
+pub use stay::Stay;
+#[doc(hidden)]
+pub use stay::VECTORS as STAY_VECTORS;
 pub use term::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
 pub use tracking::Tracking;
 pub use tracking_error::{TrackingError, tracking_errors};

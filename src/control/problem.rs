@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::hold::ControlGrid;
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
+use super::stay::Stay;
 use super::term::StateCost;
 use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
@@ -284,6 +285,8 @@ pub struct OptimalControlProblem {
     pub acting: Vec<Acting>,
     /// What must be reached.
     pub goals: Vec<Goal>,
+    /// Where the arm stays from the end of the horizon on; `None` where it may go on moving.
+    pub stay: Option<Arc<Stay>>,
     /// The path constraints: obstacles and limits.
     pub path: Vec<PathConstraint>,
     /// The objective.
@@ -332,6 +335,8 @@ pub enum GoalPart {
     Velocity,
     /// Angular velocity.
     AngularVelocity,
+    /// A vector of the deviation of the whole arm from where it [stays](Stay).
+    Deviation(usize),
 }
 
 impl GoalPart {
@@ -343,6 +348,7 @@ impl GoalPart {
             Self::Orientation => "orientation_wxyz",
             Self::Velocity => "at_rest (velocity)",
             Self::AngularVelocity => "at_rest (angular velocity)",
+            Self::Deviation(_) => "at_rest (deviation from the equilibrium)",
         }
     }
 
@@ -354,6 +360,7 @@ impl GoalPart {
             Self::Orientation => "rad",
             Self::Velocity => "m/s",
             Self::AngularVelocity => "rad/s",
+            Self::Deviation(_) => "J^(1/2)",
         }
     }
 }
@@ -411,6 +418,7 @@ impl OptimalControlProblem {
             }],
             acting: Vec::new(),
             goals: vec![goal],
+            stay: None,
             path: Vec::new(),
             objective: Objective {
                 effort: 1.0,
@@ -431,6 +439,13 @@ impl OptimalControlProblem {
                 rows.extend((0..3).map(|axis| GoalRow { goal, part, axis }));
             }
         }
+        if let Some(stay) = &self.stay {
+            let goal = stay.goal;
+            rows.extend((0..stay.n_vectors()).flat_map(|vector| {
+                let part = GoalPart::Deviation(vector);
+                (0..3).map(move |axis| GoalRow { goal, part, axis })
+            }));
+        }
         rows
     }
 
@@ -449,12 +464,16 @@ impl OptimalControlProblem {
             GoalPart::Orientation => 1.0,
             GoalPart::Velocity => scales.length / scales.time,
             GoalPart::AngularVelocity => 1.0 / scales.time,
+            GoalPart::Deviation(_) => scales.moment.sqrt(),
         }
     }
 
     /// Weight of a goal's squared residuals; `None` where they are constraints.
     #[must_use]
     pub fn soft_weight(&self, row: &GoalRow) -> Option<f64> {
+        if matches!(row.part, GoalPart::Deviation(_)) {
+            return None;
+        }
         match self.goals[row.goal].enforcement {
             Enforcement::Soft { weight } => Some(weight),
             Enforcement::Hard | Enforcement::Within { .. } => None,
@@ -464,15 +483,37 @@ impl OptimalControlProblem {
     /// Radius of the ball in which the scaled residual of a goal's part may lie; `None` where it is an equality, or paid for.
     #[must_use]
     pub fn rest_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
+        if let (GoalPart::Deviation(_), Some(stay)) = (part, &self.stay) {
+            return Some(stay.radius() / self.goal_scale(part));
+        }
         let Enforcement::Within { speed, spin, .. } = self.goals[goal].enforcement else {
             return None;
         };
         let radius = match part {
             GoalPart::Velocity => speed,
             GoalPart::AngularVelocity => spin,
-            GoalPart::Position | GoalPart::Orientation => 0.0,
+            GoalPart::Position | GoalPart::Orientation | GoalPart::Deviation(_) => 0.0,
         };
         (radius > 0.0).then(|| radius / self.goal_scale(part))
+    }
+
+    /// The balls in which residuals of goals may lie, as ranges of [`Self::goal_rows`] with the radius of their scaled residuals: those of
+    /// rest within a tolerance by vectors, that of where the arm stays as a whole.
+    #[must_use]
+    pub fn goal_balls(&self, rows: &[GoalRow]) -> Vec<(std::ops::Range<usize>, f64)> {
+        let mut out = Vec::new();
+        let mut first = 0;
+        let is_of_whole = |row: &GoalRow| matches!(row.part, GoalPart::Deviation(_));
+        let same = |a: &GoalRow, b: &GoalRow| {
+            a.goal == b.goal && (a.part == b.part || (is_of_whole(a) && is_of_whole(b)))
+        };
+        for group in rows.chunk_by(same) {
+            let range = first..first + group.len();
+            first = range.end;
+            let radius = self.rest_radius(group[0].goal, group[0].part);
+            out.extend(radius.map(|radius| (range, radius)));
+        }
+        out
     }
 
     /// Whether a goal's residual equals a variable of its own, instead of zero.
@@ -641,6 +682,13 @@ impl OptimalControlProblem {
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
+    }
+
+    /// Number of rows of `controls.csv`: one per coefficient and actuator, and where the arm stays one per actuator for the time after the
+    /// horizon.
+    #[must_use]
+    pub fn n_control_rows(&self) -> usize {
+        (self.control.n_coefficients() + usize::from(self.stay.is_some())) * self.actuators.len()
     }
 
     /// Number of the solver's variables.

@@ -19,6 +19,8 @@ pub struct StaticNeed {
     pub wrenches: Vec<Wrench>,
     /// By how much the wrench exceeds each actuator's bounds: force in N, moment in N m; zero where it does not.
     pub excess: Vec<[f64; 2]>,
+    /// The equilibrium under the wrenches.
+    pub shape: Configuration,
 }
 
 impl StaticNeed {
@@ -98,7 +100,7 @@ pub fn static_need(problem: &OptimalControlProblem) -> Result<StaticNeed, Static
             components,
             end: problem.grid.duration(),
         };
-        (statics.held(goal)).map(|held| statics.need(&held.u))
+        (statics.held(goal)).map(|held| statics.need(&held))
     };
     // A force on the tip holds it anywhere by itself, which is found most surely: moments are for orientations, and for what its bound denies.
     let tip_force: Vec<Component> = (components.iter())
@@ -155,8 +157,8 @@ impl Statics<'_> {
         out
     }
 
-    fn need(&self, u: &DVector<f64>) -> StaticNeed {
-        let wrenches = self.wrenches(u);
+    fn need(&self, held: &Held) -> StaticNeed {
+        let wrenches = self.wrenches(&held.u);
         let excess = (wrenches.iter().zip(&self.problem.actuators))
             .map(|(wrench, actuator)| {
                 [
@@ -166,7 +168,11 @@ impl Statics<'_> {
                 .map(|(channel, value)| channel.bound.map_or(0.0, |bound| bound.violation(value)))
             })
             .collect();
-        StaticNeed { wrenches, excess }
+        StaticNeed {
+            wrenches,
+            excess,
+            shape: held.shape.clone(),
+        }
     }
 
     /// Equilibrium under `u`, at the end of the horizon.

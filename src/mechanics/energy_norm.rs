@@ -4,12 +4,13 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::prelude::*;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
-use nalgebra::{Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockCholesky;
 use super::configuration::Configuration;
 use super::forms::NODE_COMPONENTS;
 use super::rod::Rod;
+use super::stiffness::tangent_stiffness;
 use super::strain::IntervalStress;
 
 /// Components of a node's deviation that belong to its pose; its momenta follow.
@@ -18,6 +19,7 @@ const POSE: usize = NODE_COMPONENTS / 2;
 /// `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation `(δx, ζ, δp, δπ)` of every free node, kinetic, and that of the strains that
 /// it adds to the elements; on a free base also that of springs `EI/L³`, `EI/L` at node 0. What maps deviations can be had over
 /// `z = Lᵀ dx`, whose Euclidean norm this is.
+#[derive(Clone, Debug)]
 pub struct EnergyNorm {
     /// `L` over the poses.
     poses: BlockCholesky,
@@ -64,19 +66,79 @@ impl EnergyNorm {
                 diagonal[0][(3 + axis, 3 + axis)] += rod.scales.moment;
             }
         }
-        let rotary = rod.rotary_at(&at.positions);
-        let momenta = (first..rod.n_nodes()).map(|q| {
-            let (mass, rotary) = (rod.nodes[q].mass, &rotary[q]);
-            Vector6::from_fn(|i, _| match i.checked_sub(3) {
-                None => 1.0 / mass,
-                Some(axis) => 1.0 / rotary[axis],
-            })
-            .map(f64::sqrt)
-        });
         Some(Self {
-            momenta: momenta.collect(),
+            momenta: momentum_roots(rod, at),
             poses: BlockCholesky::new(&diagonal, &below)?,
         })
+    }
+
+    /// The norm of deviations from an equilibrium under the rod's loads at time `t`, in s: the strains' energy as above, and that of gravity
+    /// and of the loads to second order, by the symmetric part of the tangent stiffness. `None` where the equilibrium is not stable, or the base
+    /// is free.
+    #[must_use]
+    pub fn about(rod: &Rod, at: &Configuration, t: f64) -> Option<Self> {
+        if rod.first_free_node() == 0 {
+            return None;
+        }
+        let stiffness = tangent_stiffness(rod, at, t);
+        let diagonal: Vec<_> = (stiffness.diagonal.iter())
+            .map(|block| 0.5 * (block + block.transpose()))
+            .collect();
+        let below: Vec<_> = (stiffness.below.iter().zip(&stiffness.above))
+            .map(|(below, above)| 0.5 * (below + above.transpose()))
+            .collect();
+        Some(Self {
+            momenta: momentum_roots(rod, at),
+            poses: BlockCholesky::new(&diagonal, &below)?,
+        })
+    }
+
+    /// Number of free nodes.
+    #[must_use]
+    pub fn n_nodes(&self) -> usize {
+        self.momenta.len()
+    }
+
+    /// `Lᵀ d` of a free node (0 is the first one): of its pose and that of the next node `(δx, η)`, and of its momenta `(δp, δπ)`.
+    #[must_use]
+    pub fn of_node(
+        &self,
+        node: usize,
+        [pose, next, momenta]: [&Vector6<f64>; 3],
+    ) -> [Vector6<f64>; 2] {
+        let mut of_pose = self.poses.diagonal()[node].tr_mul(pose);
+        if let Some(below) = self.poses.below().get(node) {
+            of_pose += below.tr_mul(next);
+        }
+        [of_pose, momenta.component_mul(&self.momenta[node])]
+    }
+
+    /// `L y` of a free node: what pulls with `y` on [`Self::of_node`] pulls with this on its deviation, where `before` is the pose's part of `y`
+    /// at the node before.
+    #[must_use]
+    pub fn pulled(
+        &self,
+        node: usize,
+        [before, pose, momenta]: [&Vector6<f64>; 3],
+    ) -> [Vector6<f64>; 2] {
+        let mut on_pose = self.poses.diagonal()[node] * pose;
+        if let Some(earlier) = node.checked_sub(1) {
+            on_pose += self.poses.below()[earlier] * before;
+        }
+        [on_pose, momenta.component_mul(&self.momenta[node])]
+    }
+
+    /// Displacement of a free node, in m, under a force on it in N, in the spatial frame: `(K⁻¹)` at the node.
+    #[must_use]
+    pub fn compliance(&self, node: usize) -> Matrix3<f64> {
+        let column = |axis: usize| {
+            let mut load = vec![Vector6::zeros(); self.n_nodes()];
+            load[node][axis] = 1.0;
+            self.poses.solve_lower(&mut load);
+            self.poses.solve_lower_transposed(&mut load);
+            load[node].fixed_rows::<3>(0).into_owned()
+        };
+        Matrix3::from_columns(&[0, 1, 2].map(column))
     }
 
     /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
@@ -168,6 +230,17 @@ impl EnergyNorm {
             }
         }
     }
+}
+
+/// Diagonal of `L` over the momenta of the free nodes: the roots of one over their inertia.
+fn momentum_roots(rod: &Rod, at: &Configuration) -> Vec<Vector6<f64>> {
+    let rotary = rod.rotary_at(&at.positions);
+    (rod.first_free_node()..rod.n_nodes())
+        .map(|q| {
+            let (m, j) = (rod.nodes[q].mass, &rotary[q]);
+            Vector6::new(m, m, m, j.x, j.y, j.z).map(|inertia| 1.0 / inertia.sqrt())
+        })
+        .collect()
 }
 
 fn block(matrix: &Matrix6<f64>) -> MatRef<'_, f64> {

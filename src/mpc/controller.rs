@@ -22,7 +22,7 @@ use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
-use crate::task::{Arm, Discretization, DiscretizeError, Task, Track};
+use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
 #[derive(Clone, Debug, PartialEq)]
@@ -181,9 +181,12 @@ impl Controller {
         let n_tracks = task.cost.tracks.len();
         for target in &mut task.targets {
             target.time = None;
+            if target.rest != Rest::Passing {
+                target.rest = Rest::Instant;
+            }
             // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
             if settings.due.is_none() {
-                target.at_rest = false;
+                target.rest = Rest::Passing;
                 let place = target.position.take().map(|place| (0.0, place));
                 let turn = target.rotation.take().map(|rotation| (0.0, rotation));
                 task.cost.tracks.push(Track {
@@ -195,7 +198,7 @@ impl Controller {
             }
         }
         (task.targets).retain(|target| {
-            target.position.is_some() || target.rotation.is_some() || target.at_rest
+            target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
         });
         let chosen = task.discretize(arm, &cut)?.discrete;
         let [in_period, in_horizon] =

@@ -378,6 +378,48 @@ impl CheckRecord {
 /// The verdict on what there was no time to check.
 pub const NOT_CHECKED: &str = "not checked";
 
+/// Staying after the task, with the last wrench held.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StaysSummary {
+    /// How long the arm should stay, s.
+    pub seconds: f64,
+    /// How far the tip may be from its target meanwhile, m.
+    pub allowed_m: f64,
+    /// The wrench that is held of every actuator: force (N, spatial frame) and moment (N m, body frame).
+    pub wrench: Vec<[f64; 6]>,
+    /// Whether the equilibrium under these wrenches is stable.
+    pub stable: bool,
+    /// Largest compliance of the tip there, m/N.
+    pub tip_compliance_m_n: f64,
+    /// The motion after the task on a finer grid; absent without a check.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip_error_m: Option<LargestDistance>,
+    /// Largest speed of any node meanwhile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub node_speed_m_s: Option<LargestSpeed>,
+    /// Distance that the tip can reach from where the wrench holds it with the energy in which it arrives, m, to second order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub energy_bound_m: Option<f64>,
+    /// `stays`, `leaves`, or `not checked`.
+    pub verdict: &'static str,
+}
+
+/// Largest distance over a time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LargestDistance {
+    /// m
+    pub max: f64,
+    /// When, in s after the task.
+    pub at_s: f64,
+}
+
+/// Largest speed over a time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LargestSpeed {
+    /// m/s
+    pub max: f64,
+}
+
 /// Outcome of the forward check, in the summary.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckOutcome {
@@ -618,6 +660,9 @@ pub struct SolveSummary {
     pub tip_angle_rad: f64,
     /// Speed of the tip at the end, m/s.
     pub tip_speed_m_s: f64,
+    /// Staying after the task; absent where the arm need not stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stays: Option<StaysSummary>,
     /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tracking: Vec<TrackingError>,

@@ -3,9 +3,9 @@
 use super::accuracy::check_range;
 use super::keys::{Checked, Keys};
 use super::model::{
-    Base, BaseKind, BaseMotion, Continuation, DistributedLoad, FreeDuration, Initial, Limit, Load,
-    LoadNode, Material, Objective, Obstacle, Price, Rod, Scene, Section, Solver, Task, Time,
-    TimeStep, Via,
+    AtRest, Base, BaseKind, BaseMotion, Continuation, DistributedLoad, FreeDuration, Initial,
+    Limit, Load, LoadNode, Material, Objective, Obstacle, Price, Rod, Scene, Section, Solver, Task,
+    Time, TimeStep, Via,
 };
 use super::values::{self, Number, Positive, digits};
 use super::{SceneError, SceneSource};
@@ -366,11 +366,19 @@ impl Keys<'_> {
             ("task.tolerance_m_s", task.tolerance_m_s.is_some()),
             ("task.tolerance_rad_s", task.tolerance_rad_s.is_some()),
         ] {
-            if is_given && !task.at_rest {
+            if is_given && task.at_rest != AtRest::Tip {
                 return Err(self.contradiction(key, "task.at_rest"));
             }
             if is_given && !task.hard {
                 return Err(self.contradiction(key, "task.hard"));
+            }
+        }
+        for (key, is_given) in [
+            ("task.stays_s", task.stays_s.is_some()),
+            ("task.stays_m", task.stays_m.is_some()),
+        ] {
+            if is_given && task.at_rest != AtRest::Staying {
+                return Err(self.contradiction(key, "task.at_rest"));
             }
         }
         for (index, via) in task.via.iter().enumerate() {

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::model::{
-    Actuator, Base, BaseKind, BaseMotion, Bound, Capsule, Control, Cuboid, Damping,
+    Actuator, AtRest, Base, BaseKind, BaseMotion, Bound, Capsule, Control, Cuboid, Damping,
     DistributedLoad, FreeDuration, Gravity, HalfSpace, Inertia, Initial, Limit, Load, LoadNode,
     Material, Objective, Obstacle, Oscillation, Payload, Price, Reference, Rod, RotaryInertia,
     Scene, Section, Solver, Sphere, Stiffness, Task, Time, TimeScheme, TimeStep, Track, Via,
@@ -13,7 +13,7 @@ use crate::control::{self, PathEnforcement, Shape};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{self, BaseCondition, MotionCurve, SectionProfile};
 use crate::sqp::SqpSettings;
-use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, Target};
+use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, Rest, Target};
 
 /// A part of a problem that no scene can say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -334,10 +334,11 @@ fn hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weight>>) {
 
 fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
     let (hard, weight) = hardness(goal.hardness);
+    let stay = problem.discrete.stay.as_deref();
     let [speed, spin] = goal
         .tolerances
         .rest(problem.arm.length, problem.task.horizon);
-    let with_rest = goal.at_rest && hard;
+    let with_rest = goal.rest == Rest::Instant && hard;
     Task {
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),
@@ -347,7 +348,13 @@ fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
             longest_s: known(free.longest),
             price: known(free.price),
         }),
-        at_rest: goal.at_rest,
+        at_rest: match goal.rest {
+            Rest::Passing => AtRest::Passing,
+            Rest::Instant => AtRest::Tip,
+            Rest::Staying(_) => AtRest::Staying,
+        },
+        stays_s: stay.map(|stay| known(stay.seconds)),
+        stays_m: stay.map(|stay| known(stay.distance)),
         hard,
         weight,
         tolerance_m: goal.tolerances.distance.map(known),

@@ -62,6 +62,10 @@ impl Scene {
                 "use a shorter time, fewer elements, or a softer or heavier arm",
             ),
             DiscretizeError::Start(error) => at("initial.shape", start_remedy(&error)),
+            DiscretizeError::NotHeld(_) => at(
+                "task.at_rest",
+                "move the target, raise the bounds, or let the tip stop for an instant: at_rest = \"tip\"",
+            ),
             DiscretizeError::TooManyBlocks { .. } => at(
                 "control.blocks",
                 "use fewer blocks or a shorter time.step_s",

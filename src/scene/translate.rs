@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{self, LoadNode, Objective, Scene, TimeStep};
+use super::model::{self, AtRest, LoadNode, Objective, Scene, TimeStep};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
@@ -22,7 +22,8 @@ use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{
     Arm, ChannelLimits, Cost, Discretization, DistributedCouple, Hardness, Limit, LimitKind,
-    OwnActuator, Place, PointLoad, Problem, Start, Target, Task, Tolerances, Track, WrenchActuator,
+    OwnActuator, Place, PointLoad, Problem, Rest, Start, Staying, Target, Task, Tolerances, Track,
+    WrenchActuator,
 };
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
 
@@ -249,7 +250,11 @@ impl Scene {
             let mut resolved = self.resolved(&discretization);
             if let Some(definition) = &mut resolved.task {
                 definition.at_s = Some(known(task.horizon));
-                if definition.at_rest && definition.hard {
+                if let (Some(stay), Rest::Staying(_)) = (&problem.stay, definition.rest()) {
+                    definition.stays_s = Some(known(stay.seconds));
+                    definition.stays_m = Some(known(stay.distance));
+                }
+                if definition.at_rest == AtRest::Tip && definition.hard {
                     let tolerances = definition.tolerances();
                     let [speed, spin] = tolerances.rest(arm.length, task.horizon);
                     definition.tolerance_m_s = Some(known(speed));
@@ -597,6 +602,19 @@ impl model::Task {
     }
 }
 
+impl model::Task {
+    fn rest(&self) -> Rest {
+        match self.at_rest {
+            AtRest::Passing => Rest::Passing,
+            AtRest::Tip => Rest::Instant,
+            AtRest::Staying => Rest::Staying(Staying {
+                seconds: self.stays_s.map(Number::get),
+                distance: self.stays_m.map(Number::get),
+            }),
+        }
+    }
+}
+
 /// The points on the way, then the task itself.
 fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
     let via = task.via.iter().enumerate().map(|(index, via)| Target {
@@ -605,7 +623,7 @@ fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
         time: Some(via.at_s.get()),
         position: via.position_m.map(Vector3::from),
         rotation: via.orientation_wxyz.map(from_quaternion),
-        at_rest: false,
+        rest: Rest::Passing,
         hardness: hardness(via.hard, via.weight.map(Number::get)),
         tolerances: Tolerances {
             distance: via.tolerance_m.map(Number::get),
@@ -619,7 +637,7 @@ fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
         time: None,
         position: task.position_m.map(Vector3::from),
         rotation: task.orientation_wxyz.map(from_quaternion),
-        at_rest: task.at_rest,
+        rest: task.rest(),
         hardness: hardness(task.hard, task.weight.map(Number::get)),
         tolerances: task.tolerances(),
     };

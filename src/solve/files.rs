@@ -125,31 +125,36 @@ fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
 }
 
 /// A row per coefficient and actuator: per block of a constant hold, per knot, with equal times, of a linear one, per control point
-/// of a spline.
+/// of a spline; and where the arm stays, one per actuator for the time after the horizon.
 fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec<ControlRow> {
     let edges = problem.control.edge_times();
     let times = problem.control.coefficient_times();
     let n = problem.actuators.len();
-    coefficients
-        .iter()
-        .enumerate()
+    let end = problem.grid.duration();
+    // Where the arm stays, its last wrenches are held for a time.
+    let held = (problem.stay.iter())
+        .flat_map(|stay| (stay.wrenches.iter()).map(|u| (u, (end, end + stay.seconds))));
+    (coefficients.iter().enumerate())
         .map(|(i, u)| {
             let j = i / n;
-            let (t_start, t_end) = match problem.control.hold {
+            let interval = match problem.control.hold {
                 Hold::Constant => (edges[j], edges[j + 1]),
                 Hold::Linear | Hold::Cubic => (times[j], times[j]),
             };
-            ControlRow {
-                t_start,
-                t_end,
-                fx: u.force.x,
-                fy: u.force.y,
-                fz: u.force.z,
-                mx: u.moment.x,
-                my: u.moment.y,
-                mz: u.moment.z,
-                node: problem.actuators[i % n].node,
-            }
+            (u, interval)
+        })
+        .chain(held)
+        .enumerate()
+        .map(|(i, (u, (t_start, t_end)))| ControlRow {
+            t_start,
+            t_end,
+            fx: u.force.x,
+            fy: u.force.y,
+            fz: u.force.z,
+            mx: u.moment.x,
+            my: u.moment.y,
+            mz: u.moment.z,
+            node: problem.actuators[i % n].node,
         })
         .collect()
 }

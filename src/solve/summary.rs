@@ -5,15 +5,16 @@ use std::path::Path;
 use super::causes::causes;
 use super::examined::{Examined, Spent};
 use super::solution::Solution;
-use crate::control::{Attempt, SolveLog, observe, tracking_errors};
+use crate::control::{Attempt, OptimalControlProblem, SolveLog, observe, tracking_errors};
 use crate::output::summary::{
     AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
-    GrowthSummary, MomentumAccount, NamedConstraint, PhaseSummary, SCHEMA_VERSION,
-    SecondOrderSummary, SensitivitySummary, SolveSummary, StartSummary, StrainSummary, TOOL,
+    GrowthSummary, LargestDistance, LargestSpeed, MomentumAccount, NOT_CHECKED, NamedConstraint,
+    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SensitivitySummary, SolveSummary,
+    StartSummary, StaysSummary, StrainSummary, TOOL,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
-use crate::verify::ForwardCheck;
+use crate::verify::{CheckItem, ForwardCheck};
 
 /// The solves of the start that the result is from.
 fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
@@ -72,6 +73,7 @@ pub(crate) fn summarize(
         tip_error_m: check.map_or(f64::NAN, |check| check.tip_error),
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
+        stays: stays(problem, check),
         tracking: tracking_errors(problem, &outcome.point.trajectory),
         accuracy: None,
         check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
@@ -105,6 +107,45 @@ pub(crate) fn summarize(
         multipliers: outcome.multipliers.constraints.clone(),
         directory: target.display().to_string(),
     }
+}
+
+/// Staying after the task, as the summaries carry it.
+pub(crate) fn stays(
+    problem: &OptimalControlProblem,
+    check: Option<&ForwardCheck>,
+) -> Option<StaysSummary> {
+    let stay = problem.stay.as_ref()?;
+    let held = check.and_then(|check| check.stays.as_ref());
+    let holds = |check: &ForwardCheck| {
+        (check.items.iter())
+            .filter(|item| item.name.starts_with("stays_"))
+            .all(CheckItem::holds)
+    };
+    Some(StaysSummary {
+        seconds: stay.seconds,
+        allowed_m: stay.distance,
+        wrench: (stay.wrenches.iter())
+            .map(|u| {
+                let (f, m) = (&u.force, &u.moment);
+                [f.x, f.y, f.z, m.x, m.y, m.z]
+            })
+            .collect(),
+        stable: true,
+        tip_compliance_m_n: stay.compliance,
+        tip_error_m: held.map(|held| LargestDistance {
+            max: held.tip_error,
+            at_s: held.at,
+        }),
+        node_speed_m_s: held.map(|held| LargestSpeed {
+            max: held.node_speed,
+        }),
+        energy_bound_m: held.map(|held| held.bound),
+        verdict: match check {
+            None => NOT_CHECKED,
+            Some(check) if holds(check) => "stays",
+            Some(_) => "leaves",
+        },
+    })
 }
 
 /// The check as the summaries carry it.

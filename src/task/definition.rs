@@ -21,6 +21,38 @@ pub enum Hardness {
     },
 }
 
+/// What the arm does once it is at a target.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Rest {
+    /// It passes.
+    #[default]
+    Passing,
+    /// The place of the target has neither velocity nor angular velocity for an instant; the rest of the arm may move.
+    Instant,
+    /// The whole arm comes to rest and stays, with the last wrench held.
+    Staying(Staying),
+}
+
+/// How long and how near an arm stays where it has arrived.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Staying {
+    /// How long, s; `None`: one first period of the held arm.
+    pub seconds: Option<f64>,
+    /// Largest distance of the tip from the target meanwhile, m; `None`: a hundredth of the arm's length.
+    pub distance: Option<f64>,
+}
+
+/// Distance within which a tip stays, over the length of the arm.
+const STAYING_DISTANCE: f64 = 0.01;
+
+impl Staying {
+    /// Largest distance of the tip in m, for an arm of `length` in m.
+    #[must_use]
+    pub fn distance(&self, length: f64) -> f64 {
+        self.distance.unwrap_or(STAYING_DISTANCE * length)
+    }
+}
+
 /// Tolerances within which a hard goal counts as met.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tolerances {
@@ -63,8 +95,8 @@ pub struct Target {
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Zero velocity and angular velocity; only at the end of the horizon.
-    pub at_rest: bool,
+    /// Whether the arm passes or comes to rest; rest only at the end of the horizon.
+    pub rest: Rest,
     /// Hard or soft.
     pub hardness: Hardness,
     /// Tolerances within which a hard goal counts as met.
@@ -276,7 +308,7 @@ pub struct Task {
 }
 
 impl Task {
-    /// The tip reaches a position in m after `horizon` seconds and is at rest there, within the default [`Tolerances`]; with the least effort of a
+    /// The tip reaches a position in m after `horizon` seconds, and the arm comes to rest and [stays](Staying) there; with the least effort of a
     /// tip force of at most `largest_force` in N.
     #[must_use]
     pub fn reach(position: Vector3<f64>, horizon: f64, largest_force: f64) -> Self {
@@ -287,7 +319,7 @@ impl Task {
             targets: vec![Target {
                 name: "task".into(),
                 position: Some(position),
-                at_rest: true,
+                rest: Rest::Staying(Staying::default()),
                 ..Target::default()
             }],
             limits: Vec::new(),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
-use super::definition::{Hardness, LimitKind, Target, Task};
+use super::definition::{Hardness, LimitKind, Rest, Staying, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
@@ -14,12 +14,13 @@ use super::tracking::default_weights;
 use crate::control::path::thinnest;
 use crate::control::{
     ActuatedNode, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
+    PathConstraint, PathEnforcement, PathLimit, RodView, Stay, Tracking, static_need,
 };
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
-    Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
+    Load, LoadFrame, Rod, RodError, RodModel, RotaryInertia, SmallMotions, State, TimeGrid,
+    TimeScheme, Trajectory,
 };
 use crate::stop::StopSignal;
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
@@ -181,12 +182,13 @@ impl Task {
         };
         let radii = arm.radii_at_nodes(chosen.elements);
         let path = self.path_constraints(&rod, &radii, &samples_on);
-        let discrete = OptimalControlProblem {
+        let mut discrete = OptimalControlProblem {
             stop: stop.clone(),
             radii,
             goals: (self.targets.iter())
                 .flat_map(|target| self.goals(target, arm, &rod, &grid))
                 .collect(),
+            stay: None,
             path,
             duration: self.free_duration,
             objective: Objective {
@@ -214,13 +216,16 @@ impl Task {
             acting,
             rod: Arc::new(rod),
         };
+        if let Some(staying) = self.staying() {
+            discrete.stay = Some(Arc::new(stay(&discrete, staying, arm.length)?));
+        }
         check_start(&discrete)?;
         check_goals(&discrete)?;
         if let Some((conflict, what)) = discrete.duration_conflict() {
             return Err(DiscretizeError::Duration { conflict, what });
         }
         let n_variables = discrete.n_variables();
-        if n_variables > MOST_VARIABLES {
+        if discrete.n_controls() > MOST_VARIABLES {
             return Err(DiscretizeError::TooManyVariables {
                 blocks,
                 n_variables,
@@ -279,7 +284,7 @@ impl Task {
             if !(time > 0.0 && time <= self.horizon) {
                 return refuse("target.time", time, "within the horizon");
             }
-            if target.at_rest && time < self.horizon {
+            if target.rest != Rest::Passing && time < self.horizon {
                 let expected = "the end of the horizon, where alone rest can be asked for";
                 return refuse("target.time", time, expected);
             }
@@ -353,6 +358,14 @@ impl Task {
         Ok(grid)
     }
 
+    /// How the arm stays at the end, where it does.
+    fn staying(&self) -> Option<Staying> {
+        self.targets.iter().find_map(|target| match target.rest {
+            Rest::Staying(staying) => Some(staying),
+            Rest::Passing | Rest::Instant => None,
+        })
+    }
+
     fn n_own_controls(&self) -> usize {
         (self.own_actuators.iter().flat_map(|own| &own.controls))
             .map(|group| group.count)
@@ -403,7 +416,7 @@ impl Task {
             time_node,
             position: target.position,
             rotation: target.rotation,
-            at_rest: target.at_rest,
+            at_rest: target.rest == Rest::Instant,
             enforcement: match target.hardness {
                 Hardness::Hard => Enforcement::Hard,
                 Hardness::Soft { weight } => Enforcement::Soft { weight },
@@ -413,7 +426,7 @@ impl Task {
             return vec![exact];
         }
         let tolerances = &target.tolerances;
-        let [speed, spin] = if target.at_rest {
+        let [speed, spin] = if exact.at_rest {
             tolerances.rest(arm.length, self.horizon)
         } else {
             [0.0; 2]
@@ -718,6 +731,51 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         }
     }
     Ok(())
+}
+
+/// Where the arm stays at the end of the horizon, and the wrench that holds it there.
+fn stay(
+    problem: &OptimalControlProblem,
+    staying: Staying,
+    length: f64,
+) -> Result<Stay, DiscretizeError> {
+    let need = static_need(problem).map_err(|e| DiscretizeError::NotHeld(e.to_string()))?;
+    let tip = problem.rod.tip();
+    let last = problem.grid.n_steps;
+    let goal = (problem.goals.iter())
+        .position(|goal| goal.node == tip && goal.time_node == last)
+        .ok_or_else(|| DiscretizeError::NotHeld("no goal".into()))?;
+    let mut rod = Rod::clone(&problem.rod);
+    for (actuator, wrench) in problem.actuators.iter().zip(&need.wrenches) {
+        rod.loads.push(Load {
+            node: actuator.node,
+            force: wrench.force,
+            moment: Vector3::zeros(),
+            frame: LoadFrame::Spatial,
+            profile: Vec::new(),
+        });
+        rod.loads.push(Load {
+            node: actuator.node,
+            force: Vector3::zeros(),
+            moment: wrench.moment,
+            frame: LoadFrame::Body,
+            profile: Vec::new(),
+        });
+    }
+    let end = problem.grid.duration();
+    let frequency = SmallMotions::about(&rod, &need.shape, end)
+        .first_frequency()
+        .ok_or_else(|| DiscretizeError::NotHeld("unstable".into()))?;
+    let seconds = staying.seconds.unwrap_or(std::f64::consts::TAU / frequency);
+    Stay::at(
+        &rod,
+        need.shape,
+        end,
+        need.wrenches,
+        [seconds, staying.distance(length)],
+        goal,
+    )
+    .ok_or_else(|| DiscretizeError::NotHeld("unstable".into()))
 }
 
 /// Distance between two places, m; 0 where one is not given.

@@ -70,6 +70,9 @@ pub enum DiscretizeError {
     /// The rod has no state to start from.
     #[error(transparent)]
     Start(#[from] EquilibriumError),
+    /// Nothing holds the arm at its target.
+    #[error("{0}")]
+    NotHeld(String),
     /// More blocks than steps.
     #[error("{blocks} blocks do not fit into {n_steps} time steps")]
     TooManyBlocks {

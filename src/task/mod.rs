@@ -31,8 +31,8 @@ mod tracking;
 
 pub use arm::{Arm, Place, PointLoad, Start, StartShape};
 pub use definition::{
-    ChannelLimits, ControlGroup, Cost, Hardness, Limit, LimitKind, OwnActuator, Target, Task,
-    Tolerances, Track, WrenchActuator,
+    ChannelLimits, ControlGroup, Cost, Hardness, Limit, LimitKind, OwnActuator, Rest, Staying,
+    Target, Task, Tolerances, Track, WrenchActuator,
 };
 pub use discretization::Discretization;
 pub(crate) use discretize::MOST_STEPS;

@@ -26,6 +26,7 @@ mod samples;
 #[doc(hidden)]
 pub mod second_order;
 mod solution;
+mod stay;
 
 use nalgebra::Vector3;
 
@@ -38,6 +39,7 @@ pub use self::replay::{EnergyBalance, Replay, replay};
 use self::replay::{Simulation, account, halving};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
+pub use self::stay::Held;
 use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
@@ -207,6 +209,8 @@ pub struct ForwardCheck {
     pub tip_speed: f64,
     /// Angular speed of the replayed tip at the end, rad/s.
     pub tip_spin: f64,
+    /// The motion after the task with the last wrench held, where the arm stays.
+    pub stays: Option<Held>,
     /// Work in, change of energy and dissipation of the replay.
     pub energy: EnergyBalance,
     /// Energy residual with the step halved over the residual itself: about 1/4.
@@ -299,13 +303,15 @@ pub enum ReplayKind {
     MoreElements,
     /// Slightly perturbed.
     Perturbed,
+    /// After the end of the task, with the last wrench held.
+    Held,
 }
 
 impl ReplayKind {
     /// What is to be done, to follow the error's own words.
     fn advice(self) -> &'static str {
         match self {
-            Self::SameGrid | Self::Perturbed => "",
+            Self::SameGrid | Self::Perturbed | Self::Held => "",
             Self::ShorterSteps => {
                 "; shorter steps lead elsewhere: solve again with a smaller time.step_s"
             }
@@ -323,6 +329,7 @@ impl std::fmt::Display for ReplayKind {
             Self::ShorterSteps => "shorter steps",
             Self::MoreElements => "more elements",
             Self::Perturbed => "a small perturbation",
+            Self::Held => "with the last wrench held",
         })
     }
 }
@@ -436,7 +443,7 @@ pub fn forward_check(
     // As large as the solution's, and of no use to what follows.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
     let half = run(2, ReplayKind::ShorterSteps)?;
-    let refinement = refine(problem, finer, solution)?;
+    let refinement = refine(problem, finer, solution, &same.end)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
         kkt_parts: conditions.parts,
@@ -453,6 +460,7 @@ pub fn forward_check(
         tip_angle: 0.0,
         tip_speed: 0.0,
         tip_spin: 0.0,
+        stays: refinement.stays,
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
         energy_halving: halving(&same.balance, &half.balance),
@@ -674,6 +682,24 @@ fn items(
             tolerance + limits.tip,
             "rad",
             "angle between the simulated tip and the target orientation",
+        ));
+    }
+    if let (Some(held), Some(stay)) = (&check.stays, &problem.stay) {
+        let tolerance = last_goal(problem, |goal| goal.position)
+            .and_then(|(_, enforcement)| allowed(&enforcement, false));
+        items.push(item(
+            "stays_m",
+            held.tip_error,
+            stay.distance + tolerance.unwrap_or(0.0),
+            "m",
+            "largest distance of the tip from the target after the task, with the last wrench held, on a finer grid",
+        ));
+        items.push(item(
+            "stays_bound_m",
+            held.bound,
+            stay.distance,
+            "m",
+            "distance that the tip can reach from where the wrench holds it with the energy of the arrival, to second order",
         ));
     }
     let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));

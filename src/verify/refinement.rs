@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::limits::{Measure, Pose};
+use super::stay::{Held, follow};
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
@@ -58,6 +59,8 @@ pub struct Refinement {
     pub space: ErrorEstimate,
     /// Of every hard path constraint.
     pub between: Vec<Between>,
+    /// The motion after the horizon on the finest rod, where the arm stays.
+    pub stays: Option<Held>,
 }
 
 /// Node-steps of implicit replays up to which the second refinement in space is made.
@@ -154,7 +157,8 @@ fn farthest(
 const IN_TIME: [usize; 3] = [1, 2, 4];
 
 /// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
-/// for all); nothing is stored but the latest states. `finer` builds the rod with a number of times the elements, and its start.
+/// for all); nothing is stored but the latest states. `finer` builds the rod with a number of times the elements, and its start. An arm that
+/// stays is followed after the horizon, where it arrives in the state `end` on its own grid.
 ///
 /// # Errors
 /// [`CheckError`] when a replay breaks down.
@@ -162,6 +166,7 @@ pub fn refine(
     problem: &OptimalControlProblem,
     finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
     solution: &Solution,
+    end: &State,
 ) -> Result<Refinement, CheckError> {
     let step = problem.grid.step;
     let coarse = &problem.rod;
@@ -212,11 +217,31 @@ pub fn refine(
             }
         }
     }
+    let stays = match (&problem.stay, levels.last()) {
+        (Some(stay), Some(level)) => {
+            let rod = quadrupled.as_ref().map_or(&doubled.0, |finest| &finest.0);
+            let state = level.stepper.state();
+            let wrenches = level.signal.at(level.stepper.step());
+            let step = step / factor as f64;
+            let bound = (2.0 * stay.energy_of(end) * stay.compliance).sqrt();
+            let look = |stepper: &Stepper| watch.look(stepper);
+            Some(follow(
+                problem,
+                stay,
+                (rod, state, step),
+                wrenches,
+                bound,
+                look,
+            )?)
+        }
+        _ => None,
+    };
     let [in_time, in_space] = changes;
     Ok(Refinement {
         time: ErrorEstimate::of(in_time[0], Some(in_time[1])),
         space: ErrorEstimate::of(in_space[0], twice.then_some(in_space[1])),
         between: watch.worst,
+        stays,
     })
 }
 
@@ -284,7 +309,13 @@ impl<'a> Watch<'a> {
             if let PathLimit::Speed { node, .. } = &mut limit {
                 *node *= factor;
             }
-            limits.push((limit, [problem.grid.time(*first), problem.grid.time(*last)]));
+            // What holds at the end holds while the arm stays.
+            let end = if problem.stay.is_some() && *last == problem.grid.n_steps {
+                f64::INFINITY
+            } else {
+                problem.grid.time(*last)
+            };
+            limits.push((limit, [problem.grid.time(*first), end]));
             worst.push(Between {
                 name: constraint.name.clone(),
                 excess: f64::NEG_INFINITY,

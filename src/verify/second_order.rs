@@ -7,7 +7,7 @@
 //! Products of `∇²L` with a direction are central differences of the recomputed gradient ([`kkt`](super::kkt)); the smallest
 //! eigenvalue comes from Lanczos' method with full reorthogonalization, stopped when its residual is a small part of it.
 
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DVector};
 
 use super::CheckError;
 use super::probe::Probe;
@@ -241,9 +241,19 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
             columns.push(row.transpose());
         }
     }
+    if probe.problem.stay.is_some() {
+        // What holds the arm, the last coefficient, is given.
+        let first = n - probe.problem.actuated_components().len();
+        let held = (first..n).map(|i| DVector::from_fn(n, |j, _| f64::from(u8::from(i == j))));
+        columns.extend(held);
+    }
     for ball in &probe.rest {
         let along = ball.residual.normalize();
-        columns.push(responses.rows(ball.first, 3).tr_mul(&along));
+        columns.push(
+            responses
+                .rows(ball.rows.start, ball.rows.len())
+                .tr_mul(&along),
+        );
     }
     for bound in &probe.bounds {
         for normal in &bound.normals {
@@ -285,8 +295,9 @@ fn rest_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     let mut out = DMatrix::zeros(n, n);
     for ball in &probe.rest {
         let along = ball.residual.normalize();
-        let tangent = Matrix3::identity() - along * along.transpose();
-        let response = responses.rows(ball.first, 3);
+        let n = ball.rows.len();
+        let tangent = DMatrix::identity(n, n) - &along * along.transpose();
+        let response = responses.rows(ball.rows.start, n);
         let size = ball.multiplier.norm() / ball.residual.norm();
         out += response.tr_mul(&(tangent * response)) * size;
     }

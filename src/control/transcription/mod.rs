@@ -339,20 +339,44 @@ impl<'a> Transcription<'a> {
             }
             GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),
             GoalPart::AngularVelocity => one(9 + row.axis, inverse / inertia.rotary[row.axis]),
+            GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vec::new, |stay| {
+                let mut terms = stay.gradient(vector, row.axis, trajectory.rotations_at(k));
+                for term in &mut terms {
+                    term.coefficient *= inverse;
+                }
+                at(k, terms)
+            }),
         }
     }
 
     /// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
     fn goal_curvature(&self, trajectory: &Trajectory, multipliers: &[f64]) -> Vec<RowCurvature> {
+        let of = |first: usize| Vector3::from_fn(|axis, _| multipliers[first + axis]);
         let rows = self.goal_rows.iter().enumerate();
-        rows.filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
+        let mut out: Vec<_> = rows
+            .filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
             .map(|(first, row)| {
                 let goal = &self.problem.goals[row.goal];
-                let y = Vector3::from_fn(|axis, _| multipliers[first + axis]);
                 let psi = rotation_error(self.problem, trajectory, row);
-                turn_curvature(goal.time_node, goal.node, &psi, &y)
+                turn_curvature(goal.time_node, goal.node, &psi, &of(first))
             })
-            .collect()
+            .collect();
+        if let Some(stay) = &self.problem.stay {
+            let k = self.problem.goals[stay.goal].time_node;
+            let first = self.goal_rows.len() - 3 * stay.n_vectors();
+            let scale = self.problem.goal_scale(GoalPart::Deviation(0));
+            let y: Vec<_> = (0..stay.n_vectors())
+                .map(|vector| of(first + 3 * vector) / scale)
+                .collect();
+            let r = trajectory.rotations_at(k);
+            out.extend((0..stay.n_nodes()).map(|free| {
+                let node = stay.node(free);
+                let [on_pose, _] = stay.on_deviation(free, &y);
+                let turned = on_pose.fixed_rows::<3>(3).into_owned();
+                turn_curvature(k, node, &stay.turn(node, &r[node]), &turned)
+            }));
+        }
+        out
     }
 
     /// The residuals of the costs over states.

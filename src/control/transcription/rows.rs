@@ -28,6 +28,11 @@ pub(super) fn goal_vector(
         GoalPart::Orientation => rotation_error(problem, trajectory, row),
         GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
         GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
+        GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vector3::zeros, |stay| {
+            let momenta = [&end.terminal_linear[..], &end.terminal_angular[..]];
+            let vectors = [trajectory.positions_at(k), momenta[0], momenta[1]];
+            stay.vector(vector, vectors, trajectory.rotations_at(k))
+        }),
     }
 }
 

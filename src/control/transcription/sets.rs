@@ -80,11 +80,30 @@ pub(super) fn convex_sets(
 ) -> Vec<ConvexSet> {
     let mut sets = Vec::new();
     let gaps = problem.control.rate_gaps();
-    for coefficient in 0..problem.control.n_coefficients() {
+    let last = problem.control.n_coefficients() - 1;
+    // What holds the arm is the last coefficient.
+    let held = problem.stay.as_ref().map(|stay| {
+        let value = |component: &Component| {
+            let wrench = &stay.wrenches[component.actuator];
+            let vector = [&wrench.force, &wrench.moment][component.axis / 3];
+            vector[component.axis % 3] / problem.channel(component).scale
+        };
+        components.iter().map(value).collect::<Vec<f64>>()
+    });
+    for (at, &value) in held.iter().flatten().enumerate() {
+        sets.push(ConvexSet::Interval {
+            index: last * components.len() + at,
+            lower: value,
+            upper: value,
+        });
+    }
+    for coefficient in 0..=last {
         for variables in ChannelVariables::all(problem, components, coefficient) {
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
-            variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+            if held.is_none() || coefficient < last {
+                variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+            }
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
                 let change = (variables.indices.iter())
@@ -95,11 +114,9 @@ pub(super) fn convex_sets(
             }
         }
     }
-    for (rows, slacks) in goal_rows.chunks(3).zip(slack_variables.chunks(3)) {
-        if let Some(radius) = problem.rest_radius(rows[0].goal, rows[0].part) {
-            let rows = slacks.iter().flatten().map(|&i| vec![(i, 1.0)]).collect();
-            sets.push(ConvexSet::Ball { rows, radius });
-        }
+    for (range, radius) in problem.goal_balls(goal_rows) {
+        let slacks = slack_variables[range].iter().flatten().copied();
+        sets.push(ConvexSet::ball(slacks, radius));
     }
     sets
 }

@@ -20,7 +20,7 @@ pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
 pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
 pub use self::solver::{Circle, Continuation, FigureEight, Guess, Objective, Qp, Solver, Track};
-pub use self::task::{FreeDuration, Task, Via};
+pub use self::task::{AtRest, FreeDuration, Task, Via};
 pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
 
 #[cfg(feature = "schema")]

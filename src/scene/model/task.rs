@@ -24,9 +24,17 @@ pub struct Task {
     /// Choose the duration of the task as well; `at_s` is where the search begins. Absent: the task is due at `at_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
-    /// Whether the tip should be at rest then: no velocity and no angular velocity. Default: true.
-    #[serde(default = "yes")]
-    pub at_rest: bool,
+    /// The motion then: true (the default), the whole arm comes to rest and stays there with the last wrench held; "tip", the tip has
+    /// neither velocity nor angular velocity for an instant; false, it passes.
+    #[serde(default)]
+    pub at_rest: AtRest,
+    /// How long the arm stays, in s, positive. Only with `at_rest = true`. Absent: one first period of the held arm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stays_s: Option<Positive<values::Duration>>,
+    /// Largest distance of the tip from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
+    /// `rod.length_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stays_m: Option<Positive<values::Distance>>,
     /// Whether the task is a constraint (true, the default) or a term of the objective.
     #[serde(default = "yes")]
     pub hard: bool,
@@ -39,17 +47,69 @@ pub struct Task {
     /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
-    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`. Absent:
+    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`. Absent:
     /// a hundredth of `rod.length_m` per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m_s: Option<NonNegative<values::Speed>>,
-    /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest` and `hard`.
+    /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
     /// Absent: a tenth of a radian per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
     /// Points to pass through on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Via>,
+}
+
+/// The motion of an arm at its target.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(from = "AtRestKey", into = "AtRestKey")]
+pub enum AtRest {
+    /// The whole arm comes to rest and stays.
+    #[default]
+    Staying,
+    /// The tip stops for an instant.
+    Tip,
+    /// It passes.
+    Passing,
+}
+
+/// true, "tip", or false.
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(untagged, expecting = "expected true, \"tip\" or false")]
+#[cfg_attr(feature = "schema", schemars(rename = "AtRest"))]
+enum AtRestKey {
+    Word(TipWord),
+    Flag(bool),
+}
+
+#[derive(Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "schema", schemars(inline))]
+enum TipWord {
+    Tip,
+}
+
+impl From<AtRestKey> for AtRest {
+    fn from(key: AtRestKey) -> Self {
+        match key {
+            AtRestKey::Word(TipWord::Tip) => Self::Tip,
+            AtRestKey::Flag(true) => Self::Staying,
+            AtRestKey::Flag(false) => Self::Passing,
+        }
+    }
+}
+
+impl From<AtRest> for AtRestKey {
+    fn from(rest: AtRest) -> Self {
+        match rest {
+            AtRest::Staying => Self::Flag(true),
+            AtRest::Tip => Self::Word(TipWord::Tip),
+            AtRest::Passing => Self::Flag(false),
+        }
+    }
 }
 
 /// A duration that the optimizer chooses. Blocks of the control, points on the way and samples stretch with it; loads and paths to

@@ -153,9 +153,9 @@ impl Files<'_> {
 
     fn coefficients(&self, problem: &OptimalControlProblem) -> Result<Vec<Wrench>, OutputError> {
         let path = self.directory.join("controls.csv");
-        let n_rows = problem.control.n_coefficients() * problem.actuators.len();
-        let rows = read_controls(&path, n_rows)?;
+        let rows = read_controls(&path, problem.n_control_rows())?;
         Ok((rows.iter())
+            .take(problem.control.n_coefficients() * problem.actuators.len())
             .map(|row| Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz]))
             .collect())
     }

@@ -39,6 +39,7 @@ pub(super) fn solve_words(
         lead += &past(obstacles, problem.arm.length);
     }
     lead += &at_most(force, moment);
+    lead += &stays(discrete, summary);
     let outcome = match verdict {
         _ if !converged => format!("not solved ({})", summary.text("status")),
         "certified" => "certified".into(),
@@ -47,6 +48,41 @@ pub(super) fn solve_words(
     };
     lead += &format!("; {outcome}{}", cost(summary));
     (lead, solve_trust(discrete, summary, &outcome))
+}
+
+/// ", and stays within 3 mm for 0.6 s with 0.91 N held", or that it only passes; empty without a target.
+fn stays(problem: &OptimalControlProblem, summary: Fields) -> String {
+    let Some(stay) = &problem.stay else {
+        return match problem.final_goals().next() {
+            None => String::new(),
+            Some(_) if problem.final_goals().any(|goal| goal.at_rest) => {
+                ", where it stops for an instant and does not stay".into()
+            }
+            Some(_) => ", where it passes and does not stay".into(),
+        };
+    };
+    let largest = |part: fn(&Wrench) -> f64| {
+        let size = stay.wrenches.iter().map(part).fold(0.0, f64::max);
+        (size > 0.0).then_some(size)
+    };
+    let held = at_most(largest(|u| u.force.norm()), largest(|u| u.moment.norm()));
+    let held = match held.strip_prefix(" with at most ") {
+        Some(wrench) => format!("with {wrench} held"),
+        None => "with no wrench".into(),
+    };
+    let farthest = summary.number("stays.tip_error_m.max");
+    let seconds = measure(stay.seconds, "s");
+    match summary.text("stays.verdict") {
+        "stays" => format!(
+            ", and stays there for {seconds} {held}, never more than {} off",
+            measure(farthest, "m")
+        ),
+        "leaves" => format!(
+            ", and should stay there {held}, but leaves by {} within {seconds}",
+            measure(farthest, "m")
+        ),
+        _ => format!(", and should stay there for {seconds} {held}"),
+    }
 }
 
 /// " past 2 obstacles, no nearer than 0.01 m,", for an arm of this length, m.

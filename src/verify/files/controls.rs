@@ -1,18 +1,37 @@
 //! `controls.csv`: the times of the coefficients, recomputed.
 
-use super::{FileCheck, ROUNDINGS};
+use super::{ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
 use crate::output::ControlRow;
 use crate::verify::hold::Spline;
 
-/// Start and end of every row: those of its block, or the time that its coefficient stands for. What is applied is for the conditions
-/// of the motion to judge.
+/// The columns of a wrench.
+const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+
+/// Start and end of every row: those of its block, or the time that its coefficient stands for; of the rows after the horizon, with which the
+/// arm stays, also their wrenches. What is applied before is for the conditions of the motion to judge.
 #[must_use]
 pub fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck {
     let mut out = FileCheck::of("controls.csv");
     let allowed = ROUNDINGS * problem.grid.duration();
-    let intervals = Spline::of(problem).intervals();
+    let mut intervals = Spline::of(problem).intervals();
     let n = problem.actuators.len().max(1);
+    let n_coefficients = n * intervals.len();
+    if let Some(stay) = &problem.stay {
+        let end = problem.grid.duration();
+        intervals.push([end, end + stay.seconds]);
+        let held = rows.iter().skip(n_coefficients).zip(&stay.wrenches);
+        for (i, (row, wrench)) in held.enumerate() {
+            let found = [row.fx, row.fy, row.fz, row.mx, row.my, row.mz];
+            let expected = (wrench.force.iter()).chain(wrench.moment.iter());
+            for (column, (found, expected)) in WRENCH.iter().zip(found.iter().zip(expected)) {
+                let allowed = ELSEWHERE * (wrench.force.norm() + wrench.moment.norm());
+                out.number(*found, *expected, allowed, || {
+                    format!("{column}, line {}", n_coefficients + i + 2)
+                });
+            }
+        }
+    }
     for (i, row) in rows.iter().enumerate() {
         let [start, end] = intervals.get(i / n).copied().unwrap_or([f64::NAN; 2]);
         for (column, found, expected) in

@@ -124,6 +124,31 @@ impl Expected<'_> {
                 walk.number(summary, field, value, ELSEWHERE * scale + DERIVED * value);
             }
         }
+        if let (Some(stay), Some(held)) = (&problem.stay, &check.stays) {
+            let (length, speed) = (
+                problem.rod.scales.length,
+                problem.rod.scales.length / problem.grid.step,
+            );
+            for (field, value, scale) in [
+                ("seconds", stay.seconds, stay.seconds),
+                ("allowed_m", stay.distance, length),
+                ("tip_compliance_m_n", stay.compliance, stay.compliance),
+                ("tip_error_m.max", held.tip_error, length),
+                ("node_speed_m_s.max", held.node_speed, speed),
+                ("energy_bound_m", held.bound, length),
+            ] {
+                let allowed = ELSEWHERE * scale + DERIVED * value;
+                walk.number(summary, &format!("stays.{field}"), value, allowed);
+            }
+            let wrenches = (stay.wrenches.iter())
+                .flat_map(|u| u.force.iter().chain(u.moment.iter()))
+                .enumerate();
+            for (i, value) in wrenches {
+                let (actuator, axis) = (i / 6, i % 6);
+                let path = format!("stays.wrench.{actuator}.{axis}");
+                walk.number(summary, &path, *value, ELSEWHERE + DERIVED * value.abs());
+            }
+        }
         if let Some(list) = summary.get("tracking") {
             let errors = tracking_errors(problem, self.trajectory);
             let of_speeds = problem.rod.scales.length / problem.grid.step;

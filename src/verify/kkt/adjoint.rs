@@ -37,7 +37,13 @@ impl Conditions<'_> {
                 GoalPart::AngularVelocity => {
                     lr[node][row.axis] += weight / rod.nodes[node].rotary[row.axis];
                 }
-                GoalPart::Position | GoalPart::Orientation => {}
+                GoalPart::Position | GoalPart::Orientation | GoalPart::Deviation(_) => {}
+            }
+        }
+        if let Some((_, own)) = self.stay_covectors(goals) {
+            for q in first..count {
+                lx[q] += own.p[q];
+                lr[q] += own.pi[q];
             }
         }
         let nodes = &self.control.nodes;

@@ -1,6 +1,6 @@
 //! The conditions on the controls: their cost, the gradient of the Lagrangian, bounds and their normals.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 
 use super::rows::{Place, Worst, largest_axis, per};
 use crate::control::{Bound, OptimalControlProblem};
@@ -176,6 +176,20 @@ impl ControlConditions {
                 for (j, time) in times.iter().enumerate() {
                     // What may not act has a gradient and nothing to choose.
                     let (g, u) = (channel.acting(&gradient[j * n + a][c]), at(j));
+                    if let (Some(stay), true) = (&problem.stay, j + 1 == times.len()) {
+                        let off = u - parts(&stay.wrenches[a])[c];
+                        out.violation = super::worse(out.violation, off.amax());
+                        out.bounds.note(off.amax() / scale, || {
+                            place(
+                                *time,
+                                " that is held",
+                                largest_axis(&off),
+                                off.amax(),
+                                unit.into(),
+                            )
+                        });
+                        continue;
+                    }
                     let (rest, gap, normal) = normal_cone(&channel.bound, &g, &u, scale);
                     out.stationarity.note(rest.amax(), || {
                         let value = rest.amax() / scale;
@@ -266,6 +280,20 @@ fn rate_slack(
     }
 }
 
+/// What of `-g` a normal of the ball `|u| ≤ radius` at `u` cannot explain, and the product of slack and normal.
+pub(super) fn cone_of_ball(radius: f64, g: &DVector<f64>, u: &DVector<f64>) -> (DVector<f64>, f64) {
+    let norm = u.norm();
+    if norm < radius * (1.0 - NEAR) {
+        return (g.clone(), 0.0);
+    }
+    let outward = u / norm;
+    let size = (-g.dot(&outward)).max(0.0);
+    (g + outward * size, size * (radius - norm).abs())
+}
+
+/// Within this of a limit, as a fraction of it, a normal may act; the product with the slack is reported either way.
+const NEAR: f64 = 1e-3;
+
 /// What of `-g` the bound's normal at `u` cannot explain, the product of slack and normal, and the normal.
 ///
 /// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
@@ -275,8 +303,6 @@ pub(super) fn normal_cone(
     u: &Vector3<f64>,
     scale: f64,
 ) -> (Vector3<f64>, f64, Vector3<f64>) {
-    // Within this of the limit a normal may act; the product with the slack is reported either way.
-    const NEAR: f64 = 1e-3;
     let zero = Vector3::zeros();
     match bound {
         None => (*g, 0.0, zero),

@@ -42,7 +42,13 @@ impl Conditions<'_> {
                         out.eta[at] += log_gradient(&(target.transpose() * r), row.axis) * weight;
                     }
                 }
-                GoalPart::Velocity | GoalPart::AngularVelocity => {}
+                GoalPart::Velocity | GoalPart::AngularVelocity | GoalPart::Deviation(_) => {}
+            }
+        }
+        if let Some((k, own)) = self.stay_covectors(multipliers.goals) {
+            for q in 0..n {
+                out.x[k * n + q] += own.x[q];
+                out.eta[k * n + q] += own.eta[q];
             }
         }
         let measure = self.measure();

@@ -414,6 +414,13 @@ impl Conditions<'_> {
                         .map_or_else(Vector3::zeros, |t| log(&(t.transpose() * r))),
                     GoalPart::Velocity => p[node] / rod.nodes[node].mass,
                     GoalPart::AngularVelocity => pi[node].component_div(&rod.nodes[node].rotary),
+                    GoalPart::Deviation(vector) => {
+                        let (trajectory, stay) = (self.trajectory, &self.problem.stay);
+                        let state = [trajectory.positions_at(k), p, pi];
+                        stay.as_ref().map_or_else(Vector3::zeros, |stay| {
+                            stay.vector(vector, state, trajectory.rotations_at(k))
+                        })
+                    }
                 };
                 vector[row.axis] / self.problem.goal_scale(row.part)
             })

@@ -1,0 +1,129 @@
+//! Staying where the arm arrives: its part of the optimality conditions, by differences of its definition, and the motion after the horizon
+//! with the last wrench held.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{CheckError, ReplayKind};
+use crate::control::{OptimalControlProblem, STAY_VECTORS as VECTORS, Stay};
+use crate::mechanics::differences;
+use crate::mechanics::rotation::exp;
+use crate::mechanics::{NodeWrenches, Rod, State, Stepper, TimeGrid};
+
+/// The motion of an arm after its task, with the last wrench held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Held {
+    /// How long it was followed, s.
+    pub seconds: f64,
+    /// Largest distance of the tip from its target, m.
+    pub tip_error: f64,
+    /// When that was, in s after the task.
+    pub at: f64,
+    /// Largest speed of any node, m/s.
+    pub node_speed: f64,
+    /// `sqrt(2 E C)` in m, with the energy `E` of the deviation in which the motion arrives on the solution's own grid and the largest
+    /// eigenvalue `C` of the tip's compliance: the tip is never farther from where the wrench holds it, to second order.
+    pub bound: f64,
+}
+
+/// Follows the motion of `rod` from `state`, at the end of the horizon, with constant wrenches: of the place where the tip should stay.
+///
+/// # Errors
+/// [`CheckError`] when the motion breaks down.
+pub(super) fn follow(
+    problem: &OptimalControlProblem,
+    stay: &Stay,
+    (rod, state, step): (&Rod, State, f64),
+    wrenches: NodeWrenches,
+    bound: f64,
+    mut observe: impl FnMut(&Stepper),
+) -> Result<Held, CheckError> {
+    let target = problem.goals[stay.goal].position;
+    let tip = rod.tip();
+    let place = target.unwrap_or(stay.shape.positions[problem.rod.tip()]);
+    let grid = TimeGrid {
+        start: problem.grid.start + problem.grid.duration(),
+        ..TimeGrid::covering(stay.seconds, step, 1)
+    };
+    let mut stepper = Stepper::new(rod, grid, state);
+    let mut out = Held {
+        seconds: stay.seconds,
+        tip_error: (stepper.position(tip) - place).norm(),
+        at: 0.0,
+        node_speed: 0.0,
+        bound,
+    };
+    let mut before: Vec<Vector3<f64>> = Vec::new();
+    for k in 0..grid.n_steps {
+        problem.stop.check_at(k)?;
+        (stepper.advance([wrenches; 2])).map_err(|source| CheckError::Replay {
+            which: ReplayKind::Held,
+            source,
+        })?;
+        let off = (stepper.position(tip) - place).norm();
+        if !(off <= out.tip_error) {
+            (out.tip_error, out.at) = (off, (k + 1) as f64 * grid.step);
+        }
+        let here: Vec<_> = (0..rod.n_nodes()).map(|q| stepper.position(q)).collect();
+        for (a, b) in before.iter().zip(&here) {
+            out.node_speed = super::kkt::worse(out.node_speed, (b - a).norm() / grid.step);
+        }
+        before = here;
+        observe(&stepper);
+    }
+    Ok(out)
+}
+
+/// Covectors of every node of a rod: of positions and body rotations, and of linear and angular momenta.
+pub(super) struct Covectors {
+    pub(super) x: Vec<Vector3<f64>>,
+    pub(super) eta: Vec<Vector3<f64>>,
+    pub(super) p: Vec<Vector3<f64>>,
+    pub(super) pi: Vec<Vector3<f64>>,
+}
+
+/// Rotation by which the logarithms are differentiated: differences of fourth order err by 1e-13 there.
+const STEP: f64 = 1e-3;
+
+/// Derivative of `Σ y·r` over the state `(x, R, p, π)` of all nodes, in which `r` is linear but for the logarithms of rotations.
+pub(super) fn covectors(stay: &Stay, y: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Covectors {
+    let n = r.len();
+    let zeros = || vec![Vector3::zeros(); n];
+    let mut out = Covectors {
+        x: zeros(),
+        eta: zeros(),
+        p: zeros(),
+        pi: zeros(),
+    };
+    let shape = &stay.shape.positions;
+    for free in 0..stay.n_nodes() {
+        let q = stay.node(free);
+        // The vectors that see this node: its own, and those of the pose of the node before.
+        let seen = VECTORS * free.saturating_sub(1)..VECTORS * (free + 1);
+        let value = |x: &[Vector3<f64>], r: &[Matrix3<f64>], p: &[Vector3<f64>], pi: &[_]| -> f64 {
+            (seen.clone())
+                .map(|vector| y[vector].dot(&stay.vector(vector, [x, p, pi], r)))
+                .sum()
+        };
+        for axis in 0..3 {
+            let unit = Vector3::ith(axis, 1.0);
+            let shifted = |from: &[Vector3<f64>]| {
+                let mut out = from.to_vec();
+                out[q] += unit;
+                out
+            };
+            let none = zeros();
+            let at_rest = value(shape, r, &none, &none);
+            out.x[q][axis] = value(&shifted(shape), r, &none, &none) - at_rest;
+            out.p[q][axis] = value(shape, r, &shifted(&none), &none) - at_rest;
+            out.pi[q][axis] = value(shape, r, &none, &shifted(&none)) - at_rest;
+            let turned = |angle: f64| {
+                let mut r = r.to_vec();
+                r[q] *= exp(&(unit * angle));
+                value(shape, &r, &none, &none)
+            };
+            let [near, far] = [STEP, 2.0 * STEP].map(|step| [turned(step), turned(-step)]);
+            out.eta[q][axis] = differences::slope(near, far, STEP);
+        }
+    }
+    out
+}

@@ -1,0 +1,244 @@
+//! An arm that arrives stays: the whole arm comes to rest, and the last wrench holds the tip there.
+
+use nalgebra::Vector3;
+use softarm::control::Stay;
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{
+    Energy, Load, LoadFrame, NodeWrenches, Rod, SmallMotions, State, Stepper, TimeGrid, stable_step,
+};
+use softarm::scene::Scene;
+use softarm::solve::{Solution, SolveOptions, solve_problem};
+use softarm::task::{Problem, Rest};
+
+/// A tapered silicone arm that hangs with a load at its tip and is not damped at all.
+const HANGING: &str = "\
+[rod]
+length_m = 0.3
+elements = 10
+[rod.material]
+youngs_modulus_pa = 0.6e6
+poisson_ratio = 0.49
+density_kg_m3 = 1080.0
+[rod.section]
+radius_base_m = 0.015
+radius_tip_m = 0.008
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[payload]
+mass_kg = 0.04
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 1.2
+[task]
+position_m = [0.12, 0.0, -0.27]
+[control]
+force_max_n = 5.0
+";
+
+fn posed(text: &str, overrides: &[&str]) -> Problem {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let (scene, source) = Scene::from_toml("scene.toml", text, &overrides).unwrap();
+    scene.optimal_control(&source).unwrap().posed()
+}
+
+fn solved(problem: &Problem) -> Solution {
+    let solution = solve_problem(problem, &SolveOptions::default()).unwrap();
+    assert!(solution.has_converged(), "{:?}", solution.status());
+    solution
+}
+
+/// Largest distance of the tip from its target over `seconds` after the task, over the length, and largest speed of any node, m/s: on twice
+/// the elements, from the start, with the last wrench held.
+fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
+    let problem = &solution.problem;
+    let (rod, start) = problem.finer(2).unwrap();
+    let discrete = &problem.discrete;
+    let factor = (discrete.grid.step / (0.9 * stable_step(&rod))).ceil() as usize;
+    let grid = TimeGrid {
+        step: discrete.grid.step / factor as f64,
+        n_steps: discrete.grid.n_steps * factor,
+        ..discrete.grid
+    };
+    let mut control = discrete.signal(&discrete.control.refined(factor), &solution.coefficients);
+    for node in &mut control.nodes {
+        *node *= 2;
+    }
+    let mut stepper = Stepper::new(&rod, grid, start);
+    for k in 0..grid.n_steps {
+        stepper.advance([control.at(k), control.at(k + 1)]).unwrap();
+    }
+    let held: NodeWrenches = control.at(grid.n_steps);
+    let mut stepper = Stepper::new(&rod, grid.step, stepper.state());
+    let target = discrete.goals[0].position.unwrap();
+    let mut found = [0.0; 2];
+    for _ in 0..(seconds / grid.step).ceil() as usize {
+        stepper.advance([held; 2]).unwrap();
+        let state = stepper.state();
+        let off = (state.configuration.positions[rod.tip()] - target).norm();
+        found[0] = f64::max(found[0], off / problem.arm.length);
+        for (p, node) in state.linear_momentum.iter().zip(&rod.nodes) {
+            found[1] = f64::max(found[1], p.norm() / node.mass);
+        }
+    }
+    found
+}
+
+/// The first period of the arm where it is held, s.
+fn period(stay: &Stay, problem: &Problem) -> f64 {
+    let rod = held_rod(stay, problem);
+    let motions = SmallMotions::about(&rod, &stay.shape, problem.discrete.grid.duration());
+    std::f64::consts::TAU / motions.first_frequency().expect("a stable equilibrium")
+}
+
+fn held_rod(stay: &Stay, problem: &Problem) -> Rod {
+    let mut rod = Rod::clone(&problem.discrete.rod);
+    for (actuator, wrench) in problem.discrete.actuators.iter().zip(&stay.wrenches) {
+        rod.loads.push(Load {
+            node: actuator.node,
+            force: wrench.force,
+            moment: Vector3::zeros(),
+            frame: LoadFrame::Spatial,
+            profile: Vec::new(),
+        });
+    }
+    rod
+}
+
+/// With the last wrench held the tip of an undamped arm stays within a hundredth of its length over one period, on twice the elements; where
+/// the tip only stops for an instant, it leaves by more than a tenth.
+#[test]
+fn arms_stay_where_they_arrive() {
+    let problem = posed(HANGING, &[]);
+    let stay = problem.discrete.stay.clone().expect("the arm stays");
+    let period = period(&stay, &problem);
+    assert!((stay.seconds - period).abs() < 1e-9 * period);
+    let staying = solved(&problem);
+    let check = staying.certify().unwrap();
+    assert!(check.is_certified(), "{:?}", check.items);
+    let [off, speed] = afterwards(&staying, period);
+    assert!(off < 0.01, "{off}");
+    let found = check.stays.expect("the motion afterwards");
+    assert!(found.bound <= 0.005 * problem.arm.length * (1.0 + 1e-6));
+
+    let instant = solved(&posed(HANGING, &["task.at_rest=\"tip\""]));
+    assert!(instant.certify().unwrap().stays.is_none());
+    let [leaves, faster] = afterwards(&instant, period);
+    assert!(leaves > 0.1, "{leaves}");
+    assert!(speed < 0.1 * faster, "{speed} {faster}");
+}
+
+/// The last coefficient of every hold is the wrench of the equilibrium, and the rows of `controls.csv` go on with it.
+#[test]
+fn the_last_wrench_is_the_holding_one() {
+    for hold in ["constant", "linear", "cubic"] {
+        let problem = posed(HANGING, &[&format!("control.hold=\"{hold}\"")]);
+        let stay = problem.discrete.stay.clone().expect("the arm stays");
+        let solution = solved(&problem);
+        let check = solution.certify().unwrap();
+        assert!(check.is_certified(), "{hold}: {:?}", check.items);
+        let last = solution.coefficients.last().expect("coefficients");
+        assert!(
+            (last.force - stay.wrenches[0].force).norm() < 1e-9,
+            "{hold}"
+        );
+        let directory = tempfile::tempdir().unwrap();
+        let saved = solution.save(&directory.path().join("result")).unwrap();
+        let path = saved.join("controls.csv");
+        let rows = softarm::output::read_controls(&path, problem.discrete.n_control_rows());
+        let row = *rows.unwrap().last().expect("rows");
+        assert!((row.t_end - row.t_start - stay.seconds).abs() < 1e-12);
+        assert_eq!(row.fx, stay.wrenches[0].force.x);
+    }
+}
+
+/// The energy of a small deviation is, to second order, that of the rod under the held force beyond the energy of the equilibrium.
+#[test]
+fn the_energy_of_a_deviation_is_the_rods() {
+    let problem = posed(HANGING, &[]);
+    let stay = problem.discrete.stay.clone().expect("the arm stays");
+    let rod = &problem.discrete.rod;
+    let total = |state: &State| {
+        let work = stay.wrenches[0]
+            .force
+            .dot(&state.configuration.positions[rod.tip()]);
+        Energy::of(rod, state).total() - work
+    };
+    let rest = State::at_rest(stay.shape.clone());
+    let deviated = |size: f64| {
+        let mut random = fastrand::Rng::with_seed(5);
+        let mut vector =
+            |unit: f64| Vector3::from_fn(|_, _| size * unit * (2.0 * random.f64() - 1.0));
+        let mut state = rest.clone();
+        for q in rod.first_free_node()..rod.n_nodes() {
+            let node = &rod.nodes[q];
+            state.configuration.positions[q] += vector(rod.scales.length * 1e-2);
+            state.configuration.rotations[q] *= exp(&vector(1.0));
+            state.linear_momentum[q] += vector(node.mass);
+            state.angular_momentum[q] += vector(node.rotary.x);
+        }
+        state
+    };
+    let error = |size: f64| {
+        let state = deviated(size);
+        let exact = total(&state) - total(&rest);
+        (stay.energy_of(&state) - exact).abs() / exact
+    };
+    // What is left is of third order, so that its part falls with the size.
+    let [coarse, fine] = [error(1e-2), error(1e-3)];
+    assert!(fine < 1e-2 && fine < 0.2 * coarse, "{coarse} {fine}");
+}
+
+/// Under the held wrench the tip of an undamped arm is never farther from where it is held than the energy of its deviation allows, over ten
+/// periods.
+#[test]
+fn the_bound_holds_for_all_later_time() {
+    let problem = posed(HANGING, &[]);
+    let stay = problem.discrete.stay.clone().expect("the arm stays");
+    let rod = held_rod(&stay, &problem);
+    let mut start = State::at_rest(stay.shape.clone());
+    // A push that swings the tip as far as it can: along its first mode, nearly.
+    for q in rod.first_free_node()..rod.n_nodes() {
+        let along = q as f64 / rod.n_elements() as f64;
+        start.linear_momentum[q] +=
+            rod.nodes[q].mass * Vector3::new(0.02, 0.01, 0.0) * along * along;
+    }
+    let bound = (2.0 * stay.energy_of(&start) * stay.compliance).sqrt();
+    let mut stepper = Stepper::new(&rod, 0.5 * stable_step(&rod), start);
+    let place = stay.shape.positions[rod.tip()];
+    let mut farthest: f64 = 0.0;
+    while stepper.time() < 10.0 * stay.seconds {
+        stepper.advance([NodeWrenches::NONE; 2]).unwrap();
+        farthest = farthest.max((stepper.position(rod.tip()) - place).norm());
+    }
+    assert!(farthest < bound, "{farthest} {bound}");
+    assert!(
+        farthest > 0.5 * bound,
+        "the push is along the softest way: {farthest} {bound}"
+    );
+}
+
+/// How long and how near an arm stays are for arms that stay; both are resolved.
+#[test]
+fn keys_of_staying() {
+    let read = |overrides: &[&str]| {
+        let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+        Scene::from_toml("scene.toml", HANGING, &overrides)
+    };
+    for key in ["task.stays_s=1.0", "task.stays_m=0.01"] {
+        let error = read(&["task.at_rest=\"tip\"", key])
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("contradicts task.at_rest"), "{error}");
+    }
+    let error = read(&["task.tolerance_m_s=0.1"]).unwrap_err().to_string();
+    assert!(error.contains("contradicts task.at_rest"), "{error}");
+    let error = read(&["task.at_rest=\"base\""]).unwrap_err().to_string();
+    assert!(error.contains("expected true, \"tip\" or false"), "{error}");
+    let problem = posed(HANGING, &["task.stays_s=0.25", "task.stays_m=0.002"]);
+    let stay = problem.discrete.stay.expect("the arm stays");
+    assert_eq!((stay.seconds, stay.distance), (0.25, 0.002));
+    assert!(matches!(problem.task.targets[0].rest, Rest::Staying(_)));
+}
