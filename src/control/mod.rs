@@ -31,6 +31,7 @@ mod free_duration;
 pub mod guess;
 #[doc(hidden)]
 pub mod hold;
+mod holding;
 mod journal;
 #[doc(hidden)]
 pub mod obstacle;
@@ -58,6 +59,7 @@ pub use feedback::{
 };
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use hold::{ControlGrid, Hold};
+pub use holding::{CannotHold, Held, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent, SolveLog};
 pub use obstacle::{Shape, SignedDistance};

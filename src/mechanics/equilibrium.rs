@@ -10,8 +10,6 @@ use std::cell::{Cell, RefCell};
 use argmin::core::{CostFunction, Error as ArgminError, Executor, Gradient, State as _};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::quasinewton::LBFGS;
-use faer::linalg::solvers::Solve as _;
-use faer::sparse::{SparseColMat, Triplet};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
@@ -21,6 +19,7 @@ use super::load::{LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
 use super::stiffness::tangent_stiffness;
+use super::tangent::Tangent;
 use crate::stop::{Stop, StopSignal};
 
 /// Springs that pull the tip to a place and an orientation.
@@ -58,7 +57,7 @@ impl TipSpring {
     }
 
     /// Derivative of minus the wrench along `(δx, η)` of the tip.
-    fn stiffness(&self, r: &Matrix3<f64>) -> Matrix6<f64> {
+    pub(crate) fn stiffness(&self, r: &Matrix3<f64>) -> Matrix6<f64> {
         let mut k = Matrix6::zeros();
         if let Some((_, stiffness)) = self.position {
             k.fixed_view_mut::<3, 3>(0, 0)
@@ -297,32 +296,10 @@ impl<'a> Statics<'a> {
         at: &Configuration,
         residual: &[Vector6<f64>],
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
-        let k = self.stiffness(at);
-        let n = 6 * k.diagonal.len();
-        let mut triplets = Vec::with_capacity(3 * 36 * k.diagonal.len());
-        let mut put = |row: usize, column: usize, block: &Matrix6<f64>| {
-            for i in 0..6 {
-                for j in 0..6 {
-                    triplets.push(Triplet::new(6 * row + i, 6 * column + j, block[(i, j)]));
-                }
-            }
-        };
-        for (i, block) in k.diagonal.iter().enumerate() {
-            put(i, i, block);
-        }
-        for i in 0..k.below.len() {
-            put(i + 1, i, &k.below[i]);
-            put(i, i + 1, &k.above[i]);
-        }
-        let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &triplets).ok()?;
-        let factor = matrix.sp_lu().ok()?;
-        let right = faer::Mat::from_fn(n, 1, |i, _| residual[i / 6][i % 6]);
-        let solution = factor.solve(&right);
-        let step: Vec<Vector6<f64>> = (0..k.diagonal.len())
-            .map(|q| Vector6::from_fn(|i, _| solution[(6 * q + i, 0)]))
-            .collect();
+        let factor = Tangent::of(self.stiffness(at)).factor()?;
+        let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
         let l = self.rod.elements[0].length;
-        let reach = l * k.diagonal.len() as f64;
+        let reach = l * step.len() as f64;
         if !step.iter().all(|s| {
             s.fixed_rows::<3>(3).norm() < LARGEST_NEWTON_TURN
                 && s.fixed_rows::<3>(0).norm() < LARGEST_NEWTON_TURN * reach

@@ -87,6 +87,7 @@ mod stiffness;
 pub mod strain;
 #[doc(hidden)]
 pub mod strain_coordinates;
+pub(crate) mod tangent;
 mod time;
 #[doc(hidden)]
 pub mod vibration;

@@ -45,15 +45,8 @@ impl SmallMotions {
     /// Those about `at`, an equilibrium of `rod` under its loads at time `t`; a driven base is held.
     #[must_use]
     pub fn about(rod: &Rod, at: &Configuration, t: f64) -> Self {
-        let first = rod.first_free_node();
         let stiffness = tangent_stiffness(rod, at, t);
-        let rotary = rod.rotary_at(&at.positions);
-        let roots: Vec<Vector6<f64>> = (rod.nodes.iter().zip(&rotary).skip(first))
-            .map(|(node, j)| {
-                let m = node.mass;
-                Vector6::new(m, m, m, j.x, j.y, j.z).map(|inertia| 1.0 / inertia.sqrt())
-            })
-            .collect();
+        let roots = inertia_roots(rod, at);
         let scaled = |block: Matrix6<f64>, row: usize, column: usize| {
             block.component_mul(&(roots[row] * roots[column].transpose()))
         };
@@ -143,6 +136,17 @@ impl SmallMotions {
         }
         count
     }
+}
+
+/// The diagonal of `M^{-½}` over `(δx, η)` of every free node.
+pub(super) fn inertia_roots(rod: &Rod, at: &Configuration) -> Vec<Vector6<f64>> {
+    let rotary = rod.rotary_at(&at.positions);
+    (rod.nodes.iter().zip(&rotary).skip(rod.first_free_node()))
+        .map(|(node, j)| {
+            let m = node.mass;
+            Vector6::new(m, m, m, j.x, j.y, j.z).map(|inertia| 1.0 / inertia.sqrt())
+        })
+        .collect()
 }
 
 /// Largest sum of the sizes of a row's entries of a symmetric block-tridiagonal matrix (Gershgorin).

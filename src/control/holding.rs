@@ -1,0 +1,539 @@
+//! The wrench that holds the tip at its goal: an equilibrium that puts it there, and that is stable under the wrench held.
+//!
+//! Among the controls within their bounds under which an equilibrium puts the tip at the goal, those of least effort are found by sequential quadratic
+//! programming over controls and shape ([`program`]), from shapes whose tip springs have pulled there. An equilibrium is stable where the smallest `ω²` of
+//! its tangent stiffness is positive, with gravity, dead loads and the controls held; body moments have no potential in space, so that there
+//! the growth of small motions decides. Where the equilibrium of least effort is not stable and there are more controls than equations, stability
+//! becomes a constraint.
+//!
+//! Three verdicts: the target is held, and by what; it cannot be held, and why; or nothing was found, which proves nothing. That it cannot be held is said
+//! where as many independent controls act as there are equations. The controls are then a function of the shape, a shape that is stable
+//! under constant controls is stable too with its tip held in place, and all such shapes that were found are unstable under their controls
+//! or need more than the bounds allow.
+
+mod program;
+mod statics;
+
+use std::ops::ControlFlow;
+
+use nalgebra::{DMatrix, Matrix3, Vector3};
+
+use self::program::{Aim, HoldingPoint, HoldingProgram, SPRING};
+use self::statics::{Statics, Target};
+use super::guess::{SPRINGS, carried};
+use super::problem::OptimalControlProblem;
+use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use crate::mechanics::rotation::exp;
+use crate::mechanics::tangent::Tangent;
+use crate::mechanics::{BaseCondition, Configuration, Rod, Wrench};
+use crate::sqp::{HessianChoice, LiftedProgram, LinearizationRequest, SqpSettings, solve};
+use crate::stop::Stop;
+
+/// An equilibrium and the controls under which it is one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Held {
+    /// The wrench of every actuator, in the order of [`OptimalControlProblem::actuators`]: force in space, N, and moment in the node's body frame, N m; of
+    /// actuators of one's own their controls.
+    pub wrenches: Vec<Wrench>,
+    /// By how much they exceed each actuator's bounds: force in N, moment in N m; zero where they do not.
+    pub excess: Vec<[f64; 2]>,
+    /// The shape at rest.
+    pub shape: Configuration,
+    /// Whether small deviations stay small with the controls held.
+    pub is_stable: bool,
+    /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
+    pub least_squared_frequency: f64,
+    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, damping included; `None` where they do not.
+    pub growth_rate: Option<f64>,
+    /// Lowest angular frequency of the held arm without damping, rad/s; `None` where it is not stable.
+    pub first_frequency: Option<f64>,
+    /// Displacement of the tip per force on it with the controls held, m/N, spatial frame.
+    pub tip_compliance: Matrix3<f64>,
+}
+
+impl Held {
+    /// Whether all controls are within their bounds.
+    #[must_use]
+    pub fn is_within_bounds(&self) -> bool {
+        self.excess.iter().flatten().all(|excess| *excess == 0.0)
+    }
+
+    /// Stiffness of the tip along its softest direction, N/m.
+    #[must_use]
+    pub fn least_stiffness(&self) -> f64 {
+        let c = &self.tip_compliance;
+        (0.5 * (c + c.transpose()))
+            .symmetric_eigenvalues()
+            .max()
+            .recip()
+    }
+}
+
+/// Whether a wrench within the bounds holds the tip at its goal.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Holding {
+    /// One does.
+    Held(Box<Held>),
+    /// None does.
+    CannotBeHeld {
+        /// Why.
+        why: CannotHold,
+        /// The nearest target that was found to be held, and how far its tip is from the goal, m.
+        nearest: Option<(Box<Held>, f64)>,
+    },
+    /// None was found, which proves nothing.
+    NotFound {
+        /// Where the search ended.
+        why: NotFound,
+    },
+}
+
+/// Why a target cannot be held.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CannotHold {
+    /// Nothing is actuated, and the arm rests elsewhere.
+    NothingActuated,
+    /// Fewer independent controls than equations of the goal.
+    TooFewControls {
+        /// Independent controls.
+        controls: usize,
+        /// Equations.
+        equations: usize,
+    },
+    /// Only controls beyond their bounds hold it: these are the nearest to them.
+    AboveBounds(Box<Held>),
+    /// The equilibrium there is not stable.
+    Unstable(Box<Held>),
+}
+
+/// Why neither a wrench that holds the target was found, nor a reason that there is none.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotFound {
+    /// A free arm rests where nothing acts on it.
+    #[error("the base is free")]
+    FreeBase,
+    /// The search would take long.
+    #[error("the elements or actuators are too many to look at in passing")]
+    TooLarge,
+    /// No shape with the tip at the goal was found.
+    #[error("no shape at rest whose tip is there: {0}")]
+    Equilibrium(EquilibriumError),
+    /// Equilibria at the goal are unstable; there may be others.
+    #[error("the equilibria that were found there are unstable")]
+    Unstable,
+    /// The search for controls within the bounds came to no end.
+    #[error("controls within their bounds that put the tip there at rest were not found")]
+    Bounds,
+}
+
+/// Why nothing was looked for.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum HoldingError {
+    /// There is no goal for the tip's position or orientation at the end.
+    #[error("the tip has no goal at the end")]
+    NoGoal,
+    /// The search was stopped.
+    #[error("stopped before it was known whether the target can be held: {0}")]
+    Stopped(#[from] Stop),
+}
+
+/// Elements, and controls, up to which the search takes about a second.
+const MOST_ELEMENTS: usize = 200;
+const MOST_CONTROLS: usize = 60;
+/// Iterations of one search.
+const ITERATIONS: usize = 60;
+/// Violations, in the units of the programs, with which a point is a solution.
+const FEASIBLE: f64 = 1e-5;
+/// Distance over length, and angle, at which the tip counts as at the goal.
+const AT_GOAL: f64 = 1e-6;
+/// `ω²` over that of the arm at rest above which an equilibrium is stable for certain: shapes that may turn about the base's axis have 0, and an error of
+/// discretization.
+const POSITIVE: f64 = 1e-6;
+/// The same where stability is a constraint: the held arm swings at a tenth of its own frequency at least.
+const LEAST_STABILITY: f64 = 1e-2;
+/// Singular values over the largest below which controls count as dependent.
+const INDEPENDENT: f64 = 1e-6;
+/// Unsymmetric part of the stiffness, relative to its largest entry, of loads without a potential.
+const ASYMMETRIC: f64 = 1e-9;
+/// Angle by which the first shapes of other branches are bent, rad.
+const BENT: f64 = 2.0;
+/// Distance between shapes, over the length, at which they are the same.
+const SAME: f64 = 1e-4;
+
+/// Looks for the wrench that holds the tip at the goal at the end of the horizon.
+///
+/// # Errors
+/// [`HoldingError`] where there is no such goal, or the problem's stop signal is raised.
+pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError> {
+    let target = Target {
+        position: problem.final_goals().find_map(|goal| goal.position),
+        rotation: problem.final_goals().find_map(|goal| goal.rotation),
+    };
+    if target.n_equations() == 0 {
+        return Err(HoldingError::NoGoal);
+    }
+    let rod = &problem.rod;
+    let components = problem.actuated_components();
+    let not_found = |why| Ok(Holding::NotFound { why });
+    if rod.base == BaseCondition::Free {
+        return not_found(NotFound::FreeBase);
+    }
+    if rod.n_elements() > MOST_ELEMENTS || components.len() > MOST_CONTROLS {
+        return not_found(NotFound::TooLarge);
+    }
+    let time = problem.grid.duration();
+    let statics = Statics {
+        unit: own_squared_frequency(rod),
+        problem,
+        components,
+        time,
+    };
+    let start = carried(rod, problem.initial.configuration.clone(), time);
+    let found = Search {
+        statics: &statics,
+        target,
+        start,
+    }
+    .run();
+    problem.stop.check()?;
+    Ok(found)
+}
+
+/// `ω²` of the slowest mode of the arm in its stress-free shape, 1/s².
+fn own_squared_frequency(rod: &Rod) -> f64 {
+    let guess = rod.scales.time.powi(-2);
+    let bare = Rod {
+        loads: Vec::new(),
+        ..rod.clone()
+    };
+    Tangent::stiffness(&bare, &rod.rest, 0.0)
+        .lowest_modes(rod, &rod.rest, guess, 1)
+        .and_then(|modes| modes.first().map(|mode| mode.squared_frequency))
+        .filter(|square| *square > 0.0)
+        .unwrap_or(guess)
+}
+
+struct Search<'a> {
+    statics: &'a Statics<'a>,
+    target: Target,
+    /// The shape that the search begins at.
+    start: Configuration,
+}
+
+/// What the shapes with the tip at the goal have told.
+#[derive(Default)]
+struct Findings {
+    above: Option<Held>,
+    unstable: Option<Held>,
+    unresolved: bool,
+    dependent: Option<[usize; 2]>,
+    no_shape: Option<EquilibriumError>,
+}
+
+impl Search<'_> {
+    fn rod(&self) -> &Rod {
+        &self.statics.problem.rod
+    }
+
+    fn run(&self) -> Holding {
+        let mut findings = Findings::default();
+        let mut known: Vec<Configuration> = Vec::new();
+        for branch in 0..=BRANCHES.len() {
+            if self.statics.problem.stop.is_raised() {
+                return Holding::NotFound {
+                    why: NotFound::Bounds,
+                };
+            }
+            let pulled = match self.pulled(branch) {
+                Ok(shape) => shape,
+                Err(error) => {
+                    findings.no_shape.get_or_insert(error);
+                    continue;
+                }
+            };
+            if known.iter().any(|other| self.is_same(other, &pulled)) {
+                continue;
+            }
+            if let Some(held) = self.try_branch(&pulled, &mut findings) {
+                return Holding::Held(Box::new(held));
+            }
+            known.push(pulled);
+        }
+        let nearest = self.nearest();
+        if let Some((held, miss)) = &nearest
+            && *miss < AT_GOAL
+        {
+            return Holding::Held(Box::new(held.clone()));
+        }
+        let nearest = nearest.map(|(held, _)| {
+            let distance = self.distance(&held.shape);
+            (Box::new(held), distance)
+        });
+        let cannot = |why| Holding::CannotBeHeld { why, nearest };
+        if self.statics.components.is_empty() {
+            return cannot(CannotHold::NothingActuated);
+        }
+        let Findings {
+            above,
+            unstable,
+            unresolved,
+            dependent,
+            no_shape,
+        } = findings;
+        match (dependent, above, unstable) {
+            (Some([controls, equations]), ..) if !unresolved => {
+                cannot(CannotHold::TooFewControls {
+                    controls,
+                    equations,
+                })
+            }
+            (_, Some(above), _) if !unresolved => cannot(CannotHold::AboveBounds(Box::new(above))),
+            (_, _, Some(unstable)) if !unresolved => {
+                cannot(CannotHold::Unstable(Box::new(unstable)))
+            }
+            (_, _, Some(_)) => Holding::NotFound {
+                why: NotFound::Unstable,
+            },
+            (_, None, None) if no_shape.is_some() => Holding::NotFound {
+                why: no_shape.map_or(NotFound::Bounds, NotFound::Equilibrium),
+            },
+            _ => Holding::NotFound {
+                why: NotFound::Bounds,
+            },
+        }
+    }
+
+    /// Looks for controls that hold the tip at the goal, from a shape in which it is there.
+    fn try_branch(&self, shape: &Configuration, findings: &mut Findings) -> Option<Held> {
+        let n = self.statics.components.len();
+        if n == 0 {
+            return None;
+        }
+        let first = HoldingPoint {
+            controls: vec![0.0; n],
+            shape: shape.clone(),
+        };
+        let rank = self.independent(&first)?;
+        let is_determined = rank == n;
+        // Where the controls follow from the shape, bounds need not be looked at on the way.
+        let Some(point) = self.solve(Aim::Hold, None, !is_determined, &first) else {
+            if is_determined && n < self.target.n_equations() {
+                findings.dependent = Some([n, self.target.n_equations()]);
+            } else {
+                findings.unresolved = true;
+            }
+            return None;
+        };
+        let held = self.held(&point)?;
+        if held.is_within_bounds() && held.is_stable {
+            return Some(held);
+        }
+        if is_determined {
+            let note = if held.is_stable {
+                &mut findings.above
+            } else {
+                &mut findings.unstable
+            };
+            let excess = |held: &Held| {
+                held.excess
+                    .iter()
+                    .flatten()
+                    .fold(0.0, |a: f64, b| a.max(*b))
+            };
+            if note
+                .as_ref()
+                .is_none_or(|other| excess(&held) < excess(other))
+            {
+                *note = Some(held);
+            }
+            return None;
+        }
+        findings.unresolved = true;
+        let point = self.solve(Aim::Hold, Some(LEAST_STABILITY), true, &point);
+        findings.unstable.get_or_insert(held);
+        let held = self.held(&point?)?;
+        (held.is_within_bounds() && held.is_stable).then_some(held)
+    }
+
+    /// The equilibrium within the bounds that is stable and whose tip is nearest to the goal, of those that the arm comes to from its rest, and by how
+    /// much it misses the goal, in the goal's units.
+    fn nearest(&self) -> Option<(Held, f64)> {
+        let n = self.statics.components.len();
+        let rest = self.equilibrium(&self.start, &TipSpring::default()).ok()?;
+        let first = HoldingPoint {
+            controls: vec![0.0; n],
+            shape: rest,
+        };
+        let point = if n == 0 {
+            first
+        } else {
+            self.solve(Aim::Approach, Some(LEAST_STABILITY), true, &first)
+                .unwrap_or(first)
+        };
+        let held = self.held(&point)?;
+        let missing = self.target.residual(self.rod(), &held.shape);
+        let miss = missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()));
+        (held.is_stable && held.is_within_bounds()).then_some((held, miss))
+    }
+
+    /// m
+    fn distance(&self, shape: &Configuration) -> f64 {
+        let tip = shape.positions[self.rod().tip()];
+        (self.target.position).map_or(0.0, |target| (target - tip).norm())
+    }
+
+    fn equilibrium(
+        &self,
+        from: &Configuration,
+        springs: &TipSpring,
+    ) -> Result<Configuration, EquilibriumError> {
+        let stop = &self.statics.problem.stop;
+        static_equilibrium_until(self.rod(), from, self.statics.time, springs, stop)
+    }
+
+    /// A shape whose tip springs have pulled to the goal: from the start, or from one that is bent to a side.
+    fn pulled(&self, branch: usize) -> Result<Configuration, EquilibriumError> {
+        let (mut shape, springs) = match branch.checked_sub(1) {
+            None => (self.start.clone(), &SPRINGS[..]),
+            Some(side) => (self.bent(BRANCHES[side]), &SPRINGS[2..]),
+        };
+        for stiffness in springs
+            .iter()
+            .copied()
+            .filter(|k| *k < SPRING)
+            .chain([SPRING])
+        {
+            shape = self.equilibrium(&shape, &self.target.springs(self.rod(), stiffness))?;
+        }
+        Ok(shape)
+    }
+
+    /// The stress-free shape, bent about an axis of its sections.
+    fn bent(&self, axis: [f64; 2]) -> Configuration {
+        let rest = &self.rod().rest;
+        let mut out = self.start.clone();
+        let each = BENT / self.rod().n_elements() as f64;
+        let turn = Vector3::new(axis[0], axis[1], 0.0) * each;
+        for q in 0..self.rod().n_elements() {
+            let chord = rest.rotations[q].tr_mul(&(rest.positions[q + 1] - rest.positions[q]));
+            let rotation = rest.rotations[q].tr_mul(&rest.rotations[q + 1]);
+            out.positions[q + 1] =
+                out.positions[q] + out.rotations[q] * (exp(&(0.5 * turn)) * chord);
+            out.rotations[q + 1] = out.rotations[q] * rotation * exp(&turn);
+        }
+        out
+    }
+
+    fn is_same(&self, a: &Configuration, b: &Configuration) -> bool {
+        let farthest = (a.positions.iter().zip(&b.positions))
+            .map(|(a, b)| (a - b).norm())
+            .fold(0.0, f64::max);
+        farthest < SAME * self.rod().scales.length
+    }
+
+    /// Number of independent controls along the goal's equations.
+    fn independent(&self, point: &HoldingPoint) -> Option<usize> {
+        let program = HoldingProgram::new(self.statics, self.target, Aim::Hold, None, false);
+        let evaluation = program.evaluate(point).ok()?;
+        let found = program
+            .linearize(point, &evaluation, &LinearizationRequest::default())
+            .ok()?;
+        let jacobian = &found.jacobian;
+        let matrix = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)]);
+        let values = matrix.singular_values();
+        let largest = values.max();
+        Some(
+            values
+                .iter()
+                .filter(|value| **value > INDEPENDENT * largest)
+                .count(),
+        )
+    }
+
+    /// A solution of the program; `None` where none was found.
+    fn solve(
+        &self,
+        aim: Aim,
+        stability: Option<f64>,
+        bounded: bool,
+        from: &HoldingPoint,
+    ) -> Option<HoldingPoint> {
+        let program = HoldingProgram::new(self.statics, self.target, aim, stability, bounded);
+        let settings = SqpSettings {
+            max_iterations: ITERATIONS,
+            hessian: HessianChoice::GaussNewton,
+            stop: self.statics.problem.stop.clone(),
+            ..SqpSettings::default()
+        };
+        let outcome = solve(&program, from.clone(), &settings, &mut |_| {
+            ControlFlow::Continue(())
+        });
+        let point = outcome.point;
+        let at = program.evaluate(&point).ok()?;
+        let outside = (program.sets().iter())
+            .map(|set| set.violation(&point.controls))
+            .fold(0.0, f64::max);
+        let worst = (at.constraints.iter().map(|c| c.abs()))
+            .chain(at.inequalities.iter().copied())
+            .fold(f64::max(at.defect, outside), f64::max);
+        (worst < FEASIBLE).then_some(point)
+    }
+
+    /// The equilibrium under the controls of a point, its bounds and stability.
+    fn held(&self, point: &HoldingPoint) -> Option<Held> {
+        let statics = self.statics;
+        let (problem, rod) = (statics.problem, self.rod());
+        // Near a shape that is neutral Newton's method may lead away, which the search itself does not.
+        let shape = statics
+            .settled(&point.shape, &point.controls, &TipSpring::default())
+            .filter(|settled| self.is_same(settled, &point.shape))
+            .unwrap_or_else(|| point.shape.clone());
+        let wrenches = statics.wrenches(&point.controls);
+        let excess = (wrenches.iter().zip(&problem.actuators))
+            .map(|(wrench, actuator)| {
+                [
+                    (&actuator.force, &wrench.force),
+                    (&actuator.moment, &wrench.moment),
+                ]
+                .map(|(channel, value)| {
+                    let excess = channel.violation(value);
+                    let is_rounding = excess <= FEASIBLE * channel.scale;
+                    if is_rounding { 0.0 } else { excess }
+                })
+            })
+            .collect();
+        let tangent = statics.tangent(&shape, &point.controls, &TipSpring::default());
+        let modes = tangent.lowest_modes(rod, &shape, statics.unit, 1)?;
+        let square = modes.first()?.squared_frequency;
+        let rounding = POSITIVE * statics.unit;
+        let growth = if tangent.asymmetry() > ASYMMETRIC || square < -rounding {
+            let rate = tangent.growth_rate(rod, &shape, statics.unit)?;
+            (rate > rounding.sqrt()).then_some(rate)
+        } else {
+            None
+        };
+        let is_stable = growth.is_none() && square > rounding;
+        let unit_force = |axis: usize| {
+            let mut force = vec![nalgebra::Vector6::zeros(); rod.n_nodes() - rod.first_free_node()];
+            if let Some(tip) = force.last_mut() {
+                tip[axis] = 1.0;
+            }
+            force
+        };
+        let answers = tangent.factor()?.solve(&[0, 1, 2].map(unit_force));
+        let tip_compliance = Matrix3::from_fn(|i, j| answers[j][answers[j].len() - 1][i]);
+        Some(Held {
+            wrenches,
+            excess,
+            shape,
+            is_stable,
+            least_squared_frequency: square,
+            growth_rate: growth,
+            first_frequency: is_stable.then(|| square.sqrt()),
+            tip_compliance,
+        })
+    }
+}
+
+/// Axes of the sections about which first shapes are bent.
+const BRANCHES: [[f64; 2]; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];

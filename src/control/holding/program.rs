@@ -1,0 +1,366 @@
+//! The nonlinear program of the wrench that holds a target: its variables are the controls, its states the shape.
+//!
+//! ```text
+//! hold       min ½|u|²             with the tip at the target
+//! approach   min ½|c|² + ½ε|u|²    c: by how much the tip misses the target
+//! ```
+//!
+//! both over equilibria, with controls within their bounds and, where asked for, `ω² ≥ σ` of the lowest modes under the controls held. To hold, springs
+//! pull the tip to the target: their pull `D c` is what the controls must take over, so that the program is regular wherever the arm whose tip is held by a
+//! hand is stable, also where it is not under the controls alone.
+
+use faer::Mat;
+use nalgebra::Vector6;
+
+use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
+use crate::control::problem::Bound;
+use crate::mechanics::Configuration;
+use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::tangent::{Mode, TangentLu};
+use crate::sqp::{
+    ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
+};
+
+/// Stiffness of the springs that pull the tip to the target, in units of EI/L³ and EI/L.
+pub(super) const SPRING: f64 = 1e4;
+/// Weight of the effort where the distance is to be least.
+const LITTLE: f64 = 1e-6;
+/// Modes whose `ω²` is bounded: those of bending in two planes may be equal.
+const WATCHED_MODES: usize = 2;
+
+/// What is asked of an equilibrium.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Aim {
+    /// The tip is at the target.
+    Hold,
+    /// The tip is as near to it as it can be.
+    Approach,
+}
+
+/// The program.
+pub(super) struct HoldingProgram<'a> {
+    pub statics: &'a Statics<'a>,
+    pub target: Target,
+    pub aim: Aim,
+    /// Least `ω²` over the unit of [`Statics`]; `None` asks for no stability.
+    pub stability: Option<f64>,
+    sets: Vec<ConvexSet>,
+}
+
+/// Controls and shape.
+#[derive(Clone, Debug)]
+pub(super) struct HoldingPoint {
+    pub controls: Vec<f64>,
+    pub shape: Configuration,
+}
+
+pub(super) struct HoldingDirection {
+    change: Vec<f64>,
+    step: Vec<Vector6<f64>>,
+}
+
+/// The linearized equilibrium: `δz = K⁻¹ (r + B δu)`.
+struct Answers {
+    /// `K⁻¹ r`
+    own: Vec<Vector6<f64>>,
+    /// `K⁻¹ B`
+    columns: Vec<Vec<Vector6<f64>>>,
+}
+
+impl<'a> HoldingProgram<'a> {
+    /// The program; `bounded` says whether the controls have their bounds.
+    pub fn new(
+        statics: &'a Statics<'a>,
+        target: Target,
+        aim: Aim,
+        stability: Option<f64>,
+        bounded: bool,
+    ) -> Self {
+        Self {
+            sets: if bounded { bounds(statics) } else { Vec::new() },
+            statics,
+            target,
+            aim,
+            stability,
+        }
+    }
+
+    fn springs(&self) -> TipSpring {
+        match self.aim {
+            Aim::Hold => self.target.springs(&self.statics.problem.rod, SPRING),
+            Aim::Approach => TipSpring::default(),
+        }
+    }
+
+    fn missing(&self, point: &HoldingPoint) -> Vec<f64> {
+        self.target
+            .residual(&self.statics.problem.rod, &point.shape)
+    }
+
+    fn factor(&self, point: &HoldingPoint) -> Result<TangentLu, Failure> {
+        self.statics
+            .tangent(&point.shape, &point.controls, &self.springs())
+            .factor()
+            .ok_or_else(|| Failure("the arm's stiffness is singular".into()))
+    }
+
+    fn answers(&self, point: &HoldingPoint, defects: &[Vector6<f64>]) -> Result<Answers, Failure> {
+        let mut right = self.statics.columns(&point.shape, &point.controls);
+        right.push(defects.to_vec());
+        let mut columns = self.factor(point)?.solve(&right);
+        let own = columns.pop().unwrap_or_default();
+        Ok(Answers { own, columns })
+    }
+
+    fn modes(&self, point: &HoldingPoint) -> Result<Vec<Mode>, Failure> {
+        if self.stability.is_none() {
+            return Ok(Vec::new());
+        }
+        self.statics
+            .modes(&point.shape, &point.controls, WATCHED_MODES)
+            .ok_or_else(|| Failure("the arm's modes are not numbers".into()))
+    }
+
+    /// `σ - ω²` over the unit, and its derivative along a direction.
+    fn rows_along<'b>(
+        &'b self,
+        point: &'b HoldingPoint,
+        rows: &'b [usize],
+    ) -> Result<impl Iterator<Item = (Vec<Vector6<f64>>, Vec<f64>)> + 'b, Failure> {
+        let modes = self.modes(point)?;
+        Ok(rows.iter().map(move |&row| {
+            self.statics
+                .mode_gradient(&point.shape, &point.controls, &modes[row])
+        }))
+    }
+}
+
+impl LiftedProgram for HoldingProgram<'_> {
+    type Point = HoldingPoint;
+    type Direction = HoldingDirection;
+    type Defects = Vec<Vector6<f64>>;
+    type Costates = ();
+
+    fn sets(&self) -> &[ConvexSet] {
+        &self.sets
+    }
+
+    fn variables<'b>(&self, point: &'b HoldingPoint) -> &'b [f64] {
+        &point.controls
+    }
+
+    fn own_gradient(&self, point: &HoldingPoint) -> Option<Vec<f64>> {
+        let weight = match self.aim {
+            Aim::Hold => 1.0,
+            Aim::Approach => LITTLE,
+        };
+        Some(point.controls.iter().map(|u| weight * u).collect())
+    }
+
+    fn evaluate(&self, point: &HoldingPoint) -> Result<Evaluation<Self::Defects>, Failure> {
+        let stop = &self.statics.problem.stop;
+        stop.check().map_err(|stop| Failure(stop.to_string()))?;
+        let defects = (self.statics).residual(&point.shape, &point.controls, &self.springs());
+        let missing = self.missing(point);
+        let squares = |values: &[f64]| -> f64 { values.iter().map(|value| value * value).sum() };
+        let effort = 0.5 * squares(&point.controls);
+        let (objective, constraints) = match self.aim {
+            Aim::Hold => (effort, missing.iter().map(|c| SPRING * c).collect()),
+            Aim::Approach => (0.5 * squares(&missing) + LITTLE * effort, Vec::new()),
+        };
+        let defect = self.statics.size(&defects);
+        let inequalities: Vec<f64> = if defect.is_finite() {
+            let least = self.stability.unwrap_or(0.0);
+            (self.modes(point)?.iter())
+                .map(|mode| least - mode.squared_frequency / self.statics.unit)
+                .collect()
+        } else {
+            Vec::new()
+        };
+        if !(defect.is_finite() && objective.is_finite()) {
+            return Err(Failure("the forces on the arm are not numbers".into()));
+        }
+        Ok(Evaluation {
+            objective,
+            constraints,
+            inequalities,
+            defect,
+            defects,
+        })
+    }
+
+    fn screening_margin(&self) -> f64 {
+        f64::INFINITY
+    }
+
+    fn linearize(
+        &self,
+        point: &HoldingPoint,
+        evaluation: &Evaluation<Self::Defects>,
+        request: &LinearizationRequest,
+    ) -> Result<Linearization, Failure> {
+        let n = point.controls.len();
+        let answers = self.answers(point, &evaluation.defects)?;
+        let along = |step: &[Vector6<f64>]| self.statics.along(&self.target, &point.shape, step);
+        let missing = self.missing(point);
+        let own = along(&answers.own);
+        let slopes: Vec<Vec<f64>> = answers.columns.iter().map(|step| along(step)).collect();
+        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+        let (mut gradient, mut model_gradient) = (Vec::new(), Vec::new());
+        let mut defect_slope = 0.0;
+        let mut gauss_newton = Mat::zeros(n, n);
+        let (mut jacobian, mut offset) = (Mat::zeros(0, n), Vec::new());
+        match self.aim {
+            Aim::Hold => {
+                gradient.extend(&point.controls);
+                model_gradient.extend(&point.controls);
+                for i in 0..n {
+                    gauss_newton[(i, i)] = 1.0;
+                }
+                jacobian = Mat::from_fn(missing.len(), n, |i, j| SPRING * slopes[j][i]);
+                offset = (missing.iter().zip(&own))
+                    .map(|(c, answer)| SPRING * (c + answer))
+                    .collect();
+            }
+            Aim::Approach => {
+                defect_slope = dot(&missing, &own);
+                for i in 0..n {
+                    let effort = LITTLE * point.controls[i];
+                    gradient.push(effort + dot(&missing, &slopes[i]));
+                    model_gradient.push(gradient[i] + dot(&own, &slopes[i]));
+                    for j in 0..n {
+                        gauss_newton[(i, j)] = dot(&slopes[i], &slopes[j]);
+                    }
+                    gauss_newton[(i, i)] += LITTLE;
+                }
+            }
+        }
+        let mut inequality_jacobian = Mat::zeros(request.rows.len(), n);
+        let mut inequality_offset = Vec::new();
+        for (at, gradient) in self.rows_along(point, request.rows)?.enumerate() {
+            let slope = |step: &[Vector6<f64>], change: &[f64]| {
+                -Statics::slope(&gradient, step, change) / self.statics.unit
+            };
+            for j in 0..n {
+                let mut change = vec![0.0; n];
+                change[j] = 1.0;
+                inequality_jacobian[(at, j)] = slope(&answers.columns[j], &change);
+            }
+            let answer = slope(&answers.own, &vec![0.0; n]);
+            inequality_offset.push(evaluation.inequalities[request.rows[at]] + answer);
+        }
+        Ok(Linearization {
+            gradient,
+            model_gradient,
+            defect_slope,
+            gauss_newton,
+            curvature: None,
+            jacobian,
+            offset,
+            rows: request.rows.to_vec(),
+            inequality_jacobian,
+            inequality_offset,
+        })
+    }
+
+    fn predict_inequalities(
+        &self,
+        point: &HoldingPoint,
+        evaluation: &Evaluation<Self::Defects>,
+        direction: &HoldingDirection,
+    ) -> Result<Vec<f64>, Failure> {
+        let rows: Vec<usize> = (0..evaluation.inequalities.len()).collect();
+        let gradients = self.rows_along(point, &rows)?;
+        Ok((gradients.zip(&evaluation.inequalities))
+            .map(|(gradient, value)| {
+                let slope = Statics::slope(&gradient, &direction.step, &direction.change);
+                value - slope / self.statics.unit
+            })
+            .collect())
+    }
+
+    fn expand(
+        &self,
+        point: &HoldingPoint,
+        defects: &Self::Defects,
+        change: &[f64],
+    ) -> Result<HoldingDirection, Failure> {
+        let mut right = defects.clone();
+        let columns = self.statics.columns(&point.shape, &point.controls);
+        for (column, change) in columns.iter().zip(change) {
+            for (right, column) in right.iter_mut().zip(column) {
+                *right += column * *change;
+            }
+        }
+        Ok(HoldingDirection {
+            change: change.to_vec(),
+            step: self.factor(point)?.solve(&[right]).swap_remove(0),
+        })
+    }
+
+    fn retract(
+        &self,
+        point: &HoldingPoint,
+        direction: &HoldingDirection,
+        step_length: f64,
+    ) -> HoldingPoint {
+        HoldingPoint {
+            controls: (point.controls.iter().zip(&direction.change))
+                .map(|(u, change)| u + step_length * change)
+                .collect(),
+            shape: self
+                .statics
+                .moved(&point.shape, &direction.step, step_length),
+        }
+    }
+
+    fn longest_step(&self, direction: &HoldingDirection) -> f64 {
+        LARGEST_TURN / largest_turn(&direction.step)
+    }
+
+    fn rollout(&self, point: &HoldingPoint, change: &[f64]) -> Result<HoldingPoint, Failure> {
+        let controls: Vec<f64> = (point.controls.iter().zip(change))
+            .map(|(u, change)| u + change)
+            .collect();
+        let shape = self
+            .statics
+            .settled(&point.shape, &controls, &self.springs())
+            .ok_or_else(|| Failure("no equilibrium under these controls".into()))?;
+        Ok(HoldingPoint { controls, shape })
+    }
+}
+
+/// The bounds of the controls.
+fn bounds(statics: &Statics) -> Vec<ConvexSet> {
+    let mut out = Vec::new();
+    for (index, actuator) in statics.problem.actuators.iter().enumerate() {
+        for (channel, axes) in [(&actuator.force, 0..3), (&actuator.moment, 3..6)] {
+            let own = || {
+                (statics.components.iter().enumerate())
+                    .filter(|(_, c)| c.actuator == index && axes.contains(&c.axis))
+            };
+            match channel.bound {
+                Some(Bound::Norm(limit)) if limit.is_finite() && own().next().is_some() => {
+                    out.push(ConvexSet::ball(
+                        own().map(|(at, _)| at),
+                        limit / channel.scale,
+                    ));
+                }
+                Some(Bound::PerAxis(limits)) => {
+                    for (at, component) in own() {
+                        let limit = limits[component.axis % 3] / channel.scale;
+                        if limit.is_finite() {
+                            out.push(ConvexSet::Interval {
+                                index: at,
+                                lower: -limit,
+                                upper: limit,
+                            });
+                        }
+                    }
+                }
+                Some(Bound::Norm(_)) | None => {}
+            }
+        }
+    }
+    out
+}

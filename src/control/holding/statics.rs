@@ -1,0 +1,431 @@
+//! The arm at rest under its controls held: the balance of forces, its derivatives, and its stability.
+
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use crate::control::problem::{Component, OptimalControlProblem};
+use crate::mechanics::actuator::Acting;
+use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::forces::NodalForces;
+use crate::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+use crate::mechanics::strain_coordinates::retract_shape;
+use crate::mechanics::tangent::{Mode, Tangent, dot};
+use crate::mechanics::{Configuration, Rod, StateView, Wrench};
+
+/// A target of the tip.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Target {
+    /// m
+    pub position: Option<Vector3<f64>>,
+    /// Body to space.
+    pub rotation: Option<Matrix3<f64>>,
+}
+
+impl Target {
+    /// Number of its equations.
+    pub fn n_equations(&self) -> usize {
+        3 * (usize::from(self.position.is_some()) + usize::from(self.rotation.is_some()))
+    }
+
+    /// By how much the tip misses it: over the length, then in rad (`log(R*ᵀ R)`).
+    pub fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
+        let tip = rod.tip();
+        let mut out = Vec::new();
+        if let Some(target) = self.position {
+            let way = (shape.positions[tip] - target) / rod.scales.length;
+            out.extend(way.iter().copied());
+        }
+        if let Some(target) = self.rotation {
+            out.extend(log(&target.tr_mul(&shape.rotations[tip])).iter().copied());
+        }
+        out
+    }
+
+    /// Derivative of the residual along `(δx, η)` of the tip, row by row.
+    pub fn gradients(&self, rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
+        let mut out = Vec::new();
+        if self.position.is_some() {
+            out.extend((0..3).map(|axis| Vector6::ith(axis, 1.0 / rod.scales.length)));
+        }
+        if let Some(target) = self.rotation {
+            let psi = log(&target.tr_mul(&shape.rotations[rod.tip()]));
+            let c = InverseTangentCoefficients::at(psi.norm_squared());
+            let slope = log_tangent(&psi, &c).transpose();
+            out.extend((0..3).map(|axis| {
+                Vector6::from_fn(|i, _| if i < 3 { 0.0 } else { slope[(axis, i - 3)] })
+            }));
+        }
+        out
+    }
+
+    /// Springs that pull the tip there, `stiffness` in units of EI/L³ and EI/L.
+    pub fn springs(&self, rod: &Rod, stiffness: f64) -> TipSpring {
+        let scales = &rod.scales;
+        TipSpring {
+            position: (self.position).map(|to| (to, stiffness * scales.force / scales.length)),
+            rotation: (self.rotation).map(|to| (to, stiffness * scales.moment)),
+        }
+    }
+}
+
+/// The arm of a problem at the end of its horizon, under its controls and springs on the tip.
+pub(super) struct Statics<'a> {
+    pub problem: &'a OptimalControlProblem,
+    /// The actuated components, which the controls are values of, each over the scale of its channel.
+    pub components: Vec<Component>,
+    /// Time of loads and of a driven base, s.
+    pub time: f64,
+    /// `ω²` of about the slowest mode of the arm at rest, 1/s².
+    pub unit: f64,
+}
+
+/// Half the width of central differences of the stiffness, rad, and over the length.
+const DIFFERENCE: f64 = 1e-5;
+
+impl Statics<'_> {
+    fn rod(&self) -> &Rod {
+        &self.problem.rod
+    }
+
+    fn n_free(&self) -> usize {
+        self.rod().n_nodes() - self.rod().first_free_node()
+    }
+
+    /// The wrenches of all actuators, in the order of the problem's controls.
+    pub fn wrenches(&self, controls: &[f64]) -> Vec<Wrench> {
+        let mut out = vec![Wrench::default(); self.problem.actuators.len()];
+        for (component, value) in self.components.iter().zip(controls) {
+            let value = value * self.problem.channel(component).scale;
+            let wrench = &mut out[component.actuator];
+            if component.axis < 3 {
+                wrench.force[component.axis] = value;
+            } else {
+                wrench.moment[component.axis - 3] = value;
+            }
+        }
+        out
+    }
+
+    fn view<'b>(&'b self, shape: &'b Configuration) -> StateView<'b> {
+        StateView {
+            rod: self.rod(),
+            time: self.time,
+            positions: &shape.positions,
+            rotations: &shape.rotations,
+        }
+    }
+
+    /// The wrenches on nodes under the controls.
+    pub fn nodal(&self, shape: &Configuration, controls: &[f64]) -> Vec<(usize, Wrench)> {
+        let wrenches = self.wrenches(controls);
+        let mut out: Vec<(usize, Wrench)> = (self.problem.wrench_actuators().iter())
+            .zip(&wrenches)
+            .map(|(actuator, wrench)| (actuator.node, *wrench))
+            .collect();
+        for acting in &self.problem.acting {
+            out.extend(acting.wrenches(&self.view(shape), &acting.controls(&wrenches)));
+        }
+        out
+    }
+
+    /// Unbalanced force and moment on every free node.
+    pub fn residual(
+        &self,
+        shape: &Configuration,
+        controls: &[f64],
+        springs: &TipSpring,
+    ) -> Vec<Vector6<f64>> {
+        let rod = self.rod();
+        let mut forces = NodalForces::zeros(rod.n_nodes());
+        forces.evaluate(rod, &shape.positions, &shape.rotations, self.time);
+        let tip = rod.tip();
+        let pull = springs.wrench(&shape.positions[tip], &shape.rotations[tip]);
+        for (node, wrench) in self.nodal(shape, controls).into_iter().chain([(tip, pull)]) {
+            forces.forces[node] += wrench.force;
+            forces.moments[node] += wrench.moment;
+        }
+        (rod.first_free_node()..rod.n_nodes())
+            .map(|q| {
+                let (f, m) = (&forces.forces[q], &forces.moments[q]);
+                Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
+            })
+            .collect()
+    }
+
+    /// Norm of a residual, forces over EI/L² and moments over EI/L.
+    pub fn size(&self, residual: &[Vector6<f64>]) -> f64 {
+        let scales = &self.rod().scales;
+        let squares = residual.iter().map(|r| {
+            r.fixed_rows::<3>(0).norm_squared() / scales.force.powi(2)
+                + r.fixed_rows::<3>(3).norm_squared() / scales.moment.powi(2)
+        });
+        squares.sum::<f64>().sqrt()
+    }
+
+    /// Derivative of minus the residual along the free nodes.
+    pub fn tangent(&self, shape: &Configuration, controls: &[f64], springs: &TipSpring) -> Tangent {
+        let rod = self.rod();
+        let first = rod.first_free_node();
+        let mut out = Tangent::stiffness(rod, shape, self.time);
+        let tip = rod.tip() - first;
+        out.add(tip, tip, &springs.stiffness(&shape.rotations[rod.tip()]));
+        let wrenches = self.wrenches(controls);
+        for acting in self.looking() {
+            let nodes = acting.actuator.nodes(rod);
+            let u = acting.controls(&wrenches);
+            let slope = acting
+                .actuator
+                .configuration_jacobian(&self.view(shape), &u);
+            for (i, &row) in nodes.iter().enumerate() {
+                for (j, &column) in nodes.iter().enumerate() {
+                    if row >= first && column >= first {
+                        let block = Matrix6::from_fn(|k, l| -slope[(6 * i + k, 6 * j + l)]);
+                        out.add(row - first, column - first, &block);
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// Actuators of one's own whose wrenches depend on the configuration.
+    fn looking(&self) -> impl Iterator<Item = &Acting> {
+        (self.problem.acting.iter())
+            .filter(|acting| acting.actuator.linear_map(self.rod()).is_none())
+    }
+
+    /// Derivative of the residual along every control.
+    pub fn columns(&self, shape: &Configuration, controls: &[f64]) -> Vec<Vec<Vector6<f64>>> {
+        let rod = self.rod();
+        let first = rod.first_free_node();
+        let wrenches = self.wrenches(controls);
+        let own: Vec<_> = (self.problem.acting.iter())
+            .map(|acting| {
+                let u = acting.controls(&wrenches);
+                let nodes = acting.actuator.nodes(rod);
+                (
+                    nodes,
+                    acting.actuator.control_jacobian(&self.view(shape), &u),
+                )
+            })
+            .collect();
+        (self.components.iter())
+            .map(|component| {
+                let scale = self.problem.channel(component).scale;
+                let mut column = vec![Vector6::zeros(); self.n_free()];
+                if let Some((actuator, control)) = self.problem.own_control(component) {
+                    let (nodes, slope) = &own[actuator];
+                    for (i, &node) in nodes.iter().enumerate().filter(|(_, node)| **node >= first) {
+                        column[node - first] +=
+                            Vector6::from_fn(|k, _| scale * slope[(6 * i + k, control)]);
+                    }
+                } else {
+                    let node = self.problem.actuators[component.actuator].node;
+                    if node >= first {
+                        column[node - first][component.axis] = scale;
+                    }
+                }
+                column
+            })
+            .collect()
+    }
+
+    /// The lowest modes under the controls held.
+    pub fn modes(
+        &self,
+        shape: &Configuration,
+        controls: &[f64],
+        count: usize,
+    ) -> Option<Vec<Mode>> {
+        (self.tangent(shape, controls, &TipSpring::default())).lowest_modes(
+            self.rod(),
+            shape,
+            self.unit,
+            count,
+        )
+    }
+
+    /// Derivative of a mode's `ω²` along the free nodes and along the controls, by central differences of the stiffness within its quadratic form.
+    pub fn mode_gradient(
+        &self,
+        shape: &Configuration,
+        controls: &[f64],
+        mode: &Mode,
+    ) -> (Vec<Vector6<f64>>, Vec<f64>) {
+        let rod = self.rod();
+        let first = rod.first_free_node();
+        let length = rod.scales.length;
+        let mut moved = shape.clone();
+        let along_states = (first..rod.n_nodes())
+            .map(|node| {
+                Vector6::from_fn(|component, _| {
+                    let axis = component % 3;
+                    let step = if component < 3 {
+                        DIFFERENCE * length
+                    } else {
+                        DIFFERENCE
+                    };
+                    let [ahead, behind] = [step, -step].map(|step| {
+                        let (x, r) = (shape.positions[node], shape.rotations[node]);
+                        if component < 3 {
+                            moved.positions[node] = x + Vector3::ith(axis, step);
+                        } else {
+                            moved.rotations[node] = r * exp(&Vector3::ith(axis, step));
+                        }
+                        let form = self.form_about(&moved, node, &mode.shape);
+                        moved.positions[node] = x;
+                        moved.rotations[node] = r;
+                        form
+                    });
+                    (ahead - behind) / (2.0 * step)
+                })
+            })
+            .collect();
+        if self.looking().next().is_none() {
+            return (along_states, vec![0.0; controls.len()]);
+        }
+        let along_controls = (0..controls.len())
+            .map(|i| {
+                let [ahead, behind] = [DIFFERENCE, -DIFFERENCE].map(|step| {
+                    let mut u = controls.to_vec();
+                    u[i] += step;
+                    self.own_form(shape, &u, &mode.shape)
+                });
+                (ahead - behind) / (2.0 * DIFFERENCE)
+            })
+            .collect();
+        (along_states, along_controls)
+    }
+
+    /// What the elements beside a node, and the loads on it, add to `qᵀ K q`.
+    fn form_about(&self, shape: &Configuration, node: usize, q: &[Vector6<f64>]) -> f64 {
+        let rod = self.rod();
+        let first = rod.first_free_node();
+        let part = |node: usize, rows: usize| -> Vector3<f64> {
+            (node.checked_sub(first))
+                .map_or_else(Vector3::zeros, |at| q[at].fixed_rows::<3>(rows).into())
+        };
+        let elements = node.saturating_sub(1)..(node + 1).min(rod.n_elements());
+        let elastic = elements.map(|e| {
+            let pose = Rod::element_pose(e, &shape.positions, &shape.rotations);
+            let (_, k) = rod.elements[e].stiffness(rod.strain_rule, &pose);
+            let chord = part(e + 1, 0) - part(e, 0);
+            let (a, b) = (part(e, 3), part(e + 1, 3));
+            let motion = nalgebra::SVector::<f64, 9>::from_iterator(
+                chord.iter().chain(a.iter()).chain(b.iter()).copied(),
+            );
+            motion.dot(&(k * motion))
+        });
+        let (shift, turn) = (part(node, 0), part(node, 3));
+        let loads = (rod.loads.iter().filter(|load| load.node == node)).map(|load| {
+            let (force, moment) = load.wrench_derivative(self.time, &shape.rotations[node]);
+            -(shift.dot(&(force * turn)) + turn.dot(&(moment * turn)))
+        });
+        elastic.sum::<f64>() + loads.sum::<f64>()
+    }
+
+    /// What actuators of one's own add to `qᵀ K q`.
+    fn own_form(&self, shape: &Configuration, controls: &[f64], q: &[Vector6<f64>]) -> f64 {
+        let rod = self.rod();
+        let first = rod.first_free_node();
+        let wrenches = self.wrenches(controls);
+        let forms = self.looking().map(|acting| {
+            let nodes = acting.actuator.nodes(rod);
+            let u = acting.controls(&wrenches);
+            let slope = acting
+                .actuator
+                .configuration_jacobian(&self.view(shape), &u);
+            let entry =
+                |i: usize| (nodes[i / 6].checked_sub(first)).map_or(0.0, |node| q[node][i % 6]);
+            let n = 6 * nodes.len();
+            (0..n)
+                .map(|i| {
+                    (0..n)
+                        .map(|j| entry(i) * slope[(i, j)] * entry(j))
+                        .sum::<f64>()
+                })
+                .sum::<f64>()
+        });
+        -forms.sum::<f64>()
+    }
+
+    /// The shape whose strains follow `(δx, η)` of the free nodes linearly.
+    pub fn moved(
+        &self,
+        shape: &Configuration,
+        step: &[Vector6<f64>],
+        length: f64,
+    ) -> Configuration {
+        let first = self.rod().first_free_node();
+        let mut positions = vec![Vector3::zeros(); first];
+        let mut rotations = positions.clone();
+        for s in step {
+            positions.push(s.fixed_rows::<3>(0) * length);
+            rotations.push(s.fixed_rows::<3>(3) * length);
+        }
+        let mut out = shape.clone();
+        retract_shape(shape, &positions, &rotations, &mut out);
+        out
+    }
+
+    /// Newton's method at fixed controls; `None` where it does not converge.
+    pub fn settled(
+        &self,
+        shape: &Configuration,
+        controls: &[f64],
+        springs: &TipSpring,
+    ) -> Option<Configuration> {
+        let mut shape = shape.clone();
+        let mut residual = self.residual(&shape, controls, springs);
+        let mut size = self.size(&residual);
+        for _ in 0..NEWTON_STEPS {
+            let factor = self.tangent(&shape, controls, springs).factor()?;
+            let step = factor.solve(&[residual]).swap_remove(0);
+            if !(largest_turn(&step) < LARGEST_TURN) {
+                return None;
+            }
+            shape = self.moved(&shape, &step, 1.0);
+            residual = self.residual(&shape, controls, springs);
+            let next = self.size(&residual);
+            if !next.is_finite() {
+                return None;
+            }
+            // At rounding nothing more is gained.
+            if next < SETTLED && next > 0.5 * size {
+                return Some(shape);
+            }
+            size = next;
+        }
+        (size < SETTLED).then_some(shape)
+    }
+
+    /// Derivative of the residual of `target` along a step.
+    pub fn along(&self, target: &Target, shape: &Configuration, step: &[Vector6<f64>]) -> Vec<f64> {
+        let tip = step.len() - 1;
+        (target.gradients(self.rod(), shape).iter())
+            .map(|gradient| gradient.dot(&step[tip]))
+            .collect()
+    }
+
+    /// `gᵀ δ` of a mode's gradient.
+    pub fn slope(
+        gradient: &(Vec<Vector6<f64>>, Vec<f64>),
+        step: &[Vector6<f64>],
+        change: &[f64],
+    ) -> f64 {
+        let by_controls: f64 = gradient.1.iter().zip(change).map(|(g, d)| g * d).sum();
+        dot(&gradient.0, step) + by_controls
+    }
+}
+
+const NEWTON_STEPS: usize = 25;
+/// Residual, over EI/L² and EI/L, at which an equilibrium is one.
+const SETTLED: f64 = 1e-6;
+/// Turn of a node in one Newton step, rad, up to which it can be trusted.
+pub(super) const LARGEST_TURN: f64 = 1.0;
+
+/// Largest rotation of a node.
+pub(super) fn largest_turn(step: &[Vector6<f64>]) -> f64 {
+    (step.iter())
+        .map(|s| s.fixed_rows::<3>(3).norm())
+        .fold(0.0, |most, turn| if turn <= most { most } else { turn })
+}

@@ -1,0 +1,284 @@
+//! The tangent stiffness of an arm with whatever acts on it, as a sparse matrix: its inverse, its lowest modes, and how fast motions grow.
+//!
+//! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + C q̇ + K q = 0`. `K` couples neighbors by the elements, and any nodes by actuators that look
+//! at them; body moments make it unsymmetric. `C` is viscous damping `c M` and Kelvin-Voigt damping `τ` times the elements' stiffness without stress.
+
+use std::collections::BTreeMap;
+
+use faer::Mat;
+use faer::Side;
+use faer::linalg::solvers::Solve as _;
+use faer::sparse::linalg::solvers::{Llt, Lu};
+use faer::sparse::{SparseColMat, Triplet};
+use nalgebra::{DMatrix, Matrix6, Schur, Vector3, Vector6};
+
+use super::block_tridiagonal::BlockTridiagonal;
+use super::configuration::Configuration;
+use super::rod::Rod;
+use super::stiffness::tangent_stiffness;
+use super::strain::IntervalStress;
+use super::vibration::inertia_roots;
+
+/// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0.
+#[derive(Clone, Debug)]
+pub(crate) struct Tangent {
+    n_blocks: usize,
+    blocks: BTreeMap<(usize, usize), Matrix6<f64>>,
+}
+
+/// A mode of `K_s q = ω² M q`, `K_s` the symmetric part of `K`, with `qᵀ M q = 1`.
+#[derive(Clone, Debug)]
+pub(crate) struct Mode {
+    /// `ω²`, 1/s²; negative where a deviation grows.
+    pub squared_frequency: f64,
+    /// `(δx, η)` of every free node.
+    pub shape: Vec<Vector6<f64>>,
+}
+
+/// Modes that are computed with those that are asked for, so that subspace iteration converges fast.
+const GUARD_MODES: usize = 4;
+/// Change of an `ω²`, relative to itself and the shift, at which subspace iteration ends, and its limit.
+const MODE_TOLERANCE: f64 = 1e-11;
+const MODE_ITERATIONS: usize = 100;
+/// Modes by which the growth of motions without a potential is computed.
+const GROWTH_MODES: usize = 12;
+/// Steps of the QR iteration for each eigenvalue.
+const QR_STEPS: usize = 100;
+
+impl Tangent {
+    /// The matrix with these blocks.
+    pub fn of(blocks: BlockTridiagonal) -> Self {
+        let n_blocks = blocks.diagonal.len();
+        let mut all = BTreeMap::new();
+        for (i, block) in blocks.diagonal.into_iter().enumerate() {
+            all.insert((i, i), block);
+        }
+        for (i, (below, above)) in blocks.below.into_iter().zip(blocks.above).enumerate() {
+            all.insert((i + 1, i), below);
+            all.insert((i, i + 1), above);
+        }
+        Self {
+            n_blocks,
+            blocks: all,
+        }
+    }
+
+    /// The stiffness of the elements and of the rod's own loads at time `t`.
+    pub fn stiffness(rod: &Rod, at: &Configuration, t: f64) -> Self {
+        Self::of(tangent_stiffness(rod, at, t))
+    }
+
+    /// Adds a block.
+    pub fn add(&mut self, row: usize, column: usize, block: &Matrix6<f64>) {
+        *self.blocks.entry((row, column)).or_default() += block;
+    }
+
+    /// Factors of the matrix; `None` where it is singular.
+    pub fn factor(&self) -> Option<TangentLu> {
+        let lu = sparse(self.n_blocks, &self.blocks)?.sp_lu().ok()?;
+        Some(TangentLu(lu))
+    }
+
+    /// The lowest `count` modes, ascending, with the inertia of the rod; `unit` (1/s²) is about the smallest `ω²` of a stable arm. `None` where something
+    /// is no number.
+    ///
+    /// Subspace iteration with the inverse of `M^{-½} K_s M^{-½} + s`, `s` a shift that makes it positive definite (Bathe 2014, section 11.6).
+    pub fn lowest_modes(
+        &self,
+        rod: &Rod,
+        at: &Configuration,
+        unit: f64,
+        count: usize,
+    ) -> Option<Vec<Mode>> {
+        let roots = inertia_roots(rod, at);
+        let mut scaled = BTreeMap::new();
+        for (&(row, column), block) in &self.blocks {
+            let half = 0.5 * block.component_mul(&(roots[row] * roots[column].transpose()));
+            *scaled.entry((row, column)).or_insert_with(Matrix6::zeros) += half;
+            *scaled.entry((column, row)).or_insert_with(Matrix6::zeros) += half.transpose();
+        }
+        let (shift, factor) = positive(self.n_blocks, &scaled, unit)?;
+        let n = 6 * self.n_blocks;
+        let size = (count + GUARD_MODES).min(n);
+        let mut basis = DMatrix::from_fn(n, size, |i, j| {
+            (1.0 + i as f64 * (1.0 + 0.37 * j as f64)).sin()
+        });
+        let mut values = vec![f64::INFINITY; size];
+        for _ in 0..MODE_ITERATIONS {
+            basis = basis.qr().q();
+            let answer = factor.solve(&Mat::from_fn(n, size, |i, j| basis[(i, j)]));
+            let answer = DMatrix::from_fn(n, size, |i, j| answer[(i, j)]);
+            let small = basis.tr_mul(&answer);
+            let eigen = (0.5 * (&small + small.transpose())).symmetric_eigen();
+            let mut order: Vec<usize> = (0..size).collect();
+            order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+            let found: Vec<f64> = (order.iter())
+                .map(|&i| eigen.eigenvalues[i].recip() - shift)
+                .collect();
+            if !found.iter().take(count).all(|value| value.is_finite()) {
+                return None;
+            }
+            let turn = DMatrix::from_fn(size, size, |i, j| eigen.eigenvectors[(i, order[j])]);
+            basis = answer * turn;
+            let is_settled = (found.iter().zip(&values).take(count))
+                .all(|(new, old)| (new - old).abs() <= MODE_TOLERANCE * (new.abs() + shift));
+            values = found;
+            if is_settled {
+                break;
+            }
+        }
+        let modes = (0..count.min(size)).map(|j| {
+            let norm = basis.column(j).norm();
+            Mode {
+                squared_frequency: values[j],
+                shape: (roots.iter().enumerate())
+                    .map(|(q, root)| {
+                        Vector6::from_fn(|i, _| basis[(6 * q + i, j)] / norm * root[i])
+                    })
+                    .collect(),
+            }
+        });
+        Some(modes.collect())
+    }
+
+    /// Largest real part of the `s` of motions `exp(s t)`, 1/s: positive where small deviations grow. From the lowest [`GROWTH_MODES`] of the symmetric part
+    /// (Galerkin), with viscous and Kelvin-Voigt damping.
+    pub fn growth_rate(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<f64> {
+        let modes = self.lowest_modes(rod, at, unit, GROWTH_MODES)?;
+        let n = modes.len();
+        let damping = Self::of(strain_stiffness(rod, at));
+        let project = |matrix: &Self| {
+            let moved: Vec<_> = modes.iter().map(|mode| matrix.times(&mode.shape)).collect();
+            DMatrix::from_fn(n, n, |i, j| dot(&modes[i].shape, &moved[j]))
+        };
+        let (stiffness, strain) = (project(self), project(&damping));
+        let mut first_order = DMatrix::zeros(2 * n, 2 * n);
+        for i in 0..n {
+            first_order[(i, n + i)] = 1.0;
+            first_order[(n + i, n + i)] = -rod.viscous_damping;
+            for j in 0..n {
+                first_order[(n + i, j)] = -stiffness[(i, j)];
+                first_order[(n + i, n + j)] -= rod.internal_damping * strain[(i, j)];
+            }
+        }
+        // In units of time in which both halves are about as large.
+        let time = unit.sqrt().recip();
+        for i in 0..n {
+            for j in 0..n {
+                first_order[(i, n + j)] *= 1.0;
+                first_order[(n + i, j)] *= time * time;
+                first_order[(n + i, n + j)] *= time;
+            }
+        }
+        let schur = Schur::try_new(first_order, f64::EPSILON, QR_STEPS * n)?;
+        let largest = (schur.complex_eigenvalues().iter())
+            .map(|value| value.re)
+            .fold(f64::NEG_INFINITY, f64::max);
+        Some(largest / time)
+    }
+
+    /// Largest entry of the unsymmetric part, over the largest entry.
+    pub fn asymmetry(&self) -> f64 {
+        let largest = self.blocks.values().map(Matrix6::amax).fold(0.0, f64::max);
+        let zero = Matrix6::zeros();
+        let unsymmetric = self.blocks.iter().map(|(&(row, column), block)| {
+            let other = self.blocks.get(&(column, row)).unwrap_or(&zero);
+            (block - other.transpose()).amax()
+        });
+        unsymmetric.fold(0.0, f64::max) / largest
+    }
+
+    fn times(&self, vector: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
+        let mut out = vec![Vector6::zeros(); self.n_blocks];
+        for (&(row, column), block) in &self.blocks {
+            out[row] += block * vector[column];
+        }
+        out
+    }
+}
+
+/// LU factors of a [`Tangent`].
+pub(crate) struct TangentLu(Lu<usize, f64>);
+
+impl TangentLu {
+    /// `K⁻¹` times each of the right-hand sides.
+    pub fn solve(&self, right: &[Vec<Vector6<f64>>]) -> Vec<Vec<Vector6<f64>>> {
+        let Some(first) = right.first() else {
+            return Vec::new();
+        };
+        let n = first.len();
+        let matrix = Mat::from_fn(6 * n, right.len(), |i, j| right[j][i / 6][i % 6]);
+        let answer = self.0.solve(&matrix);
+        (0..right.len())
+            .map(|j| {
+                (0..n)
+                    .map(|q| Vector6::from_fn(|i, _| answer[(6 * q + i, j)]))
+                    .collect()
+            })
+            .collect()
+    }
+}
+
+/// `aᵀ b`
+pub(crate) fn dot(a: &[Vector6<f64>], b: &[Vector6<f64>]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+}
+
+fn sparse(
+    n_blocks: usize,
+    blocks: &BTreeMap<(usize, usize), Matrix6<f64>>,
+) -> Option<SparseColMat<usize, f64>> {
+    let mut triplets = Vec::with_capacity(36 * blocks.len());
+    for (&(row, column), block) in blocks {
+        for i in 0..6 {
+            for j in 0..6 {
+                triplets.push(Triplet::new(6 * row + i, 6 * column + j, block[(i, j)]));
+            }
+        }
+    }
+    let n = 6 * n_blocks;
+    SparseColMat::try_new_from_triplets(n, n, &triplets).ok()
+}
+
+/// A shift, 0 or a power of four times `unit`, that makes a symmetric matrix positive definite, and the factor of the sum.
+fn positive(
+    n_blocks: usize,
+    blocks: &BTreeMap<(usize, usize), Matrix6<f64>>,
+    unit: f64,
+) -> Option<(f64, Llt<usize, f64>)> {
+    let mut shift = 0.0;
+    // Beyond the largest entry there is nothing left to shift.
+    while shift < f64::MAX.sqrt() {
+        let mut shifted = blocks.clone();
+        for i in 0..n_blocks {
+            *shifted.entry((i, i)).or_default() += Matrix6::from_diagonal_element(shift);
+        }
+        if let Ok(factor) = sparse(n_blocks, &shifted)?.sp_cholesky(Side::Lower) {
+            return Some((shift, factor));
+        }
+        shift = if shift == 0.0 { unit } else { 4.0 * shift };
+        if !shift.is_finite() {
+            return None;
+        }
+    }
+    None
+}
+
+/// The stiffness of the elements along their strains alone, as if they bore no stress.
+fn strain_stiffness(rod: &Rod, at: &Configuration) -> BlockTridiagonal {
+    let first = rod.first_free_node();
+    let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);
+    let nothing = IntervalStress {
+        linear: [Vector3::zeros(); 2],
+        angular: Vector3::zeros(),
+    };
+    for (q, element) in rod.elements.iter().enumerate() {
+        let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+        out.add_element(
+            first,
+            q,
+            &element.stiffness_under(rod.strain_rule, &pose, &nothing, 1.0),
+        );
+    }
+    out
+}
