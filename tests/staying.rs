@@ -72,7 +72,10 @@ fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
     }
     let held: NodeWrenches = control.at(grid.n_steps);
     let mut stepper = Stepper::new(&rod, grid.step, stepper.state());
-    let target = discrete.goals[0].position.unwrap();
+    let target = discrete
+        .final_goals()
+        .find_map(|goal| goal.position)
+        .unwrap();
     let mut found = [0.0; 2];
     for _ in 0..(seconds / grid.step).ceil() as usize {
         stepper.advance([held; 2]).unwrap();

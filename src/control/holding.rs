@@ -49,6 +49,8 @@ pub struct Held {
     pub first_frequency: Option<f64>,
     /// Displacement of the tip per force on it with the controls held, m/N, spatial frame.
     pub tip_compliance: Matrix3<f64>,
+    /// Tangent stiffness with the controls held.
+    pub(crate) tangent: Tangent,
 }
 
 impl Held {
@@ -531,6 +533,7 @@ impl Search<'_> {
             growth_rate: growth,
             first_frequency: is_stable.then(|| square.sqrt()),
             tip_compliance,
+            tangent,
         })
     }
 }

@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
+use super::holding::Held;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::{Configuration, EnergyNorm, FormTerm, Rod, State, Wrench};
@@ -37,23 +38,16 @@ pub struct Stay {
 }
 
 impl Stay {
-    /// Staying at `shape`, an equilibrium at time `t`, in s, of `rod`, whose loads include the held wrenches. `None` where it is not stable.
+    /// Staying where `held` holds the arm of this rod, for some seconds and within a distance in m, as a part of goal number `goal`. `None` where
+    /// the equilibrium is not stable, or an actuator couples nodes that are no neighbors.
     #[must_use]
-    pub fn at(
-        rod: &Rod,
-        shape: Configuration,
-        t: f64,
-        wrenches: Vec<Wrench>,
-        [seconds, distance]: [f64; 2],
-        goal: usize,
-    ) -> Option<Self> {
-        let norm = EnergyNorm::about(rod, &shape, t)?;
-        let compliance = norm.compliance(rod.tip() - rod.first_free_node());
+    pub fn at(rod: &Rod, held: Held, [seconds, distance]: [f64; 2], goal: usize) -> Option<Self> {
+        let norm = EnergyNorm::about(rod, &held.shape, &held.tangent)?;
         Some(Self {
             goal,
-            compliance: compliance.symmetric_eigenvalues().max(),
-            wrenches,
-            shape,
+            compliance: held.least_stiffness().recip(),
+            wrenches: held.wrenches,
+            shape: held.shape,
             seconds,
             distance,
             norm,

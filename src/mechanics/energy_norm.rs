@@ -4,14 +4,15 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::prelude::*;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
-use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockCholesky;
 use super::configuration::Configuration;
 use super::forms::NODE_COMPONENTS;
 use super::rod::Rod;
-use super::stiffness::tangent_stiffness;
 use super::strain::IntervalStress;
+use super::tangent::Tangent;
+use super::vibration::inertia_roots;
 
 /// Components of a node's deviation that belong to its pose; its momenta follow.
 const POSE: usize = NODE_COMPONENTS / 2;
@@ -67,20 +68,20 @@ impl EnergyNorm {
             }
         }
         Some(Self {
-            momenta: momentum_roots(rod, at),
+            momenta: inertia_roots(rod, at),
             poses: BlockCholesky::new(&diagonal, &below)?,
         })
     }
 
-    /// The norm of deviations from an equilibrium under the rod's loads at time `t`, in s: the strains' energy as above, and that of gravity
-    /// and of the loads to second order, by the symmetric part of the tangent stiffness. `None` where the equilibrium is not stable, or the base
-    /// is free.
+    /// The norm of deviations from an equilibrium with this tangent stiffness: the strains' energy as above, and that of gravity, loads and
+    /// controls to second order, by its symmetric part. `None` where the equilibrium is not stable, the base is free, or an actuator couples
+    /// nodes that are no neighbors.
     #[must_use]
-    pub fn about(rod: &Rod, at: &Configuration, t: f64) -> Option<Self> {
+    pub(crate) fn about(rod: &Rod, at: &Configuration, tangent: &Tangent) -> Option<Self> {
         if rod.first_free_node() == 0 {
             return None;
         }
-        let stiffness = tangent_stiffness(rod, at, t);
+        let stiffness = tangent.tridiagonal()?;
         let diagonal: Vec<_> = (stiffness.diagonal.iter())
             .map(|block| 0.5 * (block + block.transpose()))
             .collect();
@@ -88,7 +89,7 @@ impl EnergyNorm {
             .map(|(below, above)| 0.5 * (below + above.transpose()))
             .collect();
         Some(Self {
-            momenta: momentum_roots(rod, at),
+            momenta: inertia_roots(rod, at),
             poses: BlockCholesky::new(&diagonal, &below)?,
         })
     }
@@ -126,19 +127,6 @@ impl EnergyNorm {
             on_pose += self.poses.below()[earlier] * before;
         }
         [on_pose, momenta.component_mul(&self.momenta[node])]
-    }
-
-    /// Displacement of a free node, in m, under a force on it in N, in the spatial frame: `(K⁻¹)` at the node.
-    #[must_use]
-    pub fn compliance(&self, node: usize) -> Matrix3<f64> {
-        let column = |axis: usize| {
-            let mut load = vec![Vector6::zeros(); self.n_nodes()];
-            load[node][axis] = 1.0;
-            self.poses.solve_lower(&mut load);
-            self.poses.solve_lower_transposed(&mut load);
-            load[node].fixed_rows::<3>(0).into_owned()
-        };
-        Matrix3::from_columns(&[0, 1, 2].map(column))
     }
 
     /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
@@ -230,17 +218,6 @@ impl EnergyNorm {
             }
         }
     }
-}
-
-/// Diagonal of `L` over the momenta of the free nodes: the roots of one over their inertia.
-fn momentum_roots(rod: &Rod, at: &Configuration) -> Vec<Vector6<f64>> {
-    let rotary = rod.rotary_at(&at.positions);
-    (rod.first_free_node()..rod.n_nodes())
-        .map(|q| {
-            let (m, j) = (rod.nodes[q].mass, &rotary[q]);
-            Vector6::new(m, m, m, j.x, j.y, j.z).map(|inertia| 1.0 / inertia.sqrt())
-        })
-        .collect()
 }
 
 fn block(matrix: &Matrix6<f64>) -> MatRef<'_, f64> {

@@ -20,7 +20,7 @@ use super::strain::IntervalStress;
 use super::vibration::inertia_roots;
 
 /// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Tangent {
     n_blocks: usize,
     blocks: BTreeMap<(usize, usize), Matrix6<f64>>,
@@ -71,6 +71,21 @@ impl Tangent {
     /// Adds a block.
     pub fn add(&mut self, row: usize, column: usize, block: &Matrix6<f64>) {
         *self.blocks.entry((row, column)).or_default() += block;
+    }
+
+    /// The matrix, where it couples neighbors alone; `None` where an actuator couples other nodes.
+    pub fn tridiagonal(&self) -> Option<BlockTridiagonal> {
+        let mut out = BlockTridiagonal::zeros(self.n_blocks);
+        for (&(row, column), block) in &self.blocks {
+            let place = match row.abs_diff(column) {
+                0 => &mut out.diagonal[row],
+                1 if row > column => &mut out.below[column],
+                1 => &mut out.above[row],
+                _ => return None,
+            };
+            *place = *block;
+        }
+        Some(out)
     }
 
     /// Factors of the matrix; `None` where it is singular.

@@ -10,17 +10,17 @@ use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
+use super::staying::stay;
 use super::tracking::default_weights;
 use crate::control::path::thinnest;
 use crate::control::{
     ActuatedNode, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, RodView, Stay, Tracking, static_need,
+    PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
 };
 use crate::mechanics::rotation::log;
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{
-    Load, LoadFrame, Rod, RodError, RodModel, RotaryInertia, SmallMotions, State, TimeGrid,
-    TimeScheme, Trajectory,
+    Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
 };
 use crate::stop::StopSignal;
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
@@ -731,51 +731,6 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         }
     }
     Ok(())
-}
-
-/// Where the arm stays at the end of the horizon, and the wrench that holds it there.
-fn stay(
-    problem: &OptimalControlProblem,
-    staying: Staying,
-    length: f64,
-) -> Result<Stay, DiscretizeError> {
-    let need = static_need(problem).map_err(|e| DiscretizeError::NotHeld(e.to_string()))?;
-    let tip = problem.rod.tip();
-    let last = problem.grid.n_steps;
-    let goal = (problem.goals.iter())
-        .position(|goal| goal.node == tip && goal.time_node == last)
-        .ok_or_else(|| DiscretizeError::NotHeld("no goal".into()))?;
-    let mut rod = Rod::clone(&problem.rod);
-    for (actuator, wrench) in problem.actuators.iter().zip(&need.wrenches) {
-        rod.loads.push(Load {
-            node: actuator.node,
-            force: wrench.force,
-            moment: Vector3::zeros(),
-            frame: LoadFrame::Spatial,
-            profile: Vec::new(),
-        });
-        rod.loads.push(Load {
-            node: actuator.node,
-            force: Vector3::zeros(),
-            moment: wrench.moment,
-            frame: LoadFrame::Body,
-            profile: Vec::new(),
-        });
-    }
-    let end = problem.grid.duration();
-    let frequency = SmallMotions::about(&rod, &need.shape, end)
-        .first_frequency()
-        .ok_or_else(|| DiscretizeError::NotHeld("unstable".into()))?;
-    let seconds = staying.seconds.unwrap_or(std::f64::consts::TAU / frequency);
-    Stay::at(
-        &rod,
-        need.shape,
-        end,
-        need.wrenches,
-        [seconds, staying.distance(length)],
-        goal,
-    )
-    .ok_or_else(|| DiscretizeError::NotHeld("unstable".into()))
 }
 
 /// Distance between two places, m; 0 where one is not given.

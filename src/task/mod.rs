@@ -27,6 +27,7 @@ mod error;
 mod own;
 #[doc(hidden)]
 pub mod prediction;
+mod staying;
 mod tracking;
 
 pub use arm::{Arm, Place, PointLoad, Start, StartShape};
