@@ -26,8 +26,8 @@ use softarm::mechanics::{
     NodeInertia, Rod, RotaryInertia, Section, SectionProfile, StateView, TimeScheme, Wrench,
 };
 use softarm::task::{
-    Arm, ControlGroup, Discretization, OwnActuator, PointLoad, Start, StartShape, Target, Task,
-    Tolerances,
+    Arm, ControlGroup, Discretization, OwnActuator, PointLoad, Rest, Start, StartShape, Target,
+    Task, Tolerances,
 };
 
 const LENGTH: f64 = 0.034; // m
@@ -156,7 +156,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let target = Target {
         name: "goal".into(),
         position: Some(goal),
-        at_rest: true,
+        rest: Rest::Instant,
         tolerances: Tolerances {
             speed: Some(0.0),
             spin: Some(0.0),

@@ -43,6 +43,7 @@ fn free_rod(
     assert!(step < 0.9 * stable_step(&rod));
     let control = ControlGrid::new(hold, n_blocks, STEPS, step).unwrap();
     OptimalControlProblem {
+        stay: None,
         stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
             start: 0.0,

@@ -8,7 +8,7 @@ use softarm::mechanics::{
 use softarm::scene::Scene;
 use softarm::task::{
     Arm, ChannelLimits, Discretization, DiscretizeError, Limit, LimitKind, Obstruction, Place,
-    PointLoad, Start, StartShape, Target, Task, Tolerances, WrenchActuator,
+    PointLoad, Rest, Start, StartShape, Target, Task, Tolerances, WrenchActuator,
 };
 
 fn silicone() -> Material {
@@ -232,7 +232,7 @@ fn refusals_are_typed() {
         "target.time"
     );
     assert_eq!(
-        out_of_range(refusal(&|_, task, _| task.targets[0].at_rest = true)),
+        out_of_range(refusal(&|_, task, _| task.targets[0].rest = Rest::Instant)),
         "target.time"
     );
     assert_eq!(

@@ -53,6 +53,7 @@ impl Case {
         assert!(step < 0.8 * stable_step(&rod));
         let scales = rod.scales;
         let problem = OptimalControlProblem {
+            stay: None,
             stop: softarm::stop::StopSignal::default(),
             grid: TimeGrid {
                 start: 0.0,
@@ -208,6 +209,7 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
     let (n_steps, step) = (180, 5e-3);
     assert!(step < 0.9 * stable_step(&rod));
     let problem = OptimalControlProblem {
+        stay: None,
         stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
             start: 0.0,

@@ -56,6 +56,7 @@ fn problem(look: Look) -> OptimalControlProblem {
     let tip = rod.tip();
     let scales = rod.scales;
     OptimalControlProblem {
+        stay: None,
         stop: softarm::stop::StopSignal::default(),
         grid: TimeGrid {
             start: 0.0,

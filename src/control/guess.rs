@@ -109,10 +109,10 @@ pub fn simulated(
     })
 }
 
-/// One shape of the path, and the tip wrench that holds it.
+/// One shape of the path, and the wrenches of all actuators that hold it.
 struct Waypoint {
     shape: Configuration,
-    hold: Wrench,
+    hold: Vec<Wrench>,
 }
 
 /// The way to one goal: when it ends, as a fraction of the horizon, and where.
@@ -155,6 +155,7 @@ pub(super) fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration 
 
 impl StaticPath {
     /// From the start, by a detour, through the tip's goals, with the base where it is at the end of the horizon.
+    /// Where the arm stays, the last shape is that of its equilibrium.
     fn through_goals(
         problem: &OptimalControlProblem,
         detour: Option<&Vector3<f64>>,
@@ -196,14 +197,23 @@ impl StaticPath {
         }
         let scales = &rod.scales;
         let mut shape = carried(rod, problem.initial.configuration.clone(), horizon);
+        let nothing = vec![Wrench::default(); problem.actuators.len()];
         let mut path = Self {
             waypoints: vec![Waypoint {
                 shape: shape.clone(),
-                hold: Wrench::default(),
+                hold: nothing.clone(),
             }],
             ends: Vec::new(),
         };
         for leg in legs {
+            if let (Some(stay), true) = (&problem.stay, leg.end == 1.0) {
+                path.waypoints.push(Waypoint {
+                    shape: stay.shape.clone(),
+                    hold: stay.wrenches.clone(),
+                });
+                path.ends.push(leg.end);
+                continue;
+            }
             let mut spring = TipSpring::default();
             for &stiffness in &SPRINGS[..leg.springs] {
                 spring = TipSpring {
@@ -213,8 +223,19 @@ impl StaticPath {
                 };
                 shape = static_equilibrium_until(rod, &shape, 0.0, &spring, &problem.stop)?;
             }
+            let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
+            let hold = (problem.actuators.iter().zip(&nothing).enumerate()).map(
+                |(a, (actuator, nothing))| {
+                    let is_wrench = a < problem.wrench_actuators().len();
+                    if is_wrench && actuator.node == tip {
+                        pull
+                    } else {
+                        *nothing
+                    }
+                },
+            );
             path.waypoints.push(Waypoint {
-                hold: spring.wrench(&shape.positions[tip], &shape.rotations[tip]),
+                hold: hold.collect(),
                 shape: shape.clone(),
             });
             path.ends.push(leg.end);
@@ -238,20 +259,14 @@ impl StaticPath {
         })
     }
 
-    /// Coefficients of the wrenches that hold the shapes, within their bounds; only the tip's are used.
+    /// Coefficients of the wrenches that hold the shapes, within their bounds; on the way to a place where the arm need not stay, the tip's alone.
     fn holds(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
         let horizon = problem.grid.duration();
         (problem.control.coefficient_times().into_iter())
             .flat_map(|t| {
                 let hold = self.hold(t / horizon);
-                (problem.actuators.iter().enumerate()).map(move |(a, actuator)| {
-                    let is_wrench = a < problem.wrench_actuators().len();
-                    if is_wrench && actuator.node == problem.rod.tip() {
-                        within_bounds(actuator, hold)
-                    } else {
-                        Wrench::default()
-                    }
-                })
+                (problem.actuators.iter().zip(hold))
+                    .map(|(actuator, hold)| within_bounds(actuator, hold))
             })
             .collect()
     }
@@ -276,13 +291,14 @@ impl StaticPath {
         between(&from.shape, &to.shape, fraction)
     }
 
-    fn hold(&self, t: f64) -> Wrench {
+    fn hold(&self, t: f64) -> Vec<Wrench> {
         let (from, to, fraction) = self.segment(t);
-        let (from, to) = (&from.hold, &to.hold);
-        Wrench {
-            force: from.force + (to.force - from.force) * fraction,
-            moment: from.moment + (to.moment - from.moment) * fraction,
-        }
+        (from.hold.iter().zip(&to.hold))
+            .map(|(from, to)| Wrench {
+                force: from.force + (to.force - from.force) * fraction,
+                moment: from.moment + (to.moment - from.moment) * fraction,
+            })
+            .collect()
     }
 }
 

@@ -229,6 +229,10 @@ fn first_points<'a>(
         firsts.push(First::Guess(guess));
         return firsts;
     }
+    // Where the arm stays, its last shape and wrench are known, and the way there through static shapes ends in them.
+    if problem.stay.is_some() {
+        firsts.push(First::Guess(Guess::StaticPath));
+    }
     // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.
     firsts.push(First::Guess(Guess::Rest));
     let is_obstacle = |limit: &PathLimit| matches!(limit, PathLimit::Clearance { .. });

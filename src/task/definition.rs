@@ -308,8 +308,9 @@ pub struct Task {
 }
 
 impl Task {
-    /// The tip reaches a position in m after `horizon` seconds, and the arm comes to rest and [stays](Staying) there; with the least effort of a
-    /// tip force of at most `largest_force` in N.
+    /// The tip reaches a position in m after `horizon` seconds and stops there for an instant, within the default [`Tolerances`]; with the least
+    /// effort of a tip force of at most `largest_force` in N. [`Self::staying`] asks the arm to stay there, which few targets of a force
+    /// alone allow.
     #[must_use]
     pub fn reach(position: Vector3<f64>, horizon: f64, largest_force: f64) -> Self {
         Self {
@@ -319,7 +320,7 @@ impl Task {
             targets: vec![Target {
                 name: "task".into(),
                 position: Some(position),
-                rest: Rest::Staying(Staying::default()),
+                rest: Rest::Instant,
                 ..Target::default()
             }],
             limits: Vec::new(),
@@ -331,6 +332,15 @@ impl Task {
             own_actuators: Vec::new(),
             cost: Cost::default(),
         }
+    }
+
+    /// The same task at whose end the whole arm comes to rest and stays, with the last wrenches held.
+    #[must_use]
+    pub fn staying(mut self, staying: Staying) -> Self {
+        for target in self.targets.iter_mut().filter(|target| target.time.is_none()) {
+            target.rest = Rest::Staying(staying);
+        }
+        self
     }
 
     /// The same task that lasts `factor` times as long, its points on the way at the same parts of it.

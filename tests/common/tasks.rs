@@ -143,6 +143,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         ..Goal::reach(&rod, grid, target)
     };
     OptimalControlProblem {
+        stay: None,
         stop: softarm::stop::StopSignal::default(),
         radii: (0..=4).map(|q| 0.05 - 0.005 * f64::from(q)).collect(),
         duration: None,
