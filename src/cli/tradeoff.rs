@@ -9,7 +9,7 @@ use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::output::replace::replace;
+use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_points};
 use crate::output::{ResultKind, RunDirectory, read_text};
@@ -31,6 +31,9 @@ pub(super) struct TradeoffArguments {
     /// it is a built-in scene
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     apply: Option<Option<PathBuf>>,
+    /// Let --apply replace this file, which is neither SCENE nor new
+    #[arg(long, value_name = "FILE", num_args = 1)]
+    force: Vec<PathBuf>,
     /// Go on with an earlier sweep of the same scene: its points are not run again
     #[arg(long)]
     resume: bool,
@@ -72,7 +75,11 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     let earlier = (arguments.resume)
         .then(|| Earlier::read(&target, &scene))
         .transpose()?;
-    let applied = (arguments.apply.as_ref()).map(|file| place(file.as_deref(), name));
+    let writer = Writer::forcing(&arguments.force);
+    let applied = (arguments.apply.as_ref()).map(|file| Applied::of(file.as_deref(), name));
+    if let Some(place) = &applied {
+        writer.permit(&place.path, place.own)?;
+    }
     let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
 
     console.say(&format!(
@@ -181,10 +188,10 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             );
             recommended.to_toml()
         });
-        replace(place, &text)?;
+        writer.write(&place.path, place.own, &text)?;
         console.say(&format!(
             "the scene with the recommended setting: {}",
-            place.display()
+            place.path.display()
         ));
     }
     Ok(match (stop.raised(), &found.recommended) {
@@ -218,11 +225,28 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
 }
 
 /// Where the scene with the recommended setting goes.
-fn place(file: Option<&Path>, scene: &str) -> PathBuf {
-    match file {
-        Some(file) => file.into(),
-        None if Path::new(scene).is_file() => scene.into(),
-        None => PathBuf::from(format!("{scene}.toml")),
+struct Applied {
+    path: PathBuf,
+    own: Own,
+}
+
+impl Applied {
+    /// A file that is SCENE itself is there to be changed; any other file is somebody's.
+    fn of(file: Option<&Path>, scene: &str) -> Self {
+        let scene_file = Path::new(scene);
+        let path = match file {
+            Some(file) => file.into(),
+            None if scene_file.is_file() => scene.into(),
+            None => PathBuf::from(format!("{scene}.toml")),
+        };
+        let place = |path: &Path| std::fs::canonicalize(path).ok();
+        let is_scene = scene_file.is_file() && place(&path) == place(scene_file);
+        let own = if is_scene {
+            Own::Everything
+        } else {
+            Own::Nothing
+        };
+        Self { path, own }
     }
 }
 
