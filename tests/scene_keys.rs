@@ -216,6 +216,7 @@ const SCENES: [&[&str]; 5] = [
         "base.motion.angular_velocity_rad_s=[0.0, 0.0, 0.5]",
         "base.motion.translation_m=[[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.2, 0.3]]",
         "base.motion.rotation_rad=[[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.2, 0.3]]",
+        "base.motion.rotation_frame='body'",
         "base.motion.oscillation.0.translation_m=[0.0, 0.01, 0.0]",
         "base.motion.oscillation.0.rotation_rad=[0.0, 0.01, 0.0]",
         "base.motion.oscillation.0.frequency_hz=2.0",

@@ -8,9 +8,9 @@ use serde::Serialize;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, exit};
+use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::tradeoff::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
-use crate::output::replace::{Own, Writer};
 use crate::output::{
     Compared, ComparisonTable, ResultKind, compare, render_comparison, render_report,
 };

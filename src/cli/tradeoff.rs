@@ -15,7 +15,9 @@ use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_po
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
-use crate::tradeoff::{Fate, News, Point, RunError, Setting, Subject, Sweep, SweepError, Tradeoff};
+use crate::tradeoff::{
+    Fate, News, Point, Reference, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
+};
 
 #[derive(Debug, Args)]
 pub(super) struct TradeoffArguments {
@@ -72,15 +74,16 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     let (scene, source) = Scene::load(name, &global.set)?;
     let stop = stop_signal(None);
     let target = arguments.scene.directory("tradeoff");
-    let earlier = (arguments.resume)
-        .then(|| Earlier::read(&target, &scene))
-        .transpose()?;
     let writer = Writer::forcing(&arguments.force);
     let applied = (arguments.apply.as_ref()).map(|file| Applied::of(file.as_deref(), name));
     if let Some(place) = &applied {
         writer.permit(&place.path, place.own)?;
     }
     let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
+    let earlier = match arguments.resume {
+        true => Earlier::read(&target, &scene, console)?,
+        false => Earlier::default(),
+    };
 
     console.say(&format!(
         "{}: at most {:e} of the length, within {:.0} s",
@@ -88,9 +91,9 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         arguments.tolerance,
         arguments.budget.as_secs_f64()
     ));
-    let (known, known_reference) = earlier.unwrap_or_default();
     if arguments.resume {
-        console.say(&format!("{} points are there already", known.len()));
+        let count = earlier.points.len();
+        console.say(&format!("{count} points are there already"));
     }
     let mut usual = None;
     let bar = within_budget(arguments.budget, console);
@@ -113,8 +116,8 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         source: &source,
         tolerance: arguments.tolerance,
         budget: arguments.budget,
-        known,
-        known_reference,
+        known: earlier.points,
+        known_reference: earlier.reference,
         stop: &stop,
         tell: &mut tell,
     }
@@ -250,19 +253,28 @@ impl Applied {
     }
 }
 
-/// Points of an earlier sweep, and the elements of its reference.
-struct Earlier;
+/// What an earlier sweep has found.
+#[derive(Default)]
+struct Earlier {
+    points: Vec<Point>,
+    reference: Option<Reference>,
+}
 
 impl Earlier {
-    fn read(target: &Path, scene: &Scene) -> Result<(Vec<Point>, Option<usize>), CliError> {
+    /// What a sweep of this scene left in a directory; nothing where one was ended before its first point.
+    fn read(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
         let refuse = |why: &str| {
             CliError::Directory(format!(
                 "cannot resume: {}: {why}; run without --resume",
                 target.display()
             ))
         };
-        if !target.join("summary.json").is_file() {
-            return Err(refuse("holds no sweep"));
+        if !target.join("summary.json").exists() {
+            console.warn(&format!(
+                "{}: holds no sweep to go on with, so that one begins",
+                target.display()
+            ));
+            return Ok(Self::default());
         }
         let text = read_text(&target.join("scene.toml"), LARGEST)?;
         let (earlier, _) = Scene::from_toml("the scene of the sweep", &text, &[])?;
@@ -270,16 +282,33 @@ impl Earlier {
             return Err(refuse("the scene has changed"));
         }
         let text = read_text(&target.join("summary.json"), LARGEST)?;
-        let summary: serde_json::Value =
+        let mut summary: serde_json::Value =
             serde_json::from_str(&text).map_err(|_| refuse("summary.json is not one"))?;
-        let points = summary["points"].as_array().cloned().unwrap_or_default();
-        // What failed is tried again.
-        let points = (points.into_iter())
-            .filter_map(|point| serde_json::from_value::<Point>(point).ok())
-            .filter(|point| point.status == Fate::Done)
-            .collect();
-        let elements = summary["reference"]["elements"].as_u64();
-        Ok((points, elements.map(|elements| elements as usize)))
+        let mut points = Vec::new();
+        let saved = summary["points"].as_array().cloned().unwrap_or_default();
+        for (at, saved) in saved.into_iter().enumerate() {
+            let fault = match serde_json::from_value::<Point>(saved) {
+                Err(error) => Some(error.to_string()),
+                Ok(point) => match point.fault() {
+                    // What failed is tried again.
+                    None => {
+                        points.extend((point.status == Fate::Done).then_some(point));
+                        None
+                    }
+                    fault => fault,
+                },
+            };
+            if let Some(fault) = fault {
+                console.warn(&format!(
+                    "summary.json: points.{at}: {fault}; it is run again if the sweep comes to it"
+                ));
+            }
+        }
+        let reference = serde_json::from_value::<Reference>(summary["reference"].take()).ok();
+        Ok(Self {
+            points,
+            reference: reference.filter(|reference| reference.fault().is_none()),
+        })
     }
 }
 

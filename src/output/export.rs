@@ -22,11 +22,7 @@ pub struct Destination<'a> {
 
 impl Destination<'_> {
     /// Writes files of which each is made when it is written, if all of them may be.
-    fn write(
-        &self,
-        files: &[String],
-        text: impl Fn(usize) -> String,
-    ) -> Result<(), OutputError> {
+    fn write(&self, files: &[String], text: impl Fn(usize) -> String) -> Result<(), OutputError> {
         let path = |file: &String| self.folder.join(file);
         for file in files {
             self.writer.permit(&path(file), Own::Export)?;

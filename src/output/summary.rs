@@ -271,11 +271,38 @@ pub struct SimulateSummary {
     pub dilatation: Range,
     /// Length of the polygon of nodes over the run, m.
     pub length_m: Range,
+    /// Least distances from the obstacles of the scene, which the motion does not know; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub clearance: Vec<ClearanceSummary>,
     /// How the grid was chosen; absent where the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
+}
+
+/// How near a simulated arm comes to an obstacle, at the times that have a row.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClearanceSummary {
+    /// Name of the obstacle.
+    pub obstacle: String,
+    /// Least distance between their surfaces, m; negative inside.
+    pub least_m: f64,
+    /// When, s.
+    pub at_s: f64,
+    /// Where on the arm, as a fraction of its length from the base.
+    pub place: f64,
+}
+
+impl ClearanceSummary {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        format!(
+            "{}: the arm comes as near as {:.4e} m, at t = {:.4} s and {:.2} of its length",
+            self.obstacle, self.least_m, self.at_s, self.place
+        )
+    }
 }
 
 /// How elements and step were chosen where a scene asks for an accuracy; all errors are over the length.

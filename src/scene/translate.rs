@@ -15,8 +15,8 @@ use crate::control::{
 };
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, MotionCurve, NodeInertia, Oscillation,
-    Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, LoadFrame, MotionCurve, NodeInertia,
+    Oscillation, Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
 };
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -320,6 +320,7 @@ impl Scene {
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
         let elements = self.rod.elements;
+        let base_rotation = from_quaternion(self.base.unit_quaternion());
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
@@ -331,7 +332,7 @@ impl Scene {
                 model::BaseKind::Driven => {
                     let motion = self.base.motion.clone().unwrap_or_default();
                     BaseCondition::driven(
-                        base_motion(&motion).map_err(|error| {
+                        base_motion(&motion, &base_rotation).map_err(|error| {
                             source.error_at("base.motion", error.to_string(), None)
                         })?,
                     )
@@ -339,7 +340,7 @@ impl Scene {
                 model::BaseKind::Free => BaseCondition::Free,
             },
             base_position: self.base.position_m.into(),
-            base_rotation: from_quaternion(self.base.unit_quaternion()),
+            base_rotation,
             gravity: self
                 .gravity
                 .as_ref()
@@ -582,6 +583,7 @@ impl LoadNode {
             Self::Tip => Place::Tip,
             Self::Base => Place::Base,
             Self::Index(node) => Place::of_node(node, elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()),
         }
     }
 }
@@ -689,33 +691,48 @@ fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
     }
 }
 
-fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
+/// The motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its frame.
+fn base_motion(
+    motion: &model::BaseMotion,
+    orientation: &Matrix3<f64>,
+) -> Result<BaseMotion, RodError> {
     let curve = |rate: [f64; 3],
                  table: &Option<Vec<[f64; 4]>>,
-                 amplitude: fn(&model::Oscillation) -> [f64; 3]|
+                 amplitude: fn(&model::Oscillation) -> [f64; 3],
+                 own: Matrix3<f64>|
      -> Result<MotionCurve, RodError> {
-        let point = |&[t, x, y, z]: &[f64; 4]| (t, Vector3::new(x, y, z));
+        let point = |&[t, x, y, z]: &[f64; 4]| (t, own * Vector3::new(x, y, z));
         let table = table
             .as_ref()
             .map(|rows| CubicSpline::through(&rows.iter().map(point).collect::<Vec<_>>()));
         let oscillations = motion.oscillation.iter().map(|o| Oscillation {
-            amplitude: amplitude(o).into(),
+            amplitude: own * Vector3::from(amplitude(o)),
             frequency: o.frequency_hz.get(),
             phase: o.phase_rad,
         });
         Ok(MotionCurve {
-            rate: rate.into(),
+            rate: own * Vector3::from(rate),
             table: table.transpose()?,
             oscillations: oscillations.collect(),
         })
     };
+    let turned = match motion.rotation_frame {
+        LoadFrame::Spatial => orientation.transpose(),
+        LoadFrame::Body => Matrix3::identity(),
+    };
     Ok(BaseMotion {
-        translation: curve(motion.velocity_m_s, &motion.translation_m, |o| {
-            o.translation_m
-        })?,
-        rotation: curve(motion.angular_velocity_rad_s, &motion.rotation_rad, |o| {
-            o.rotation_rad
-        })?,
+        translation: curve(
+            motion.velocity_m_s,
+            &motion.translation_m,
+            |o| o.translation_m,
+            Matrix3::identity(),
+        )?,
+        rotation: curve(
+            motion.angular_velocity_rad_s,
+            &motion.rotation_rad,
+            |o| o.rotation_rad,
+            turned,
+        )?,
     })
 }
 

@@ -14,7 +14,7 @@ mod summary;
 
 #[cfg(feature = "cli")]
 pub(crate) use self::{
-    causes::causes,
+    causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
     diagnostics::diagnostics,
     examined::Examined,

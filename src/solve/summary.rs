@@ -41,7 +41,7 @@ pub(crate) fn summarize(
     let check = examined.check.as_ref();
     let (status, mut message) = status_words(&outcome.status, &solution.worst);
     if !solution.has_converged() {
-        let mut causes = causes(&problem.rod, &problem.initial, problem.grid.duration());
+        let mut causes = causes(&problem.rod, &problem.initial, &problem.grid);
         if !causes.is_empty() {
             causes.extend(message.take());
             message = Some(causes.join("; "));

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
+use super::contradictions::check_contradictions;
 use super::definition::{Hardness, LimitKind, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
@@ -216,6 +217,7 @@ impl Task {
         };
         check_start(&discrete)?;
         check_goals(&discrete)?;
+        check_contradictions(&discrete, self.free_duration.map(|free| free.longest))?;
         if let Some((conflict, what)) = discrete.duration_conflict() {
             return Err(DiscretizeError::Duration { conflict, what });
         }

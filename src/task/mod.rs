@@ -19,6 +19,7 @@
 //! ```
 
 mod arm;
+mod contradictions;
 mod definition;
 mod discretization;
 mod discretize;

@@ -43,6 +43,9 @@ impl SavedTradeoff {
         let path = directory.join("summary.json");
         let saved: Self = serde_json::from_value(summary)
             .map_err(|error| OutputError::malformed(&path, error.to_string()))?;
+        if let Some(fault) = saved.found.fault() {
+            return Err(OutputError::malformed(&path, fault));
+        }
         let text = read_text(&directory.join("scene.toml"), LARGEST_SCENE)?;
         Ok(Self { text, ..saved })
     }

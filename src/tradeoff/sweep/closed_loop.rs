@@ -46,6 +46,7 @@ impl Work<'_, '_> {
         self.loop_points(&mut pairs);
         self.loop_points(&mut singles);
         self.cut |= !(pairs.is_empty() && singles.is_empty());
+        self.adopt();
         let models = Models {
             cost: (fit::cost(
                 "samples",
@@ -66,7 +67,10 @@ impl Work<'_, '_> {
 
     /// Runs one setting after the other while there is time.
     fn loop_points(&mut self, settings: &mut VecDeque<Setting>) {
-        while !self.is_over() {
+        while let Some(setting) = settings.front() {
+            if self.sweep.stop.is_raised() || self.is_over() && self.known(setting).is_none() {
+                return;
+            }
             let Some(setting) = settings.pop_front() else {
                 return;
             };

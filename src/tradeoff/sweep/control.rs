@@ -42,6 +42,7 @@ impl Work<'_, '_> {
         self.solve_settings(&mut pairs);
         self.solve_settings(&mut plan);
         self.cut |= !(pairs.is_empty() && plan.is_empty());
+        self.adopt();
         let reference = self.control_reference();
         let models = self.control_models(reference.as_ref());
         let recommended = self.recommend_control();
@@ -158,7 +159,7 @@ impl Work<'_, '_> {
         let left = self.left();
         let best = (plan.iter().enumerate())
             .map(|(index, setting)| (index, phase(setting), seconds(setting)))
-            .filter(|(.., seconds)| *seconds <= left)
+            .filter(|(index, _, seconds)| *seconds <= left || self.known(&plan[*index]).is_some())
             .min_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
         let (index, ..) = best.filter(|_| !self.sweep.stop.is_raised())?;
         Some(plan.remove(index))

@@ -9,6 +9,7 @@ mod features;
 mod fit;
 mod front;
 mod motion;
+mod saved;
 
 use std::time::{Duration, Instant};
 
@@ -372,8 +373,8 @@ pub struct Sweep<'a> {
     pub budget: Duration,
     /// Points of an earlier sweep of the same scene, which are not run again.
     pub known: Vec<Point>,
-    /// Elements of that sweep's reference.
-    pub known_reference: Option<usize>,
+    /// That sweep's reference.
+    pub known_reference: Option<Reference>,
     /// The signal that ends the work early.
     pub stop: &'a StopSignal,
     /// Sees every point as it comes, and other news.
@@ -512,12 +513,7 @@ impl Work<'_, '_> {
 
     /// The point of a setting, from an earlier sweep or by `run`.
     fn point(&mut self, setting: &Setting, run: impl FnOnce(&mut Self) -> Point) -> &Point {
-        let known = self
-            .sweep
-            .known
-            .iter()
-            .find(|known| known.setting == *setting);
-        let point = match known {
+        let point = match self.known(setting) {
             Some(known) => known.clone(),
             None => run(self),
         };

@@ -105,6 +105,11 @@ impl Work<'_, '_> {
         let all_pairs = self.climb(&mut pairs, &truth);
         let all_families = self.climb(&mut families, &truth);
         self.cut |= !(all_pairs && all_families);
+        self.adopt();
+        let reference = match self.sweep.known_reference.clone() {
+            Some(known) if known.elements > reference.elements => known,
+            _ => reference,
+        };
         let models = self.motion_models(&reference);
         let recommended = self.recommend_motion();
         self.motion_findings(&reference, &models, recommended.as_ref());
@@ -124,7 +129,10 @@ impl Work<'_, '_> {
         for grid in 0..MOST_GRIDS {
             let setup = (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
             let spent = self.began.elapsed().as_secs_f64();
-            let known = (self.sweep.known_reference).is_some_and(|known| open.elements <= known);
+            // The grids of an earlier sweep are made again where the budget has room for them.
+            let known = (self.sweep.known_reference.as_ref())
+                .is_some_and(|known| open.elements <= known.elements)
+                && spent + setup.predicted() <= self.sweep.budget.as_secs_f64();
             if grid >= 3 && !finest.runs.is_empty() && !known && spent + setup.predicted() > limit {
                 break;
             }
@@ -283,15 +291,16 @@ impl Work<'_, '_> {
     /// Simulates settings of some families, the fastest first, until all are done, or until there is no time for the next; whether all are done.
     fn climb(&mut self, families: &mut [Family], truth: &Truth) -> bool {
         while let Some((index, elements, seconds)) = self.next(families, truth.motion) {
-            if self.sweep.stop.is_raised() || seconds > self.left() {
+            let setting = Setting {
+                elements,
+                ..families[index].setting.clone()
+            };
+            let is_known = self.known(&setting).is_some();
+            if self.sweep.stop.is_raised() || !is_known && seconds > self.left() {
                 return false;
             }
             let family = &mut families[index];
             family.rungs.pop();
-            let setting = Setting {
-                elements,
-                ..family.setting.clone()
-            };
             let tolerance = self.sweep.tolerance;
             let point = self.point(&setting, |work| work.simulated(&setting, truth));
             if point.error.is_some_and(|error| error < tolerance / ENOUGH) {
