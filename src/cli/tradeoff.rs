@@ -321,8 +321,8 @@ fn row(point: &Point, usual: &Setting) -> String {
         (None, Fate::NotConverged) => "   (none)".into(),
         (None, _) => "   failed".into(),
     };
-    let time = if point.wall_s.is_finite() {
-        format!("{:7.2} ms", 1e3 * point.wall_s)
+    let time = if point.time().is_finite() {
+        format!("{:7.2} ms", 1e3 * point.time())
     } else {
         " ".repeat(10)
     };
@@ -345,7 +345,7 @@ fn status(found: &Tradeoff, stop: Option<Stop>) -> &'static str {
 
 fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console) {
     let mut front: Vec<&Point> = found.points.iter().filter(|point| point.on_front).collect();
-    front.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+    front.sort_by(|a, b| a.time().total_cmp(&b.time()));
     console.say("the front: nothing else is both faster and more accurate");
     for point in front {
         console.say(&row(point, usual));
@@ -369,18 +369,18 @@ fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console
     }
     if let Some(first) = found.features.first() {
         console.say(&format!(
-            "what features of the model cost, {}              with   without  ratio",
+            "what features of the model cost, {}              with   without  ratio (of single turns)",
             first.unit
         ));
     }
     for cost in &found.features {
         console.say(&format!(
-            "  {}{:38} {:12.2} {:9.2} {:6.2}",
+            "  {}{:38} {:12.2} {:9.2}  {}",
             if cost.in_scene { '*' } else { ' ' },
             cost.feature,
             cost.with,
             cost.without,
-            cost.with / cost.without
+            cost.ratio_in_words()
         ));
     }
     if !found.features.is_empty() {

@@ -121,7 +121,7 @@ impl Writer {
             Err(error) => return Err(OutputError::unwritten(path, "cannot write")(error)),
         };
         if old.is_dir() {
-            return refuse("a directory; name a file".into());
+            return refuse(format!("a directory and no {}; name a file", own.name()));
         }
         if !old.is_file() {
             return match is_stream(old.file_type()) {

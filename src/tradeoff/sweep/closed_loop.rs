@@ -254,10 +254,10 @@ impl Work<'_, '_> {
         };
         let error = own.error.unwrap_or(f64::NAN).max(self.sweep.tolerance);
         let mut good: Vec<&Point> = (self.points.iter().skip(1))
-            .filter(|point| point.wall_s < own.wall_s)
+            .filter(|point| point.time() < own.time())
             .filter(|point| point.error.is_some_and(|e| e <= AS_GOOD * error))
             .collect();
-        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        good.sort_by(|a, b| a.time().total_cmp(&b.time()));
         let mut settings = self.combined(&good, None);
         settings.truncate(COMBINED);
         settings

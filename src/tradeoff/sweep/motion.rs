@@ -4,7 +4,7 @@ use super::super::course::{Course, Errors};
 use super::super::motion::{Motion, Run, RunError};
 use super::{
     FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
-    Tradeoff, Work, fit, least_time, simulation_seconds,
+    Tradeoff, Work, fit, least, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
@@ -174,7 +174,7 @@ impl Work<'_, '_> {
             error: errors.shape,
             errors,
             objective: None,
-            wall_s: last.seconds,
+            wall_s: last.seconds.wall,
         }
     }
 
@@ -260,9 +260,9 @@ impl Work<'_, '_> {
         let Some((own, changed)) = families.split_first() else {
             return Vec::new();
         };
-        let limit = best(own).map_or(f64::INFINITY, |point| point.wall_s);
+        let limit = best(own).map_or(f64::INFINITY, |point| point.time());
         let faster: Vec<&Point> = (changed.iter().filter_map(best))
-            .filter(|point| point.wall_s < limit)
+            .filter(|point| point.time() < limit)
             .collect();
         let mut pairs: Vec<Family> = Vec::new();
         for (index, a) in faster.iter().enumerate() {
@@ -295,8 +295,9 @@ impl Work<'_, '_> {
                 elements,
                 ..families[index].setting.clone()
             };
-            let is_known = self.known(&setting).is_some();
-            if self.sweep.stop.is_raised() || !is_known && seconds > self.left() {
+            // A first point there always is.
+            let is_free = self.points.is_empty() || self.known(&setting).is_some();
+            if self.sweep.stop.is_raised() || !is_free && seconds > self.left() {
                 return false;
             }
             let family = &mut families[index];
@@ -348,7 +349,7 @@ impl Work<'_, '_> {
                 let setup = (motion.setup(&open, f64::INFINITY, self.sweep.stop))
                     .map_err(RunError::from)?;
                 let run = setup.run(self.sweep.stop).map_err(RunError::from)?;
-                let seconds = least_time(run.seconds, || setup.time(self.sweep.stop));
+                let seconds = least(run.seconds, || setup.time(self.sweep.stop));
                 Ok((run, seconds, motion.arm.length))
             });
         match found {
@@ -361,9 +362,8 @@ impl Work<'_, '_> {
                     errors: Some(errors),
                     error: Some(errors.shape),
                     error_bars: Some(truth.errors),
-                    wall_s: seconds,
                     memory_mb: simulation.map_or(f64::NAN, |s| 1e-6 * of_simulation(&s).total()),
-                    ..point
+                    ..point.timed(seconds)
                 }
             }
             Err(error) => point.failed(error),

@@ -67,6 +67,7 @@ impl Point {
         let measured = [
             ("step_s", self.step_s),
             ("wall_s", self.wall_s),
+            ("cpu_s", self.time()),
             ("sample_p99_s", self.sample_p99_s.unwrap_or(0.0)),
             ("memory_mb", self.memory_mb),
             ("error", self.error.unwrap_or(0.0)),
@@ -83,7 +84,10 @@ impl Point {
                 // What has no step of its own has none in its summary either.
                 misfit(&steps, |step| step.is_nan() || is_usual(step))
             })
-            .or_else(|| is_done.then(|| misfit(&[("wall_s", self.wall_s)], is_usual))?)
+            .or_else(|| {
+                is_done
+                    .then(|| misfit(&[("wall_s", self.wall_s), ("cpu_s", self.time())], is_usual))?
+            })
             .or_else(|| {
                 let is_without = is_done && !self.error.is_some_and(f64::is_finite);
                 is_without.then(|| "it is done and has no error".into())
