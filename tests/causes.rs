@@ -136,7 +136,7 @@ fn a_broken_model_points_to_the_consistent_one() {
 fn a_payload_is_counted_where_an_arm_topples() {
     let scene = |payload: f64| {
         format!(
-            "[rod]\nlength_m = 0.3\nelements = 12\n[rod.material]\nyoungs_modulus_pa = 1e5\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
+            "[rod]\nlength_m = 0.3\nelements = 12\n[rod.material]\nyoungs_modulus_pa = 2e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
              [rod.section]\nradius_m = 0.01\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[payload]\nmass_kg = {payload}\n[time]\nend_s = 3.0\n"
         )
     };
@@ -153,7 +153,7 @@ fn a_payload_is_counted_where_an_arm_topples() {
     let (_, rest) = said.split_once("make up about 1: here ").unwrap();
     let sum: f64 = rest.split(')').next().unwrap().parse().unwrap();
     // m g L²/EI over Euler's π²/4.
-    let stiffness = 1e5 * std::f64::consts::PI * 0.01_f64.powi(4) / 4.0;
+    let stiffness = 2e6 * std::f64::consts::PI * 0.01_f64.powi(4) / 4.0;
     let payload = 0.05 * 9.81 * 0.09 / stiffness / (std::f64::consts::PI.powi(2) / 4.0);
     assert!(
         sum > 1.0 && (sum - share - payload).abs() < 0.01,

@@ -562,7 +562,7 @@ fn shapes_within_the_limits_are_not_refused() {
     use softarm::mechanics::rotation::{exp, quaternion};
     let mut dice = Dice(17);
     for trial in 0..200 {
-        let [curvature, twist] = [0.2, 3.0].map(|most| most * (1.0 + dice.roll()) + 0.05);
+        let [curvature, twist] = [3.0, 2.0].map(|most| most * (1.0 + dice.roll()) + 0.05);
         let strain = if trial % 2 == 0 { 0.0 } else { 0.29 };
         let mut x = Vector3::zeros();
         let mut r = nalgebra::Matrix3::identity();

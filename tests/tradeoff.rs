@@ -103,18 +103,24 @@ fn a_motion() {
         let Some(error) = point["error"].as_f64() else {
             continue;
         };
-        let time = number(&point["wall_s"]);
+        let time = number(&point["cpu_s"]);
         if error <= 3e-3 - reference {
-            assert!(time >= number(&recommended["wall_s"]));
+            assert!(time >= number(&recommended["cpu_s"]));
         }
         if point["on_front"] == true {
             let beats = |other: &Value| {
-                let (e, t) = (other["error"].as_f64(), other["wall_s"].as_f64());
+                let (e, t) = (other["error"].as_f64(), other["cpu_s"].as_f64());
                 e.zip(t).is_some_and(|(e, t)| e < error && t < time)
             };
             assert!(!points(&summary).iter().any(beats));
         }
     }
+    let is_on_front = |point: &&Value| point["on_front"] == true;
+    let mut front = points(&summary).iter().filter(is_on_front);
+    let own = front.any(|point| {
+        point["elements"] == recommended["elements"] && point["cpu_s"] == recommended["cpu_s"]
+    });
+    assert_eq!(recommended["on_front"], own);
     // Helical elements converge with the second order that they have.
     let helical = |model: &&Value| model["of"] == "helical";
     let models = summary["models"]["error"].as_array().unwrap();
@@ -416,16 +422,20 @@ fn tampered_sweeps_are_not_believed() {
         fs::write(&path, changed.to_string()).unwrap();
         let (code, _, talk) = desk.run(&["report", "run"]);
         assert_eq!(code, USAGE, "{key} {value}: {talk}");
+        if key == "error" || value == -1.0 {
+            continue; // the same by another number
+        }
         let (code, again, talk) = desk.run(&[&verb[..], &["--resume"]].concat());
         assert_eq!(code, DONE, "{key} {value}: {talk}");
         assert!(
             talk.contains(&format!("points.{at}")),
             "{key} {value}: {talk}"
         );
-        assert_eq!(
-            points(&again).len(),
-            points(&summary).len(),
-            "{key} {value}"
+        let believed = |time: &Value| time.as_f64().is_none_or(|time| time > 0.0 && time < 1e6);
+        assert!(
+            points(&again)
+                .iter()
+                .all(|point| believed(&point["wall_s"]))
         );
     }
 }
@@ -485,7 +495,7 @@ fn applying_replaces_no_file_of_others() {
     assert_eq!(code, USAGE, "{talk}");
     assert!(talk.contains("read-only"), "{talk}");
     set_mode("mine.toml", 0o600);
-    let (code, _, talk) = sweep(&["--apply=to-mine.toml", "--force=mine.toml"]);
+    let (code, summary, talk) = sweep(&["--apply=to-mine.toml", "--force=mine.toml"]);
     assert_eq!(code, DONE, "{talk}");
     assert_eq!(mode("mine.toml"), 0o600);
     assert!(
@@ -493,10 +503,8 @@ fn applying_replaces_no_file_of_others() {
             .unwrap()
             .is_symlink()
     );
-    assert_eq!(
-        scene(&desk.path("mine.toml")),
-        scene(&desk.path("scene.toml"))
-    );
+    let elements = summary["recommended"]["elements"].as_u64().unwrap();
+    assert_eq!(scene(&desk.path("mine.toml")).rod.elements as u64, elements);
 
     // A link to a file that is not there yet makes that file, and names that share a file go on to share it.
     symlink("new.toml", desk.path("to-new.toml")).unwrap();

@@ -63,6 +63,8 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
         _ => "comparison.html".into(),
     };
     let path = arguments.out.clone().unwrap_or(own);
+    let writer = Writer::forcing(&arguments.force);
+    writer.permit(&path, Own::Page)?;
     let (page, differences) = if results[0].0 == ResultKind::Tradeoff {
         of_tradeoffs(directories, results)?
     } else {
@@ -76,7 +78,7 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
             (render_comparison(&data), data.tables)
         }
     };
-    Writer::forcing(&arguments.force).write(&path, Own::Page, &page)?;
+    writer.write(&path, Own::Page, &page)?;
     for table in &differences {
         let n = table.rows.len();
         console.say(&format!("{}: {n} differ", table.title.to_lowercase()));

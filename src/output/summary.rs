@@ -281,6 +281,41 @@ pub struct SimulateSummary {
     pub directory: String,
 }
 
+/// How far a node is from a soft goal at its time.
+#[derive(Clone, Debug, Serialize)]
+pub struct SoftGoalSummary {
+    /// Key of the goal.
+    pub goal: String,
+    /// Its weight.
+    pub weight: f64,
+    /// Distance from its position, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_m: Option<f64>,
+    /// Angle to its orientation, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_rad: Option<f64>,
+}
+
+impl SoftGoalSummary {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let parts = [(self.left_m, "m"), (self.left_rad, "rad")];
+        let parts: Vec<String> = (parts.iter())
+            .filter_map(|(left, unit)| Some(format!("{:.3e} {unit}", (*left)?)))
+            .collect();
+        let left = if parts.is_empty() {
+            "nothing but its motion".into()
+        } else {
+            parts.join(" and ")
+        };
+        format!(
+            "{} is soft, of weight {:.3e}: {left} left",
+            self.goal, self.weight
+        )
+    }
+}
+
 /// How near a simulated arm comes to an obstacle, at the times that have a row.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClearanceSummary {
@@ -648,6 +683,9 @@ pub struct SolveSummary {
     /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tracking: Vec<TrackingError>,
+    /// What soft goals leave; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub soft_goals: Vec<SoftGoalSummary>,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckRecord>,
     /// How the grid was chosen; absent where the scene gives it.

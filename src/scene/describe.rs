@@ -329,7 +329,7 @@ fn targets<'a>(
 fn hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weight>>) {
     match hardness {
         Hardness::Hard => (true, None),
-        Hardness::Soft { weight } => (false, Some(known(weight))),
+        Hardness::Soft { weight } => (false, weight.map(known)),
     }
 }
 

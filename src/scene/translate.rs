@@ -10,8 +10,8 @@ use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{
-    Bound, Continuation, FeedbackWeights, FreeDuration, Guess, OptimalControlProblem,
-    PathEnforcement, Search, Shape,
+    Bound, Continuation, Enforcement, FeedbackWeights, FreeDuration, Goal, Guess,
+    OptimalControlProblem, PathEnforcement, Search, Shape,
 };
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
@@ -249,6 +249,7 @@ impl Scene {
             let mut resolved = self.resolved(&discretization);
             if let Some(definition) = &mut resolved.task {
                 definition.at_s = Some(known(task.horizon));
+                definition.take_weights(&problem.goals);
                 if definition.at_rest && definition.hard {
                     let tolerances = definition.tolerances();
                     let [speed, spin] = tolerances.rest(arm.length, task.horizon);
@@ -589,6 +590,22 @@ impl LoadNode {
 }
 
 impl model::Task {
+    /// Writes out the weights of soft goals, which a discretization chooses where they are not given.
+    fn take_weights(&mut self, goals: &[Goal]) {
+        let weight = |name: &str| {
+            (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
+                match goal.enforcement {
+                    Enforcement::Soft { weight } => Some(known(weight)),
+                    Enforcement::Hard | Enforcement::Within { .. } => None,
+                }
+            })
+        };
+        self.weight = weight("task").or(self.weight);
+        for (index, via) in self.via.iter_mut().enumerate() {
+            via.weight = weight(&format!("task.via.{index}")).or(via.weight);
+        }
+    }
+
     fn tolerances(&self) -> Tolerances {
         Tolerances {
             distance: self.tolerance_m.map(Number::get),
@@ -632,9 +649,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     if hard {
         Hardness::Hard
     } else {
-        Hardness::Soft {
-            weight: weight.unwrap_or(1.0),
-        }
+        Hardness::Soft { weight }
     }
 }
 

@@ -8,6 +8,7 @@ mod diagnostics;
 mod examined;
 mod files;
 mod page;
+mod soft_goals;
 mod solution;
 mod step_kind;
 mod summary;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::causes::causes;
 use super::examined::{Examined, Spent};
+use super::soft_goals::soft_goals;
 use super::solution::Solution;
 use crate::control::{Attempt, SolveLog, observe, tracking_errors};
 use crate::output::summary::{
@@ -73,6 +74,7 @@ pub(crate) fn summarize(
         tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         tracking: tracking_errors(problem, &outcome.point.trajectory),
+        soft_goals: soft_goals(problem, &outcome.point.trajectory),
         accuracy: None,
         check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
             .or_else(|| examined.unchecked.map(CheckRecord::not_checked)),
