@@ -600,6 +600,9 @@ fn nodes_may_be_fractions() {
     assert_eq!(tip.load[0].node.index(8), 8);
     for wrong in ["1.5", "-0.5", "\"middle\"", "9"] {
         let error = scene(wrong).unwrap_err();
-        assert_eq!(error.key(), Some("load.0.node"), "{error}");
+        assert!(
+            error.key().is_some_and(|key| key.ends_with(".node")),
+            "{error}"
+        );
     }
 }

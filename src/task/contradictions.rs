@@ -225,13 +225,14 @@ fn too_bent(
             "{name} points {turn:.4} rad or more away from the base's direction, {s:.4} m along the arm"
         );
         let direction = Contradiction::of(why, turn / s, largest, "1/m of bending");
-        let turn = log(&(held.transpose() * rotation)).norm() - goal.angle;
-        let both = largest.hypot(largest_twist(problem)?);
-        let why = || {
-            format!("{name} is turned by {turn:.4} rad against the base, {s:.4} m along the arm")
+        let rotated = || {
+            let both = largest.hypot(largest_twist(problem)?);
+            let turn = log(&(held.transpose() * rotation)).norm() - goal.angle;
+            let why = format!(
+                "{name} is turned by {turn:.4} rad against the base, {s:.4} m along the arm"
+            );
+            Contradiction::of(why, turn / s, both, "1/m of bending and twist together")
         };
-        let rotated =
-            || Contradiction::of(why(), turn / s, both, "1/m of bending and twist together");
         if let Some(found) = direction.or_else(rotated) {
             return Some(found);
         }
