@@ -17,8 +17,8 @@
 //! both.
 //!
 //! ```
-//! use nalgebra::Vector3;
 //! use softarm::mechanics::Material;
+//! use softarm::nalgebra::Vector3;
 //! use softarm::task::{Arm, Discretization, Task};
 //!
 //! let silicone = Material::isotropic(1e6, 0.5, 1000.0); // E in Pa, Poisson's ratio, density in kg/m³
@@ -73,6 +73,9 @@ pub mod tradeoff;
 pub mod verify;
 
 pub use solve::solve;
+
+/// The linear algebra whose types this library takes and returns, in the version that it is built with.
+pub use nalgebra;
 
 /// The README's example, compiled and run by the tests.
 #[cfg(doctest)]

@@ -145,3 +145,34 @@ fn scenes_name_the_components() {
         assert!(error.contains(key), "{error}");
     }
 }
+
+/// A component without a bound beside bounded ones is one whose bound is far away: the same solution, with a certificate.
+#[test]
+fn components_may_be_unbounded() {
+    let solve = |limits: Vector3<f64>| {
+        solved(ChannelLimits {
+            bound: Some(Bound::PerAxis(limits)),
+            ..ChannelLimits::default()
+        })
+    };
+    let far = largest(&solve(Vector3::new(50.0, 50.0, 0.0)));
+    for limits in [
+        Vector3::new(50.0, f64::INFINITY, 0.0),
+        Vector3::new(f64::INFINITY, 50.0, 0.0),
+    ] {
+        let solution = solve(limits);
+        let gap = (largest(&solution) - far).norm();
+        assert!(gap < 1e-6 * far.norm(), "{limits}: {gap:e}");
+        let certificate = solution.certify().unwrap();
+        assert!(certificate.is_certified(), "{:?}", certificate.items);
+    }
+    // A bound that leaves nothing to act is an outcome, not a numerical failure.
+    let mut task = Task::reach(Vector3::new(0.0, 0.1, 0.98), 0.6, 1.0);
+    task.actuators[0].force.bound = Some(Bound::PerAxis(Vector3::new(1e-300, f64::INFINITY, 0.0)));
+    let discretization = Discretization {
+        blocks: 6,
+        ..Discretization::with_elements(5)
+    };
+    let solution = softarm::solve(&tracking::arm(1e6), &task, &discretization).unwrap();
+    assert!(largest(&solution).x <= 1e-300 && largest(&solution).y > 0.0);
+}

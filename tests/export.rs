@@ -195,3 +195,83 @@ fn pictures_hold_the_motion() {
     assert_eq!(code, USAGE);
     assert!(talk.contains("above 0"), "{talk}");
 }
+
+/// Exports and pages replace their own files and no others, unless --force names them or their folder; all is refused before anything is
+/// written. Links are followed, modes stay, and a device is written to.
+#[cfg(unix)]
+#[test]
+fn exports_and_pages_replace_their_own_files() {
+    use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _, symlink};
+    let desk = Desk::new();
+    let (code, _, talk) = desk.run(&["simulate", "scene.toml", "--out", "run"]);
+    assert_eq!(code, DONE, "{talk}");
+    let read = |name: &str| fs::read_to_string(desk.path(name)).unwrap();
+    for (format, last) in [
+        ("vtk", "motion.pvd"),
+        ("csv", "motion.csv"),
+        ("svg", "motion.svg"),
+    ] {
+        let verb = [
+            "export", "run", "--to", format, "--out", "out", "--frames", "3",
+        ];
+        fs::create_dir(desk.path("out")).unwrap();
+        fs::write(desk.path("out").join(last), "mine").unwrap();
+        let (code, _, talk) = desk.run(&verb);
+        assert_eq!(code, USAGE, "{talk}");
+        assert!(talk.contains("--force") && talk.contains(last), "{talk}");
+        let mut names: Vec<_> = fs::read_dir(desk.path("out")).unwrap().collect();
+        assert_eq!(names.pop().unwrap().unwrap().file_name(), last);
+        assert!(names.is_empty());
+        assert_eq!(read(&format!("out/{last}")), "mine");
+        for forced in [format!("out/{last}"), "out".to_string()] {
+            fs::write(desk.path("out").join(last), "mine").unwrap();
+            let (code, _, talk) = desk.run(&[&verb[..], &["--force", &forced]].concat());
+            assert_eq!(code, DONE, "{talk}");
+        }
+        // What was exported is exported again, through a link, and stays as private as it was made.
+        fs::rename(desk.path("out").join(last), desk.path("elsewhere")).unwrap();
+        symlink("../elsewhere", desk.path("out").join(last)).unwrap();
+        let private = fs::Permissions::from_mode(0o600);
+        fs::set_permissions(desk.path("elsewhere"), private).unwrap();
+        let before = read("elsewhere");
+        let (code, _, talk) = desk.run(&verb);
+        assert_eq!(code, DONE, "{talk}");
+        assert_eq!(read("elsewhere"), before);
+        let metadata = fs::metadata(desk.path("elsewhere")).unwrap();
+        assert_eq!(metadata.permissions().mode() & 0o777, 0o600);
+        assert!(
+            fs::symlink_metadata(desk.path("out").join(last))
+                .unwrap()
+                .is_symlink()
+        );
+        fs::remove_dir_all(desk.path("out")).unwrap();
+    }
+    fs::write(desk.path("page.html"), "mine").unwrap();
+    let verb = ["report", "run", "--out", "page.html"];
+    let (code, _, talk) = desk.run(&verb);
+    assert_eq!(code, USAGE, "{talk}");
+    let (code, _, talk) = desk.run(&[&verb[..], &["--force", "page.html"]].concat());
+    assert_eq!(code, DONE, "{talk}");
+    assert_eq!(read("page.html"), read("run/report.html"));
+    let (code, _, talk) = desk.run(&["report", "run", "--out", "/dev/null"]);
+    assert_eq!(code, DONE, "{talk}");
+    assert!(
+        fs::metadata("/dev/null")
+            .unwrap()
+            .file_type()
+            .is_char_device()
+    );
+    let (code, page, talk) = desk.run(&["report", "run", "--out", "/dev/stdout"]);
+    assert_eq!(code, DONE, "{talk}");
+    assert_eq!(page, read("page.html"));
+    // A run again keeps the modes of its files.
+    let mode = |name: &str| fs::metadata(desk.path(name)).unwrap().permissions().mode() & 0o777;
+    fs::set_permissions(
+        desk.path("run/report.html"),
+        fs::Permissions::from_mode(0o640),
+    )
+    .unwrap();
+    let (code, _, talk) = desk.run(&["simulate", "scene.toml", "--out", "run"]);
+    assert_eq!(code, DONE, "{talk}");
+    assert_eq!(mode("run/report.html"), 0o640);
+}

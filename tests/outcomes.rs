@@ -549,7 +549,8 @@ fn target_at_the_base() {
         "",
         &[INFEASIBLE, NOT_CONVERGED, DONE, REJECTED],
     );
-    desk.solve(&[BASE, "task.hard=false"], "", &[DONE, REJECTED]);
+    let light = [BASE, "task.hard=false", "task.weight=1.0"];
+    desk.solve(&light, "", &[DONE, REJECTED]);
     let heavy = [BASE, "task.hard=false", "task.weight=1e6"];
     desk.solve(&heavy, "", &[DONE, REJECTED, NOT_CONVERGED, NUMERICAL]);
     // Pressed straight down, the tip yields 17 mm under the 20 N; bent, it comes lower than that.
@@ -706,6 +707,14 @@ fn extreme_weights() {
     ] {
         desk.solve(&[wild], "", &[NUMERICAL, NOT_CONVERGED, REJECTED]);
     }
+    // Without a weight of its own a soft goal is reached to some thousandths of the way, and what is left is said.
+    let soft = desk.solve(&["task.hard=false"], "", &[DONE]);
+    let left = soft["soft_goals"][0]["left_m"].as_f64().unwrap();
+    assert!(left > 0.0 && left < 5e-3 * 0.105, "{left}");
+    assert!(
+        (soft["tip_error_m"].as_f64().unwrap() / left - 1.0).abs() < 1e-3,
+        "{soft}"
+    );
     // The terms of a soft goal's residuals, weight times residual, do not hide what is left along the controls.
     let near = [
         "task.hard=false",

@@ -433,3 +433,175 @@ fn points_on_the_way_and_several_actuators() {
     let check = checked(&parameters, &problem, &two);
     assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
 }
+
+/// The refusal of an arm along z of 0.5 m and ten elements with these lines in its scene, if any.
+fn refusal(lines: &str) -> Option<softarm::scene::SceneError> {
+    let text = format!(
+        "[rod]\nlength_m = 0.5\nelements = 10\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
+         [rod.section]\nradius_m = 0.02\n[time]\nend_s = 1.5\n{lines}\n"
+    );
+    let (scene, source) = softarm::scene::Scene::from_toml("scene.toml", &text, &[]).unwrap();
+    scene.optimal_control(&source).err()
+}
+
+/// The number before `words` in an error.
+fn number_before(error: &softarm::scene::SceneError, words: &str) -> f64 {
+    let message = error.message();
+    let (before, _) = message
+        .split_once(words)
+        .unwrap_or_else(|| panic!("no {words}: {message}"));
+    before.split_whitespace().last().unwrap().parse().unwrap()
+}
+
+/// The tip of an arc of curvature `κ` takes a curvature of `κ`, and where a limit allows less the refusal names it: for its position, the direction
+/// of its tip, and its rotation together with a limit of the twist. A limit that allows as much is not refused.
+#[test]
+fn arcs_that_a_limit_of_curvature_excludes() {
+    let curvature = 3.0_f64;
+    let angle = 0.5 * curvature;
+    let position = format!(
+        "position_m = [{}, 0.0, {}]",
+        (1.0 - angle.cos()) / curvature,
+        angle.sin() / curvature
+    );
+    let half = 0.5 * angle;
+    let rotation = format!(
+        "orientation_wxyz = [{}, 0.0, {}, 0.0]",
+        half.cos(),
+        half.sin()
+    );
+    let scene = |goal: &str, limits: &[String]| {
+        let limits: String = limits
+            .iter()
+            .map(|limit| format!("[[limit]]\n{limit}\n"))
+            .collect();
+        refusal(&format!(
+            "[task]\n{goal}\n[control]\nforce_max_n = 1e-3\n{limits}"
+        ))
+    };
+    let limit = |value: f64| format!("curvature_max_1_m = {value}");
+    for goal in [&position, &rotation] {
+        assert!(
+            scene(goal, &[limit(1.0001 * curvature)]).is_none(),
+            "{goal}"
+        );
+        let error = scene(goal, &[limit(0.9 * curvature)]).expect(goal);
+        assert_eq!(error.key(), Some("limit.0"), "{error}");
+        let needed = number_before(&error, " 1/m of bending or more");
+        // The directions that are looked at are a quarter of a degree apart, and forces of 1 mN strain the arm by 1e-5.
+        assert!(
+            needed <= curvature * 1.0001 && needed > 0.99 * curvature,
+            "{error}"
+        );
+        assert!(
+            error
+                .message()
+                .contains(&format!("allows {}", 0.9 * curvature)),
+            "{error}"
+        );
+    }
+    // A turn about the arm's own axis by 2 rad takes 4 1/m of twist, or of both.
+    let turned = format!(
+        "orientation_wxyz = [{}, 0.0, 0.0, {}]",
+        1f64.cos(),
+        1f64.sin()
+    );
+    let twist = |value: f64| format!("twist_max_1_m = {value}");
+    assert!(scene(&turned, &[limit(3.0), twist(2.7)]).is_none());
+    let error = scene(&turned, &[limit(3.0), twist(2.6)]).expect("refused");
+    assert!(
+        (number_before(&error, " 1/m of bending and twist") - 4.0).abs() < 1e-9,
+        "{error}"
+    );
+    assert!(scene(&turned, &[limit(3.0)]).is_none(), "bending turns too");
+}
+
+/// Distance over time is a mean speed, which a largest one is not below: of the way from the start, and of that between two points on it. The
+/// latest of a free duration counts. A node farther away than its arc times the largest stretch is refused as well.
+#[test]
+fn speeds_and_stretches_that_contradict_goals() {
+    let goal = "[task]\nposition_m = [0.3, 0.0, 0.4]\nat_rest = false\n";
+    let rest = "[control]\nforce_max_n = 5.0\n[[limit]]\n";
+    let way = (0.3f64.powi(2) + 0.1f64.powi(2)).sqrt();
+    let speed =
+        |more: &str, limit: f64| refusal(&format!("{goal}{more}{rest}speed_max_m_s = {limit}"));
+    assert!(speed("", 1.001 * way / 1.5).is_none());
+    let error = speed("", 0.999 * way / 1.5).expect("refused");
+    assert_eq!(error.key(), Some("limit.0"));
+    assert!(
+        (number_before(&error, " m/s or more") - way / 1.5).abs() < 1e-4,
+        "{error}"
+    );
+    let free = "[task.free_duration]\nshortest_s = 0.5\nlongest_s = 3.0\n";
+    assert!(speed(free, 0.6 * way / 1.5).is_none());
+    assert!(speed(free, 0.499 * way / 1.5).is_some());
+    let via = "[[task.via]]\nat_s = 1.2\nposition_m = [-0.3, 0.0, 0.4]\n";
+    let error = speed(via, 1.9).expect("refused");
+    assert!(
+        (number_before(&error, " m/s or more") - 2.0).abs() < 0.01,
+        "{error}"
+    );
+
+    let stretch = |z: f64, largest: f64| {
+        refusal(&format!(
+            "[task]\nposition_m = [0.0, 0.0, {z}]\nat_rest = false\n{rest}stretch = [0.9, {largest}]"
+        ))
+    };
+    assert!(stretch(0.56, 1.121).is_none());
+    let error = stretch(0.56, 1.119).expect("refused");
+    assert!(
+        (number_before(&error, " times its length or more") - 1.12).abs() < 1e-4,
+        "{error}"
+    );
+}
+
+/// No shape within the limits is refused: random arms whose sections bend by up to the largest curvature, twist by up to the largest twist, and are
+/// strained by up to 0.3, at rest or moving.
+#[test]
+fn shapes_within_the_limits_are_not_refused() {
+    use softarm::mechanics::rotation::{exp, quaternion};
+    let mut dice = Dice(17);
+    for trial in 0..200 {
+        let [curvature, twist] = [3.0, 2.0].map(|most| most * (1.0 + dice.roll()) + 0.05);
+        let strain = if trial % 2 == 0 { 0.0 } else { 0.29 };
+        let mut x = Vector3::zeros();
+        let mut r = nalgebra::Matrix3::identity();
+        for _ in 0..10 {
+            let along = |dice: &mut Dice| Vector3::new(dice.roll(), dice.roll(), dice.roll());
+            // Half of the arms bend one way all along.
+            let angle = if trial % 4 < 2 {
+                1.0
+            } else {
+                7.0 * dice.roll()
+            };
+            let kappa = Vector3::new(
+                curvature * angle.cos(),
+                curvature * angle.sin(),
+                twist * if trial % 3 == 0 { 0.0 } else { dice.roll() },
+            );
+            let epsilon = along(&mut dice).normalize() * strain;
+            // The middle of every hundredth, at second order.
+            for _ in 0..100 {
+                let middle = r * exp(&(kappa * 2.5e-4));
+                x += middle * (Vector3::z() + epsilon) * 5e-4;
+                r *= exp(&(kappa * 5e-4));
+            }
+        }
+        let q = quaternion(&r);
+        let [tight, loose] = [1.0, 1.0 + 1e-6].map(|factor| (factor * curvature, factor * twist));
+        for (limits, at_rest) in [(tight, false), (loose, strain == 0.0)] {
+            let lines = format!(
+                "[task]\nposition_m = [{:.12}, {:.12}, {:.12}]\norientation_wxyz = [{}, {}, {}, {}]\nat_rest = {at_rest}\ntolerance_m = 1e-6\n\
+                 tolerance_rad = 1e-6\n[control]\nforce_max_n = 1.0\nmoment_max_n_m = 1.0\n[[limit]]\ncurvature_max_1_m = {}\n[[limit]]\ntwist_max_1_m = {}\n\
+                 [[limit]]\nstretch = [0.69, 1.31]",
+                x.x, x.y, x.z, q.w, q.i, q.j, q.k, limits.0, limits.1
+            );
+            if let Some(error) = refusal(&lines) {
+                assert!(
+                    !error.key().is_some_and(|key| key.starts_with("limit")),
+                    "{error}"
+                );
+            }
+        }
+    }
+}

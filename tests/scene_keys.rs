@@ -216,6 +216,7 @@ const SCENES: [&[&str]; 5] = [
         "base.motion.angular_velocity_rad_s=[0.0, 0.0, 0.5]",
         "base.motion.translation_m=[[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.2, 0.3]]",
         "base.motion.rotation_rad=[[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.2, 0.3]]",
+        "base.motion.rotation_frame='body'",
         "base.motion.oscillation.0.translation_m=[0.0, 0.01, 0.0]",
         "base.motion.oscillation.0.rotation_rad=[0.0, 0.01, 0.0]",
         "base.motion.oscillation.0.frequency_hz=2.0",
@@ -565,4 +566,43 @@ fn choices_with_values_explain_themselves() {
     let overrides = ["solver.guess={rest = 1}".to_string()];
     let text = Scene::load("reach", &overrides).unwrap_err().to_string();
     assert!(text.contains("\"rest\" has no value"), "{text}");
+}
+
+/// A node that is named by a fraction of the length is the nearest one, of loads, tracks, limits and points on the way; 1 is a node and 1.0 the tip.
+#[test]
+fn nodes_may_be_fractions() {
+    use softarm::scene::Scene;
+    let scene = |node: &str| {
+        let text = format!(
+            "[rod]\nlength_m = 1.0\nelements = 8\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
+             [rod.section]\nradius_m = 0.05\n[time]\nend_s = 0.5\n[[load]]\nnode = {node}\nforce_n = [1.0, 0.0, 0.0]\n[control]\nforce_max_n = 5.0\n\
+             [task]\nposition_m = [0.1, 0.0, 0.95]\n[[task.via]]\nat_s = 0.25\nnode = {node}\nposition_m = [0.01, 0.0, 0.1]\n\
+             [[limit]]\nspeed_max_m_s = 50.0\nnode = {node}\n"
+        );
+        Scene::from_toml("scene.toml", &text, &[])
+    };
+    let nodes = |node: &str| {
+        let (scene, source) = scene(node).unwrap();
+        let (again, _) = Scene::from_toml("again", &scene.to_toml(), &[]).unwrap();
+        assert_eq!(scene, again);
+        let problem = scene.optimal_control(&source).unwrap().problem;
+        (
+            problem.rod.loads[0].node,
+            problem.goals[0].node,
+            problem.path[0].limit.clone(),
+        )
+    };
+    assert_eq!(nodes("0.25"), nodes("2"));
+    assert_eq!(nodes("0.3"), nodes("2"));
+    assert_eq!(nodes("0.5"), nodes("4"));
+    assert_eq!(nodes("1").0, 1);
+    let tip = scene("1.0").unwrap().0;
+    assert_eq!(tip.load[0].node.index(8), 8);
+    for wrong in ["1.5", "-0.5", "\"middle\"", "9"] {
+        let error = scene(wrong).unwrap_err();
+        assert!(
+            error.key().is_some_and(|key| key.ends_with(".node")),
+            "{error}"
+        );
+    }
 }

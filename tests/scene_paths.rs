@@ -128,3 +128,37 @@ fn places_switch() {
         assert!((place("", t) - between).abs() < 1e-12, "{t}");
     }
 }
+
+/// A path and a scene are regular files of a bounded size: a device that never ends, a pipe that nobody writes to and a file of gigabytes are
+/// refused at once, by what they are.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused_unread() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let made = std::process::Command::new("mkfifo")
+        .arg(place("pipe"))
+        .status();
+    assert!(made.unwrap().success());
+    let huge = fs::File::create(place("huge")).unwrap();
+    huge.set_len(1 << 40).unwrap();
+    for (name, word) in [
+        ("/dev/zero".to_string(), "a device or a pipe"),
+        (place("pipe"), "a device or a pipe"),
+        (place("huge"), "bytes or more"),
+        (folder.path().to_str().unwrap().to_string(), "a directory"),
+    ] {
+        let error = read(&format!("path_csv = {name:?}"), "").unwrap_err();
+        assert!(
+            error.contains(word) && error.contains("path_csv"),
+            "{error}"
+        );
+        let error = Scene::load(&name, &[]).unwrap_err().to_string();
+        let word = if word == "bytes or more" {
+            "larger than 1 MiB"
+        } else {
+            word
+        };
+        assert!(error.contains(word), "{error}");
+    }
+}

@@ -7,13 +7,14 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use super::console::Console;
+use super::hardly_meant::hardly_meant;
 use super::quantity::{digits, entry, mass, quantity};
 use super::{Global, Outcome, exit, scene_name};
 use crate::control::{
     Bound, Channel, OptimalControlProblem, StaticNeedError, named_axes, static_need,
 };
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
-use crate::mechanics::vibration::{SmallMotions, TOPPLING_WEIGHT_NUMBER, weight_number};
+use crate::mechanics::vibration::{SmallMotions, weight_in_words, weight_number};
 use crate::mechanics::{
     BaseCondition, Rod, RodModel, RotaryInertia, TimeGrid, TimeScheme, TipSpring, Wrench,
     static_equilibrium,
@@ -28,8 +29,10 @@ use crate::scene::{
     OptimalControl, RotaryInertia as RotaryInertiaKey, Scene, Simulation,
     TimeScheme as TimeSchemeKey,
 };
+use crate::solve::stands_by_symmetry;
 use crate::task::Discretization;
 use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
+use crate::tradeoff::Subject;
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -49,7 +52,17 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let mut concerns = Vec::new();
     let mut plan = None;
-    let (rod, grid, size, output, memory) = if scene.task.is_some() || scene.control.is_some() {
+    let mut by_symmetry = None;
+    // Controls without anything that is wanted play no part, as in a simulation.
+    let is_wanted =
+        scene.task.is_some() || scene.control.is_some() && Subject::of(&scene) != Subject::Motion;
+    if scene.control.is_some() && !is_wanted {
+        concerns.push(
+            "control: without [task] and [[objective.track]] it plays no part; the scene is checked as a simulation"
+                .into(),
+        );
+    }
+    let (rod, grid, size, output, memory) = if is_wanted {
         let setup = scene.optimal_control(&source)?;
         let size = problem_size(&setup.problem);
         let time = solve_time(&setup.problem);
@@ -77,12 +90,13 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         let setup = scene.simulation(&source)?;
         let output = output_size(&setup);
         concerns.extend(size_warning(&output));
+        by_symmetry = stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration());
         let memory = of_simulation(&setup);
         (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
     };
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let at_rest = at_rest(&rod);
-    concerns.extend(topples(&at_rest));
+    concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
     let distance = plan.as_ref().and_then(|plan| plan.distance);
     let (actuators, static_need, solve_cost) = plan.map_or((Vec::new(), None, None), |plan| {
         (plan.actuators, plan.need, Some(plan.cost))
@@ -195,16 +209,25 @@ fn at_rest(rod: &Rod) -> RestSummary {
 }
 
 /// An arm that does not stay where its weight is balanced.
-fn topples(rest: &RestSummary) -> Option<String> {
+fn topples(rest: &RestSummary, rod: &Rod) -> Option<String> {
     rest.growth_rate_1_s.map(|rate| {
         format!(
-            "gravity: the arm topples under its own weight: deviations from its equilibrium grow e-fold in {:.3e} s (rho A g L^3/EI is {:.3}; \
-             a uniform arm that is clamped upright topples above {:.2}); shorten, thicken or hang it, unless that is meant",
+            "gravity: the arm topples under {}: deviations from its equilibrium grow e-fold in {:.3e} s ({}); shorten, thicken or hang it, unless \
+             that is meant",
+            what_weighs(rod),
             1.0 / rate,
-            rest.weight_number,
-            TOPPLING_WEIGHT_NUMBER
+            weight_in_words(rod)
         )
     })
+}
+
+/// Tells whether more than the arm itself weighs on it.
+fn what_weighs(rod: &Rod) -> &'static str {
+    let own = weight_number(rod) * rod.scales.force;
+    match rod.mass() * rod.gravity.norm() > own * (1.0 + 1e-9) {
+        true => "its own weight and its payload",
+        false => "its own weight",
+    }
 }
 
 pub(super) fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
@@ -387,7 +410,7 @@ pub(super) fn size_warning(output: &OutputSize) -> Option<String> {
 
 /// What a user should know before a run.
 pub(super) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
-    let mut out = Vec::new();
+    let mut out = hardly_meant(scene, rod);
     if rod.strain_rule == crate::mechanics::StrainRule::Trapezoidal
         && rod.locking_ratio() > LOCKING_LIMIT
     {
@@ -578,7 +601,12 @@ fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
         return "no gravity".into();
     }
     if rest.growth_rate_1_s.is_some() {
-        return format!("TOPPLES under its own weight; {weight}");
+        let payload = rod.mass() * rod.gravity.norm() / rod.scales.force - rest.weight_number;
+        let payload = match payload > 1e-9 * rest.weight_number {
+            true => format!(", m g L^2/EI = {} of the payload", digits(payload)),
+            false => String::new(),
+        };
+        return format!("TOPPLES under {}; {weight}{payload}", what_weighs(rod));
     }
     let (Some(sag), Some(stretch)) = (rest.sag_m, rest.stretch) else {
         let reason = rest.no_equilibrium.as_deref().unwrap_or("not looked at");

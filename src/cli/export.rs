@@ -7,7 +7,8 @@ use clap::{Args, ValueEnum};
 use super::console::Console;
 use super::error::CliError;
 use super::{Outcome, exit};
-use crate::output::export::{Backdrop, View, spread, write_csv, write_svg, write_vtk};
+use crate::output::export::{Backdrop, Destination, View, spread, write_csv, write_svg, write_vtk};
+use crate::output::replace::Writer;
 use crate::output::{MotionRecord, OutputError};
 use crate::scene::Scene;
 
@@ -21,6 +22,9 @@ pub(super) struct ExportArguments {
     /// Folder to write into [default: the result directory, with the format's name at its end]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
+    /// Let this file, or those of the export's names in this folder, be replaced although softarm did not write them; may be given several times
+    #[arg(long, value_name = "PATH", num_args = 1)]
+    force: Vec<PathBuf>,
     /// Most times that are written, evenly spread, the first and the last among them [default: 200, and 60 of svg]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     frames: Option<u32>,
@@ -84,15 +88,19 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
         200
     };
     let rows = spread(motion.n_rows(), arguments.frames.unwrap_or(usual) as usize);
+    let to = Destination {
+        folder: &folder,
+        name: "motion",
+        writer: &Writer::forcing(&arguments.force),
+    };
     let written = match arguments.to {
         Format::Vtk => {
-            write_vtk(&folder, "motion", &motion, &radii, &rows)?;
+            write_vtk(&to, &motion, &radii, &rows)?;
             folder.join("motion.pvd")
         }
         Format::Csv => {
-            let path = folder.join("motion.csv");
-            write_csv(&path, &motion, &rows)?;
-            path
+            write_csv(&to, &motion, &rows)?;
+            folder.join("motion.csv")
         }
         Format::Svg => {
             let view = View {
@@ -116,7 +124,7 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
                     .collect(),
             };
             let how = (&view, seconds);
-            write_svg(&folder, "motion", &motion, &radii, &rows, how, &backdrop)?;
+            write_svg(&to, &motion, &radii, &rows, how, &backdrop)?;
             folder.join("motion.svg")
         }
     };

@@ -2,11 +2,13 @@
 
 mod accuracy;
 mod check;
+mod clearance;
 mod console;
 mod derivatives;
 mod error;
 mod example;
 mod export;
+mod hardly_meant;
 mod memory;
 mod mpc;
 mod paper;

@@ -1,6 +1,5 @@
 //! `softarm report DIR...`: the page of a result made anew from its files, or one page that compares several results.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -9,11 +8,11 @@ use serde::Serialize;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, exit};
+use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::tradeoff::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 use crate::output::{
-    Compared, ComparisonTable, OutputError, PAGE_MARK, ResultKind, compare, read_text,
-    render_comparison, render_report,
+    Compared, ComparisonTable, ResultKind, compare, render_comparison, render_report,
 };
 use crate::solve::{SavedPage, saved_page};
 
@@ -26,6 +25,9 @@ pub(super) struct ReportArguments {
     /// Where the page goes [default: DIR/report.html; comparison.html of several]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Let this file be replaced although it is no page of softarm
+    #[arg(long, value_name = "FILE", num_args = 1)]
+    force: Vec<PathBuf>,
 }
 
 /// What `--json` prints.
@@ -61,6 +63,8 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
         _ => "comparison.html".into(),
     };
     let path = arguments.out.clone().unwrap_or(own);
+    let writer = Writer::forcing(&arguments.force);
+    writer.permit(&path, Own::Page)?;
     let (page, differences) = if results[0].0 == ResultKind::Tradeoff {
         of_tradeoffs(directories, results)?
     } else {
@@ -74,7 +78,7 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
             (render_comparison(&data), data.tables)
         }
     };
-    replace_page(&path, &page)?;
+    writer.write(&path, Own::Page, &page)?;
     for table in &differences {
         let n = table.rows.len();
         console.say(&format!("{}: {n} differ", table.title.to_lowercase()));
@@ -171,32 +175,4 @@ fn names(directories: &[PathBuf]) -> Vec<String> {
             false => full[i].clone(),
         })
         .collect()
-}
-
-/// Bytes of a page that is looked at before it is replaced.
-const LARGEST_PAGE: u64 = 1 << 30;
-
-/// Puts a page in the place of an earlier one, or of nothing: written beside it, then renamed, so that no half page is ever there.
-fn replace_page(path: &Path, page: &str) -> Result<(), CliError> {
-    let unwritten = || OutputError::unwritten(path, "cannot write");
-    if path.exists() {
-        let is_page = path.is_file()
-            && read_text(path, LARGEST_PAGE)
-                .is_ok_and(|text| text.contains(PAGE_MARK) || text.contains("<script id=\"data\""));
-        if !is_page {
-            return Err(CliError::Directory(format!(
-                "{}: exists and is no page of softarm; choose another --out, or remove it",
-                path.display()
-            )));
-        }
-    }
-    let mut name = std::ffi::OsString::from(".");
-    name.push(path.file_name().unwrap_or_default());
-    name.push(format!(".{}", std::process::id()));
-    let draft = path.with_file_name(name);
-    let written = fs::write(&draft, page).and_then(|()| fs::rename(&draft, path));
-    if written.is_err() {
-        let _ = fs::remove_file(&draft);
-    }
-    Ok(written.map_err(unwritten())?)
 }

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::accuracy::of_simulation as accurate;
 use super::check::{output_size, size_warning, warnings};
+use super::clearance::Clearances;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
@@ -23,7 +24,7 @@ use crate::output::{
     ResultDirectory, ResultKind, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
 };
 use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
-use crate::solve::{causes, simulation_page};
+use crate::solve::{causes, simulation_page, stands_by_symmetry};
 use crate::stop::StopSignal;
 
 /// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same ones.
@@ -61,6 +62,8 @@ pub(super) fn run(
     let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
     concerns.extend(size_warning(&output_size(&setup)));
     concerns.extend(setup.row_warning());
+    let duration = setup.grid.duration();
+    concerns.extend(stands_by_symmetry(&setup.rod, &setup.initial, duration));
     for warning in concerns {
         console.warn(&warning);
     }
@@ -132,6 +135,15 @@ pub(super) fn run(
     if let Some(warning) = stretch_warning(&summary.dilatation) {
         console.warn(&warning);
     }
+    for clearance in &summary.clearance {
+        console.say(&clearance.in_words());
+        if clearance.least_m < 0.0 {
+            console.warn(&format!(
+                "{}: the arm goes through it: a simulation does not know obstacles",
+                clearance.obstacle
+            ));
+        }
+    }
     let tip = summary.tip.position_m;
     console.say(&format!(
         "tip at ({:.6}, {:.6}, {:.6}) m; energy {:.6e} J at the start, {:.6e} J at the end",
@@ -150,7 +162,7 @@ pub(super) fn run(
         }
         End::Failed(error) => {
             console.error(&error.into());
-            for cause in causes(&setup.rod, &setup.initial, setup.grid.duration()) {
+            for cause in causes(&setup.rod, &setup.initial, &setup.grid) {
                 console.always(&cause);
             }
             exit::NUMERICAL
@@ -341,7 +353,7 @@ impl<'a> Run<'a> {
             seen: setup.initial.clone(),
             thinned: ThinnedMotion::new(row.n_nodes),
             row,
-            tally: Tally::default(),
+            tally: Tally::of(setup),
         };
         run.observe(None)?;
         Ok(run)
@@ -375,7 +387,7 @@ impl<'a> Run<'a> {
         let layout = MotionRecord::empty(setup.rod.n_nodes());
         let mut row = layout.clone();
         let mut thinned = ThinnedMotion::new(row.n_nodes);
-        let mut tally = Tally::default();
+        let mut tally = Tally::of(setup);
         let trajectory = files(
             "trajectory",
             &layout.arrays(),
@@ -611,8 +623,7 @@ impl<'a> Run<'a> {
         let error = match end {
             End::Failed(error) => {
                 let mut sentences = vec![error.to_string()];
-                let end = self.setup.grid.duration();
-                sentences.extend(causes(rod, &self.setup.initial, end));
+                sentences.extend(causes(rod, &self.setup.initial, &self.setup.grid));
                 Some(sentences.join("; "))
             }
             End::Completed | End::Interrupted => None,
@@ -663,6 +674,7 @@ impl<'a> Run<'a> {
             },
             dilatation: extremes.dilatation,
             length_m: extremes.length,
+            clearance: self.tally.clearance.summary(),
             accuracy: None,
             directory: target.display().to_string(),
         }
@@ -675,23 +687,24 @@ struct Tally {
     initial: f64,
     last: f64,
     extremes: Extremes,
+    clearance: Clearances,
 }
 
-impl Default for Tally {
-    fn default() -> Self {
+impl Tally {
+    fn of(setup: &Simulation) -> Self {
         Self {
             n_rows: 0,
             initial: 0.0,
             last: 0.0,
             extremes: Extremes::EMPTY,
+            clearance: Clearances::of(setup),
         }
     }
-}
 
-impl Tally {
     /// A row, and whether its energy is among those that count as extremes: these do not depend on what has a row.
     fn include(&mut self, row: &MotionRecord, rod: &Rod, counts: bool) {
         let energy = row.energy[0] + row.energy[1] + row.energy[2];
+        self.clearance.include(row);
         if self.n_rows == 0 {
             self.initial = energy;
         }

@@ -505,6 +505,9 @@ fn conclude(
         ));
     }
     show_tracking(&summary.tracking, console);
+    for goal in &summary.soft_goals {
+        console.say(&goal.in_words());
+    }
     if summary.status != "converged" {
         let message = summary
             .message

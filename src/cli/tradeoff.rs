@@ -9,13 +9,15 @@ use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::output::replace::replace;
+use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_points};
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
-use crate::tradeoff::{Fate, News, Point, RunError, Setting, Subject, Sweep, SweepError, Tradeoff};
+use crate::tradeoff::{
+    Fate, News, Point, Reference, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
+};
 
 #[derive(Debug, Args)]
 pub(super) struct TradeoffArguments {
@@ -31,6 +33,9 @@ pub(super) struct TradeoffArguments {
     /// it is a built-in scene
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     apply: Option<Option<PathBuf>>,
+    /// Let --apply replace this file, which is neither SCENE nor new
+    #[arg(long, value_name = "FILE", num_args = 1)]
+    force: Vec<PathBuf>,
     /// Go on with an earlier sweep of the same scene: its points are not run again
     #[arg(long)]
     resume: bool,
@@ -69,11 +74,16 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     let (scene, source) = Scene::load(name, &global.set)?;
     let stop = stop_signal(None);
     let target = arguments.scene.directory("tradeoff");
-    let earlier = (arguments.resume)
-        .then(|| Earlier::read(&target, &scene))
-        .transpose()?;
-    let applied = (arguments.apply.as_ref()).map(|file| place(file.as_deref(), name));
+    let writer = Writer::forcing(&arguments.force);
+    let applied = (arguments.apply.as_ref()).map(|file| Applied::of(file.as_deref(), name));
+    if let Some(place) = &applied {
+        writer.permit(&place.path, place.own)?;
+    }
     let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
+    let earlier = match arguments.resume {
+        true => Earlier::read(&target, &scene, console)?,
+        false => Earlier::default(),
+    };
 
     console.say(&format!(
         "{}: at most {:e} of the length, within {:.0} s",
@@ -81,9 +91,9 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         arguments.tolerance,
         arguments.budget.as_secs_f64()
     ));
-    let (known, known_reference) = earlier.unwrap_or_default();
     if arguments.resume {
-        console.say(&format!("{} points are there already", known.len()));
+        let count = earlier.points.len();
+        console.say(&format!("{count} points are there already"));
     }
     let mut usual = None;
     let bar = within_budget(arguments.budget, console);
@@ -106,8 +116,8 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         source: &source,
         tolerance: arguments.tolerance,
         budget: arguments.budget,
-        known,
-        known_reference,
+        known: earlier.points,
+        known_reference: earlier.reference,
         stop: &stop,
         tell: &mut tell,
     }
@@ -181,10 +191,10 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             );
             recommended.to_toml()
         });
-        replace(place, &text)?;
+        writer.write(&place.path, place.own, &text)?;
         console.say(&format!(
             "the scene with the recommended setting: {}",
-            place.display()
+            place.path.display()
         ));
     }
     Ok(match (stop.raised(), &found.recommended) {
@@ -218,27 +228,53 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
 }
 
 /// Where the scene with the recommended setting goes.
-fn place(file: Option<&Path>, scene: &str) -> PathBuf {
-    match file {
-        Some(file) => file.into(),
-        None if Path::new(scene).is_file() => scene.into(),
-        None => PathBuf::from(format!("{scene}.toml")),
+struct Applied {
+    path: PathBuf,
+    own: Own,
+}
+
+impl Applied {
+    /// A file that is SCENE itself is there to be changed; any other file is somebody's.
+    fn of(file: Option<&Path>, scene: &str) -> Self {
+        let scene_file = Path::new(scene);
+        let path = match file {
+            Some(file) => file.into(),
+            None if scene_file.is_file() => scene.into(),
+            None => PathBuf::from(format!("{scene}.toml")),
+        };
+        let place = |path: &Path| std::fs::canonicalize(path).ok();
+        let is_scene = scene_file.is_file() && place(&path) == place(scene_file);
+        let own = if is_scene {
+            Own::Everything
+        } else {
+            Own::Nothing
+        };
+        Self { path, own }
     }
 }
 
-/// Points of an earlier sweep, and the elements of its reference.
-struct Earlier;
+/// What an earlier sweep has found.
+#[derive(Default)]
+struct Earlier {
+    points: Vec<Point>,
+    reference: Option<Reference>,
+}
 
 impl Earlier {
-    fn read(target: &Path, scene: &Scene) -> Result<(Vec<Point>, Option<usize>), CliError> {
+    /// What a sweep of this scene left in a directory; nothing where one was ended before its first point.
+    fn read(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
         let refuse = |why: &str| {
             CliError::Directory(format!(
                 "cannot resume: {}: {why}; run without --resume",
                 target.display()
             ))
         };
-        if !target.join("summary.json").is_file() {
-            return Err(refuse("holds no sweep"));
+        if !target.join("summary.json").exists() {
+            console.warn(&format!(
+                "{}: holds no sweep to go on with, so that one begins",
+                target.display()
+            ));
+            return Ok(Self::default());
         }
         let text = read_text(&target.join("scene.toml"), LARGEST)?;
         let (earlier, _) = Scene::from_toml("the scene of the sweep", &text, &[])?;
@@ -246,16 +282,33 @@ impl Earlier {
             return Err(refuse("the scene has changed"));
         }
         let text = read_text(&target.join("summary.json"), LARGEST)?;
-        let summary: serde_json::Value =
+        let mut summary: serde_json::Value =
             serde_json::from_str(&text).map_err(|_| refuse("summary.json is not one"))?;
-        let points = summary["points"].as_array().cloned().unwrap_or_default();
-        // What failed is tried again.
-        let points = (points.into_iter())
-            .filter_map(|point| serde_json::from_value::<Point>(point).ok())
-            .filter(|point| point.status == Fate::Done)
-            .collect();
-        let elements = summary["reference"]["elements"].as_u64();
-        Ok((points, elements.map(|elements| elements as usize)))
+        let mut points = Vec::new();
+        let saved = summary["points"].as_array().cloned().unwrap_or_default();
+        for (at, saved) in saved.into_iter().enumerate() {
+            let fault = match serde_json::from_value::<Point>(saved) {
+                Err(error) => Some(error.to_string()),
+                Ok(point) => match point.fault() {
+                    // What failed is tried again.
+                    None => {
+                        points.extend((point.status == Fate::Done).then_some(point));
+                        None
+                    }
+                    fault => fault,
+                },
+            };
+            if let Some(fault) = fault {
+                console.warn(&format!(
+                    "summary.json: points.{at}: {fault}; it is run again if the sweep comes to it"
+                ));
+            }
+        }
+        let reference = serde_json::from_value::<Reference>(summary["reference"].take()).ok();
+        Ok(Self {
+            points,
+            reference: reference.filter(|reference| reference.fault().is_none()),
+        })
     }
 }
 
@@ -268,8 +321,8 @@ fn row(point: &Point, usual: &Setting) -> String {
         (None, Fate::NotConverged) => "   (none)".into(),
         (None, _) => "   failed".into(),
     };
-    let time = if point.wall_s.is_finite() {
-        format!("{:7.2} ms", 1e3 * point.wall_s)
+    let time = if point.time().is_finite() {
+        format!("{:7.2} ms", 1e3 * point.time())
     } else {
         " ".repeat(10)
     };
@@ -292,7 +345,7 @@ fn status(found: &Tradeoff, stop: Option<Stop>) -> &'static str {
 
 fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console) {
     let mut front: Vec<&Point> = found.points.iter().filter(|point| point.on_front).collect();
-    front.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+    front.sort_by(|a, b| a.time().total_cmp(&b.time()));
     console.say("the front: nothing else is both faster and more accurate");
     for point in front {
         console.say(&row(point, usual));
@@ -316,18 +369,18 @@ fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console
     }
     if let Some(first) = found.features.first() {
         console.say(&format!(
-            "what features of the model cost, {}              with   without  ratio",
+            "what features of the model cost, {}              with   without  ratio (of single turns)",
             first.unit
         ));
     }
     for cost in &found.features {
         console.say(&format!(
-            "  {}{:38} {:12.2} {:9.2} {:6.2}",
+            "  {}{:38} {:12.2} {:9.2}  {}",
             if cost.in_scene { '*' } else { ' ' },
             cost.feature,
             cost.with,
             cost.without,
-            cost.with / cost.without
+            cost.ratio_in_words()
         ));
     }
     if !found.features.is_empty() {

@@ -18,6 +18,28 @@ use super::stiffness::tangent_stiffness;
 /// `j = 1.86635` the first zero of the Bessel function `J_{-1/3}` (Greenhill 1881).
 pub const TOPPLING_WEIGHT_NUMBER: f64 = 7.837_347;
 
+/// Payload number `m g L²/EI` above which a payload topples a light uniform column that is clamped upright: `π²/4` (Euler).
+pub const TOPPLING_PAYLOAD_NUMBER: f64 = 2.467_401;
+
+/// What a rod weighs in the measure of its stiffness, beside what a uniform column bears, in words that follow a colon or a parenthesis.
+///
+/// Of a column with a payload the fractions of both limits add up to about 1 where it topples, and to no more (Dunkerley).
+#[must_use]
+pub fn weight_in_words(rod: &Rod) -> String {
+    let own = weight_number(rod);
+    let payload = rod.mass() * rod.gravity.norm() / rod.scales.force - own;
+    if payload <= 1e-9 * own {
+        return format!(
+            "weight number rho A g L^3/EI {own:.3}; a uniform arm clamped upright topples above {TOPPLING_WEIGHT_NUMBER:.2}"
+        );
+    }
+    let share = own / TOPPLING_WEIGHT_NUMBER + payload / TOPPLING_PAYLOAD_NUMBER;
+    format!(
+        "weight number rho A g L^3/EI {own:.3} and of the payload m g L^2/EI {payload:.3}; a uniform arm clamped upright topples by its weight above \
+         {TOPPLING_WEIGHT_NUMBER:.2}, by a payload above {TOPPLING_PAYLOAD_NUMBER:.2}, by both where the fractions make up about 1: here {share:.2}"
+    )
+}
+
 /// `m g / (EI/L²)`, which is `ρA g L³/EI`: the rod's own weight over its scale of force, whatever its direction; the payload is left out.
 #[must_use]
 pub fn weight_number(rod: &Rod) -> f64 {

@@ -5,9 +5,41 @@ use std::path::Path;
 
 use nalgebra::Matrix3;
 
-use super::replace::replace;
+use super::replace::{EXPORT_MARK, Own, TABLE_HEAD, Writer};
 use super::{MotionRecord, OutputError};
 use crate::mechanics::rotation::quaternion;
+
+/// Where an export goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Destination<'a> {
+    /// The folder, which is there.
+    pub folder: &'a Path,
+    /// First part of the names of all files.
+    pub name: &'a str,
+    /// Who writes them.
+    pub writer: &'a Writer,
+}
+
+impl Destination<'_> {
+    /// Writes files of which each is made when it is written, if all of them may be.
+    fn write(&self, files: &[String], text: impl Fn(usize) -> String) -> Result<(), OutputError> {
+        let path = |file: &String| self.folder.join(file);
+        for file in files {
+            self.writer.permit(&path(file), Own::Export)?;
+        }
+        for (number, file) in files.iter().enumerate() {
+            self.writer.write(&path(file), Own::Export, &text(number))?;
+        }
+        Ok(())
+    }
+
+    /// `NAME-0000.ENDING` and so on for so many times.
+    fn numbered(&self, count: usize, ending: &str) -> Vec<String> {
+        (0..count)
+            .map(|number| format!("{}-{number:04}.{ending}", self.name))
+            .collect()
+    }
+}
 
 /// A motion as VTK PolyData: one file `NAME-0000.vtp` for every row in `rows`, and `NAME.pvd`, which ParaView opens, with their times.
 ///
@@ -17,26 +49,28 @@ use crate::mechanics::rotation::quaternion;
 /// # Errors
 /// [`OutputError`] where a file cannot be written.
 pub fn write_vtk(
-    folder: &Path,
-    name: &str,
+    to: &Destination,
     motion: &MotionRecord,
     radii: &[f64],
     rows: &[usize],
 ) -> Result<(), OutputError> {
-    let mut index = String::from(
-        "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\" byte_order=\"LittleEndian\">\n<Collection>\n",
+    let mut index = format!(
+        "<?xml version=\"1.0\"?>\n{EXPORT_MARK}\n<VTKFile type=\"Collection\" version=\"0.1\" byte_order=\"LittleEndian\">\n<Collection>\n"
     );
-    for (number, &row) in rows.iter().enumerate() {
-        let file = format!("{name}-{number:04}.vtp");
+    let mut files = to.numbered(rows.len(), "vtp");
+    for (file, &row) in files.iter().zip(rows) {
         let _ = writeln!(
             index,
             "<DataSet timestep=\"{}\" group=\"\" part=\"0\" file=\"{file}\"/>",
             motion.t[row]
         );
-        replace(&folder.join(&file), &poly_data(motion, radii, row))?;
     }
     index.push_str("</Collection>\n</VTKFile>\n");
-    replace(&folder.join(format!("{name}.pvd")), &index)
+    files.push(format!("{}.pvd", to.name));
+    to.write(&files, |number| match rows.get(number) {
+        Some(&row) => poly_data(motion, radii, row),
+        None => index.clone(),
+    })
 }
 
 fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
@@ -75,7 +109,7 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
     };
     let nodes: Vec<String> = (0..n).map(|q| q.to_string()).collect();
     format!(
-        "<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"0.1\" byte_order=\"LittleEndian\">\n<PolyData>\n\
+        "<?xml version=\"1.0\"?>\n{EXPORT_MARK}\n<VTKFile type=\"PolyData\" version=\"0.1\" byte_order=\"LittleEndian\">\n<PolyData>\n\
          <Piece NumberOfPoints=\"{n}\" NumberOfVerts=\"0\" NumberOfLines=\"1\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">\n\
          <Points>\n{}</Points>\n<PointData{scalars}>\n{data}</PointData>\n\
          <Lines>\n<DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">\n{}\n</DataArray>\n\
@@ -90,9 +124,17 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
 ///
 /// # Errors
 /// [`OutputError`] where the file cannot be written.
-pub fn write_csv(path: &Path, motion: &MotionRecord, rows: &[usize]) -> Result<(), OutputError> {
+pub fn write_csv(
+    to: &Destination,
+    motion: &MotionRecord,
+    rows: &[usize],
+) -> Result<(), OutputError> {
+    to.write(&[format!("{}.csv", to.name)], |_| table(motion, rows))
+}
+
+fn table(motion: &MotionRecord, rows: &[usize]) -> String {
     let n = motion.n_nodes;
-    let mut text = String::from("t_s,node,s,x_m,y_m,z_m,qw,qx,qy,qz\n");
+    let mut text = String::from(TABLE_HEAD);
     for &row in rows {
         for q in 0..n {
             let x = &motion.x[3 * (n * row + q)..][..3];
@@ -113,7 +155,7 @@ pub fn write_csv(path: &Path, motion: &MotionRecord, rows: &[usize]) -> Result<(
             );
         }
     }
-    replace(path, &text)
+    text
 }
 
 /// At most `most` rows of `n`, the first and the last among them, as evenly as whole numbers allow.
@@ -162,8 +204,7 @@ const THIN: f64 = 0.008;
 /// # Errors
 /// [`OutputError`] where a file cannot be written.
 pub fn write_svg(
-    folder: &Path,
-    name: &str,
+    to: &Destination,
     motion: &MotionRecord,
     radii: &[f64],
     rows: &[usize],
@@ -171,14 +212,12 @@ pub fn write_svg(
     backdrop: &Backdrop,
 ) -> Result<(), OutputError> {
     let drawing = Drawing::of(motion, radii, rows, view, backdrop);
-    for number in 0..rows.len() {
-        let path = folder.join(format!("{name}-{number:04}.svg"));
-        replace(&path, &drawing.still(number))?;
-    }
-    replace(
-        &folder.join(format!("{name}.svg")),
-        &drawing.animated(seconds),
-    )
+    let mut files = to.numbered(rows.len(), "svg");
+    files.push(format!("{}.svg", to.name));
+    to.write(&files, |number| match number < rows.len() {
+        true => drawing.still(number),
+        false => drawing.animated(seconds),
+    })
 }
 
 /// One time of a motion, in the plane of the drawing.
@@ -286,7 +325,7 @@ impl Drawing {
         let [width, height] = [self.window[2], self.window[3]].map(|m| self.scale() * m);
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" width=\"{width:.0}\" height=\"{height:.0}\">\n\
-             <style>.way {{ fill: none; stroke: #c0562b; stroke-width: 1.5 }} .arm {{ fill: #3b7dc4; stroke: #1d4f86; stroke-width: 1.2 }} \
+             {EXPORT_MARK}\n<style>.way {{ fill: none; stroke: #c0562b; stroke-width: 1.5 }} .arm {{ fill: #3b7dc4; stroke: #1d4f86; stroke-width: 1.2 }} \
              .ball {{ fill: #8a94a0; fill-opacity: 0.55 }} .target {{ fill: none; stroke: #c0562b; stroke-width: 2.5 }}</style>\n"
         )
     }

@@ -40,6 +40,7 @@ pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 #[doc(hidden)]
 pub use reading::read_text;
+pub(crate) use reading::{Unreadable, open_regular, read_regular};
 #[doc(hidden)]
 pub use report::{
     ArrowKind, Bound, Hold, ReportArm, ReportArrow, ReportAttempt, ReportChart, ReportCheck,

@@ -1,29 +1,81 @@
-//! Reading of result files that may have been changed: only regular files are opened, and no more is read than the result can hold.
+//! Reading of files that a user wrote, or of results that may have been changed: only regular files are opened, and no more is read than the result can hold.
 
+use std::fmt;
 use std::fs::{self, File};
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::Path;
 
 use super::OutputError;
 
+/// Why a file of a user or of a result is not read.
+#[derive(Debug)]
+pub(crate) enum Unreadable {
+    /// The system does not let it be read.
+    Io(io::Error),
+    /// It is no regular file but what this names.
+    Kind(&'static str),
+    /// It has this many bytes or more, and may have as many as the second number says.
+    Large(u64, u64),
+}
+
+impl Unreadable {
+    fn of(self, path: &Path) -> OutputError {
+        match self {
+            Self::Io(error) => OutputError::io(path, "cannot read")(error),
+            unfit => OutputError::malformed(path, unfit.to_string()),
+        }
+    }
+}
+
+impl fmt::Display for Unreadable {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Io(error) => write!(f, "cannot be read: {error}"),
+            Self::Kind(kind) => write!(f, "{kind}, not a file"),
+            Self::Large(found, largest) => write!(
+                f,
+                "{found} bytes or more; what it should hold takes at most {largest}"
+            ),
+        }
+    }
+}
+
 /// Opens a regular file of at most `largest` bytes; anything else (a pipe would wait for ever, a device never ends) is refused unopened.
-pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
-    let cannot_read = |error| OutputError::io(path, "cannot read")(error);
-    let found = fs::metadata(path).map_err(cannot_read)?;
+pub(crate) fn open_regular(path: &Path, largest: u64) -> Result<File, Unreadable> {
+    let found = fs::metadata(path).map_err(Unreadable::Io)?;
     if !found.is_file() {
         let kind = if found.is_dir() {
             "a directory"
         } else {
             "a device or a pipe"
         };
-        return Err(OutputError::malformed(path, format!("{kind}, not a file")));
+        return Err(Unreadable::Kind(kind));
     }
-    let file = File::open(path).map_err(cannot_read)?;
-    let length = file.metadata().map_err(cannot_read)?.len();
+    let file = File::open(path).map_err(Unreadable::Io)?;
+    let length = file.metadata().map_err(Unreadable::Io)?.len();
     if length > largest {
-        return Err(too_large(path, length, largest));
+        return Err(Unreadable::Large(length, largest));
     }
     Ok(file)
+}
+
+/// Opens a regular file of a result.
+pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
+    open_regular(path, largest).map_err(|error| error.of(path))
+}
+
+/// Reads a regular file of at most `largest` bytes.
+pub(crate) fn read_regular(path: &Path, largest: u64) -> Result<Vec<u8>, Unreadable> {
+    let mut bytes = Vec::new();
+    // Some files say that they are empty and are not.
+    open_regular(path, largest)?
+        .take(largest.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(Unreadable::Io)?;
+    if bytes.len() as u64 > largest {
+        return Err(Unreadable::Large(bytes.len() as u64, largest));
+    }
+    Ok(bytes)
 }
 
 /// Reads a text of at most `largest` bytes.
@@ -31,15 +83,7 @@ pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
 /// # Errors
 /// [`OutputError`] for what is no file, larger, or not UTF-8.
 pub fn read_text(path: &Path, largest: u64) -> Result<String, OutputError> {
-    let mut bytes = Vec::new();
-    // Some files say that they are empty and are not.
-    open(path, largest)?
-        .take(largest.saturating_add(1))
-        .read_to_end(&mut bytes)
-        .map_err(OutputError::io(path, "cannot read"))?;
-    if bytes.len() as u64 > largest {
-        return Err(too_large(path, bytes.len() as u64, largest));
-    }
+    let bytes = read_regular(path, largest).map_err(|error| error.of(path))?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         OutputError::malformed(
@@ -47,13 +91,6 @@ pub fn read_text(path: &Path, largest: u64) -> Result<String, OutputError> {
             format!("not UTF-8 text: the byte at offset {at} is invalid"),
         )
     })
-}
-
-fn too_large(path: &Path, found: u64, largest: u64) -> OutputError {
-    OutputError::malformed(
-        path,
-        format!("{found} bytes or more; what it should hold takes at most {largest}"),
-    )
 }
 
 #[cfg(test)]

@@ -414,8 +414,13 @@ fn is_own_within(folder: &OsStr, entry: &DirEntry) -> io::Result<bool> {
     Ok(is_known && entry.file_type()?.is_file())
 }
 
-/// Moves a file over another, or over a link, in one go; in two onto another disk.
+/// Moves a file over another, whose mode it takes, or over a link, in one go; in two onto another disk.
 fn move_file(from: &Path, to: &Path) -> io::Result<()> {
+    if let Ok(old) = fs::symlink_metadata(to)
+        && old.is_file()
+    {
+        fs::set_permissions(from, old.permissions())?;
+    }
     match fs::rename(from, to) {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
             absent_is_fine(fs::remove_file(to))?; // a link would be followed

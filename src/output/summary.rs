@@ -271,11 +271,73 @@ pub struct SimulateSummary {
     pub dilatation: Range,
     /// Length of the polygon of nodes over the run, m.
     pub length_m: Range,
+    /// Least distances from the obstacles of the scene, which the motion does not know; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub clearance: Vec<ClearanceSummary>,
     /// How the grid was chosen; absent where the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
+}
+
+/// How far a node is from a soft goal at its time.
+#[derive(Clone, Debug, Serialize)]
+pub struct SoftGoalSummary {
+    /// Key of the goal.
+    pub goal: String,
+    /// Its weight.
+    pub weight: f64,
+    /// Distance from its position, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_m: Option<f64>,
+    /// Angle to its orientation, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_rad: Option<f64>,
+}
+
+impl SoftGoalSummary {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let parts = [(self.left_m, "m"), (self.left_rad, "rad")];
+        let parts: Vec<String> = (parts.iter())
+            .filter_map(|(left, unit)| Some(format!("{:.3e} {unit}", (*left)?)))
+            .collect();
+        let left = if parts.is_empty() {
+            "nothing but its motion".into()
+        } else {
+            parts.join(" and ")
+        };
+        format!(
+            "{} is soft, of weight {:.3e}: {left} left",
+            self.goal, self.weight
+        )
+    }
+}
+
+/// How near a simulated arm comes to an obstacle, at the times that have a row.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClearanceSummary {
+    /// Name of the obstacle.
+    pub obstacle: String,
+    /// Least distance between their surfaces, m; negative inside.
+    pub least_m: f64,
+    /// When, s.
+    pub at_s: f64,
+    /// Where on the arm, as a fraction of its length from the base.
+    pub place: f64,
+}
+
+impl ClearanceSummary {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        format!(
+            "{}: the arm comes as near as {:.4e} m, at t = {:.4} s and {:.2} of its length",
+            self.obstacle, self.least_m, self.at_s, self.place
+        )
+    }
 }
 
 /// How elements and step were chosen where a scene asks for an accuracy; all errors are over the length.
@@ -666,6 +728,9 @@ pub struct SolveSummary {
     /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tracking: Vec<TrackingError>,
+    /// What soft goals leave; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub soft_goals: Vec<SoftGoalSummary>,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckRecord>,
     /// How the grid was chosen; absent where the scene gives it.

@@ -170,7 +170,7 @@ fn family(setting: &Setting, usual: &Setting) -> String {
 pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
     let done: Vec<&Point> = (found.points.iter())
         .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
-        .filter(|point| point.wall_s > 0.0)
+        .filter(|point| point.time() > 0.0)
         .collect();
     if done.is_empty() {
         return Err("no point has an error and a time".into());
@@ -190,7 +190,7 @@ fn errors_and_times(points: &[&Point], tolerances: &[f64]) -> (Range<f64>, Range
         low / 1.6..high * 1.6
     };
     let errors = (points.iter().filter_map(|point| point.error)).chain(tolerances.iter().copied());
-    let times = points.iter().map(|point| 1e3 * point.wall_s);
+    let times = points.iter().map(|point| 1e3 * point.time());
     (range(&mut { errors }), range(&mut { times }))
 }
 
@@ -199,11 +199,11 @@ fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     match subject {
         Subject::Motion => [
             "largest error of any place at any time / length",
-            "time of the simulation, ms",
+            "processor time of the simulation, ms",
         ],
         Subject::OptimalControl => [
             "largest error of any place at any time / length",
-            "time of the solve, ms",
+            "processor time of the solve, ms",
         ],
         Subject::ClosedLoop => [
             "distance of the tip from its reference (rms) / length",
@@ -262,7 +262,7 @@ fn draw(
             .filter(|point| family(&point.setting, usual) == *name)
             .collect();
         own.sort_by_key(|point| point.setting.elements);
-        let at = |point: &Point| (point.error.unwrap_or(right), 1e3 * point.wall_s);
+        let at = |point: &Point| (point.error.unwrap_or(right), 1e3 * point.time());
         chart
             .draw_series(LineSeries::new(
                 own.iter().map(|point| at(point)),
@@ -288,8 +288,8 @@ fn draw(
         }))?;
     }
     let failed = (found.points.iter())
-        .filter(|point| point.status != Fate::Done && point.wall_s > 0.0)
-        .map(|point| 1e3 * point.wall_s);
+        .filter(|point| point.status != Fate::Done && point.time() > 0.0)
+        .map(|point| 1e3 * point.time());
     chart.draw_series(failed.filter(|t| times.contains(t)).map(|t| {
         Cross::new(
             (right / 1.05, t),
@@ -300,7 +300,7 @@ fn draw(
     if let Some(recommended) = &found.recommended {
         let point = &recommended.point;
         chart.draw_series([Circle::new(
-            (point.error.unwrap_or(right), 1e3 * point.wall_s),
+            (point.error.unwrap_or(right), 1e3 * point.time()),
             12,
             RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
         )])?;
@@ -344,7 +344,7 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
         }) => format!(
             "Recommended for {tolerance:e} of the length: {}, which takes {} and has an error of {:.1e} ({}: {checked_error:.1e}, {}).",
             point.setting.differences(usual),
-            milliseconds(point.wall_s),
+            milliseconds(point.time()),
             point.error.unwrap_or(f64::NAN),
             match found.subject {
                 Subject::ClosedLoop => "against an arm with twice the elements",
@@ -364,7 +364,7 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
 #[must_use]
 pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
     let mut points: Vec<&Point> = found.points.iter().collect();
-    points.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+    points.sort_by(|a, b| a.time().total_cmp(&b.time()));
     let all = settings(points.iter().copied(), usual, |point| point.on_front);
     let recommended = found.recommended.as_ref();
     let front = points.into_iter().filter(|point| point.on_front);
@@ -404,7 +404,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         for cost in &found.features {
             let _ = writeln!(
                 features,
-                "<tr{}><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td></tr>",
+                "<tr{}><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{}</td></tr>",
                 if cost.in_scene {
                     " class=\"marked\""
                 } else {
@@ -413,7 +413,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
                 escaped(&cost.feature),
                 cost.with,
                 cost.without,
-                cost.with / cost.without
+                cost.ratio_in_words()
             );
         }
         features.push_str("</tbody>\n</table></div>\n<p>The scene has those in bold.</p>\n");
@@ -493,7 +493,7 @@ fn settings<'a>(
             out,
             "<tr{class}><td>{}</td><td>{}</td><td>{error}</td>{objective}</tr>",
             escaped(&point.setting.differences(usual)),
-            milliseconds(point.wall_s),
+            milliseconds(point.time()),
         );
     }
     out.push_str("</tbody>\n</table>");

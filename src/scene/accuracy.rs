@@ -209,7 +209,7 @@ impl Scene {
             )
             .filter_map(|node| match node {
                 LoadNode::Index(index) => Some(index),
-                LoadNode::Tip | LoadNode::Base => None,
+                LoadNode::Tip | LoadNode::Base | LoadNode::Fraction(_) => None,
             });
         let actuators = (self.control.iter_mut()).flat_map(|control| {
             control

@@ -5,9 +5,12 @@ use std::path::Path;
 use super::error::SceneError;
 use super::model::{Scene, Track};
 use super::source::SceneSource;
+use crate::output::open_regular;
 
 /// Most rows of a file.
 const MOST_ROWS: usize = 1_000_000;
+/// Bytes of the largest file: rows of eight numbers of 24 characters, with as many for separators and comments.
+const LARGEST_FILE: u64 = 8 * 32 * MOST_ROWS as u64;
 
 impl Scene {
     /// Reads the files of all tracks into their rows, so that the scene stands by itself.
@@ -48,13 +51,13 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
             Some(help.into()),
         )
     };
+    let file = open_regular(&path, LARGEST_FILE).map_err(|error| refuse(error.to_string()))?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .comment(Some(b'#'))
         .flexible(true)
         .trim(csv::Trim::All)
-        .from_path(&path)
-        .map_err(|error| refuse(error.to_string()))?;
+        .from_reader(file);
     let mut turns = Vec::new();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(|error| refuse(error.to_string()))?;

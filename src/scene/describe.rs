@@ -11,7 +11,7 @@ use super::model::{
 use super::values::{self, Positive, known};
 use crate::control::{self, PathEnforcement, Shape};
 use crate::mechanics::rotation::quaternion;
-use crate::mechanics::{self, BaseCondition, MotionCurve, SectionProfile};
+use crate::mechanics::{self, BaseCondition, LoadFrame, MotionCurve, SectionProfile};
 use crate::sqp::SqpSettings;
 use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, Rest, Target};
 
@@ -223,6 +223,7 @@ fn base_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, DescribeErr
         angular_velocity_rad_s: rotation.rate.into(),
         translation_m: table(translation),
         rotation_rad: table(rotation),
+        rotation_frame: LoadFrame::Body,
         oscillation: pairs()
             .map(|(translation, rotation)| Oscillation {
                 translation_m: translation.amplitude.into(),
@@ -328,7 +329,7 @@ fn targets<'a>(
 fn hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weight>>) {
     match hardness {
         Hardness::Hard => (true, None),
-        Hardness::Soft { weight } => (false, Some(known(weight))),
+        Hardness::Soft { weight } => (false, weight.map(known)),
     }
 }
 

@@ -2,8 +2,7 @@
 
 use super::builtin;
 use super::error::{SceneError, excerpt, nearest};
-use std::fs::File;
-use std::io::Read;
+use crate::output::{Unreadable, read_regular};
 use std::path::Path;
 
 /// A scene is some kilobytes; what is longer than this is not a scene.
@@ -12,18 +11,17 @@ const LARGEST_FILE: u64 = 1 << 20;
 pub(super) const EXAMPLE_HELP: &str =
     "`softarm example reach` prints a commented scene to start from";
 
-/// The text of the file at `path`, of which no more than the allowed length is ever read.
+/// The text of the regular file at `path`, of at most the allowed length: a pipe would wait for ever, and a device never ends.
 pub(super) fn read(path: &str) -> Result<String, SceneError> {
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(LARGEST_FILE + 1).read_to_end(&mut bytes))
-        .map_err(|error| SceneError::of_source(path, format!("cannot be read: {error}")))?;
-    if bytes.len() as u64 > LARGEST_FILE {
-        return Err(
+    let bytes = read_regular(Path::new(path), LARGEST_FILE).map_err(|error| match error {
+        Unreadable::Io(_) => SceneError::of_source(path, error.to_string()),
+        Unreadable::Large(..) => {
             SceneError::of_source(path, "larger than 1 MiB, which is no scene file")
-                .with_help(EXAMPLE_HELP),
-        );
-    }
+                .with_help(EXAMPLE_HELP)
+        }
+        Unreadable::Kind(kind) => SceneError::of_source(path, format!("{kind}, not a scene file"))
+            .with_help("write the scene into a file, and name that"),
+    })?;
     String::from_utf8(bytes).map_err(|error| {
         let position = error.utf8_error().valid_up_to();
         SceneError::of_source(

@@ -86,6 +86,13 @@ impl Scene {
                     ),
                 }
             }
+            DiscretizeError::LimitConflict { limit, .. } => {
+                let index = limit.saturating_sub(self.obstacle.len());
+                at(
+                    &format!("limit.{index}"),
+                    "loosen the limit, move the goal, give it more time or a larger tolerance, or one of both hard = false or a soft price",
+                )
+            }
             DiscretizeError::GoalConflict {
                 goal, part, with, ..
             } => {

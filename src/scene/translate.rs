@@ -10,13 +10,13 @@ use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{
-    Bound, Continuation, FeedbackWeights, FreeDuration, Guess, OptimalControlProblem,
-    PathEnforcement, Search, Shape,
+    Bound, Continuation, Enforcement, FeedbackWeights, FreeDuration, Goal, Guess,
+    OptimalControlProblem, PathEnforcement, Search, Shape,
 };
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, MotionCurve, NodeInertia, Oscillation,
-    Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
+    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, LoadFrame, MotionCurve, NodeInertia,
+    Oscillation, Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
 };
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -250,6 +250,7 @@ impl Scene {
             let mut resolved = self.resolved(&discretization);
             if let Some(definition) = &mut resolved.task {
                 definition.at_s = Some(known(task.horizon));
+                definition.take_weights(&problem.goals);
                 if let (Some(stay), Rest::Staying(_)) = (&problem.stay, definition.rest()) {
                     definition.stays_s = Some(known(stay.seconds));
                     definition.stays_m = Some(known(stay.distance));
@@ -325,6 +326,7 @@ impl Scene {
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
         let elements = self.rod.elements;
+        let base_rotation = from_quaternion(self.base.unit_quaternion());
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
@@ -336,7 +338,7 @@ impl Scene {
                 model::BaseKind::Driven => {
                     let motion = self.base.motion.clone().unwrap_or_default();
                     BaseCondition::driven(
-                        base_motion(&motion).map_err(|error| {
+                        base_motion(&motion, &base_rotation).map_err(|error| {
                             source.error_at("base.motion", error.to_string(), None)
                         })?,
                     )
@@ -344,7 +346,7 @@ impl Scene {
                 model::BaseKind::Free => BaseCondition::Free,
             },
             base_position: self.base.position_m.into(),
-            base_rotation: from_quaternion(self.base.unit_quaternion()),
+            base_rotation,
             gravity: self
                 .gravity
                 .as_ref()
@@ -587,11 +589,28 @@ impl LoadNode {
             Self::Tip => Place::Tip,
             Self::Base => Place::Base,
             Self::Index(node) => Place::of_node(node, elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()),
         }
     }
 }
 
 impl model::Task {
+    /// Writes out the weights of soft goals, which a discretization chooses where they are not given.
+    fn take_weights(&mut self, goals: &[Goal]) {
+        let weight = |name: &str| {
+            (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
+                match goal.enforcement {
+                    Enforcement::Soft { weight } => Some(known(weight)),
+                    Enforcement::Hard | Enforcement::Within { .. } => None,
+                }
+            })
+        };
+        self.weight = weight("task").or(self.weight);
+        for (index, via) in self.via.iter_mut().enumerate() {
+            via.weight = weight(&format!("task.via.{index}")).or(via.weight);
+        }
+    }
+
     fn tolerances(&self) -> Tolerances {
         Tolerances {
             distance: self.tolerance_m.map(Number::get),
@@ -648,9 +667,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     if hard {
         Hardness::Hard
     } else {
-        Hardness::Soft {
-            weight: weight.unwrap_or(1.0),
-        }
+        Hardness::Soft { weight }
     }
 }
 
@@ -707,33 +724,48 @@ fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
     }
 }
 
-fn base_motion(motion: &model::BaseMotion) -> Result<BaseMotion, RodError> {
+/// The motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its frame.
+fn base_motion(
+    motion: &model::BaseMotion,
+    orientation: &Matrix3<f64>,
+) -> Result<BaseMotion, RodError> {
     let curve = |rate: [f64; 3],
                  table: &Option<Vec<[f64; 4]>>,
-                 amplitude: fn(&model::Oscillation) -> [f64; 3]|
+                 amplitude: fn(&model::Oscillation) -> [f64; 3],
+                 own: Matrix3<f64>|
      -> Result<MotionCurve, RodError> {
-        let point = |&[t, x, y, z]: &[f64; 4]| (t, Vector3::new(x, y, z));
+        let point = |&[t, x, y, z]: &[f64; 4]| (t, own * Vector3::new(x, y, z));
         let table = table
             .as_ref()
             .map(|rows| CubicSpline::through(&rows.iter().map(point).collect::<Vec<_>>()));
         let oscillations = motion.oscillation.iter().map(|o| Oscillation {
-            amplitude: amplitude(o).into(),
+            amplitude: own * Vector3::from(amplitude(o)),
             frequency: o.frequency_hz.get(),
             phase: o.phase_rad,
         });
         Ok(MotionCurve {
-            rate: rate.into(),
+            rate: own * Vector3::from(rate),
             table: table.transpose()?,
             oscillations: oscillations.collect(),
         })
     };
+    let turned = match motion.rotation_frame {
+        LoadFrame::Spatial => orientation.transpose(),
+        LoadFrame::Body => Matrix3::identity(),
+    };
     Ok(BaseMotion {
-        translation: curve(motion.velocity_m_s, &motion.translation_m, |o| {
-            o.translation_m
-        })?,
-        rotation: curve(motion.angular_velocity_rad_s, &motion.rotation_rad, |o| {
-            o.rotation_rad
-        })?,
+        translation: curve(
+            motion.velocity_m_s,
+            &motion.translation_m,
+            |o| o.translation_m,
+            Matrix3::identity(),
+        )?,
+        rotation: curve(
+            motion.angular_velocity_rad_s,
+            &motion.rotation_rad,
+            |o| o.rotation_rad,
+            turned,
+        )?,
     })
 }
 

@@ -1,39 +1,97 @@
 //! Explanations of a simulation that broke down, such as an arm that topples under its weight.
 
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
-use crate::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};
-use crate::mechanics::{BaseCondition, Rod, RodModel, SmallMotions, State, StrainRule};
+use crate::mechanics::stability::automatic_step;
+use crate::mechanics::vibration::weight_in_words;
+use crate::mechanics::{
+    BaseCondition, Configuration, Rod, RodModel, SmallMotions, State, StrainRule, TimeGrid,
+    TimeScheme,
+};
 
 /// Growth of a small deviation over the time of a motion above which the motion is called unstable.
 const UNSTABLE_GROWTH: f64 = 10.0;
 
-/// What may be behind a motion that could not be computed, or a problem that could not be solved, over `duration` seconds from `initial` on:
-/// an arm that topples, a model that breaks down. Sentences that can follow a message after a semicolon.
-pub(crate) fn causes(rod: &Rod, initial: &State, duration: f64) -> Vec<String> {
-    [toppling(rod, initial, duration), breakdown(rod)]
-        .into_iter()
-        .flatten()
-        .collect()
+/// Deviation from an equilibrium, over the length, up to which an arm starts beside it.
+const BESIDE: f64 = 0.05;
+/// Elements up to which an equilibrium and its growth take a fraction of a second.
+const MOST_ELEMENTS: usize = 1000;
+
+/// What may be behind a motion that could not be computed, or a problem that could not be solved, on a time grid from `initial` on: a step that
+/// is too long, an arm that topples, a model that breaks down. Sentences that can follow a message after a semicolon.
+pub(crate) fn causes(rod: &Rod, initial: &State, grid: &TimeGrid) -> Vec<String> {
+    [
+        long_step(rod, grid.step),
+        toppling(rod, initial, grid.duration()),
+        breakdown(rod),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+/// Implicit steps are stable up to a length that falls with the load; the automatic one is safe for an arm that is bent into a circle.
+fn long_step(rod: &Rod, step: f64) -> Option<String> {
+    let automatic = automatic_step(rod);
+    (rod.scheme == TimeScheme::Implicit && step > automatic * (1.0 + 1e-9)).then(|| {
+        format!(
+            "time.step_s is {step:.3e} s, longer than the automatic {automatic:.3e} s: in an arm that is bent or loaded, waves that an implicit step \
+             does not resolve grow; give at most {automatic:.3e} s, or \"auto\""
+        )
+    })
+}
+
+/// Says that an arm starts beside an equilibrium that is unstable under the loads at the start or at the end of a motion, by how fast deviations
+/// grow. What is computed may then stand by its symmetry alone.
+pub(crate) fn stands_by_symmetry(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
+    if rod.n_elements() > MOST_ELEMENTS {
+        return None;
+    }
+    [0.0, duration].into_iter().find_map(|t| {
+        let (shape, rate) = unstable_equilibrium(rod, &initial.configuration, t, duration)?;
+        let pairs = shape.positions.iter().zip(&initial.configuration.positions);
+        let off = pairs.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        (off < BESIDE * rod.scales.length).then(|| {
+            format!(
+                "the arm starts beside an equilibrium that is unstable under the loads at t = {t} s, from which deviations grow e-fold in {:.3e} s: if \
+                 the motion stays there it stands by its symmetry, where an arm that is never quite straight would fall; tilt the base or add a small \
+                 load across it to see that ({})",
+                1.0 / rate,
+                weight_in_words(rod)
+            )
+        })
+    })
+}
+
+/// The equilibrium next to a configuration under the loads at time `t`, if deviations from it grow within `duration`, and their rate in 1/s.
+///
+/// Loads that turn with the arm, or moments that do not, have no potential: the tangent stiffness, of which the symmetric part counts, says nothing
+/// about stability under them.
+fn unstable_equilibrium(
+    rod: &Rod,
+    near: &Configuration,
+    t: f64,
+    duration: f64,
+) -> Option<(Configuration, f64)> {
+    let is_loaded = rod.gravity.norm() > 0.0 || !rod.loads.is_empty();
+    let has_potential = !rod.loads.iter().any(|load| load.turns());
+    if rod.base == BaseCondition::Free || !is_loaded || !has_potential {
+        return None;
+    }
+    let shape = static_equilibrium(rod, near, t, &TipSpring::default()).ok()?;
+    let rate = SmallMotions::about(rod, &shape, t).growth_rate()?;
+    (rate * duration > UNSTABLE_GROWTH.ln()).then_some((shape, rate))
 }
 
 /// Says that the equilibrium next to the start is unstable, by how fast it is left.
 fn toppling(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
-    if rod.base == BaseCondition::Free || rod.gravity.norm() == 0.0 && rod.loads.is_empty() {
-        return None;
-    }
-    let shape = static_equilibrium(rod, &initial.configuration, 0.0, &TipSpring::default()).ok()?;
-    let rate = SmallMotions::about(rod, &shape, 0.0).growth_rate()?;
-    let exponent = rate * duration;
-    (exponent > UNSTABLE_GROWTH.ln()).then(|| {
-        format!(
-            "the motion is unstable: this arm cannot stand as it starts, small deviations from its equilibrium there grow as exp({rate:.3} t), \
-             by a factor of 1e{:.0} in {duration} s (weight number rho A g L^3/EI {:.3}; a uniform arm clamped upright topples above \
-             {TOPPLING_WEIGHT_NUMBER:.2}, with a payload earlier); make it shorter, thicker or stiffer, lighter at the tip, hang it \
-             (base.direction along gravity), or take less time",
-            exponent / std::f64::consts::LN_10,
-            weight_number(rod)
-        )
-    })
+    let (_, rate) = unstable_equilibrium(rod, &initial.configuration, 0.0, duration)?;
+    Some(format!(
+        "the motion is unstable: this arm cannot stand as it starts, small deviations from its equilibrium there grow as exp({rate:.3} t), \
+         by a factor of 1e{:.0} in {duration} s ({}); make it shorter, thicker or stiffer, lighter at the tip, hang it (base.direction along \
+         gravity), or take less time",
+        rate * duration / std::f64::consts::LN_10,
+        weight_in_words(rod)
+    ))
 }
 
 /// The paper's model is no variation of an action.

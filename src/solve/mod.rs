@@ -8,13 +8,14 @@ mod diagnostics;
 mod examined;
 mod files;
 mod page;
+mod soft_goals;
 mod solution;
 mod step_kind;
 mod summary;
 
 #[cfg(feature = "cli")]
 pub(crate) use self::{
-    causes::causes,
+    causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
     diagnostics::diagnostics,
     examined::Examined,

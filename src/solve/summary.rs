@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::causes::causes;
 use super::examined::{Examined, Spent};
+use super::soft_goals::soft_goals;
 use super::solution::Solution;
 use crate::control::{Attempt, OptimalControlProblem, SolveLog, observe, tracking_errors};
 use crate::output::summary::{
@@ -42,7 +43,7 @@ pub(crate) fn summarize(
     let check = examined.check.as_ref();
     let (status, mut message) = status_words(&outcome.status, &solution.worst);
     if !solution.has_converged() {
-        let mut causes = causes(&problem.rod, &problem.initial, problem.grid.duration());
+        let mut causes = causes(&problem.rod, &problem.initial, &problem.grid);
         if !causes.is_empty() {
             causes.extend(message.take());
             message = Some(causes.join("; "));
@@ -75,6 +76,7 @@ pub(crate) fn summarize(
         tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
         stays: stays(problem, check),
         tracking: tracking_errors(problem, &outcome.point.trajectory),
+        soft_goals: soft_goals(problem, &outcome.point.trajectory),
         accuracy: None,
         check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
             .or_else(|| examined.unchecked.map(CheckRecord::not_checked)),

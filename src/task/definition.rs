@@ -16,8 +16,9 @@ pub enum Hardness {
     Hard,
     /// A term of the objective, `½ weight Σ r²` over the scaled residuals of [`Goal`](crate::control::Goal).
     Soft {
-        /// Weight on the squared scaled residual.
-        weight: f64,
+        /// Weight on the squared scaled residual; `None`: one that reaches, so that the goal is missed by about a thousandth of the way, ten times
+        /// what a track of default weight misses that holds its place for the horizon.
+        weight: Option<f64>,
     },
 }
 
@@ -337,7 +338,11 @@ impl Task {
     /// The same task at whose end the whole arm comes to rest and stays, with the last wrenches held.
     #[must_use]
     pub fn staying(mut self, staying: Staying) -> Self {
-        for target in self.targets.iter_mut().filter(|target| target.time.is_none()) {
+        for target in self
+            .targets
+            .iter_mut()
+            .filter(|target| target.time.is_none())
+        {
             target.rest = Rest::Staying(staying);
         }
         self

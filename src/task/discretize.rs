@@ -5,6 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
+use super::contradictions::check_contradictions;
 use super::definition::{Hardness, LimitKind, Rest, Staying, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
@@ -34,6 +35,8 @@ const MOST_VARIABLES: usize = 2000;
 const MOST_SAMPLES: usize = 1000;
 /// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.
 const START_TOLERANCE: f64 = 1e-9;
+/// Weight of a soft goal over that of a track that holds its place for the horizon: the goal is missed by ten times as much.
+const OF_A_TRACK: f64 = 0.1;
 /// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
@@ -186,7 +189,7 @@ impl Task {
             stop: stop.clone(),
             radii,
             goals: (self.targets.iter())
-                .flat_map(|target| self.goals(target, arm, &rod, &grid))
+                .flat_map(|target| self.goals(target, arm, &rod, &grid, default_weights))
                 .collect(),
             stay: None,
             path,
@@ -216,13 +219,14 @@ impl Task {
             acting,
             rod: Arc::new(rod),
         };
-        if let Some(staying) = self.staying() {
-            discrete.stay = Some(Arc::new(stay(&discrete, staying, arm.length)?));
-        }
         check_start(&discrete)?;
         check_goals(&discrete)?;
+        check_contradictions(&discrete, self.free_duration.map(|free| free.longest))?;
         if let Some((conflict, what)) = discrete.duration_conflict() {
             return Err(DiscretizeError::Duration { conflict, what });
+        }
+        if let Some(staying) = self.how_it_stays() {
+            discrete.stay = Some(Arc::new(stay(&discrete, staying, arm.length)?));
         }
         let n_variables = discrete.n_variables();
         if discrete.n_controls() > MOST_VARIABLES {
@@ -359,7 +363,7 @@ impl Task {
     }
 
     /// How the arm stays at the end, where it does.
-    fn staying(&self) -> Option<Staying> {
+    fn how_it_stays(&self) -> Option<Staying> {
         self.targets.iter().find_map(|target| match target.rest {
             Rest::Staying(staying) => Some(staying),
             Rest::Passing | Rest::Instant => None,
@@ -406,7 +410,16 @@ impl Task {
     }
 
     /// The discrete goals of a target: what may be met within tolerances is one of its own.
-    fn goals(&self, target: &Target, arm: &Arm, rod: &Rod, grid: &TimeGrid) -> Vec<Goal> {
+    ///
+    /// Weights of tracks, which count per second, give that of a soft goal times the horizon.
+    fn goals(
+        &self,
+        target: &Target,
+        arm: &Arm,
+        rod: &Rod,
+        grid: &TimeGrid,
+        default_weights: [f64; 2],
+    ) -> Vec<Goal> {
         let time_node = target.time.map_or(grid.n_steps, |time| {
             ((time / grid.step).round() as usize).clamp(1, grid.n_steps)
         });
@@ -419,7 +432,17 @@ impl Task {
             at_rest: target.rest == Rest::Instant,
             enforcement: match target.hardness {
                 Hardness::Hard => Enforcement::Hard,
-                Hardness::Soft { weight } => Enforcement::Soft { weight },
+                Hardness::Soft { weight } => Enforcement::Soft {
+                    weight: weight.unwrap_or_else(|| {
+                        let [place, turn] =
+                            default_weights.map(|weight| OF_A_TRACK * weight * self.horizon);
+                        if target.position.is_some() {
+                            place
+                        } else {
+                            turn
+                        }
+                    }),
+                },
             },
         };
         if target.hardness != Hardness::Hard {

@@ -125,6 +125,22 @@ pub enum DiscretizeError {
         /// The obstruction.
         with: Obstruction,
     },
+    /// A hard goal that a hard limit excludes, whatever acts.
+    #[error("{why}: that takes {needed:.4} {unit} or more, and \"{name}\" allows {allowed} {unit}")]
+    LimitConflict {
+        /// Index among the task's limits.
+        limit: usize,
+        /// Its name.
+        name: String,
+        /// What the goal asks for.
+        why: String,
+        /// The least that it takes.
+        needed: f64,
+        /// The most that the limit allows.
+        allowed: f64,
+        /// Unit of both.
+        unit: &'static str,
+    },
     /// The problem has a part that a free duration does not allow.
     #[error("a free duration does not go with {what}")]
     Duration {

@@ -4,8 +4,8 @@
 //! [`Task::discretize`] returns the discrete [`Problem`]; whatever is left open in the discretization is chosen, and the problem says what.
 //!
 //! ```
-//! use nalgebra::Vector3;
 //! use softarm::mechanics::Material;
+//! use softarm::nalgebra::Vector3;
 //! use softarm::task::{Arm, Discretization, Task};
 //!
 //! let silicone = Material::isotropic(1e6, 0.5, 1000.0);
@@ -19,6 +19,7 @@
 //! ```
 
 mod arm;
+mod contradictions;
 mod definition;
 mod discretization;
 mod discretize;

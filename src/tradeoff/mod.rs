@@ -4,11 +4,13 @@
 //! [`choose`] finds the grid for an accuracy.
 
 mod choice;
+mod clock;
 mod course;
 mod motion;
 mod sweep;
 
 pub use choice::{Choice, ChoiceError, Level, choose, choose_telling, finer, first_elements};
+pub use clock::Seconds;
 pub use course::{Course, Errors};
 pub use motion::{Motion, Run, RunError};
 pub use sweep::{

@@ -1,7 +1,6 @@
 //! One motion, simulated with one discretization after the other.
 
-use std::time::Instant;
-
+use super::clock::{Clock, Seconds};
 use super::course::{Course, TIMES, advance};
 use crate::mechanics::{Rod, State, StepError, TimeGrid};
 use crate::scene::{Scene, SceneError, SceneSource};
@@ -48,8 +47,8 @@ pub struct Run {
     pub n_steps: usize,
     /// The motion.
     pub course: Course,
-    /// Time of the simulation without start and files, s.
-    pub seconds: f64,
+    /// Time of the simulation without start and files.
+    pub seconds: Seconds,
 }
 
 impl Run {
@@ -75,21 +74,21 @@ impl Setup {
     }
 
     pub fn run(&self, stop: &StopSignal) -> Result<Run, StepError> {
-        let clock = Instant::now();
+        let clock = Clock::start();
         let course = Course::of(&self.rod, self.grid, &self.initial, None, stop)?;
         Ok(Run {
             discretization: self.discretization,
             n_steps: self.grid.n_steps,
             course,
-            seconds: clock.elapsed().as_secs_f64(),
+            seconds: clock.seconds(),
         })
     }
 
     /// Seconds of the simulation alone.
-    pub fn time(&self, stop: &StopSignal) -> Result<f64, StepError> {
-        let clock = Instant::now();
+    pub fn time(&self, stop: &StopSignal) -> Result<Seconds, StepError> {
+        let clock = Clock::start();
         advance(&self.rod, self.grid, &self.initial, None, stop, |_, _| ())?;
-        Ok(clock.elapsed().as_secs_f64())
+        Ok(clock.seconds())
     }
 }
 

@@ -85,6 +85,14 @@ fn terms(
     ])
 }
 
+/// `|z| limit`; none where no multiplier acts, even if there is no limit.
+fn leeway(multiplier: f64, limit: f64) -> f64 {
+    match multiplier {
+        0.0 => 0.0,
+        z => z.abs() * limit,
+    }
+}
+
 /// `Σ |z| limit`: what bounds on rates leave to controls, at their multipliers.
 fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
     let n = problem.actuators.len();
@@ -99,7 +107,7 @@ fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
         for (c, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
             let normal = Vector3::from_column_slice(&normals[3 * c..3 * c + 3]);
             let room = match bounds[c] {
-                Some(Bound::PerAxis(limits)) => normal.abs().dot(&limits),
+                Some(Bound::PerAxis(limits)) => (0..3).map(|i| leeway(normal[i], limits[i])).sum(),
                 Some(Bound::Norm(limit)) => normal.norm() * limit,
                 None => 0.0,
             };

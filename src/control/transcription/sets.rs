@@ -36,7 +36,7 @@ impl<'a> ChannelVariables<'a> {
         out
     }
 
-    /// The set in which `rows`, one per axis, must stay.
+    /// The set in which `rows`, one per axis, must stay; an axis without a bound is in none.
     fn push_sets(
         &self,
         bound: Option<Bound>,
@@ -50,8 +50,10 @@ impl<'a> ChannelVariables<'a> {
                 radius: limit * unit,
             }),
             Some(Bound::PerAxis(limits)) => {
-                for (row, &axis) in rows.into_iter().zip(&self.axes) {
-                    let limit = limits[axis] * unit;
+                let bounded = (rows.into_iter().zip(&self.axes))
+                    .map(|(row, &axis)| (row, limits[axis] * unit))
+                    .filter(|(_, limit)| limit.is_finite());
+                for (row, limit) in bounded {
                     if let [(index, _)] = row[..] {
                         sets.push(ConvexSet::Interval {
                             index,

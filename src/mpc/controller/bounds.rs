@@ -112,6 +112,9 @@ fn bounded(
                     Bound::PerAxis(limits) => limits[horizon.components[c].axis % 3],
                 };
                 let limit = if unit == 0.0 { 0.0 } else { limit * unit };
+                if !limit.is_finite() {
+                    continue; // an axis without a bound
+                }
                 subproblem.rows.push(row(c));
                 subproblem.sets.push(if limit == 0.0 {
                     Set::Fixed

@@ -43,6 +43,9 @@ impl SavedTradeoff {
         let path = directory.join("summary.json");
         let saved: Self = serde_json::from_value(summary)
             .map_err(|error| OutputError::malformed(&path, error.to_string()))?;
+        if let Some(fault) = saved.found.fault() {
+            return Err(OutputError::malformed(&path, fault));
+        }
         let text = read_text(&directory.join("scene.toml"), LARGEST_SCENE)?;
         Ok(Self { text, ..saved })
     }
@@ -59,9 +62,9 @@ impl SavedTradeoff {
     fn front(&self) -> Vec<&Point> {
         let mut front: Vec<&Point> = (self.found.points.iter())
             .filter(|point| point.on_front && point.error.is_some_and(|error| error > 0.0))
-            .filter(|point| point.wall_s > 0.0)
+            .filter(|point| point.time() > 0.0)
             .collect();
-        front.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        front.sort_by(|a, b| a.time().total_cmp(&b.time()));
         front
     }
 }
@@ -80,7 +83,7 @@ pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
             Some(recommended.point.setting.differences(&saved.usual))
         }),
         ("time", |saved| {
-            Some(milliseconds(saved.found.recommended.as_ref()?.point.wall_s))
+            Some(milliseconds(saved.found.recommended.as_ref()?.point.time()))
         }),
         ("error", |saved| {
             let error = saved.found.recommended.as_ref()?.point.error?;
@@ -191,7 +194,7 @@ fn draw(
         .y_desc(y_name)
         .axis_desc_style(text.clone())
         .draw()?;
-    let at = |point: &Point| (point.error.unwrap_or(errors.end), 1e3 * point.wall_s);
+    let at = |point: &Point| (point.error.unwrap_or(errors.end), 1e3 * point.time());
     for (index, (name, saved)) in names.iter().zip(saved).enumerate() {
         let color = COLORS[index.min(COLORS.len() - 1)];
         let front = saved.front();

@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::values::{self, Positive};
+use crate::mechanics::LoadFrame;
 use crate::mechanics::rotation::unit;
 
 /// The first node: where it is, how it is turned, and whether it is held or moved.
@@ -35,8 +36,8 @@ pub struct Base {
 
 /// The given motion of the base: the sum of a uniform motion, curves through tables, and oscillations.
 ///
-/// Translations are displacements from `base.position_m`, in space. Rotations are rotation vectors r in the base's own
-/// frame, whose orientation at time t is its given one times exp(r(t)); parts about different axes add up as vectors.
+/// Translations are displacements from `base.position_m`, in space. Rotations are rotation vectors r: the orientation at time t is
+/// exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times exp(r(t)). Parts about different axes add up as vectors.
 /// At t = 0 the arm has its shape where the base is then, and moves with it as a rigid body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -53,6 +54,9 @@ pub struct BaseMotion {
     /// Rotation vector in rad over time, as [t in s, x, y, z], likewise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
+    /// Frame of all rotation vectors: "spatial", or "body", that of the base as it is given, whose third axis is the arm's direction. Default:
+    /// "spatial".
+    pub rotation_frame: LoadFrame,
     /// Harmonic parts.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub oscillation: Vec<Oscillation>,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::values::{self, Fraction, NonNegative};
 use crate::mechanics::LoadFrame;
+use crate::task::Place;
 
 /// Uniform gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,7 +74,8 @@ pub struct DistributedLoad {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Load {
-    /// The node that is loaded: "tip", "base", or an index that counts from 0 at the base.
+    /// The node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node nearest to a fraction of
+    /// the length.
     pub node: LoadNode,
     /// Force in N. Default: none.
     #[serde(default)]
@@ -91,7 +93,7 @@ pub struct Load {
 }
 
 /// A node of the rod.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
 pub enum LoadNode {
@@ -102,19 +104,22 @@ pub enum LoadNode {
     Base,
     /// The node of this index, from 0 at the base to `elements` at the tip.
     Index(usize),
+    /// The node nearest to this fraction of the rest length.
+    Fraction(Fraction),
 }
 
-/// "tip", "base", or the index of a node, from 0 at the base.
+/// "tip", "base", the index of a node, from 0 at the base, or with a decimal point a fraction of the arm's length from the base.
 #[derive(Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(
     untagged,
-    expecting = "expected \"tip\", \"base\", or the index of a node"
+    expecting = "expected \"tip\", \"base\", the index of a node, or with a decimal point a fraction of the length"
 )]
 #[cfg_attr(feature = "schema", schemars(rename = "LoadNode"))]
 enum LoadNodeKey {
     End(RodEnd),
     Index(usize),
+    Fraction(Fraction),
 }
 
 #[derive(Serialize, Deserialize)]
@@ -133,6 +138,7 @@ impl LoadNode {
             Self::Tip => elements,
             Self::Base => 0,
             Self::Index(index) => index,
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()).node(elements),
         }
     }
 }
@@ -143,6 +149,7 @@ impl From<LoadNodeKey> for LoadNode {
             LoadNodeKey::End(RodEnd::Tip) => LoadNode::Tip,
             LoadNodeKey::End(RodEnd::Base) => LoadNode::Base,
             LoadNodeKey::Index(index) => LoadNode::Index(index),
+            LoadNodeKey::Fraction(fraction) => LoadNode::Fraction(fraction),
         }
     }
 }
@@ -153,6 +160,7 @@ impl From<LoadNode> for LoadNodeKey {
             LoadNode::Tip => LoadNodeKey::End(RodEnd::Tip),
             LoadNode::Base => LoadNodeKey::End(RodEnd::Base),
             LoadNode::Index(index) => LoadNodeKey::Index(index),
+            LoadNode::Fraction(fraction) => LoadNodeKey::Fraction(fraction),
         }
     }
 }

@@ -38,7 +38,7 @@ pub struct Task {
     /// Whether the task is a constraint (true, the default) or a term of the objective.
     #[serde(default = "yes")]
     pub hard: bool,
-    /// Weight of that term, positive, default 1; only with `hard = false`.
+    /// Weight of that term, positive; only with `hard = false`. Default: one that reaches, so that about a thousandth of the way is missed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
@@ -148,7 +148,7 @@ pub struct Via {
     /// Whether it is a constraint (true, the default) or a term of the objective.
     #[serde(default = "yes")]
     pub hard: bool,
-    /// Weight of that term, positive, default 1; only with `hard = false`.
+    /// Weight of that term, positive; only with `hard = false`. Default: one that reaches, so that about a thousandth of the way is missed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.

@@ -28,7 +28,7 @@ pub struct Time {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
-    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and twice as long; explicit with a
+    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and ten times as long; explicit with a
     /// step_s that it can take. `softarm check` shows both predictions.
     #[default]
     Auto,

@@ -46,6 +46,7 @@ impl Work<'_, '_> {
         self.loop_points(&mut pairs);
         self.loop_points(&mut singles);
         self.cut |= !(pairs.is_empty() && singles.is_empty());
+        self.adopt();
         let models = Models {
             cost: (fit::cost(
                 "samples",
@@ -66,7 +67,10 @@ impl Work<'_, '_> {
 
     /// Runs one setting after the other while there is time.
     fn loop_points(&mut self, settings: &mut VecDeque<Setting>) {
-        while !self.is_over() {
+        while let Some(setting) = settings.front() {
+            if self.sweep.stop.is_raised() || self.is_over() && self.known(setting).is_none() {
+                return;
+            }
             let Some(setting) = settings.pop_front() else {
                 return;
             };
@@ -250,10 +254,10 @@ impl Work<'_, '_> {
         };
         let error = own.error.unwrap_or(f64::NAN).max(self.sweep.tolerance);
         let mut good: Vec<&Point> = (self.points.iter().skip(1))
-            .filter(|point| point.wall_s < own.wall_s)
+            .filter(|point| point.time() < own.time())
             .filter(|point| point.error.is_some_and(|e| e <= AS_GOOD * error))
             .collect();
-        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        good.sort_by(|a, b| a.time().total_cmp(&b.time()));
         let mut settings = self.combined(&good, None);
         settings.truncate(COMBINED);
         settings

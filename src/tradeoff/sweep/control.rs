@@ -2,12 +2,11 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Instant;
 
 use super::super::course::{Course, Errors};
 use super::{
-    FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
-    Tradeoff, Work, fit, least_time,
+    Clock, FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting,
+    SweepError, Tradeoff, Work, fit, least,
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
@@ -42,6 +41,7 @@ impl Work<'_, '_> {
         self.solve_settings(&mut pairs);
         self.solve_settings(&mut plan);
         self.cut |= !(pairs.is_empty() && plan.is_empty());
+        self.adopt();
         let reference = self.control_reference();
         let models = self.control_models(reference.as_ref());
         let recommended = self.recommend_control();
@@ -70,10 +70,10 @@ impl Work<'_, '_> {
         };
         let mut faster: Vec<&Point> = (self.points.iter())
             .filter(|point| point.setting.elements == self.usual.elements)
-            .filter(|point| point.wall_s < own.wall_s)
+            .filter(|point| point.time() < own.time())
             .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
             .collect();
-        faster.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        faster.sort_by(|a, b| a.time().total_cmp(&b.time()));
         self.combined(&faster, Some(elements))
     }
 
@@ -158,7 +158,7 @@ impl Work<'_, '_> {
         let left = self.left();
         let best = (plan.iter().enumerate())
             .map(|(index, setting)| (index, phase(setting), seconds(setting)))
-            .filter(|(.., seconds)| *seconds <= left)
+            .filter(|(index, _, seconds)| *seconds <= left || self.known(&plan[*index]).is_some())
             .min_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
         let (index, ..) = best.filter(|_| !self.sweep.stop.is_raised())?;
         Some(plan.remove(index))
@@ -181,12 +181,12 @@ impl Work<'_, '_> {
         Ok(scene.optimal_control_until(source, stop)?)
     }
 
-    fn solve(&self, setup: &OptimalControl) -> Result<(Attempt, f64), SweepError> {
-        let clock = Instant::now();
+    fn solve(&self, setup: &OptimalControl) -> Result<(Attempt, Seconds), SweepError> {
+        let clock = Clock::start();
         let attempts = search(&setup.problem, &setup.settings, &setup.search, &|_, _| {
             ControlFlow::Continue(())
         });
-        let seconds = clock.elapsed().as_secs_f64();
+        let seconds = clock.seconds();
         match attempts {
             Ok(mut attempts) => Ok((attempts.swap_remove(0), seconds)),
             Err(error) => Err(error.into()),
@@ -201,15 +201,15 @@ impl Work<'_, '_> {
             step_s: setup.problem.grid.step,
             solver_iterations: Some(attempt.iterations()),
             memory_mb: 1e-6 * of_solve(&setup, 1, 1).total(),
-            wall_s: seconds,
-            ..Point::new(setting)
+            ..Point::new(setting).timed((seconds, 1))
         };
         if attempt.outcome.status != SqpStatus::Converged {
             point.status = Fate::NotConverged;
             point.why = Some(words(&attempt.outcome.status));
             return Ok(point);
         }
-        point.wall_s = least_time(seconds, || self.solve(&setup).map(|(_, seconds)| seconds));
+        let seconds = least(seconds, || self.solve(&setup).map(|(_, seconds)| seconds));
+        point = point.timed(seconds);
         let solved = Solved { setup, attempt };
         point.objective = Some(solved.attempt.outcome.objective);
         match solved.errors(self) {
@@ -269,9 +269,9 @@ impl Work<'_, '_> {
         let found = self.first_that_holds(good, "its controls solved once more", |work, point| {
             Ok(work.solved(&point.setting)?.error.unwrap_or(f64::NAN))
         });
-        let time = |found: &Recommendation| found.point.wall_s;
+        let time = |found: &Recommendation| found.point.time();
         let fastest = found.as_ref().map_or(f64::INFINITY, time);
-        for point in worse.iter().filter(|point| point.wall_s < fastest) {
+        for point in worse.iter().filter(|point| point.time() < fastest) {
             let objective = point.objective.unwrap_or(f64::NAN);
             self.finding(format!(
                 "{}: faster and within the tolerance, but at an objective {:.1} % above that of the finest grid",

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::course::number;
 use super::super::motion::Motion;
-use super::{Subject, Work};
+use super::{Clock, Subject, Work};
 use crate::control::{Guess, Search, search};
 use crate::scene::Scene;
 use crate::sqp::SqpSettings;
@@ -26,6 +26,21 @@ pub struct FeatureCost {
     /// Without it.
     #[serde(deserialize_with = "number")]
     pub without: f64,
+    /// Least and largest ratio of both in the turns that they were measured in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ratios: Option<[f64; 2]>,
+}
+
+impl FeatureCost {
+    /// The ratio with its scatter, as in "1.08 (1.02 to 1.15)".
+    #[must_use]
+    pub fn ratio_in_words(&self) -> String {
+        let ratio = self.with / self.without;
+        match self.ratios {
+            Some([least, largest]) => format!("{ratio:.2} ({least:.2} to {largest:.2})"),
+            None => format!("{ratio:.2}"),
+        }
+    }
 }
 
 /// Times that every one of both is measured, in turns.
@@ -60,10 +75,13 @@ impl Work<'_, '_> {
                 }
             };
             let mut least = [f64::INFINITY; 2];
+            let mut ratios = [f64::INFINITY, 0.0];
             for _ in 0..ROUNDS {
-                for (least, scene) in least.iter_mut().zip([&feature.with, &feature.without]) {
-                    *least = least.min(measure(scene).unwrap_or(f64::INFINITY));
-                }
+                let turn = [&feature.with, &feature.without]
+                    .map(|scene| measure(scene).unwrap_or(f64::INFINITY));
+                least = [0, 1].map(|i| least[i].min(turn[i]));
+                let ratio = turn[0] / turn[1];
+                ratios = [ratios[0].min(ratio), ratios[1].max(ratio)];
                 // What takes long is not measured often.
                 if least[0] * 1e-3 > 1.0 && is_solved || self.is_over() {
                     break;
@@ -81,6 +99,7 @@ impl Work<'_, '_> {
                     .into(),
                     with: least[0],
                     without: least[1],
+                    ratios: Some(ratios).filter(|ratios| ratios.iter().all(|r| r.is_finite())),
                 });
             }
         }
@@ -95,7 +114,7 @@ impl Work<'_, '_> {
         let found = motion.arm.discretize(motion.duration, &open).ok()?;
         motion.duration = motion.duration.min(STEPS * found.grid.step);
         let setup = motion.setup(&open, f64::INFINITY, stop).ok()?;
-        let seconds = setup.time(stop).ok()?;
+        let seconds = setup.time(stop).ok()?.processor;
         let count = setup.rod.n_nodes() * setup.grid.n_steps;
         Some(1e9 * seconds / count as f64)
     }
@@ -113,14 +132,18 @@ impl Work<'_, '_> {
             guess: Some(Guess::Rest),
             ..setup.search.clone()
         };
+        let clock = Clock::start();
         let attempts = search(&setup.problem, &settings, &from_rest, &|_, _| {
             ControlFlow::Continue(())
         });
+        // Phases are measured on the wall; the part of the whole that the processor had is taken for theirs.
+        let all = clock.seconds();
+        let part = (all.processor / all.wall).min(1.0);
         let attempts = attempts.ok()?;
         let outcome = &attempts.first()?.outcome;
         let phases = outcome.phases;
         let seconds = phases.linearize + phases.condense + phases.qp;
         let n = outcome.history.len();
-        (n > 0).then(|| 1e3 * seconds / n as f64)
+        (n > 0).then(|| 1e3 * part * seconds / n as f64)
     }
 }

@@ -72,11 +72,11 @@ pub(super) fn cost<'a>(
     points: impl Iterator<Item = (&'a Point, Option<f64>, Option<f64>)>,
 ) -> Option<CostModel> {
     let rows: Vec<(Vec<f64>, f64)> = points
-        .filter(|(point, ..)| point.status == Fate::Done && point.wall_s > 0.0)
+        .filter(|(point, ..)| point.status == Fate::Done && point.time() > 0.0)
         .map(|(point, steps, variables)| {
             let mut row = vec![1.0, (point.setting.elements as f64 + 1.0).ln()];
             row.extend([steps, variables].iter().flatten().map(|count| count.ln()));
-            (row, point.wall_s.ln())
+            (row, point.time().ln())
         })
         .collect();
     let has = rows.first()?.0.len();

@@ -7,7 +7,7 @@ pub fn mark_front(points: &mut [Point]) {
     let values: Vec<Option<(f64, f64)>> = (points.iter())
         .map(|point| {
             let error = point.error.filter(|error| error.is_finite())?;
-            Some((point.wall_s, error))
+            Some((point.time(), error))
         })
         .collect();
     for (index, point) in points.iter_mut().enumerate() {

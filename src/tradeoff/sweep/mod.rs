@@ -9,6 +9,7 @@ mod features;
 mod fit;
 mod front;
 mod motion;
+mod saved;
 
 use std::time::{Duration, Instant};
 
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use self::features::FeatureCost;
 pub use self::fit::{CostModel, ErrorModel};
 pub use self::front::mark_front;
+use super::clock::{Clock, Seconds, least};
 use super::course::{Errors, number};
 use super::motion::RunError;
 use crate::control::{GuessError, Hold};
@@ -232,6 +234,12 @@ pub struct Point {
     /// Least time of several runs, s; of a closed loop that of a sample, in the middle of all samples.
     #[serde(deserialize_with = "number")]
     pub wall_s: f64,
+    /// Least processor time of these runs, s, by which settings are ranked, because other programs do not change it; absent of a closed loop.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cpu_s: Option<f64>,
+    /// How many runs these are the least of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub runs: Option<usize>,
     /// Of a closed loop: the time that 99 of 100 samples do not exceed, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sample_p99_s: Option<f64>,
@@ -255,9 +263,27 @@ impl Point {
             objective: None,
             solver_iterations: None,
             wall_s: f64::NAN,
+            cpu_s: None,
+            runs: None,
             sample_p99_s: None,
             memory_mb: f64::NAN,
             on_front: false,
+        }
+    }
+
+    /// The time by which settings are ranked, s: that of the processor where it is known.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.cpu_s.unwrap_or(self.wall_s)
+    }
+
+    /// The same point with the times of its runs.
+    fn timed(self, (least, runs): (Seconds, usize)) -> Self {
+        Self {
+            wall_s: least.wall,
+            cpu_s: Some(least.processor),
+            runs: Some(runs),
+            ..self
         }
     }
 
@@ -291,7 +317,7 @@ pub struct Reference {
     /// Value of the objective on the finest grid that a problem was solved on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<f64>,
-    /// Seconds of the finest run.
+    /// Seconds of the finest run, on the wall.
     #[serde(deserialize_with = "number")]
     pub wall_s: f64,
 }
@@ -372,8 +398,8 @@ pub struct Sweep<'a> {
     pub budget: Duration,
     /// Points of an earlier sweep of the same scene, which are not run again.
     pub known: Vec<Point>,
-    /// Elements of that sweep's reference.
-    pub known_reference: Option<usize>,
+    /// That sweep's reference.
+    pub known_reference: Option<Reference>,
     /// The signal that ends the work early.
     pub stop: &'a StopSignal,
     /// Sees every point as it comes, and other news.
@@ -489,9 +515,6 @@ const FOR_SINGLES: f64 = 0.6;
 const FOR_SETTINGS: f64 = 0.9;
 /// Settings that are checked before none is recommended.
 const CHECKS: usize = 3;
-/// Seconds within which a run is made again twice, and once.
-const TWICE_S: f64 = 0.5;
-const ONCE_S: f64 = 2.0;
 
 impl Work<'_, '_> {
     fn left(&self) -> f64 {
@@ -512,12 +535,7 @@ impl Work<'_, '_> {
 
     /// The point of a setting, from an earlier sweep or by `run`.
     fn point(&mut self, setting: &Setting, run: impl FnOnce(&mut Self) -> Point) -> &Point {
-        let known = self
-            .sweep
-            .known
-            .iter()
-            .find(|known| known.setting == *setting);
-        let point = match known {
+        let point = match self.known(setting) {
             Some(known) => known.clone(),
             None => run(self),
         };
@@ -536,7 +554,7 @@ impl Work<'_, '_> {
         (self.points.iter())
             .filter(|point| point.setting.is_but_for_elements(setting))
             .filter(|point| point.meets(self.sweep.tolerance))
-            .min_by(|a, b| a.wall_s.total_cmp(&b.wall_s))
+            .min_by(|a, b| a.time().total_cmp(&b.time()))
     }
 
     /// The changes of some points, two at a time and each alone, with `elements` where they are given; without what was run already.
@@ -565,7 +583,7 @@ impl Work<'_, '_> {
         mut check: impl FnMut(&mut Self, &Point) -> Result<f64, SweepError>,
     ) -> Option<Recommendation> {
         self.share = 1.0;
-        good.sort_by(|a, b| a.wall_s.total_cmp(&b.wall_s));
+        good.sort_by(|a, b| a.time().total_cmp(&b.time()));
         let mut last = None;
         for point in good.into_iter().take(CHECKS) {
             let setting = point.setting.differences(&self.usual);
@@ -598,6 +616,15 @@ impl Work<'_, '_> {
         recommended: Option<Recommendation>,
     ) -> Tradeoff {
         mark_front(&mut self.points);
+        let recommended = recommended.map(|mut recommended| {
+            let own = &mut recommended.point;
+            let on_front = self
+                .points
+                .iter()
+                .find(|point| point.setting == own.setting);
+            own.on_front = on_front.is_some_and(|point| point.on_front);
+            recommended
+        });
         let features = self.features();
         Tradeoff {
             features,
@@ -678,16 +705,6 @@ impl Setting {
         );
         out
     }
-}
-
-/// The least of some times: that of a run, and those of more runs where it is short.
-fn least_time<E>(first: f64, mut again: impl FnMut() -> Result<f64, E>) -> f64 {
-    let more = match first {
-        t if t < TWICE_S => 2,
-        t if t < ONCE_S => 1,
-        _ => 0,
-    };
-    (0..more).fold(first, |least, _| again().map_or(least, |t| least.min(t)))
 }
 
 /// Elements that are tried.

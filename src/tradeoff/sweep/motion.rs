@@ -4,7 +4,7 @@ use super::super::course::{Course, Errors};
 use super::super::motion::{Motion, Run, RunError};
 use super::{
     FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
-    Tradeoff, Work, fit, least_time, simulation_seconds,
+    Tradeoff, Work, fit, least, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
@@ -105,6 +105,11 @@ impl Work<'_, '_> {
         let all_pairs = self.climb(&mut pairs, &truth);
         let all_families = self.climb(&mut families, &truth);
         self.cut |= !(all_pairs && all_families);
+        self.adopt();
+        let reference = match self.sweep.known_reference.clone() {
+            Some(known) if known.elements > reference.elements => known,
+            _ => reference,
+        };
         let models = self.motion_models(&reference);
         let recommended = self.recommend_motion();
         self.motion_findings(&reference, &models, recommended.as_ref());
@@ -124,7 +129,10 @@ impl Work<'_, '_> {
         for grid in 0..MOST_GRIDS {
             let setup = (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
             let spent = self.began.elapsed().as_secs_f64();
-            let known = (self.sweep.known_reference).is_some_and(|known| open.elements <= known);
+            // The grids of an earlier sweep are made again where the budget has room for them.
+            let known = (self.sweep.known_reference.as_ref())
+                .is_some_and(|known| open.elements <= known.elements)
+                && spent + setup.predicted() <= self.sweep.budget.as_secs_f64();
             if grid >= 3 && !finest.runs.is_empty() && !known && spent + setup.predicted() > limit {
                 break;
             }
@@ -166,7 +174,7 @@ impl Work<'_, '_> {
             error: errors.shape,
             errors,
             objective: None,
-            wall_s: last.seconds,
+            wall_s: last.seconds.wall,
         }
     }
 
@@ -252,9 +260,9 @@ impl Work<'_, '_> {
         let Some((own, changed)) = families.split_first() else {
             return Vec::new();
         };
-        let limit = best(own).map_or(f64::INFINITY, |point| point.wall_s);
+        let limit = best(own).map_or(f64::INFINITY, |point| point.time());
         let faster: Vec<&Point> = (changed.iter().filter_map(best))
-            .filter(|point| point.wall_s < limit)
+            .filter(|point| point.time() < limit)
             .collect();
         let mut pairs: Vec<Family> = Vec::new();
         for (index, a) in faster.iter().enumerate() {
@@ -283,15 +291,17 @@ impl Work<'_, '_> {
     /// Simulates settings of some families, the fastest first, until all are done, or until there is no time for the next; whether all are done.
     fn climb(&mut self, families: &mut [Family], truth: &Truth) -> bool {
         while let Some((index, elements, seconds)) = self.next(families, truth.motion) {
-            if self.sweep.stop.is_raised() || seconds > self.left() {
+            let setting = Setting {
+                elements,
+                ..families[index].setting.clone()
+            };
+            // A first point there always is.
+            let is_free = self.points.is_empty() || self.known(&setting).is_some();
+            if self.sweep.stop.is_raised() || !is_free && seconds > self.left() {
                 return false;
             }
             let family = &mut families[index];
             family.rungs.pop();
-            let setting = Setting {
-                elements,
-                ..family.setting.clone()
-            };
             let tolerance = self.sweep.tolerance;
             let point = self.point(&setting, |work| work.simulated(&setting, truth));
             if point.error.is_some_and(|error| error < tolerance / ENOUGH) {
@@ -339,7 +349,7 @@ impl Work<'_, '_> {
                 let setup = (motion.setup(&open, f64::INFINITY, self.sweep.stop))
                     .map_err(RunError::from)?;
                 let run = setup.run(self.sweep.stop).map_err(RunError::from)?;
-                let seconds = least_time(run.seconds, || setup.time(self.sweep.stop));
+                let seconds = least(run.seconds, || setup.time(self.sweep.stop));
                 Ok((run, seconds, motion.arm.length))
             });
         match found {
@@ -352,9 +362,8 @@ impl Work<'_, '_> {
                     errors: Some(errors),
                     error: Some(errors.shape),
                     error_bars: Some(truth.errors),
-                    wall_s: seconds,
                     memory_mb: simulation.map_or(f64::NAN, |s| 1e-6 * of_simulation(&s).total()),
-                    ..point
+                    ..point.timed(seconds)
                 }
             }
             Err(error) => point.failed(error),

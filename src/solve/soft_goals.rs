@@ -1,0 +1,35 @@
+//! What soft goals leave.
+
+use crate::control::{Enforcement, OptimalControlProblem};
+use crate::mechanics::Trajectory;
+use crate::mechanics::rotation::log;
+use crate::output::summary::SoftGoalSummary;
+
+/// How far the nodes of soft goals are from them at their times.
+pub(super) fn soft_goals(
+    problem: &OptimalControlProblem,
+    motion: &Trajectory,
+) -> Vec<SoftGoalSummary> {
+    (problem.goals.iter())
+        .filter_map(|goal| {
+            let Enforcement::Soft { weight } = goal.enforcement else {
+                return None;
+            };
+            let k = goal.time_node;
+            let position = goal.position.map(|to| {
+                let from = motion.positions_at(k)[goal.node];
+                (to - from).norm()
+            });
+            let angle = goal.rotation.map(|to| {
+                let from = motion.rotations_at(k)[goal.node];
+                log(&(to.transpose() * from)).norm()
+            });
+            Some(SoftGoalSummary {
+                goal: goal.name.clone(),
+                weight,
+                left_m: position,
+                left_rad: angle,
+            })
+        })
+        .collect()
+}

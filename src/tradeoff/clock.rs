@@ -1,0 +1,70 @@
+//! Processor time: unlike the time on the wall, it does not grow while others compute on the same machine.
+
+use std::time::Instant;
+
+/// A clock of the processor time of this process, all threads together; of the time on the wall where the system does not tell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Clock {
+    wall: Instant,
+    processor: Option<f64>,
+}
+
+/// Seconds of a piece of work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seconds {
+    /// On the wall.
+    pub wall: f64,
+    /// Of the processor.
+    pub processor: f64,
+}
+
+impl Clock {
+    pub(super) fn start() -> Self {
+        Self {
+            wall: Instant::now(),
+            processor: processor_seconds(),
+        }
+    }
+
+    pub(super) fn seconds(&self) -> Seconds {
+        let wall = self.wall.elapsed().as_secs_f64();
+        let processor = (self.processor.zip(processor_seconds())).map(|(from, to)| to - from);
+        Seconds {
+            wall,
+            processor: processor.unwrap_or(wall),
+        }
+    }
+}
+
+#[cfg(unix)]
+fn processor_seconds() -> Option<f64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64)
+}
+
+#[cfg(not(unix))]
+fn processor_seconds() -> Option<f64> {
+    None
+}
+
+/// The least of some times, and of how many runs, with those of more runs where they are short: until five are made or the time for them is
+/// over.
+pub(super) fn least<E>(
+    first: Seconds,
+    mut again: impl FnMut() -> Result<Seconds, E>,
+) -> (Seconds, usize) {
+    let (mut least, mut runs, mut spent) = (first, 1, first.processor);
+    while runs < MOST_RUNS && spent + first.processor <= FOR_RUNS_S {
+        let Ok(seconds) = again() else { break };
+        runs += 1;
+        spent += seconds.processor;
+        least.wall = least.wall.min(seconds.wall);
+        least.processor = least.processor.min(seconds.processor);
+    }
+    (least, runs)
+}
+
+/// Runs of one setting, at most.
+const MOST_RUNS: usize = 5;
+/// Seconds for all runs of one setting, where the first does not take longer.
+const FOR_RUNS_S: f64 = 4.0;
