@@ -2,6 +2,7 @@
 
 mod bounds;
 mod effort;
+mod outlet;
 mod settings;
 mod step_length;
 mod steps;
@@ -10,13 +11,14 @@ use std::time::Instant;
 
 use nalgebra::Vector3;
 
+use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
 use super::estimator::Disturbance;
 use super::holding::Holding;
-use super::horizon::{Horizon, add_effects};
+use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
@@ -101,6 +103,12 @@ pub struct Controller {
     weights: [f64; 2],
     /// Scaled control that acts when the sample begins.
     acting: Vec<f64>,
+    /// What all commands go through; and where a regulator responds, what the commands of the plan alone would.
+    outlet: Outlet,
+    planned: Option<Outlet>,
+    /// Rows of the subproblem whose origin is what acts, and the way to a plan strictly within all bounds.
+    from_acting: Vec<usize>,
+    inside: Vec<f64>,
     /// Scaled control that cancels the disturbance, and the force that holds the tip: both together cost nothing.
     cancelling: Vec<f64>,
     holding: Option<Holding>,
@@ -123,6 +131,15 @@ pub struct Controller {
     /// Whether a command acts: before the first, nothing jumps.
     acts: bool,
     record: SampleRecord,
+}
+
+/// What a command is to do that no plan has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Aim {
+    /// This wrench at the tip, as far as it is actuated, and nothing elsewhere.
+    Tip(Wrench),
+    /// A part of what acts.
+    Part(f64),
 }
 
 /// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
@@ -236,6 +253,10 @@ impl Controller {
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
+            outlet: Outlet::new(settings.start, settings.period, n_components),
+            planned: None,
+            from_acting: Vec::with_capacity(n_components),
+            inside: vec![0.0; n],
             cancelling: vec![0.0; n_components],
             holding: None,
             stiffness: 1.0,
@@ -434,39 +455,28 @@ impl Controller {
         &self.horizon.problem.initial
     }
 
-    /// A command of no wrench from `start` (s) on, on the nodes of the task.
-    #[must_use]
-    pub fn still(&self, start: f64) -> Command {
-        let none = vec![Wrench::default(); self.command.nodes.len()];
-        Command {
-            start,
-            end: start + self.settings.period,
-            nodes: self.command.nodes.clone(),
-            from: none.clone(),
-            to: none,
-        }
-    }
-
     /// The actuators of the task, with their bounds.
     pub(super) fn actuators(&self) -> &[ActuatedNode] {
         self.horizon.problem.wrench_actuators()
     }
 
-    /// Starts anew from a state at `start` (s), with an empty plan and a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for
-    /// them: nothing is left of what went before but the disturbance.
+    /// Starts anew from a state at `start` (s), with a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for them: nothing is left
+    /// of what went before but the disturbance, and what acts. The first plan is no wrench; where a rate is bounded, a way there.
     ///
     /// # Errors
     /// [`MpcError::Measurement`] as [`feedback`](Self::feedback), and where the motion breaks down.
     pub fn restart(&mut self, start: f64, state: &State) -> Result<(), MpcError> {
         self.check(state)?;
         self.horizon.start.clone_from(state);
-        self.plan.fill(0.0);
-        self.trusted.fill(0.0);
-        self.expected = f64::INFINITY;
-        self.acting.fill(0.0);
-        self.acts = false;
         self.horizon.place(start, self.settings.due);
         self.before_knots.clone_from(&self.horizon.knots);
+        self.outlet.write_acting(start, &mut self.acting);
+        self.plan.fill(0.0);
+        self.write_inside();
+        self.plan.clone_from_slice(&self.inside);
+        self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
+        self.expected = f64::INFINITY;
         self.deviation.fill_zero();
         self.settle(Self::RESTART)
     }
@@ -476,8 +486,59 @@ impl Controller {
     pub fn plan_alone(&mut self, start: f64) -> &Command {
         self.state.clone_from(&self.horizon.start);
         self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
         self.issue(start);
         &self.command
+    }
+
+    /// A command from `start` (s) on that the plan has no part in.
+    pub(super) fn steer(&mut self, start: f64, aim: Aim) -> &Command {
+        self.acts = true;
+        self.planned = None;
+        self.outlet.write_acting(start, &mut self.acting);
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, start + self.settings.period);
+        let horizon = &self.horizon;
+        let tip = horizon.problem.rod.tip();
+        let actuators = horizon.problem.wrench_actuators();
+        for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate() {
+            let acting = self.acting[c];
+            (wanted.from[c], wanted.to[c]) = match aim {
+                Aim::Tip(wrench) => {
+                    let own = actuators.get(component.actuator);
+                    let acts = own.is_some_and(|own| own.node == tip);
+                    let value = wrench.to_array()[component.axis] / scale;
+                    let value = if acts { value } else { 0.0 };
+                    (value, value)
+                }
+                Aim::Part(part) if horizon.knots.hold() == Hold::Constant => {
+                    (part * acting, part * acting)
+                }
+                Aim::Part(part) => (acting, part * acting),
+            };
+        }
+        (self.outlet).send(&self.horizon, self.settings.period, &mut self.command);
+        &self.command
+    }
+
+    /// The last command, as one that acts from `start` (s) on.
+    pub(super) fn release(&mut self, start: f64) -> Command {
+        if self.planned.is_none() {
+            let Self {
+                outlet,
+                horizon,
+                settings,
+                command,
+                ..
+            } = self;
+            outlet.postpone(start, horizon, settings.period, command);
+            return command.clone();
+        }
+        // The plan goes on with its own.
+        let mut command = self.command.clone();
+        (self.outlet).postpone(start, &self.horizon, self.settings.period, &mut command);
+        self.outlet.write(&self.horizon, &mut command);
+        command
     }
 
     /// Both phases: the command for the measured state, then the preparation of the next sample.
@@ -521,21 +582,29 @@ impl Controller {
         Ok(&self.command)
     }
 
-    /// The first command that the linearized model has for a measured state, with the plan left as it was: that of a linear-quadratic regulator
-    /// about the motion of the plan, within the bounds.
+    /// Responds to a measured state with the first command that the linearized model has for it, within the bounds: that of a linear-quadratic
+    /// regulator about the motion of the plan, to be [released](Self::release). The plan goes on as if its own motion were measured.
     ///
     /// # Errors
     /// As [`feedback`](Self::feedback).
-    pub(super) fn regulate(&mut self, measured: &State) -> Result<Command, MpcError> {
+    pub(super) fn regulate(&mut self, measured: &State) -> Result<(), MpcError> {
         self.check(measured)?;
         measured.difference_into(&self.horizon.start, &mut self.deviation);
-        let kept = (self.plan.clone(), self.acting.clone(), self.acts);
+        let mut own = self.planned.take().unwrap_or_else(|| self.outlet.clone());
+        let (plan, acts) = (self.plan.clone(), self.acts);
         let outcome = self.correct();
-        self.issue(self.horizon.grid.start);
-        let command = self.command.clone();
-        (self.plan, self.acting, self.acts) = kept;
-        self.deviation.fill_zero();
-        outcome.map(|()| command)
+        if outcome.is_ok() {
+            self.issue(self.horizon.grid.start);
+        }
+        (self.plan, self.acts) = (plan, acts);
+        outcome?;
+        std::mem::swap(&mut self.outlet, &mut own);
+        let expected = self.horizon.start.clone();
+        let outcome = self.feedback(&expected);
+        let outcome = outcome.map(|_| ());
+        std::mem::swap(&mut self.outlet, &mut own);
+        self.planned = outcome.is_ok().then_some(own);
+        outcome
     }
 
     /// Prepares the next sample: the state at its start is predicted from the measured one under the command.
@@ -650,6 +719,8 @@ impl Controller {
     /// Solves the subproblem at the present deviation and takes the full step.
     fn correct(&mut self) -> Result<(), MpcError> {
         self.note_free();
+        self.outlet
+            .write_acting(self.horizon.grid.start, &mut self.acting);
         let present = self.horizon.n_present();
         let n_components = self.horizon.components.len();
         let gradient = &mut self.gradient[..];
@@ -670,18 +741,17 @@ impl Controller {
         for c in 0..n_components {
             self.gradient[c] -= self.jump() * (self.acting[c] - self.free[c]);
         }
-        for (i, row) in self.subproblem.rows.iter().enumerate() {
-            self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
-        }
-        self.start_rows();
+        self.write_offsets();
+        self.write_inside();
         (self.horizon).write_limit_values(&self.deviation, &mut self.subproblem.soft.values);
         let end = self.subproblem.solve(
             &self.gradient,
             &self.offsets,
+            &self.inside,
             self.settings.subproblem_tolerance,
             self.settings.subproblem_iterations,
             &mut self.change,
-        )?;
+        );
         if !self.change.iter().all(|x| x.is_finite()) {
             return Err(MpcError::Subproblem);
         }
@@ -702,33 +772,17 @@ impl Controller {
     /// The command of the present plan from `start` (s) on.
     fn issue(&mut self, start: f64) {
         self.acts = true;
-        let end =
-            (start + self.settings.period).min(self.horizon.grid.time(self.horizon.grid.n_steps));
-        self.command.start = start;
-        self.command.end = end;
-        for (t, at_end) in [(start, false), (end, true)] {
-            let t = if at_end && self.horizon.knots.hold() == Hold::Constant {
-                start
-            } else {
-                t
-            };
-            self.horizon.control(&self.plan, t, &mut self.acting);
-            let out = if at_end {
-                &mut self.command.to
-            } else {
-                &mut self.command.from
-            };
-            let all = &mut self.wrenches[0];
-            all.fill(Wrench::default());
-            for ((effects, v), scale) in
-                (self.horizon.effects.iter().zip(&self.acting)).zip(&self.horizon.scales)
-            {
-                add_effects(effects, v * scale, all);
-            }
-            for (own, node) in out.iter_mut().zip(&self.command.nodes) {
-                *own = all[*node];
-            }
-        }
+        let (grid, period) = (&self.horizon.grid, self.settings.period);
+        let last = grid.time(grid.n_steps);
+        let end = start + period;
+        let end = if last > start { end.min(last) } else { end };
+        let is_constant = self.horizon.knots.hold() == Hold::Constant;
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, end);
+        self.horizon.control(&self.plan, start, &mut wanted.from);
+        let at_end = if is_constant { start } else { end };
+        self.horizon.control(&self.plan, at_end, &mut wanted.to);
+        (self.outlet).send(&self.horizon, period, &mut self.command);
     }
 
     /// The state at the end of the command.
