@@ -9,7 +9,7 @@ mod steps;
 
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
@@ -24,6 +24,7 @@ use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
+use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Task, Track};
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
@@ -133,6 +134,23 @@ pub struct Controller {
     record: SampleRecord,
 }
 
+/// Whether rows of a path have finite times that increase, and finite values.
+fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<(), MpcError> {
+    let refuse = |point, expected| Err(MpcError::Path { point, expected });
+    if rows.is_empty() {
+        return refuse(0, "at least one point");
+    }
+    for (point, (t, value)) in rows.iter().enumerate() {
+        if !(t.is_finite() && is_finite(value)) {
+            return refuse(point, "a finite time and finite numbers");
+        }
+        if point > 0 && !(rows[point - 1].0 < *t) {
+            return refuse(point, "a time after that of the point before");
+        }
+    }
+    Ok(())
+}
+
 /// What a command is to do that no plan has.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
@@ -176,6 +194,34 @@ impl Controller {
         discretization: &Discretization,
         settings: &MpcSettings,
     ) -> Result<Self, MpcError> {
+        Self::new_until(arm, task, discretization, settings, &StopSignal::default())
+    }
+
+    /// [`Self::new`], unless `stop` is raised before the first plan is made. Samples do not look at it.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and [`MpcError::Stopped`].
+    pub fn new_until(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
+    ) -> Result<Self, MpcError> {
+        let made = Self::make(arm, task, discretization, settings, stop);
+        if made.is_err() {
+            stop.check()?;
+        }
+        made
+    }
+
+    fn make(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
+    ) -> Result<Self, MpcError> {
         settings.check()?;
         let knots = Knots::new(
             discretization.hold,
@@ -214,11 +260,11 @@ impl Controller {
         (task.targets).retain(|target| {
             target.position.is_some() || target.rotation.is_some() || target.at_rest
         });
-        let chosen = task.discretize(arm, &cut)?.discrete;
+        let chosen = task.discretize_until(arm, &cut, stop)?.discrete;
         let [in_period, in_horizon] =
             period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
         cut.step = Some(in_horizon.step);
-        let mut problem = task.discretize(arm, &cut)?.discrete;
+        let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
             if held.rotations.is_empty() {
                 held.weight *= HELD_NEARER;
@@ -293,14 +339,17 @@ impl Controller {
             settings: *settings,
             horizon,
         };
+        controller.horizon.stop = stop.clone();
         if controller.counts_from_holding() {
             controller.holding = controller.holding();
+            stop.check()?;
         }
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
             .place(settings.start, controller.horizon.grid.time(0));
         controller.settle(Self::FIRST)?;
+        controller.horizon.stop = StopSignal::default();
         Ok(controller)
     }
 
@@ -413,28 +462,76 @@ impl Controller {
                 "nothing follows a path; give the task a track of the tip, whatever its path",
             ));
         };
-        if path.is_empty() {
-            return Err(MpcError::Path {
-                point: 0,
-                expected: "at least one point",
+        check_rows(path, |x| x.iter().all(|c| c.is_finite()))?;
+        self.horizon.follow(track, path);
+        self.hold_anew();
+        Ok(())
+    }
+
+    /// Gives the tip other rotations to follow, as [`Self::follow`] gives it another path: times in s, which increase, and rotations, body to space,
+    /// with a constant speed about one axis in between and constant outside. They take the place of those of the first track that has some.
+    ///
+    /// # Errors
+    /// As [`Self::follow`].
+    pub fn turn(&mut self, rotations: &[(f64, Matrix3<f64>)]) -> Result<(), MpcError> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let tracks = &problem.objective.tracking;
+        let Some(track) =
+            (tracks.iter()).position(|track| track.node == tip && !track.rotations.is_empty())
+        else {
+            return Err(MpcError::Unsupported(
+                "nothing turns the tip; give the task an orientation of the tip, whatever it is",
+            ));
+        };
+        check_rows(rotations, |r| r.iter().all(|c| c.is_finite()))?;
+        self.horizon.turn(track, rotations);
+        self.hold_anew();
+        Ok(())
+    }
+
+    /// Names of the obstacles of the task.
+    pub fn obstacles(&self) -> impl Iterator<Item = &str> {
+        self.horizon.obstacles()
+    }
+
+    /// Moves the obstacles of a name, from the next [preparation](Self::prepare) on: at time `t` (s) they are `by` (m) away from where the task has
+    /// them at t = 0, and on their way at `velocity` (m/s).
+    ///
+    /// # Errors
+    /// [`MpcError::Unsupported`] where no obstacle has this name, and [`MpcError::Setting`] for a number that is not finite.
+    pub fn move_obstacle(
+        &mut self,
+        name: &str,
+        t: f64,
+        by: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> Result<(), MpcError> {
+        if let Some(value) = [t]
+            .iter()
+            .chain(by)
+            .chain(velocity)
+            .find(|value| !value.is_finite())
+        {
+            return Err(MpcError::Setting {
+                name: "obstacle",
+                value: *value,
+                expected: "a finite number",
             });
         }
-        for (point, (t, x)) in path.iter().enumerate() {
-            let is_finite = t.is_finite() && x.iter().all(|c| c.is_finite());
-            let expected = if !is_finite {
-                "a finite time and position"
-            } else if point > 0 && !(path[point - 1].0 < *t) {
-                "a time after that of the point before"
-            } else {
-                continue;
-            };
-            return Err(MpcError::Path { point, expected });
+        if self.horizon.move_obstacle(name, t, by, velocity) {
+            Ok(())
+        } else {
+            Err(MpcError::Unsupported(
+                "the task has no obstacle of this name",
+            ))
         }
-        self.horizon.follow(track, path);
-        // Statics along a path take longer than a sample has, at one place they do not.
-        let is_asked = self.counts_from_holding() && path.len() == 1;
+    }
+
+    /// Statics along a path take longer than a sample has, at one place they do not.
+    fn hold_anew(&mut self) {
+        let is_asked = self.counts_from_holding() && self.is_reference_at_rest();
         self.holding = is_asked.then(|| self.holding()).flatten();
-        Ok(())
     }
 
     /// How it works.
@@ -501,7 +598,8 @@ impl Controller {
         let horizon = &self.horizon;
         let tip = horizon.problem.rod.tip();
         let actuators = horizon.problem.wrench_actuators();
-        for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate() {
+        for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
+        {
             let acting = self.acting[c];
             (wanted.from[c], wanted.to[c]) = match aim {
                 Aim::Tip(wrench) => {

@@ -440,6 +440,8 @@ fn solve(factor: &Mat<f64>, x: &mut Mat<f64>) {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than what many steps of the
@@ -520,6 +522,87 @@ mod tests {
             for (set, z) in program.of_sets() {
                 assert!(set.excess(z) <= 0.0);
             }
+        }
+    }
+
+    /// Four vectors of three, of which the first is fixed, also on the boundary of what the others may be, and of which neighbors differ by little, from
+    /// a plan that is feasible or far from it: at the minimum, no way to another feasible point goes down.
+    #[test]
+    fn minima_keep_rates() {
+        let n = 12;
+        let mut dice = fastrand::Rng::with_seed(9);
+        for case in 0..60 {
+            let size = 10f64.powi(case % 5 - 2);
+            let mut program = Subproblem::new(n, 2 * n, 0);
+            let root: Vec<f64> = (0..n * n).map(|_| dice.f64() - 0.5).collect();
+            for i in 0..n {
+                for j in 0..n {
+                    let dot: f64 = (0..n).map(|k| root[i * n + k] * root[j * n + k]).sum();
+                    program.hessian[(i, j)] = dot + if i == j { 0.02 } else { 0.0 };
+                }
+            }
+            let change = 10f64.powi(-(case % 4));
+            for first in [3, 6, 9] {
+                program
+                    .rows
+                    .extend((first..first + 3).map(|i| [(i, 1.0), (i, 0.0)]));
+                program.sets.push(Set::Ball { n: 3, radius: 1.0 });
+                let differences = (first..first + 3).map(|i| [(i, 1.0), (i - 3, -1.0)]);
+                program.rows.extend(differences);
+                if case % 2 == 0 {
+                    let radius = change;
+                    program.sets.push(Set::Ball { n: 3, radius });
+                } else {
+                    let limit = change;
+                    program.sets.extend([Set::Interval { limit }; 3]);
+                }
+            }
+            program.fixed[..3].fill(true);
+            let acting = Vector3::new(dice.f64() - 0.5, dice.f64() - 0.5, dice.f64() - 0.5);
+            let acting = acting.normalize() * if case % 3 == 0 { 1.0 } else { 0.4 };
+            let plan: Vec<f64> = (0..n).map(|_| 3.0 * (dice.f64() - 0.5)).collect();
+            let inside: Vec<f64> = (0..n)
+                .map(|i| acting[i % 3] * (1.0 - 0.3 * change * (i / 3) as f64) - plan[i])
+                .collect();
+            let mut a = vec![0.0; program.rows.len()];
+            values(&program.rows, &vec![0.0; a.len()], &plan, &mut a);
+            let g: Vec<f64> = (0..n).map(|_| size * (dice.f64() - 0.5)).collect();
+            program.factor().unwrap();
+            let mut x = vec![0.0; n];
+            let end = program.solve(&g, &a, &inside, 1e-10, 100, &mut x);
+            assert!(end.converged, "{case}: {end:?}");
+            assert_eq!(x[..3], inside[..3]);
+            let mut slopes = vec![0.0; n];
+            slope(&program.hessian, &g, &x, &mut slopes);
+            let excess = |program: &mut Subproblem, x: &[f64]| {
+                values(&program.rows, &a, x, &mut program.z);
+                (program.of_sets())
+                    .map(|(set, z)| set.excess(z))
+                    .fold(f64::NEG_INFINITY, f64::max)
+            };
+            assert!(excess(&mut program, &x) <= 0.0, "{case}");
+            let mut steepest = 0.0f64;
+            for _ in 0..1000 {
+                let way: Vec<f64> = (0..n)
+                    .map(|i| if i < 3 { 0.0 } else { dice.f64() - 0.5 })
+                    .collect();
+                let mut part = 2.0;
+                let other = loop {
+                    let other: Vec<f64> = (inside.iter().zip(&way))
+                        .map(|(x, d)| x + part * d)
+                        .collect();
+                    if excess(&mut program, &other) <= 0.0 {
+                        break other;
+                    }
+                    part *= 0.7;
+                };
+                let along =
+                    (slopes.iter().zip(other.iter().zip(&x))).map(|(s, (to, x))| s * (to - x));
+                steepest = steepest.min(along.sum());
+            }
+            // The gap is measured by what the minimum without sets promises, which curvatures above 0.02 bound by 25 |g|².
+            let promised = 25.0 * slopes.iter().chain(&g).map(|s| s * s).sum::<f64>() + 1.0;
+            assert!(steepest > -1e-8 * promised, "{case}: {steepest:e}");
         }
     }
 

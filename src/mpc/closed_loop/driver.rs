@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::fallback::Fallback;
 use super::law::TipLaw;
@@ -194,6 +194,28 @@ impl Driver {
         self.controller.follow(path)
     }
 
+    /// Gives the tip other rotations to follow, see [`Controller::turn`].
+    ///
+    /// # Errors
+    /// As [`Controller::turn`].
+    pub fn turn(&mut self, rotations: &[(f64, Matrix3<f64>)]) -> Result<(), MpcError> {
+        self.controller.turn(rotations)
+    }
+
+    /// Moves obstacles of a name, see [`Controller::move_obstacle`].
+    ///
+    /// # Errors
+    /// As [`Controller::move_obstacle`].
+    pub fn move_obstacle(
+        &mut self,
+        name: &str,
+        t: f64,
+        by: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> Result<(), MpcError> {
+        self.controller.move_obstacle(name, t, by, velocity)
+    }
+
     /// Takes a measurement that has become known, for the estimator.
     pub fn put(&mut self, measurement: &Measurement) {
         self.inbox.put(measurement);
@@ -262,7 +284,8 @@ impl Driver {
             (Some(cause), _) => Err(cause),
         };
         if let Err(cause) = outcome {
-            let action = (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
+            let action =
+                (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
             sample.fallback = Some((cause, action));
             // The controller does not know what acts instead of its plan.
             self.is_lost |= action != Action::Plan;
@@ -356,7 +379,7 @@ impl Driver {
         self.disturbance = estimate.disturbance;
         self.deviation = estimate.deviation;
         // The last good estimate is predicted further for as long as the fall-back's patience.
-        let is_old = sample.age > self.settings.fallback.patience;
+        let is_old = sample.age > self.settings.fallback.patience();
         match cause {
             Some(cause) if n_used == 0 && is_old => Some(cause),
             None if n_used == 0 && is_old => Some(Cause::NoMeasurement),

@@ -6,6 +6,7 @@ use crate::mechanics::{Rod, State, Wrench};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;
+use crate::mpc::sensor::SensorSettings;
 
 /// Why a sample has no command of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -80,8 +81,8 @@ impl std::fmt::Display for Action {
 /// How long each fall-back is trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FallbackSettings {
-    /// Age of an estimate that is still predicted from, s.
-    pub patience: f64,
+    /// Age of an estimate that is still predicted from, s. `None`: what the sensors need, at least [`PATIENCE`](Self::PATIENCE).
+    pub patience: Option<f64>,
     /// Samples in a row that follow the plan as it is; the plan says less and less about an arm that nobody measures.
     pub plan_samples: usize,
     /// Samples in a row after these that damp the tip, where its velocity is known.
@@ -95,7 +96,7 @@ pub struct FallbackSettings {
 impl Default for FallbackSettings {
     fn default() -> Self {
         Self {
-            patience: 0.1,
+            patience: None,
             plan_samples: 10,
             damping_samples: 50,
             ramp: 0.5,
@@ -105,9 +106,29 @@ impl Default for FallbackSettings {
 }
 
 impl FallbackSettings {
+    /// Least age of an estimate that is still predicted from where nothing else is said, s.
+    pub const PATIENCE: f64 = 0.1;
+
+    /// The same with the patience that sensors need. Between two readings an estimate grows as old as the reading's own age and the time between
+    /// two of them; one reading may be lost.
+    #[must_use]
+    pub fn following<'a>(self, sensors: impl IntoIterator<Item = &'a SensorSettings>) -> Self {
+        let needed = (sensors.into_iter())
+            .map(|sensor| sensor.age_s + 2.0 / sensor.rate_hz)
+            .fold(Self::PATIENCE, f64::max);
+        Self {
+            patience: self.patience.or(Some(needed)),
+            ..self
+        }
+    }
+
+    pub(super) fn patience(&self) -> f64 {
+        self.patience.unwrap_or(Self::PATIENCE)
+    }
+
     pub(super) fn check(&self) -> Result<(), MpcError> {
         for (name, value) in [
-            ("fallback.patience", self.patience),
+            ("fallback.patience", self.patience()),
             ("fallback.ramp", self.ramp),
             ("fallback.damping", self.damping),
         ] {

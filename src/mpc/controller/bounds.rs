@@ -117,14 +117,7 @@ impl Controller {
                 } else {
                     let unit = unit * settings.period;
                     let rows = subproblem.rows.len();
-                    bounded(
-                        subproblem,
-                        horizon,
-                        &range,
-                        channel.rate_bound,
-                        unit,
-                        own,
-                    );
+                    bounded(subproblem, horizon, &range, channel.rate_bound, unit, own);
                     from_acting.extend(rows..subproblem.rows.len());
                 }
             }
@@ -173,16 +166,18 @@ impl Controller {
                     None => 0.0,
                 };
                 at = match channel.rate_bound.filter(|_| is_slow) {
-                    Some(Bound::Norm(_)) | None => at,
+                    // What is fixed stays.
+                    _ if time == 0.0 => at,
+                    None => at,
+                    Some(bound @ Bound::Norm(_)) => {
+                        at * (1.0 - part_within(&bound, SLOWER * time, &at))
+                    }
                     // Every axis takes its own time.
                     Some(Bound::PerAxis(most)) => at.zip_map(&most, |at, most| {
                         let most = SLOWER * most * time;
                         at - at.clamp(-most, most)
                     }),
                 };
-                if let Some(bound @ Bound::Norm(_)) = channel.rate_bound.filter(|_| is_slow) {
-                    at *= 1.0 - part_within(&bound, SLOWER * time, &at);
-                }
                 for c in range.clone() {
                     let j = coefficient * n_components + c;
                     inside[j] = at[horizon.components[c].axis % 3] / channel.scale - plan[j];
