@@ -56,6 +56,13 @@ impl StopSignal {
         Self::new(deadline, self.request.clone())
     }
 
+    /// The same signal, raised from `deadline` on at the latest.
+    #[must_use]
+    pub fn no_later_than(&self, deadline: Instant) -> Self {
+        let earlier = self.deadline.map_or(deadline, |own| own.min(deadline));
+        self.with_deadline(Some(earlier))
+    }
+
     /// Whether the signal can ever be raised.
     #[must_use]
     pub fn is_possible(&self) -> bool {

@@ -1,16 +1,22 @@
 //! A controller keeps the arm clear of obstacles and within limits, as far as anything can.
 
+#[path = "common/rates.rs"]
+mod rates;
 #[path = "common/tracking.rs"]
 mod tracking;
 
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
+use rates::{ROUNDING, Watch};
 use softarm::control::path::{PathEnforcement, RodView};
-use softarm::control::{Bound, Shape};
+use softarm::control::{Bound, Hold, Shape};
 use softarm::mechanics::{TimeGrid, Trajectory};
-use softarm::mpc::{Contender, Experiment, MpcError, MpcSettings};
-use softarm::task::{Discretization, Limit, LimitKind, Place, Task};
+use softarm::mpc::{
+    Computing, Contender, EstimatorChoice, Experiment, FallbackSettings, MpcError, MpcSettings,
+    Sensing, SensorChoice, SensorPreset, SensorSettings, Unknowns,
+};
+use softarm::task::{ChannelLimits, Discretization, Limit, LimitKind, Place, Task};
 
 /// A silicone arm whose tip is to go to one side and back, every four seconds.
 fn scene(limits: Vec<Limit>) -> Experiment {
@@ -128,4 +134,301 @@ fn limits_of_speed_are_refused() {
     let scene = scene(vec![limit(kind, PathEnforcement::Hard)]);
     let error = scene.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
     assert!(matches!(error, Err(MpcError::Unsupported(_))), "{error:?}");
+}
+
+/// A loop with bounds on rates: its hold, the limits of force and moment, and what else is different.
+struct Slow {
+    name: &'static str,
+    hold: Hold,
+    force: [Option<Bound>; 2],
+    moment: [Option<Bound>; 2],
+    contender: Contender,
+    change: fn(&mut Experiment),
+}
+
+/// Samples of each of these loops.
+const SAMPLES: usize = 150;
+
+fn axes(x: f64, y: f64, z: f64) -> Option<Bound> {
+    Some(Bound::PerAxis(Vector3::new(x, y, z)))
+}
+
+fn norm(limit: f64) -> Option<Bound> {
+    Some(Bound::Norm(limit))
+}
+
+/// Motion capture and a filter.
+fn sees_markers(scene: &mut Experiment) {
+    scene.sensing = Sensing::Estimated {
+        sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
+        estimator: EstimatorChoice::Kalman(Unknowns {
+            tip_force: true,
+            stiffness: true,
+            ..Unknowns::NONE
+        }),
+        elements: None,
+        seed: 5,
+    };
+}
+
+/// A sensor that comes so seldom that the loop falls back between its readings, and a plan that it trusts for two samples.
+fn is_nearly_blind(scene: &mut Experiment) {
+    sees_markers(scene);
+    if let Sensing::Estimated { sensors, .. } = &mut scene.sensing {
+        let rod = scene.arm.rod(&scene.discretization).unwrap();
+        *sensors = vec![SensorChoice::Own(SensorSettings {
+            rate_hz: 3.0,
+            ..SensorPreset::Mocap.settings(&rod)
+        })];
+    }
+    scene.settings.fallback = FallbackSettings {
+        patience: Some(0.05),
+        plan_samples: 2,
+        ..FallbackSettings::default()
+    };
+}
+
+/// Loops of both holds, with bounds by magnitude and by axis, all laws, delays, sensors, and without: every command keeps its magnitude, and its rate
+/// within and from the command that acts, and none is a fall-back where nothing is missing.
+#[test]
+fn rates_are_kept() {
+    use Hold::{Constant, Linear};
+    const FREE: [Option<Bound>; 2] = [Some(Bound::Norm(0.0)), None];
+    let bend = axes(5.0, 5.0, 0.0);
+    let nothing: fn(&mut Experiment) = |_| {};
+    let slow = |name, hold, force, moment, contender, change| Slow {
+        name,
+        hold,
+        force,
+        moment,
+        contender,
+        change,
+    };
+    let mpc = Contender::Mpc;
+    let all = [
+        slow(
+            "norm",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            [bend, None],
+            mpc,
+            nothing,
+        ),
+        slow(
+            "axes",
+            Linear,
+            [norm(5.0), axes(12.0, 8.0, 3.0)],
+            [bend, None],
+            mpc,
+            nothing,
+        ),
+        slow(
+            "both by axes",
+            Linear,
+            [axes(3.0, 2.0, 1.0), axes(12.0, 8.0, 3.0)],
+            FREE,
+            mpc,
+            nothing,
+        ),
+        slow(
+            "one axis",
+            Linear,
+            [axes(3.0, 0.0, 0.0), norm(9.0)],
+            FREE,
+            mpc,
+            nothing,
+        ),
+        slow(
+            "one slow axis",
+            Linear,
+            [norm(5.0), axes(f64::INFINITY, 4.0, f64::INFINITY)],
+            FREE,
+            mpc,
+            nothing,
+        ),
+        slow("unbounded", Linear, [None, norm(6.0)], FREE, mpc, nothing),
+        slow(
+            "moment",
+            Linear,
+            [norm(5.0), None],
+            [bend, norm(5.0)],
+            mpc,
+            nothing,
+        ),
+        slow(
+            "moment axes",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            [bend, axes(5.0, 2.0, 1.0)],
+            mpc,
+            nothing,
+        ),
+        slow("hardly", Linear, [norm(5.0), norm(0.5)], FREE, mpc, nothing),
+        slow(
+            "constant",
+            Constant,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            mpc,
+            nothing,
+        ),
+        slow(
+            "constant axes",
+            Constant,
+            [axes(3.0, 2.0, 1.0), axes(12.0, 8.0, 3.0)],
+            FREE,
+            mpc,
+            nothing,
+        ),
+        slow(
+            "constant moment",
+            Constant,
+            [norm(5.0), norm(9.0)],
+            [bend, axes(5.0, 2.0, 1.0)],
+            mpc,
+            nothing,
+        ),
+        slow(
+            "late",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            mpc,
+            |scene| {
+                scene.settings.computing = Computing::Fixed(0.007);
+                scene.settings.actuator_delay = 0.02;
+                scene.actuators.delay = 0.02;
+            },
+        ),
+        slow(
+            "measured time",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            mpc,
+            |scene| {
+                scene.settings.computing = Computing::Measured;
+            },
+        ),
+        slow(
+            "filter",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            [bend, norm(5.0)],
+            mpc,
+            sees_markers,
+        ),
+        slow(
+            "doubling",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            mpc,
+            |scene| {
+                scene.mpc.equal_blocks = Some(2);
+                scene.mpc.period = 0.02;
+            },
+        ),
+        slow(
+            "blind",
+            Linear,
+            [norm(5.0), norm(3.0)],
+            [bend, norm(5.0)],
+            mpc,
+            is_nearly_blind,
+        ),
+        slow(
+            "constant blind",
+            Constant,
+            [norm(5.0), norm(3.0)],
+            FREE,
+            mpc,
+            is_nearly_blind,
+        ),
+        slow(
+            "open loop",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            Contender::OpenLoop,
+            nothing,
+        ),
+        slow(
+            "regulator",
+            Linear,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            Contender::Regulator,
+            nothing,
+        ),
+        slow(
+            "spring",
+            Linear,
+            [norm(5.0), axes(12.0, 8.0, 3.0)],
+            FREE,
+            Contender::TipPd,
+            nothing,
+        ),
+        slow(
+            "constant spring",
+            Constant,
+            [norm(5.0), norm(12.0)],
+            FREE,
+            Contender::TipPd,
+            nothing,
+        ),
+    ];
+    let (mut n_commands, mut n_active) = (0, 0);
+    for slow in all {
+        let mut own = scene(Vec::new());
+        own.plant = tracking::arm(0.9e6);
+        own.task.cost.tracks[0].path = (0..=2000)
+            .map(|i| 0.01 * f64::from(i))
+            .map(|t| (t, tracking::path(t)))
+            .collect();
+        own.mpc.jump = 10.0;
+        own.task.cost.effort = 1.0;
+        own.task.cost.rate = 0.1;
+        own.discretization.hold = slow.hold;
+        own.discretization.elements = 6;
+        let actuator = &mut own.task.actuators[0];
+        for (limits, [bound, rate_bound]) in [
+            (&mut actuator.force, slow.force),
+            (&mut actuator.moment, slow.moment),
+        ] {
+            *limits = ChannelLimits {
+                bound,
+                rate_bound,
+                ..ChannelLimits::default()
+            };
+        }
+        (slow.change)(&mut own);
+        own.duration = own.mpc.period * SAMPLES as f64;
+        let (period, actuator) = (own.mpc.period, own.task.actuators[0]);
+        let mut watch = Watch::new(slow.hold, period, actuator.force, actuator.moment);
+        let found = own
+            .run(slow.contender, &mut |_, closed| {
+                watch.see(closed.sent());
+                ControlFlow::Continue(())
+            })
+            .unwrap();
+        let fallbacks: usize = found.tally.fallbacks.values().sum();
+        println!(
+            "{}: {:.1e}, {} of {} at a rate, {fallbacks} fall-backs, off {:.4}",
+            slow.name, watch.worst, watch.n_active, watch.n, found.tip_error.rms
+        );
+        assert!(watch.worst < ROUNDING, "{}: {}", slow.name, watch.worst);
+        let is_blind = slow.name.ends_with("blind");
+        assert_eq!(
+            fallbacks > 0,
+            is_blind,
+            "{}: {:?}",
+            slow.name,
+            found.tally.fallbacks
+        );
+        n_commands += watch.n;
+        n_active += watch.n_active;
+    }
+    println!("{n_commands} commands, {n_active} at a rate");
+    assert!(n_active > n_commands / 10, "{n_active}");
 }

@@ -253,7 +253,7 @@ fn loops_survive_their_sensors() {
         chance < 0.8
     };
     let fallback = FallbackSettings {
-        patience: 0.03,
+        patience: Some(0.03),
         plan_samples: 5,
         ..FallbackSettings::default()
     };
@@ -328,7 +328,7 @@ fn ten_thousand_samples_are_survived() {
         chance < 0.8
     };
     let fallback = FallbackSettings {
-        patience: 0.03,
+        patience: Some(0.03),
         plan_samples: 5,
         ..FallbackSettings::default()
     };

@@ -1,5 +1,7 @@
 //! A controller that drives a plant in another process: the same commands as the closed loop in the library, by state and by sensors.
 
+#[path = "common/rates.rs"]
+mod rates;
 #[path = "common/serving.rs"]
 mod serving;
 #[path = "common/tracking.rs"]
@@ -8,12 +10,18 @@ mod tracking;
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
+use rates::{ROUNDING, Watch};
 use serde_json::{Value, json};
 use serving::{Desk, Plant, arrays, assert_same, command_of, rows, scene, state_line, vector};
+use softarm::control::path::PathEnforcement;
+use softarm::control::{Bound, Hold, Shape};
+use softarm::mechanics::rotation::exp;
 use softarm::mpc::{
-    Command, Computing, Contender, EffortFrom, EstimatorChoice, Experiment, Reading, Sensing,
-    Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Unknowns,
+    Command, Computing, Contender, EffortFrom, EstimatorChoice, Experiment, Known, Measurement,
+    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal,
+    Unknowns,
 };
+use softarm::task::{Limit, LimitKind};
 
 /// Commands of the closed loop in the library.
 fn commands_of_the_library(scene: &Experiment) -> Vec<Command> {
@@ -229,4 +237,218 @@ fn references_may_come_with_measurements() {
         assert_eq!(error["where"], place);
         assert!(command["fallback"].is_null());
     }
+}
+
+/// Lines that are wrong in every way, samples that are left out, and times that go back: whatever a command is made of, it keeps its magnitude and its
+/// rate from the command before, and the loop finds back to commands of its own.
+#[test]
+fn wrong_lines_do_not_make_commands_jump() {
+    for (hold, rate) in [
+        (Hold::Linear, Bound::Norm(20.0)),
+        (Hold::Linear, Bound::PerAxis(Vector3::new(20.0, 5.0, 9.0))),
+        (Hold::Constant, Bound::Norm(20.0)),
+    ] {
+        let mut scene = scene();
+        scene.discretization.hold = hold;
+        scene.mpc.jump = 1.0;
+        scene.task.cost.effort = 1.0;
+        let actuator = &mut scene.task.actuators[0];
+        actuator.force.rate_bound = Some(rate);
+        actuator.moment.rate_bound = Some(Bound::Norm(10.0));
+        let (force, moment) = (actuator.force, actuator.moment);
+        let plant = Plant::new(&scene);
+        let mut arm = plant.arm(&scene);
+        let mut desk = Desk::new(&scene);
+        let mut watch = Watch::new(hold, 0.01, force, moment);
+        let (mut causes, mut n_repeated) = (std::collections::BTreeSet::new(), 0);
+        let mut k = 0;
+        while k < 300 {
+            let t = 0.01 * f64::from(k);
+            arm.advance(t).unwrap();
+            let mut line = state_line(t, &arm.state_on_model());
+            match k {
+                // One node a long way off, then nothing that can be used for a while, once longer than the plan is trusted.
+                20 => line["positions_m"][3] = json!([3.0, -2.0, 1.0]),
+                40..45 | 120..200 => line["positions_m"] = json!("gone"),
+                60 => line["linear_momenta_kg_m_s"][6] = json!([400.0, 0.0, 0.0]),
+                70 => line["rotations"][2] = json!([[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+                80 => line["time_s"] = json!(0.5),
+                _ => {}
+            }
+            let answer = desk.say(&line.to_string());
+            let last = answer.last().unwrap();
+            if last["fallback"]["action"] == "repeat" {
+                n_repeated += 1;
+                assert_eq!(last["sample"], json!(k - 1));
+            } else {
+                if let Some(action) = last["fallback"]["action"].as_str() {
+                    causes.insert(action.to_string());
+                }
+                let command = command_of(last);
+                watch.see(&command);
+                arm.send(&command);
+            }
+            k += if k == 100 { 12 } else { 1 };
+        }
+        println!(
+            "{hold:?} {:.1e} {causes:?} {} at a rate",
+            watch.worst, watch.n_active
+        );
+        assert!(watch.worst < ROUNDING, "{hold:?} {rate:?}: {}", watch.worst);
+        assert!(n_repeated == 1 && causes.contains("plan") && causes.contains("ramp"));
+        assert!(watch.n_active > 10);
+        let line = desk.command(&state_line(3.0, &arm.state_on_model()));
+        assert!(line["fallback"].is_null());
+    }
+}
+
+/// A scene whose filter sees positions.
+fn watched() -> Experiment {
+    let mut scene = scene();
+    scene.sensing = Sensing::Estimated {
+        sensors: vec![SensorChoice::Own(SensorSettings {
+            age_s: 0.0,
+            ..SensorPreset::Mocap.settings(&scene.arm.rod(&scene.discretization).unwrap())
+        })],
+        estimator: EstimatorChoice::Kalman(Unknowns::NONE),
+        elements: None,
+        seed: 3,
+    };
+    scene
+}
+
+/// A line of very many readings is refused with their number; one of as many as may be has its answer; and blocks of readings say what all of them say
+/// together, to the curvature of the arm over a millimeter.
+#[test]
+fn long_lines_are_read_in_blocks() {
+    let scene = watched();
+    let tip = |x: f64| Vector3::new(x, 0.0, 1.0);
+    let line = |n: usize| {
+        let one = json!({ "position_m": <[f64; 3]>::from(tip(1e-3)) });
+        json!({ "type": "measurement", "time_s": 0.0, "readings": vec![one; n] })
+    };
+    let [error, command] = Desk::new(&scene).error(&line(30_000).to_string());
+    assert_eq!(error["where"], "readings");
+    assert!(
+        error["message"].as_str().unwrap().contains("30000"),
+        "{error}"
+    );
+    assert!(!command["from_s"].is_null());
+    let mut desk = Desk::new(&scene);
+    let most = desk.hello["most_readings"].as_u64().unwrap() as usize;
+    assert!(desk.command(&line(most))["fallback"].is_null());
+    let ours = command_of(&Desk::new(&scene).command(&line(200)));
+    let mut driver = scene.driver().unwrap();
+    let calm = command_of(&Desk::new(&scene).command(&line(0)));
+    let sigma = driver_sigma(&scene);
+    driver.put(&Measurement {
+        time: 0.0,
+        signals: vec![
+            Signal {
+                place: 1.0,
+                reading: Reading::Position(tip(1e-3)),
+                sigma,
+            };
+            200
+        ],
+    });
+    driver.respond(0.0, Known::Measurements);
+    let together = driver.told().clone();
+    let change = (together.to[0].force - calm.to[0].force).norm();
+    let off = (together.to[0].force - ours.to[0].force).norm();
+    println!("{change} {off}");
+    assert!(change > 1e-3 && off < 1e-2 * change, "{off} {change}");
+}
+
+/// Standard deviation of a position in the scene above.
+fn driver_sigma(scene: &Experiment) -> f64 {
+    let Sensing::Estimated { sensors, .. } = &scene.sensing else {
+        unreachable!()
+    };
+    match &sensors[0] {
+        SensorChoice::Own(settings) => settings.position.unwrap(),
+        SensorChoice::Preset(_) => unreachable!(),
+    }
+}
+
+/// How the tip is to be turned, and where an obstacle is, may come with the measurements: the commands become those of a loop whose scene has them from
+/// the beginning. A name that no obstacle has, and a quaternion of no length, are refused.
+#[test]
+fn orientations_and_obstacles_may_come_with_measurements() {
+    let mut turned = scene();
+    turned.mpc.jump = 0.0;
+    turned.mpc.effort = EffortFrom::Zero;
+    let turn = |angle: f64| (0.0, exp(&Vector3::new(0.0, angle, 0.0)));
+    let post = |x: f64| Limit {
+        name: "post".into(),
+        kind: LimitKind::Clearance {
+            shape: Shape::Sphere {
+                center: Vector3::new(x, 0.0, 1.0),
+                radius: 0.05,
+            },
+            velocity: Vector3::zeros(),
+            margin: 0.0,
+        },
+        rate: None,
+        enforcement: PathEnforcement::Hard,
+    };
+    turned.task.cost.tracks[0].rotations = vec![turn(0.2)];
+    turned.task.limits = vec![post(0.15)];
+    let mut blind = turned.clone();
+    blind.task.cost.tracks[0].rotations = vec![turn(0.0)];
+    blind.task.limits = vec![post(2.15)];
+    let plant = Plant::new(&turned);
+    let mut arm = plant.arm(&turned);
+    let [mut knows, mut is_told, mut never] =
+        [&turned, &blind, &blind].map(|scene| Desk::new(scene));
+    assert_eq!(is_told.hello["obstacles"], json!(["post"]));
+    let [mut off, mut other] = [0.0f64; 2];
+    for k in 0..45 {
+        let t = 0.01 * f64::from(k);
+        let mut line = state_line(t, &arm.state_on_model());
+        let a = command_of(&knows.command(&line));
+        let c = command_of(&never.command(&line));
+        line["reference_wxyz"] = json!([[0.0, 0.1f64.cos(), 0.0, 0.1f64.sin(), 0.0]]);
+        // On its way as well: where it is counts from the time of the line.
+        line["obstacles"] = json!([{ "name": "post", "moved_m": [-2.0, 0.0, 0.0], "velocity_m_s": [0.0, 0.0, 0.0] }]);
+        let b = command_of(&is_told.command(&line));
+        if k > 30 {
+            off = off.max((a.from[0].force - b.from[0].force).norm());
+            other = other.max((a.from[0].force - c.from[0].force).norm());
+        }
+        arm.send(&a);
+        arm.advance(t + 0.01).unwrap();
+    }
+    println!("{off} {other}");
+    assert!(other > 1e-2 && off < 1e-4 * other, "{off} {other}");
+    let mut line = state_line(0.45, &arm.state_on_model());
+    line["obstacles"] = json!([{ "name": "pole", "moved_m": [0.0, 0.0, 0.0] }]);
+    let [error, _] = is_told.error(&line.to_string());
+    assert_eq!(error["where"], "obstacles[0]");
+    let mut line = state_line(0.46, &arm.state_on_model());
+    line["reference_wxyz"] = json!([[0.0, 0.0, 0.0, 0.0, 0.0]]);
+    let [error, _] = is_told.error(&line.to_string());
+    assert_eq!(error["where"], "reference_wxyz[0]");
+}
+
+/// A path that breaks off on its way says when: in the greeting, and once when the plant goes on after it.
+#[test]
+fn paths_that_end_say_so() {
+    let mut scene = scene();
+    scene.task.cost.tracks[0].path.truncate(61);
+    let mut desk = Desk::new(&scene);
+    assert_eq!(desk.hello["path_ends_s"], json!(0.6));
+    let mut found = Vec::new();
+    for k in 0..70 {
+        let t = 0.01 * f64::from(k);
+        let lines = desk.say(&desk.initial(t).to_string());
+        if lines.len() > 1 {
+            found.push((k, lines[0].clone()));
+        }
+    }
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!((found[0].0, &found[0].1["where"]), (61, &json!("time_s")));
+    // A way to a place where the tip is then kept says nothing.
+    scene.task.cost.tracks[0].path.truncate(30);
+    assert!(Desk::new(&scene).hello["path_ends_s"].is_null());
 }

@@ -8,7 +8,7 @@ use crate::mechanics::StepError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::paper::PaperError;
-use crate::scene::SceneError;
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::solve::SavedError;
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
@@ -71,6 +71,17 @@ impl CliError {
     /// What a scene that could not be set up is to the user, who may have ended that.
     pub(super) fn of_scene(error: SceneError, stop: &StopSignal) -> Self {
         stop.raised().map_or(Self::Scene(error), Self::Stopped)
+    }
+
+    /// What a loop that could not begin is to the user, who may have ended that.
+    pub(super) fn of_loop(error: MpcError, scene: &Scene, source: &SceneSource) -> Self {
+        if let MpcError::Stopped(stop) = error {
+            return Self::Stopped(stop);
+        }
+        match scene.mpc_error(source, &error) {
+            Some(error) => Self::Scene(error),
+            None => Self::Mpc(error),
+        }
     }
 
     pub(super) fn exit_code(&self) -> u8 {

@@ -16,8 +16,8 @@ use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
 use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{
-    ClosedLoop, Contender, EstimatorChoice, Outcome as Run, Percentiles, Sample, Sensing, TipError,
-    Unknowns,
+    ClosedLoop, Contender, EstimatorChoice, MpcError, Outcome as Run, Percentiles, Sample, Sensing,
+    TipError, Unknowns,
 };
 use crate::output::closed_loop::{
     BaselineSummary, LimitPeak, MpcSummary, SampleRow, write_samples,
@@ -152,10 +152,7 @@ fn computed(
     stop: &StopSignal,
     console: &Console,
 ) -> Result<Computed, CliError> {
-    let refused = |error| match scene.mpc_error(source, &error) {
-        Some(error) => CliError::Scene(error),
-        None => CliError::Mpc(error),
-    };
+    let refused = |error| CliError::of_loop(error, scene, source);
     let mut recording = Recording::begin(setup, &directory.path().join("trajectory"))?;
     let mut progress = Progress::new(setup, console);
     let mut unwritten = None;
@@ -181,6 +178,9 @@ fn computed(
         }
         console.say(&format!("running {}", label(contender)));
         let other = setup.experiment.run(contender, &mut |_, _| or_stop(stop));
+        if matches!(other, Err(MpcError::Stopped(_))) {
+            break;
+        }
         others.push(other.map_err(refused)?);
     }
     Ok((recording, run, others))

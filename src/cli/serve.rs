@@ -1,9 +1,9 @@
 //! `softarm mpc SCENE --serve`: the controller of a scene drives a plant in another process, by lines of JSON on standard input and output.
 
-use std::io::{self, BufReader};
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::thread;
-use std::time::Duration;
+use std::io::{self, BufReader, Write};
+use std::sync::mpsc::{self, RecvTimeoutError, SyncSender, TrySendError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use super::console::Console;
 use super::error::CliError;
@@ -14,8 +14,12 @@ use crate::stop::StopSignal;
 
 /// How long a signal waits at most while no line comes.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// Lines that may wait; the plant waits for its answers, so that one is the rule.
+/// Lines that may wait in either direction; the plant waits for its answers, so that one is the rule.
 const WAITING: usize = 16;
+/// Time between two looks at a plant that does not read.
+const GLANCE: Duration = Duration::from_millis(1);
+/// How long a plant may take to read the last lines after a signal.
+const LAST_LINES: Duration = Duration::from_secs(1);
 
 pub(super) fn run(
     name: &str,
@@ -34,13 +38,19 @@ pub(super) fn run(
         }
     }
     let refused = |error| match error {
-        ServeError::Mpc(error) => match scene.mpc_error(source, &error) {
-            Some(error) => CliError::Scene(error),
-            None => CliError::Mpc(error),
-        },
+        ServeError::Mpc(error) => CliError::of_loop(error, scene, source),
         error => CliError::Serve(error),
     };
     let served = match serve(name, setup, stop, console) {
+        Err(ServeError::Io(error)) if error.kind() == io::ErrorKind::TimedOut => {
+            let why = stop
+                .raised()
+                .map_or_else(String::new, |why| why.to_string());
+            console.always(&format!(
+                "{why}; the plant does not read, and the summary is not told"
+            ));
+            return Ok(exit::STOPPED);
+        }
         Err(ServeError::Io(error)) if error.kind() == io::ErrorKind::BrokenPipe => {
             console.warn("the plant has closed its end; there is nobody to tell the summary to");
             return Ok(exit::DONE);
@@ -57,15 +67,92 @@ pub(super) fn run(
     })
 }
 
-/// Standard input is read by a thread of its own: a signal does not end a read.
+/// Lines for the plant, which a thread of its own writes to standard output: a signal does not end a write that waits for its reader.
+struct Mouth {
+    lines: SyncSender<Vec<u8>>,
+    line: Vec<u8>,
+    stop: StopSignal,
+}
+
+impl Mouth {
+    /// Where lines go, and the thread, which ends with them.
+    fn new(stop: &StopSignal) -> (Self, JoinHandle<io::Result<()>>) {
+        let (lines, waiting) = mpsc::sync_channel::<Vec<u8>>(WAITING);
+        let writer = thread::spawn(move || {
+            let mut output = io::stdout();
+            for line in waiting {
+                output.write_all(&line)?;
+                output.flush()?;
+            }
+            Ok(())
+        });
+        let own = Self {
+            lines,
+            line: Vec::new(),
+            stop: stop.clone(),
+        };
+        (own, writer)
+    }
+}
+
+impl Write for Mouth {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.line.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    /// Hands over what was written, as soon as there is room.
+    fn flush(&mut self) -> io::Result<()> {
+        let mut line = std::mem::take(&mut self.line);
+        loop {
+            line = match self.lines.try_send(line) {
+                Ok(()) => return Ok(()),
+                // The thread knows why.
+                Err(TrySendError::Disconnected(_)) => {
+                    return Err(io::ErrorKind::BrokenPipe.into());
+                }
+                Err(TrySendError::Full(_)) if self.stop.is_raised() => {
+                    return Err(io::ErrorKind::TimedOut.into());
+                }
+                Err(TrySendError::Full(line)) => line,
+            };
+            thread::sleep(GLANCE);
+        }
+    }
+}
+
+/// Serves, and waits until the plant has read the last line.
 fn serve(
     name: &str,
     setup: &ClosedLoopSetup,
     stop: &StopSignal,
     console: &Console,
 ) -> Result<Served, ServeError> {
+    let (mouth, writer) = Mouth::new(stop);
+    let served = talk(name, setup, mouth, stop, console);
+    let said = Instant::now();
+    while !writer.is_finished() {
+        if stop.is_raised() && said.elapsed() > LAST_LINES {
+            return Err(io::Error::from(io::ErrorKind::TimedOut).into());
+        }
+        thread::sleep(GLANCE);
+    }
+    match writer.join() {
+        Ok(Err(error)) => Err(error.into()),
+        _ => served,
+    }
+}
+
+/// Standard input is read by a thread of its own: a signal does not end a read.
+fn talk(
+    name: &str,
+    setup: &ClosedLoopSetup,
+    mouth: Mouth,
+    stop: &StopSignal,
+    console: &Console,
+) -> Result<Served, ServeError> {
     let (sender, lines) = mpsc::sync_channel(WAITING);
-    let mut server = Server::new(&setup.experiment, name, io::stdout())?;
+    let mut server = Server::new(&setup.experiment, name, mouth)?;
     console.say("serving; a line of JSON on standard input is a sample");
     thread::spawn(move || {
         let mut input = BufReader::new(io::stdin());

@@ -25,7 +25,7 @@ use crate::output::{
 };
 use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::solve::{causes, simulation_page, stands_by_symmetry};
-use crate::stop::StopSignal;
+use crate::stop::{Stop, StopSignal};
 
 /// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same ones.
 const ENERGY_EVERY: usize = 8;
@@ -40,9 +40,10 @@ pub(super) fn run(
     global: &Global,
     console: &Console,
 ) -> Outcome {
+    let began = Instant::now();
     console.catch_interrupts();
     let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
-    let stop = stop_signal(None);
+    let stop = stop_signal(scene.deadline(began));
     let target = arguments.directory("simulate");
     let mut accuracy = None;
     let (directory, setup, found) = if resume {
@@ -157,7 +158,8 @@ pub(super) fn run(
     Ok(match end {
         End::Completed => exit::DONE,
         End::Interrupted => {
-            console.say("interrupted; the same command with --resume goes on");
+            let why = stop.raised().unwrap_or(Stop::Interrupted);
+            console.always(&format!("{why}; the same command with --resume goes on"));
             exit::STOPPED
         }
         End::Failed(error) => {

@@ -219,10 +219,7 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
             CliError::Scene(scene.discretize_error(source, error))
         }
         SweepError::Run(RunError::Step(error)) => CliError::Step(error),
-        SweepError::Mpc(error) => match scene.mpc_error(source, &error) {
-            Some(error) => CliError::Scene(error),
-            None => CliError::Mpc(error),
-        },
+        SweepError::Mpc(error) => CliError::of_loop(error, scene, source),
         error @ SweepError::Start(_) => CliError::Sweep(error),
     }
 }

@@ -82,6 +82,20 @@ fn perpendicular(u: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl Shape {
+    /// The same body, moved by a way (m).
+    #[must_use]
+    pub fn moved(mut self, by: &Vector3<f64>) -> Self {
+        match &mut self {
+            Self::Sphere { center, .. } | Self::Cuboid { center, .. } => *center += by,
+            Self::Capsule { from, to, .. } => {
+                *from += by;
+                *to += by;
+            }
+            Self::HalfSpace { point, .. } => *point += by,
+        }
+        self
+    }
+
     /// Signed distance of a point.
     #[must_use]
     pub fn distance(&self, x: &Vector3<f64>) -> SignedDistance {

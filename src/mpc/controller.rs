@@ -2,26 +2,29 @@
 
 mod bounds;
 mod effort;
+mod outlet;
 mod settings;
 mod step_length;
 mod steps;
 
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
+use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
 use super::estimator::Disturbance;
 use super::holding::Holding;
-use super::horizon::{Horizon, add_effects};
+use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
+use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
 /// What is applied until the next sample: wrenches on nodes of the model, linear in time.
@@ -101,6 +104,12 @@ pub struct Controller {
     weights: [f64; 2],
     /// Scaled control that acts when the sample begins.
     acting: Vec<f64>,
+    /// What all commands go through; and where a regulator responds, what the commands of the plan alone would.
+    outlet: Outlet,
+    planned: Option<Outlet>,
+    /// Rows of the subproblem whose origin is what acts, and the way to a plan strictly within all bounds.
+    from_acting: Vec<usize>,
+    inside: Vec<f64>,
     /// Scaled control that cancels the disturbance, and the force that holds the tip: both together cost nothing.
     cancelling: Vec<f64>,
     holding: Option<Holding>,
@@ -123,6 +132,32 @@ pub struct Controller {
     /// Whether a command acts: before the first, nothing jumps.
     acts: bool,
     record: SampleRecord,
+}
+
+/// Whether rows of a path have finite times that increase, and finite values.
+fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<(), MpcError> {
+    let refuse = |point, expected| Err(MpcError::Path { point, expected });
+    if rows.is_empty() {
+        return refuse(0, "at least one point");
+    }
+    for (point, (t, value)) in rows.iter().enumerate() {
+        if !(t.is_finite() && is_finite(value)) {
+            return refuse(point, "a finite time and finite numbers");
+        }
+        if point > 0 && !(rows[point - 1].0 < *t) {
+            return refuse(point, "a time after that of the point before");
+        }
+    }
+    Ok(())
+}
+
+/// What a command is to do that no plan has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Aim {
+    /// This wrench at the tip, as far as it is actuated, and nothing elsewhere.
+    Tip(Wrench),
+    /// A part of what acts.
+    Part(f64),
 }
 
 /// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
@@ -158,6 +193,34 @@ impl Controller {
         task: &Task,
         discretization: &Discretization,
         settings: &MpcSettings,
+    ) -> Result<Self, MpcError> {
+        Self::new_until(arm, task, discretization, settings, &StopSignal::default())
+    }
+
+    /// [`Self::new`], unless `stop` is raised before the first plan is made. Samples do not look at it.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and [`MpcError::Stopped`].
+    pub fn new_until(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
+    ) -> Result<Self, MpcError> {
+        let made = Self::make(arm, task, discretization, settings, stop);
+        if made.is_err() {
+            stop.check()?;
+        }
+        made
+    }
+
+    fn make(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
     ) -> Result<Self, MpcError> {
         settings.check()?;
         let knots = Knots::new(
@@ -200,11 +263,11 @@ impl Controller {
         (task.targets).retain(|target| {
             target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
         });
-        let chosen = task.discretize(arm, &cut)?.discrete;
+        let chosen = task.discretize_until(arm, &cut, stop)?.discrete;
         let [in_period, in_horizon] =
             period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
         cut.step = Some(in_horizon.step);
-        let mut problem = task.discretize(arm, &cut)?.discrete;
+        let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
             if held.rotations.is_empty() {
                 held.weight *= HELD_NEARER;
@@ -239,6 +302,10 @@ impl Controller {
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
+            outlet: Outlet::new(settings.start, settings.period, n_components),
+            planned: None,
+            from_acting: Vec::with_capacity(n_components),
+            inside: vec![0.0; n],
             cancelling: vec![0.0; n_components],
             holding: None,
             stiffness: 1.0,
@@ -275,14 +342,17 @@ impl Controller {
             settings: *settings,
             horizon,
         };
+        controller.horizon.stop = stop.clone();
         if controller.counts_from_holding() {
             controller.holding = controller.holding();
+            stop.check()?;
         }
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
             .place(settings.start, controller.horizon.grid.time(0));
         controller.settle(Self::FIRST)?;
+        controller.horizon.stop = StopSignal::default();
         Ok(controller)
     }
 
@@ -395,28 +465,76 @@ impl Controller {
                 "nothing follows a path; give the task a track of the tip, whatever its path",
             ));
         };
-        if path.is_empty() {
-            return Err(MpcError::Path {
-                point: 0,
-                expected: "at least one point",
+        check_rows(path, |x| x.iter().all(|c| c.is_finite()))?;
+        self.horizon.follow(track, path);
+        self.hold_anew();
+        Ok(())
+    }
+
+    /// Gives the tip other rotations to follow, as [`Self::follow`] gives it another path: times in s, which increase, and rotations, body to space,
+    /// with a constant speed about one axis in between and constant outside. They take the place of those of the first track that has some.
+    ///
+    /// # Errors
+    /// As [`Self::follow`].
+    pub fn turn(&mut self, rotations: &[(f64, Matrix3<f64>)]) -> Result<(), MpcError> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let tracks = &problem.objective.tracking;
+        let Some(track) =
+            (tracks.iter()).position(|track| track.node == tip && !track.rotations.is_empty())
+        else {
+            return Err(MpcError::Unsupported(
+                "nothing turns the tip; give the task an orientation of the tip, whatever it is",
+            ));
+        };
+        check_rows(rotations, |r| r.iter().all(|c| c.is_finite()))?;
+        self.horizon.turn(track, rotations);
+        self.hold_anew();
+        Ok(())
+    }
+
+    /// Names of the obstacles of the task.
+    pub fn obstacles(&self) -> impl Iterator<Item = &str> {
+        self.horizon.obstacles()
+    }
+
+    /// Moves the obstacles of a name, from the next [preparation](Self::prepare) on: at time `t` (s) they are `by` (m) away from where the task has
+    /// them at t = 0, and on their way at `velocity` (m/s).
+    ///
+    /// # Errors
+    /// [`MpcError::Unsupported`] where no obstacle has this name, and [`MpcError::Setting`] for a number that is not finite.
+    pub fn move_obstacle(
+        &mut self,
+        name: &str,
+        t: f64,
+        by: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> Result<(), MpcError> {
+        if let Some(value) = [t]
+            .iter()
+            .chain(by)
+            .chain(velocity)
+            .find(|value| !value.is_finite())
+        {
+            return Err(MpcError::Setting {
+                name: "obstacle",
+                value: *value,
+                expected: "a finite number",
             });
         }
-        for (point, (t, x)) in path.iter().enumerate() {
-            let is_finite = t.is_finite() && x.iter().all(|c| c.is_finite());
-            let expected = if !is_finite {
-                "a finite time and position"
-            } else if point > 0 && !(path[point - 1].0 < *t) {
-                "a time after that of the point before"
-            } else {
-                continue;
-            };
-            return Err(MpcError::Path { point, expected });
+        if self.horizon.move_obstacle(name, t, by, velocity) {
+            Ok(())
+        } else {
+            Err(MpcError::Unsupported(
+                "the task has no obstacle of this name",
+            ))
         }
-        self.horizon.follow(track, path);
-        // Statics along a path take longer than a sample has, at one place they do not.
-        let is_asked = self.counts_from_holding() && path.len() == 1;
+    }
+
+    /// Statics along a path take longer than a sample has, at one place they do not.
+    fn hold_anew(&mut self) {
+        let is_asked = self.counts_from_holding() && self.is_reference_at_rest();
         self.holding = is_asked.then(|| self.holding()).flatten();
-        Ok(())
     }
 
     /// How it works.
@@ -437,39 +555,28 @@ impl Controller {
         &self.horizon.problem.initial
     }
 
-    /// A command of no wrench from `start` (s) on, on the nodes of the task.
-    #[must_use]
-    pub fn still(&self, start: f64) -> Command {
-        let none = vec![Wrench::default(); self.command.nodes.len()];
-        Command {
-            start,
-            end: start + self.settings.period,
-            nodes: self.command.nodes.clone(),
-            from: none.clone(),
-            to: none,
-        }
-    }
-
     /// The actuators of the task, with their bounds.
     pub(super) fn actuators(&self) -> &[ActuatedNode] {
         self.horizon.problem.wrench_actuators()
     }
 
-    /// Starts anew from a state at `start` (s), with an empty plan and a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for
-    /// them: nothing is left of what went before but the disturbance.
+    /// Starts anew from a state at `start` (s), with a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for them: nothing is left
+    /// of what went before but the disturbance, and what acts. The first plan is no wrench; where a rate is bounded, a way there.
     ///
     /// # Errors
     /// [`MpcError::Measurement`] as [`feedback`](Self::feedback), and where the motion breaks down.
     pub fn restart(&mut self, start: f64, state: &State) -> Result<(), MpcError> {
         self.check(state)?;
         self.horizon.start.clone_from(state);
-        self.plan.fill(0.0);
-        self.trusted.fill(0.0);
-        self.expected = f64::INFINITY;
-        self.acting.fill(0.0);
-        self.acts = false;
         self.horizon.place(start, self.settings.due);
         self.before_knots.clone_from(&self.horizon.knots);
+        self.outlet.write_acting(start, &mut self.acting);
+        self.plan.fill(0.0);
+        self.write_inside();
+        self.plan.clone_from_slice(&self.inside);
+        self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
+        self.expected = f64::INFINITY;
         self.deviation.fill_zero();
         self.settle(Self::RESTART)
     }
@@ -479,8 +586,60 @@ impl Controller {
     pub fn plan_alone(&mut self, start: f64) -> &Command {
         self.state.clone_from(&self.horizon.start);
         self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
         self.issue(start);
         &self.command
+    }
+
+    /// A command from `start` (s) on that the plan has no part in.
+    pub(super) fn steer(&mut self, start: f64, aim: Aim) -> &Command {
+        self.acts = true;
+        self.planned = None;
+        self.outlet.write_acting(start, &mut self.acting);
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, start + self.settings.period);
+        let horizon = &self.horizon;
+        let tip = horizon.problem.rod.tip();
+        let actuators = horizon.problem.wrench_actuators();
+        for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
+        {
+            let acting = self.acting[c];
+            (wanted.from[c], wanted.to[c]) = match aim {
+                Aim::Tip(wrench) => {
+                    let own = actuators.get(component.actuator);
+                    let acts = own.is_some_and(|own| own.node == tip);
+                    let value = wrench.to_array()[component.axis] / scale;
+                    let value = if acts { value } else { 0.0 };
+                    (value, value)
+                }
+                Aim::Part(part) if horizon.knots.hold() == Hold::Constant => {
+                    (part * acting, part * acting)
+                }
+                Aim::Part(part) => (acting, part * acting),
+            };
+        }
+        (self.outlet).send(&self.horizon, self.settings.period, &mut self.command);
+        &self.command
+    }
+
+    /// The last command, as one that acts from `start` (s) on.
+    pub(super) fn release(&mut self, start: f64) -> Command {
+        if self.planned.is_none() {
+            let Self {
+                outlet,
+                horizon,
+                settings,
+                command,
+                ..
+            } = self;
+            outlet.postpone(start, horizon, settings.period, command);
+            return command.clone();
+        }
+        // The plan goes on with its own.
+        let mut command = self.command.clone();
+        (self.outlet).postpone(start, &self.horizon, self.settings.period, &mut command);
+        self.outlet.write(&self.horizon, &mut command);
+        command
     }
 
     /// Both phases: the command for the measured state, then the preparation of the next sample.
@@ -524,21 +683,29 @@ impl Controller {
         Ok(&self.command)
     }
 
-    /// The first command that the linearized model has for a measured state, with the plan left as it was: that of a linear-quadratic regulator
-    /// about the motion of the plan, within the bounds.
+    /// Responds to a measured state with the first command that the linearized model has for it, within the bounds: that of a linear-quadratic
+    /// regulator about the motion of the plan, to be [released](Self::release). The plan goes on as if its own motion were measured.
     ///
     /// # Errors
     /// As [`feedback`](Self::feedback).
-    pub(super) fn regulate(&mut self, measured: &State) -> Result<Command, MpcError> {
+    pub(super) fn regulate(&mut self, measured: &State) -> Result<(), MpcError> {
         self.check(measured)?;
         measured.difference_into(&self.horizon.start, &mut self.deviation);
-        let kept = (self.plan.clone(), self.acting.clone(), self.acts);
+        let mut own = self.planned.take().unwrap_or_else(|| self.outlet.clone());
+        let (plan, acts) = (self.plan.clone(), self.acts);
         let outcome = self.correct();
-        self.issue(self.horizon.grid.start);
-        let command = self.command.clone();
-        (self.plan, self.acting, self.acts) = kept;
-        self.deviation.fill_zero();
-        outcome.map(|()| command)
+        if outcome.is_ok() {
+            self.issue(self.horizon.grid.start);
+        }
+        (self.plan, self.acts) = (plan, acts);
+        outcome?;
+        std::mem::swap(&mut self.outlet, &mut own);
+        let expected = self.horizon.start.clone();
+        let outcome = self.feedback(&expected);
+        let outcome = outcome.map(|_| ());
+        std::mem::swap(&mut self.outlet, &mut own);
+        self.planned = outcome.is_ok().then_some(own);
+        outcome
     }
 
     /// Prepares the next sample: the state at its start is predicted from the measured one under the command.
@@ -653,6 +820,8 @@ impl Controller {
     /// Solves the subproblem at the present deviation and takes the full step.
     fn correct(&mut self) -> Result<(), MpcError> {
         self.note_free();
+        self.outlet
+            .write_acting(self.horizon.grid.start, &mut self.acting);
         let present = self.horizon.n_present();
         let n_components = self.horizon.components.len();
         let gradient = &mut self.gradient[..];
@@ -673,18 +842,17 @@ impl Controller {
         for c in 0..n_components {
             self.gradient[c] -= self.jump() * (self.acting[c] - self.free[c]);
         }
-        for (i, row) in self.subproblem.rows.iter().enumerate() {
-            self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
-        }
-        self.start_rows();
+        self.write_offsets();
+        self.write_inside();
         (self.horizon).write_limit_values(&self.deviation, &mut self.subproblem.soft.values);
         let end = self.subproblem.solve(
             &self.gradient,
             &self.offsets,
+            &self.inside,
             self.settings.subproblem_tolerance,
             self.settings.subproblem_iterations,
             &mut self.change,
-        )?;
+        );
         if !self.change.iter().all(|x| x.is_finite()) {
             return Err(MpcError::Subproblem);
         }
@@ -705,33 +873,17 @@ impl Controller {
     /// The command of the present plan from `start` (s) on.
     fn issue(&mut self, start: f64) {
         self.acts = true;
-        let end =
-            (start + self.settings.period).min(self.horizon.grid.time(self.horizon.grid.n_steps));
-        self.command.start = start;
-        self.command.end = end;
-        for (t, at_end) in [(start, false), (end, true)] {
-            let t = if at_end && self.horizon.knots.hold() == Hold::Constant {
-                start
-            } else {
-                t
-            };
-            self.horizon.control(&self.plan, t, &mut self.acting);
-            let out = if at_end {
-                &mut self.command.to
-            } else {
-                &mut self.command.from
-            };
-            let all = &mut self.wrenches[0];
-            all.fill(Wrench::default());
-            for ((effects, v), scale) in
-                (self.horizon.effects.iter().zip(&self.acting)).zip(&self.horizon.scales)
-            {
-                add_effects(effects, v * scale, all);
-            }
-            for (own, node) in out.iter_mut().zip(&self.command.nodes) {
-                *own = all[*node];
-            }
-        }
+        let (grid, period) = (&self.horizon.grid, self.settings.period);
+        let last = grid.time(grid.n_steps);
+        let end = start + period;
+        let end = if last > start { end.min(last) } else { end };
+        let is_constant = self.horizon.knots.hold() == Hold::Constant;
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, end);
+        self.horizon.control(&self.plan, start, &mut wanted.from);
+        let at_end = if is_constant { start } else { end };
+        self.horizon.control(&self.plan, at_end, &mut wanted.to);
+        (self.outlet).send(&self.horizon, period, &mut self.command);
     }
 
     /// The state at the end of the command.

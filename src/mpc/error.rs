@@ -1,6 +1,7 @@
 //! Why a controller cannot be made, or a sample fails.
 
 use crate::mechanics::StepError;
+use crate::stop::Stop;
 use crate::task::DiscretizeError;
 
 /// What a [`Controller`](super::Controller) refuses.
@@ -47,6 +48,9 @@ pub enum MpcError {
     /// The model's motion under the plan breaks down.
     #[error("the predicted motion breaks down: {0}")]
     Rollout(#[from] StepError),
+    /// Whoever makes or runs a loop was asked to stop, or has no time left.
+    #[error("{0}")]
+    Stopped(#[from] Stop),
     /// The Hessian of the subproblem has no Cholesky factor, which only happens where something is not finite.
     #[error("the subproblem is not finite or not convex")]
     Subproblem,

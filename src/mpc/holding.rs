@@ -14,9 +14,10 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Configuration, Rod, Wrench};
+use crate::stop::StopSignal;
 
 /// Where the tip should be (m) and how it should be turned (body to space), as far as something asks for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -64,13 +65,15 @@ const STIFFER: f64 = 0.1;
 const LONGEST: f64 = 600.0;
 
 impl Holding {
-    /// Along `reference`, a pose of the tip at every time up to `end`, from near the shape `start`; `None` where it goes on for too long.
+    /// Along `reference`, a pose of the tip at every time up to `end`, from near the shape `start`; `None` where it goes on for too long, and
+    /// where `stop` is raised.
     pub fn along(
         rod: &Rod,
         start: &Configuration,
         reference: impl Fn(f64) -> TipPose,
         spacing: f64,
         end: f64,
+        stop: &StopSignal,
     ) -> Option<Self> {
         if !(end <= LONGEST) {
             return None;
@@ -81,24 +84,25 @@ impl Holding {
         let mut before: Option<(TipPose, [Vector6<f64>; 2], Matrix6<f64>)> = None;
         let wrenches = (0..=(end / spacing).ceil() as usize)
             .map(|i| {
+                stop.check().ok()?;
                 let t = i as f64 * spacing;
                 let target = reference(t);
                 let (_, [own, slope], mass) = match before.filter(|(pose, ..)| *pose == target) {
                     Some(held) => held,
                     None => {
-                        let (own, mass) = Search::new(rod, target, t).wrench(&mut shape);
+                        let (own, mass) = Search::new(rod, target, t, stop).wrench(&mut shape);
                         // From there: an arm that is pressed together may be held in several shapes.
                         let (other, _) =
-                            Search::new(&stiffer, target, t).wrench(&mut shape.clone());
+                            Search::new(&stiffer, target, t, stop).wrench(&mut shape.clone());
                         (target, [own, (other - own) / STIFFER], mass)
                     }
                 };
                 before = Some((target, [own, slope], mass));
                 let [speed, acceleration] = motion(&reference, t, spacing, rod.scales.length);
                 let moving = mass * (acceleration + speed * rod.viscous_damping);
-                [own + moving, slope]
+                Some([own + moving, slope])
             })
-            .collect();
+            .collect::<Option<Vec<_>>>()?;
         Some(Self { wrenches, spacing })
     }
 
@@ -149,17 +153,19 @@ struct Search<'a> {
     rod: &'a Rod,
     target: TipPose,
     t: f64,
+    stop: &'a StopSignal,
     /// N/m: of a cantilever, and of its weight as a pendulum's.
     own: f64,
 }
 
 impl<'a> Search<'a> {
-    fn new(rod: &'a Rod, target: TipPose, t: f64) -> Self {
+    fn new(rod: &'a Rod, target: TipPose, t: f64, stop: &'a StopSignal) -> Self {
         let own = (3.0 * rod.scales.force + rod.mass() * rod.gravity.norm()) / rod.scales.length;
         Self {
             rod,
             target,
             t,
+            stop,
             own,
         }
     }
@@ -178,7 +184,7 @@ impl<'a> Search<'a> {
 
     /// Shape at rest under springs that pull to `aim`, from near another.
     fn held(&self, aim: &Vector6<f64>, from: &Configuration) -> Option<Configuration> {
-        static_equilibrium(self.rod, from, self.t, &self.spring(aim)).ok()
+        static_equilibrium_until(self.rod, from, self.t, &self.spring(aim), self.stop).ok()
     }
 
     /// How far the tip is from the target, and the wrench of the springs.
@@ -289,7 +295,8 @@ mod tests {
             position: Some(Vector3::new(way * t.min(1.0), 0.0, 0.5)),
             rotation: None,
         };
-        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 1.0).expect("short");
+        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 1.0, &StopSignal::default())
+            .expect("short");
         let expected = 3.0 * rod.scales.force * way / rod.scales.length;
         for (t, stiffness, part) in [
             (1.0, 1.0, 1.0),
@@ -303,7 +310,9 @@ mod tests {
                 "{t} {stiffness}: {force}"
             );
         }
-        assert!(Holding::along(&rod, &rod.rest, reference, 0.1, 1e4).is_none());
+        assert!(
+            Holding::along(&rod, &rod.rest, reference, 0.1, 1e4, &StopSignal::default()).is_none()
+        );
     }
     /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
     /// `4 θ - 6 d` of a beam that is clamped at both ends.
@@ -317,7 +326,8 @@ mod tests {
             position: Some(Vector3::new(way, 0.0, 0.5)),
             rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
         };
-        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 0.0).expect("short");
+        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 0.0, &StopSignal::default())
+            .expect("short");
         let found = holding.wrench(0.0, 1.0);
         let across = way / rod.scales.length;
         let force = (12.0 * across - 6.0 * turn) * rod.scales.force;
@@ -347,7 +357,8 @@ mod tests {
             )),
             rotation: None,
         };
-        let holding = Holding::along(&rod, &rod.rest, circle, 0.005, 1.0).expect("short");
+        let holding = Holding::along(&rod, &rod.rest, circle, 0.005, 1.0, &StopSignal::default())
+            .expect("short");
         let mass = 33.0 / 140.0 * rod.mass();
         let stiffness = 3.0 * rod.scales.force / rod.scales.length;
         let along = radius * (stiffness - mass * frequency * frequency);

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::error::MpcError;
 use super::estimator::Disturbance;
@@ -22,15 +22,17 @@ use super::knots::Knots;
 use super::limits::{self, Limits};
 use super::soft_rows::SoftRows;
 use super::speeds::Speeds;
-use crate::control::path::RodView;
-use crate::control::{Component, OptimalControlProblem};
+use crate::control::path::{PathLimit, RodView};
+use crate::control::{Component, OptimalControlProblem, Shape};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
 use crate::mechanics::{
-    FormTerm, NodeWrenches, Rod, State, StateForm, StepperMemory, TimeGrid, Trajectory, Wrench,
+    FormTerm, NodeWrenches, Rod, State, StateForm, StepError, StepperMemory, TimeGrid, Trajectory,
+    Wrench,
 };
+use crate::stop::StopSignal;
 
 /// Part of the length, or of a radian.
 const NEGLIGIBLE: f64 = 1e-4;
@@ -137,8 +139,12 @@ pub(super) struct Horizon {
     pub nodes: Vec<usize>,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
+    /// The obstacles among the limits of the problem as the task has them at t = 0.
+    obstacles: Vec<(usize, Shape)>,
     /// The model without anything wrong with it.
     model: Arc<Rod>,
+    /// What ends simulations and sweeps before they are done.
+    pub stop: StopSignal,
     /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
     parameters: [f64; 3],
     tuned: [f64; 3],
@@ -270,6 +276,13 @@ impl Horizon {
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             nodes: (0..n_nodes).collect(),
             model,
+            stop: StopSignal::default(),
+            obstacles: (problem.path.iter().enumerate())
+                .filter_map(|(index, path)| match &path.limit {
+                    PathLimit::Clearance { shape, .. } => Some((index, *shape)),
+                    _ => None,
+                })
+                .collect(),
             parameters: Disturbance::NONE.parameters(),
             tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
@@ -345,6 +358,50 @@ impl Horizon {
         let own = &mut self.problem.objective.tracking[track].path;
         own.clear();
         own.extend_from_slice(path);
+        self.evaluate_anew();
+    }
+
+    /// The same for how a track is to be turned.
+    pub fn turn(&mut self, track: usize, rotations: &[(f64, Matrix3<f64>)]) {
+        let own = &mut self.problem.objective.tracking[track].rotations;
+        own.clear();
+        own.extend_from_slice(rotations);
+        self.evaluate_anew();
+    }
+
+    /// Names of the obstacles.
+    pub fn obstacles(&self) -> impl Iterator<Item = &str> {
+        (self.obstacles.iter()).map(|(index, _)| &self.problem.path[*index].name[..])
+    }
+
+    /// Puts an obstacle where it is at time `t` (s): `by` (m) away from where the task has it at t = 0, and on its way at `velocity` (m/s). The next
+    /// horizon sees it. False where none has this name.
+    pub fn move_obstacle(
+        &mut self,
+        name: &str,
+        t: f64,
+        by: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> bool {
+        let mut is_there = false;
+        for (index, there) in &self.obstacles {
+            let path = &mut self.problem.path[*index];
+            if let PathLimit::Clearance {
+                shape,
+                velocity: own,
+                ..
+            } = &mut path.limit
+                && path.name == name
+            {
+                *shape = there.moved(&(by - velocity * t));
+                *own = *velocity;
+                is_there = true;
+            }
+        }
+        is_there
+    }
+
+    fn evaluate_anew(&mut self) {
         // A motion that broke down is simulated anew before anything asks for its residuals.
         let whole = (self.grid.n_steps + 1) * self.problem.rod.n_nodes();
         if self.trajectory.positions.len() == whole {
@@ -429,7 +486,8 @@ impl Horizon {
         for k in 0..grid.n_steps {
             fill(k + 1, next);
             let of = |wrenches| NodeWrenches::on(nodes, wrenches);
-            outcome = stepper.advance([of(now), of(next)]);
+            outcome = (self.stop.check_at(k).map_err(StepError::from))
+                .and_then(|()| stepper.advance([of(now), of(next)]));
             if outcome.is_err() {
                 break;
             }
@@ -452,7 +510,7 @@ impl Horizon {
             rod: &self.problem.rod,
             grid: self.grid,
             initial: &self.start,
-            stop: None,
+            stop: Some(&self.stop),
             control: None,
         };
         let columns = Columns {

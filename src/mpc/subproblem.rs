@@ -1,9 +1,10 @@
-//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in convex sets that hold zero, and with
-//! [rows](super::soft_rows) that may be violated at a price.
+//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in balls and intervals about zero, with
+//! variables that are fixed, and with [rows](super::soft_rows) that may be violated at a price.
 //!
-//! Where the unconstrained minimum is feasible it is the answer. Elsewhere a primal-dual interior-point method finds the minimum (Boyd and
-//! Vandenberghe 2004, section 11.7): one factorization of `n × n` an iteration, iterates strictly within their sets, so that a control
-//! within its bounds is what comes out whenever it is stopped.
+//! Where the minimum without sets is feasible it is the answer. Elsewhere a primal-dual interior-point method finds the minimum (Boyd and
+//! Vandenberghe 2004, section 11.7): one factorization of `n × n` an iteration. The caller knows a point strictly within all sets, from which
+//! the first iterate is drawn; all iterates stay strictly within their sets, so that a control within its bounds is what comes out whenever
+//! the method is stopped. Fixed variables are left out of every system: a penalty that holds them would spoil its condition.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt;
@@ -19,10 +20,8 @@ use super::soft_rows::SoftRows;
 /// Vandenberghe 2004, pages 612 and 613.
 pub(super) const INSIDE: f64 = 0.99;
 const CENTERING: f64 = 0.1;
-/// Part of the way to the boundary at which the first point is.
+/// Part of the room that a set leaves at the caller's inner point which the first iterate uses at the most.
 const BEGIN: f64 = 0.9;
-/// Weight of a row that must keep its value, over the largest entry of the Hessian's diagonal.
-const FIXED: f64 = 1e8;
 /// Shortest step within the sets before a solve gives up.
 const SHORTEST: f64 = 1e-10;
 
@@ -34,8 +33,6 @@ pub(super) type Row = [(usize, f64); 2];
 pub(super) enum Set {
     /// One row, `|z| ≤ limit`.
     Interval { limit: f64 },
-    /// One row, zero.
-    Fixed,
     /// `n` rows together, `|z| ≤ radius`.
     Ball { n: usize, radius: f64 },
 }
@@ -43,7 +40,7 @@ pub(super) enum Set {
 impl Set {
     fn len(self) -> usize {
         match self {
-            Self::Interval { .. } | Self::Fixed => 1,
+            Self::Interval { .. } => 1,
             Self::Ball { n, .. } => n,
         }
     }
@@ -51,24 +48,19 @@ impl Set {
     /// `½ (|z|² - radius²)/radius`, which is at most zero within the set.
     fn excess(self, z: &[f64]) -> f64 {
         let square = z.iter().map(|z| z * z).sum::<f64>();
-        match self {
-            Self::Interval { limit } | Self::Ball { radius: limit, .. } => {
-                0.5 * (square / limit - limit)
-            }
-            Self::Fixed => 0.0,
-        }
+        let limit = self.limit();
+        0.5 * (square / limit - limit)
     }
 
     fn limit(self) -> f64 {
         match self {
             Self::Interval { limit } | Self::Ball { radius: limit, .. } => limit,
-            Self::Fixed => 0.0,
         }
     }
 
     /// Whether it limits anything.
     fn bounds(self) -> bool {
-        self != Self::Fixed && self.limit().is_finite()
+        self.limit().is_finite()
     }
 }
 
@@ -87,6 +79,8 @@ pub(super) struct Subproblem {
     pub rows: Vec<Row>,
     pub sets: Vec<Set>,
     pub soft: SoftRows,
+    /// Variables that have the values of the inner point.
+    pub fixed: Vec<bool>,
     /// Cholesky factor of `H`, and of the matrix of an iteration.
     free: Mat<f64>,
     matrix: Mat<f64>,
@@ -126,6 +120,7 @@ impl Subproblem {
             rows: Vec::with_capacity(most_rows),
             sets: Vec::with_capacity(most_rows),
             soft: SoftRows::new(n, most_soft),
+            fixed: vec![false; n],
             free: Mat::zeros(n, n),
             matrix: Mat::zeros(n, n),
             scratch: MemBuffer::new(need),
@@ -138,7 +133,7 @@ impl Subproblem {
         }
     }
 
-    /// Factors the Hessian.
+    /// Factors the Hessian of the variables that are not fixed.
     ///
     /// # Errors
     /// [`MpcError::Subproblem`] where it has no factor.
@@ -148,48 +143,54 @@ impl Subproblem {
             return Err(MpcError::Subproblem);
         }
         self.free.copy_from(&self.hessian);
+        leave_out(&self.fixed, &mut self.free);
         factor(&mut self.free, &mut self.scratch)
     }
 
-    /// The minimum for the gradient `g`, where the rows have the values `a` at `x = 0`: written to `x`. Ends when the duality gap is below
-    /// `tolerance` times the decrease that the unconstrained minimum promises, or after `limit` iterations.
+    /// The minimum for the gradient `g`, where the rows have the values `a` at `x = 0`: written to `x`. `inside` is a point strictly within all
+    /// sets, with the values of the fixed variables. Ends when the duality gap is below `tolerance` times the decrease that the minimum without
+    /// sets promises, after `limit` iterations, or where rounding leaves the matrix of an iteration without a factor; `x` is within all sets
+    /// whichever it is.
     pub fn solve(
         &mut self,
         g: &[f64],
         a: &[f64],
+        inside: &[f64],
         tolerance: f64,
         limit: usize,
         x: &mut [f64],
-    ) -> Result<SubproblemEnd, MpcError> {
-        for (i, g) in g.iter().enumerate() {
-            self.direction[(i, 0)] = -g;
+    ) -> SubproblemEnd {
+        self.begin(inside, x);
+        slope(&self.hessian, g, x, &mut self.slope);
+        for (i, fixed) in self.fixed.iter().enumerate() {
+            self.direction[(i, 0)] = if *fixed { 0.0 } else { -self.slope[i] };
         }
         solve(&self.free, &mut self.direction);
-        let promised: f64 = (g.iter().enumerate())
-            .map(|(i, g)| -0.5 * g * self.direction[(i, 0)])
+        let promised: f64 = (self.slope.iter().enumerate())
+            .map(|(i, slope)| -0.5 * slope * self.direction[(i, 0)])
             .sum();
         for (i, x) in x.iter_mut().enumerate() {
-            *x = self.direction[(i, 0)];
+            *x += self.direction[(i, 0)];
         }
         values(&self.rows, a, x, &mut self.z);
-        let fixed = |set: Set, z: &[f64]| set == Set::Fixed && z[0] != 0.0;
-        if self
-            .of_sets()
-            .all(|(set, z)| set.excess(z) <= 0.0 && !fixed(set, z))
-            && self.soft.largest(x) <= 0.0
-        {
-            return Ok(SubproblemEnd {
+        if self.of_sets().all(|(set, z)| set.excess(z) <= 0.0) && self.soft.largest(x) <= 0.0 {
+            return SubproblemEnd {
                 iterations: 0,
                 converged: true,
-            });
+            };
         }
         let promised = promised + self.soft.cost();
         let n_sets = self.sets.iter().filter(|set| set.bounds()).count() + 2 * self.soft.len();
         let n_sets = n_sets.max(1) as f64;
-        self.start(a, promised / n_sets, x);
-        let enough = tolerance * promised.max(f64::MIN_POSITIVE);
-        let mut iterations = 0;
         let mut converged = false;
+        let mut iterations = 0;
+        if !self.start(a, inside, promised / n_sets, x) {
+            return SubproblemEnd {
+                iterations,
+                converged,
+            };
+        }
+        let enough = tolerance * promised.max(f64::MIN_POSITIVE);
         while iterations < limit && !converged {
             iterations += 1;
             let gap: f64 = (self.of_sets().zip(&self.y))
@@ -204,42 +205,57 @@ impl Subproblem {
             let gap = gap + self.soft.gap();
             let target = CENTERING * gap / n_sets;
             self.assemble(g, x, target);
-            factor(&mut self.matrix, &mut self.scratch)?;
+            if factor(&mut self.matrix, &mut self.scratch).is_err() {
+                break;
+            }
             solve(&self.matrix, &mut self.direction);
             let step = self.step(a, x, target);
             // A full step leaves no dual residual.
             converged = gap <= enough && step == 1.0 || step < SHORTEST;
         }
-        Ok(SubproblemEnd {
+        SubproblemEnd {
             iterations,
             converged,
-        })
+        }
     }
 
-    /// A point strictly within all sets: the values at `x = 0`, drawn towards zero as far as it takes; multipliers whose products with
-    /// the slacks are `product`.
-    fn start(&mut self, a: &[f64], product: f64, x: &mut [f64]) {
-        x.fill(0.0);
+    /// Zero, with the values of the fixed variables.
+    fn begin(&self, inside: &[f64], x: &mut [f64]) {
+        for ((x, inside), fixed) in x.iter_mut().zip(inside).zip(&self.fixed) {
+            *x = if *fixed { *inside } else { 0.0 };
+        }
+    }
+
+    /// The first iterate: `x = 0`, drawn towards the inner point as far as it takes to leave a part of every set's room there; and multipliers
+    /// whose products with the slacks are `product`. False where the inner point is none, to rounding: it is then the iterate.
+    fn start(&mut self, a: &[f64], inside: &[f64], product: f64, x: &mut [f64]) -> bool {
+        let norm = |z: &[f64]| z.iter().map(|z| z * z).sum::<f64>().sqrt();
+        self.begin(inside, x);
+        values(&self.rows, a, x, &mut self.trial);
+        values(&self.rows, a, inside, &mut self.z);
         let mut part = 1.0f64;
         let mut first = 0;
         for set in &self.sets {
-            let z = &a[first..first + set.len()];
-            first += set.len();
-            let size = z.iter().map(|z| z * z).sum::<f64>().sqrt();
-            if set.bounds() && size > BEGIN * set.limit() {
-                part = part.min(BEGIN * set.limit() / size);
+            let range = first..first + set.len();
+            first = range.end;
+            if !set.bounds() {
+                continue;
+            }
+            let (size, least) = (norm(&self.trial[range.clone()]), norm(&self.z[range]));
+            let room = set.limit() - least;
+            if !(room > 0.0) {
+                part = f64::NEG_INFINITY;
+            } else if size > least + BEGIN * room {
+                // The norm is convex along the way.
+                part = part.min(BEGIN * room / (size - least));
             }
         }
-        // Rows are differences of variables, or single ones: all values shrink with the variables.
-        let mut first = 0;
-        for set in &self.sets {
-            for i in first..first + set.len() {
-                let [(variable, _), (_, second)] = self.rows[i];
-                if second == 0.0 {
-                    x[variable] = (part - 1.0) * a[i];
-                }
+        let is_inside = part >= 0.0;
+        if part < 1.0 {
+            let part = part.max(0.0);
+            for (x, inside) in x.iter_mut().zip(inside) {
+                *x = inside + part * (*x - inside);
             }
-            first += set.len();
         }
         values(&self.rows, a, x, &mut self.z);
         self.soft.start(x, product);
@@ -253,6 +269,7 @@ impl Subproblem {
                 0.0
             };
         }
+        is_inside
     }
 
     fn of_sets(&self) -> impl Iterator<Item = (Set, &[f64])> {
@@ -273,21 +290,10 @@ impl Subproblem {
             self.direction[(i, 0)] = -self.slope[i];
         }
         (self.soft).assemble(target, &mut self.matrix, &mut self.direction);
-        let most = (0..n).fold(0.0f64, |m, i| m.max(self.hessian[(i, i)]));
         let mut first = 0;
         for (index, set) in self.sets.iter().enumerate() {
             let range = first..first + set.len();
             first = range.end;
-            if *set == Set::Fixed {
-                let weight = FIXED * most;
-                for (i, a) in self.rows[range.start] {
-                    self.direction[(i, 0)] -= weight * a * self.z[range.start];
-                    for (j, b) in self.rows[range.start] {
-                        self.matrix[(i, j)] += weight * a * b;
-                    }
-                }
-                continue;
-            }
             if !set.bounds() {
                 continue;
             }
@@ -308,6 +314,10 @@ impl Subproblem {
                     }
                 }
             }
+        }
+        leave_out(&self.fixed, &mut self.matrix);
+        for (i, _) in (self.fixed.iter().enumerate()).filter(|(_, fixed)| **fixed) {
+            self.direction[(i, 0)] = 0.0;
         }
     }
 
@@ -400,6 +410,17 @@ fn slope(hessian: &Mat<f64>, g: &[f64], x: &[f64], out: &mut [f64]) {
     }
 }
 
+/// Replaces rows and columns of fixed variables by those of the identity.
+fn leave_out(fixed: &[bool], matrix: &mut Mat<f64>) {
+    for (i, _) in (fixed.iter().enumerate()).filter(|(_, fixed)| **fixed) {
+        for j in 0..fixed.len() {
+            matrix[(i, j)] = 0.0;
+            matrix[(j, i)] = 0.0;
+        }
+        matrix[(i, i)] = 1.0;
+    }
+}
+
 fn factor(matrix: &mut Mat<f64>, scratch: &mut MemBuffer) -> Result<(), MpcError> {
     llt::factor::cholesky_in_place(
         matrix.as_mut(),
@@ -419,6 +440,8 @@ fn solve(factor: &Mat<f64>, x: &mut Mat<f64>) {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than what many steps of the
@@ -453,7 +476,8 @@ mod tests {
             let a: Vec<f64> = plan.clone();
             program.factor().unwrap();
             let mut x = vec![0.0; n];
-            let end = program.solve(&g, &a, 1e-10, 60, &mut x).unwrap();
+            let inside: Vec<f64> = a.iter().map(|a| -a).collect();
+            let end = program.solve(&g, &a, &inside, 1e-10, 60, &mut x);
             assert!(end.converged, "{case}: {end:?}");
             // Projected gradient.
             let step = 1.0 / (0..n).map(|i| program.hessian[(i, i)]).sum::<f64>();
@@ -501,6 +525,87 @@ mod tests {
         }
     }
 
+    /// Four vectors of three, of which the first is fixed, also on the boundary of what the others may be, and of which neighbors differ by little, from
+    /// a plan that is feasible or far from it: at the minimum, no way to another feasible point goes down.
+    #[test]
+    fn minima_keep_rates() {
+        let n = 12;
+        let mut dice = fastrand::Rng::with_seed(9);
+        for case in 0..60 {
+            let size = 10f64.powi(case % 5 - 2);
+            let mut program = Subproblem::new(n, 2 * n, 0);
+            let root: Vec<f64> = (0..n * n).map(|_| dice.f64() - 0.5).collect();
+            for i in 0..n {
+                for j in 0..n {
+                    let dot: f64 = (0..n).map(|k| root[i * n + k] * root[j * n + k]).sum();
+                    program.hessian[(i, j)] = dot + if i == j { 0.02 } else { 0.0 };
+                }
+            }
+            let change = 10f64.powi(-(case % 4));
+            for first in [3, 6, 9] {
+                program
+                    .rows
+                    .extend((first..first + 3).map(|i| [(i, 1.0), (i, 0.0)]));
+                program.sets.push(Set::Ball { n: 3, radius: 1.0 });
+                let differences = (first..first + 3).map(|i| [(i, 1.0), (i - 3, -1.0)]);
+                program.rows.extend(differences);
+                if case % 2 == 0 {
+                    let radius = change;
+                    program.sets.push(Set::Ball { n: 3, radius });
+                } else {
+                    let limit = change;
+                    program.sets.extend([Set::Interval { limit }; 3]);
+                }
+            }
+            program.fixed[..3].fill(true);
+            let acting = Vector3::new(dice.f64() - 0.5, dice.f64() - 0.5, dice.f64() - 0.5);
+            let acting = acting.normalize() * if case % 3 == 0 { 1.0 } else { 0.4 };
+            let plan: Vec<f64> = (0..n).map(|_| 3.0 * (dice.f64() - 0.5)).collect();
+            let inside: Vec<f64> = (0..n)
+                .map(|i| acting[i % 3] * (1.0 - 0.3 * change * (i / 3) as f64) - plan[i])
+                .collect();
+            let mut a = vec![0.0; program.rows.len()];
+            values(&program.rows, &vec![0.0; a.len()], &plan, &mut a);
+            let g: Vec<f64> = (0..n).map(|_| size * (dice.f64() - 0.5)).collect();
+            program.factor().unwrap();
+            let mut x = vec![0.0; n];
+            let end = program.solve(&g, &a, &inside, 1e-10, 100, &mut x);
+            assert!(end.converged, "{case}: {end:?}");
+            assert_eq!(x[..3], inside[..3]);
+            let mut slopes = vec![0.0; n];
+            slope(&program.hessian, &g, &x, &mut slopes);
+            let excess = |program: &mut Subproblem, x: &[f64]| {
+                values(&program.rows, &a, x, &mut program.z);
+                (program.of_sets())
+                    .map(|(set, z)| set.excess(z))
+                    .fold(f64::NEG_INFINITY, f64::max)
+            };
+            assert!(excess(&mut program, &x) <= 0.0, "{case}");
+            let mut steepest = 0.0f64;
+            for _ in 0..1000 {
+                let way: Vec<f64> = (0..n)
+                    .map(|i| if i < 3 { 0.0 } else { dice.f64() - 0.5 })
+                    .collect();
+                let mut part = 2.0;
+                let other = loop {
+                    let other: Vec<f64> = (inside.iter().zip(&way))
+                        .map(|(x, d)| x + part * d)
+                        .collect();
+                    if excess(&mut program, &other) <= 0.0 {
+                        break other;
+                    }
+                    part *= 0.7;
+                };
+                let along =
+                    (slopes.iter().zip(other.iter().zip(&x))).map(|(s, (to, x))| s * (to - x));
+                steepest = steepest.min(along.sum());
+            }
+            // The gap is measured by what the minimum without sets promises, which curvatures above 0.02 bound by 25 |g|².
+            let promised = 25.0 * slopes.iter().chain(&g).map(|s| s * s).sum::<f64>() + 1.0;
+            assert!(steepest > -1e-8 * promised, "{case}: {steepest:e}");
+        }
+    }
+
     /// With rows that may be violated at a price, nothing near the minimum or far from it is cheaper: rows that are kept, that are given way and that
     /// do not matter, with bounds and without, over ten orders of the prices.
     #[test]
@@ -534,7 +639,7 @@ mod tests {
             let a = vec![0.0; program.rows.len()];
             program.factor().unwrap();
             let mut x = vec![0.0; n];
-            let end = program.solve(&g, &a, 1e-12, 100, &mut x).unwrap();
+            let end = program.solve(&g, &a, &vec![0.0; n], 1e-12, 100, &mut x);
             assert!(end.converged, "{case}: {end:?}");
             let cost = |x: &[f64]| -> f64 {
                 if case % 2 == 0 && x.iter().any(|x| x.abs() > 0.5) {

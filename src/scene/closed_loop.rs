@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::error::SceneError;
 use super::model::{
-    self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
-    TimeStep, Unknown,
+    self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
+    Sensor as SensorKeys, TimeStep, Unknown,
 };
 use super::section::circular;
 use super::source::SceneSource;
@@ -118,7 +118,10 @@ impl Scene {
         let seed = mpc.seed.unwrap_or(seed);
         let sensors = self.sensors(source, &model, &found.rod)?;
         let actuators = self.actuators();
-        let loop_settings = loop_settings(mpc, actuators.delay);
+        let mut loop_settings = loop_settings(mpc, actuators.delay);
+        if self.estimator.is_some() {
+            loop_settings.fallback = loop_settings.fallback.following(&sensors);
+        }
         let followed = task.cost.tracks.iter().map(|track| track.from);
         let counted_from =
             (mpc.counted_from_s).map_or_else(|| followed.fold(period, f64::max), Number::get);
@@ -147,6 +150,14 @@ impl Scene {
             },
             actuator_delay_s: Some(known(loop_settings.actuator_delay)),
             seed: Some(seed),
+            fallback: self
+                .estimator
+                .is_some()
+                .then(|| Fallback {
+                    patience_s: loop_settings.fallback.patience.map(known),
+                    ..mpc.fallback.clone().unwrap_or_default()
+                })
+                .or_else(|| mpc.fallback.clone()),
             ..mpc.clone()
         });
         resolved.plant = Some(Plant {
@@ -177,6 +188,7 @@ impl Scene {
                 settings: loop_settings,
                 duration,
                 counted_from,
+                stop: stop.clone(),
                 ..Experiment::new(arm, task, discretization, settings)
             },
             model,
@@ -208,6 +220,7 @@ impl Scene {
             MpcError::Measurement { .. }
             | MpcError::Path { .. }
             | MpcError::Rollout(_)
+            | MpcError::Stopped(_)
             | MpcError::Subproblem => None,
         }
     }
@@ -431,7 +444,7 @@ fn loop_settings(mpc: &Mpc, actuator_delay: f64) -> LoopSettings {
         compensates: mpc.compensate,
         actuator_delay: mpc.actuator_delay_s.map_or(actuator_delay, Number::get),
         fallback: FallbackSettings {
-            patience: fallback.patience_s.get(),
+            patience: fallback.patience_s.map(Number::get),
             plan_samples: fallback.plan_samples,
             damping_samples: fallback.damping_samples,
             ramp: fallback.ramp_s.get(),

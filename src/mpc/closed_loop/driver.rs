@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::fallback::Fallback;
 use super::law::TipLaw;
@@ -194,6 +194,28 @@ impl Driver {
         self.controller.follow(path)
     }
 
+    /// Gives the tip other rotations to follow, see [`Controller::turn`].
+    ///
+    /// # Errors
+    /// As [`Controller::turn`].
+    pub fn turn(&mut self, rotations: &[(f64, Matrix3<f64>)]) -> Result<(), MpcError> {
+        self.controller.turn(rotations)
+    }
+
+    /// Moves obstacles of a name, see [`Controller::move_obstacle`].
+    ///
+    /// # Errors
+    /// As [`Controller::move_obstacle`].
+    pub fn move_obstacle(
+        &mut self,
+        name: &str,
+        t: f64,
+        by: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> Result<(), MpcError> {
+        self.controller.move_obstacle(name, t, by, velocity)
+    }
+
     /// Takes a measurement that has become known, for the estimator.
     pub fn put(&mut self, measurement: &Measurement) {
         self.inbox.put(measurement);
@@ -211,7 +233,7 @@ impl Driver {
         if index > self.index {
             self.index = index;
             self.is_lost = true;
-            self.fallback.lose_plan(&self.sent[self.sent.len() - 1]);
+            self.fallback.lose_plan();
         }
         let beginning = self.index as f64 * period;
         let mut sample = Sample::at(beginning);
@@ -244,7 +266,7 @@ impl Driver {
         sample.predict_s = clock.elapsed().as_secs_f64();
 
         let clock = Instant::now();
-        let mut command = match (cause, self.settings.law) {
+        let outcome = match (cause, self.settings.law) {
             (_, Law::OpenLoop) => {
                 // The plan goes on as if the model's own motion were measured.
                 self.state.clone_from(self.controller.expected());
@@ -253,31 +275,34 @@ impl Driver {
             (None, Law::Mpc) => self.controlled(acts_from),
             (None, Law::Regulator) => self.regulated(acts_from),
             (None, Law::Tip(_)) => match &self.tip_law {
-                Some(law) => Ok(law.command(&self.controller, &self.state, acts_from)),
+                Some(law) => {
+                    law.command(&mut self.controller, &self.state, acts_from);
+                    Ok(())
+                }
                 None => Err(Cause::NoMeasurement),
             },
             (Some(cause), _) => Err(cause),
         };
-        if let Err(cause) = command {
-            let (own, action) =
+        if let Err(cause) = outcome {
+            let action =
                 (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
             sample.fallback = Some((cause, action));
             // The controller does not know what acts instead of its plan.
             self.is_lost |= action != Action::Plan;
-            command = Ok(own);
         } else {
             self.fallback.succeed();
         }
-        let command = command.unwrap_or_else(|_| self.sent[self.sent.len() - 1].clone());
         sample.feedback_s = clock.elapsed().as_secs_f64();
         self.computing = self.begin.elapsed().as_secs_f64();
         sample.acts_from = if self.settings.computing == Computing::Measured {
-            beginning + self.computing + self.settings.actuator_delay
+            // Whoever is still computing the command before does not overtake it.
+            let own = beginning + self.computing + self.settings.actuator_delay;
+            own.max(self.sent().start)
         } else {
             acts_from
         };
-        sample.note_command(&command, self.controller.record());
-        self.send(command, sample.acts_from);
+        self.send(sample.acts_from);
+        sample.note_command(&self.sent[self.sent.len() - 1], self.controller.record());
         sample
     }
 
@@ -354,7 +379,7 @@ impl Driver {
         self.disturbance = estimate.disturbance;
         self.deviation = estimate.deviation;
         // The last good estimate is predicted further for as long as the fall-back's patience.
-        let is_old = sample.age > self.settings.fallback.patience;
+        let is_old = sample.age > self.settings.fallback.patience();
         match cause {
             Some(cause) if n_used == 0 && is_old => Some(cause),
             None if n_used == 0 && is_old => Some(Cause::NoMeasurement),
@@ -387,37 +412,39 @@ impl Driver {
         None
     }
 
-    /// The controller's command for the present state; after failures it starts anew.
-    fn controlled(&mut self, acts_from: f64) -> Result<Command, Cause> {
-        if self.is_lost {
-            if self.settings.compensates {
-                let disturbed = self.controller.disturb(&self.disturbance);
-                disturbed.map_err(|error| Cause::of_controller(&error))?;
-            }
-            let restarted = self.controller.restart(acts_from, &self.state);
-            restarted.map_err(|error| Cause::of_controller(&error))?;
-            self.is_lost = false;
-        }
-        let command = self.controller.feedback(&self.state);
-        match command {
-            Ok(command) => Ok(command.clone()),
-            Err(error) => Err(Cause::of_controller(&error)),
-        }
+    /// Makes the controller issue its command for the present state; after failures it starts anew.
+    fn controlled(&mut self, acts_from: f64) -> Result<(), Cause> {
+        self.find_again(acts_from)?;
+        let issued = self.controller.feedback(&self.state);
+        issued.map_err(|error| Cause::of_controller(&error))?;
+        Ok(())
     }
 
-    /// What the regulator about the plan's own motion answers to the present state; the plan goes on as if that motion were measured.
-    fn regulated(&mut self, acts_from: f64) -> Result<Command, Cause> {
+    /// Makes it issue what the regulator about the plan's own motion answers to the present state.
+    fn regulated(&mut self, acts_from: f64) -> Result<(), Cause> {
+        self.find_again(acts_from)?;
         let response = self.controller.regulate(&self.state);
-        let response = response.map_err(|error| Cause::of_controller(&error))?;
-        self.state.clone_from(self.controller.expected());
-        self.controlled(acts_from).map(|_| response)
+        response.map_err(|error| Cause::of_controller(&error))
     }
 
-    /// Keeps a command for the estimates to come, and what the actuators are to be told.
-    fn send(&mut self, mut command: Command, acts_from: f64) {
-        let shift = acts_from - command.start;
-        command.start += shift;
-        command.end += shift;
+    /// Starts a lost controller anew.
+    fn find_again(&mut self, acts_from: f64) -> Result<(), Cause> {
+        if !self.is_lost {
+            return Ok(());
+        }
+        if self.settings.compensates {
+            let disturbed = self.controller.disturb(&self.disturbance);
+            disturbed.map_err(|error| Cause::of_controller(&error))?;
+        }
+        let restarted = self.controller.restart(acts_from, &self.state);
+        restarted.map_err(|error| Cause::of_controller(&error))?;
+        self.is_lost = false;
+        Ok(())
+    }
+
+    /// Sends the controller's last command from `acts_from` on, and keeps it for the estimates to come.
+    fn send(&mut self, acts_from: f64) {
+        let command = self.controller.release(acts_from);
         self.told.clone_from(&command);
         self.told.start -= self.settings.actuator_delay;
         self.told.end -= self.settings.actuator_delay;

@@ -16,6 +16,7 @@ use crate::mpc::estimator::{
 use crate::mpc::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::mpc::simulated_arm::{ActuatorDynamics, SimulatedArm};
 use crate::mpc::transfer::Transfer;
+use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Task};
 
 /// A closed loop to be: everything that it is made of, before anything is discretized.
@@ -45,6 +46,8 @@ pub struct Experiment {
     pub duration: f64,
     /// From which time on errors count, s.
     pub counted_from: f64,
+    /// What ends the making of plants and controllers before they are made. The samples of a run are ended by its observer.
+    pub stop: StopSignal,
 }
 
 /// How the state becomes known.
@@ -288,6 +291,7 @@ impl Experiment {
             sensing: Sensing::Everything,
             settings: LoopSettings::default(),
             counted_from: 0.0,
+            stop: StopSignal::default(),
         }
     }
 
@@ -338,7 +342,8 @@ impl Experiment {
             start: self.settings.lead(),
             ..self.mpc
         };
-        Controller::new(&self.arm, &self.task, &self.discretization, &mpc)
+        let (arm, task) = (&self.arm, &self.task);
+        Controller::new_until(arm, task, &self.discretization, &mpc, &self.stop)
     }
 
     fn contend(
@@ -347,9 +352,8 @@ impl Experiment {
         observer: &mut SampleObserver,
     ) -> Result<Outcome, MpcError> {
         let controller = self.controller()?;
-        let plant = self
-            .task
-            .discretize(&self.plant, &self.plant_discretization)?;
+        let plant =
+            (self.task).discretize_until(&self.plant, &self.plant_discretization, &self.stop)?;
         let (mut rod, start) = (plant.discrete.rod, plant.discrete.initial);
         if let Some(adjust) = self.adjust {
             adjust(Arc::make_mut(&mut rod));
@@ -365,6 +369,7 @@ impl Experiment {
             self.actuators,
         )?;
         let mut closed = ClosedLoop::new(controller, arm, knowledge, self.settings)?;
+        self.stop.check()?;
         let n = (self.duration / period).round().max(1.0) as usize;
         let mut samples = Vec::with_capacity(n);
         let mut broke_down = None;
@@ -403,7 +408,11 @@ impl Experiment {
         let estimator = self.estimator(&controller)?;
         let sensors = self.sensors(controller.rod());
         let lag = (sensors.iter()).fold(0.0, |lag: f64, sensor| lag.max(sensor.age_s));
-        Driver::new(controller, estimator, lag, self.settings)
+        let settings = LoopSettings {
+            fallback: self.settings.fallback.following(&sensors),
+            ..self.settings
+        };
+        Driver::new(controller, estimator, lag, settings)
     }
 
     /// Settings of the sensors, each with a seed of its own; none where no estimator asks for any.

@@ -3,9 +3,10 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::{Rod, State, Wrench};
-use crate::mpc::controller::{Command, Controller};
+use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;
+use crate::mpc::sensor::SensorSettings;
 
 /// Why a sample has no command of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -80,8 +81,8 @@ impl std::fmt::Display for Action {
 /// How long each fall-back is trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FallbackSettings {
-    /// Age of an estimate that is still predicted from, s.
-    pub patience: f64,
+    /// Age of an estimate that is still predicted from, s. `None`: what the sensors need, at least [`PATIENCE`](Self::PATIENCE).
+    pub patience: Option<f64>,
     /// Samples in a row that follow the plan as it is; the plan says less and less about an arm that nobody measures.
     pub plan_samples: usize,
     /// Samples in a row after these that damp the tip, where its velocity is known.
@@ -95,7 +96,7 @@ pub struct FallbackSettings {
 impl Default for FallbackSettings {
     fn default() -> Self {
         Self {
-            patience: 0.1,
+            patience: None,
             plan_samples: 10,
             damping_samples: 50,
             ramp: 0.5,
@@ -105,9 +106,29 @@ impl Default for FallbackSettings {
 }
 
 impl FallbackSettings {
+    /// Least age of an estimate that is still predicted from where nothing else is said, s.
+    pub const PATIENCE: f64 = 0.1;
+
+    /// The same with the patience that sensors need. Between two readings an estimate grows as old as the reading's own age and the time between
+    /// two of them; one reading may be lost.
+    #[must_use]
+    pub fn following<'a>(self, sensors: impl IntoIterator<Item = &'a SensorSettings>) -> Self {
+        let needed = (sensors.into_iter())
+            .map(|sensor| sensor.age_s + 2.0 / sensor.rate_hz)
+            .fold(Self::PATIENCE, f64::max);
+        Self {
+            patience: self.patience.or(Some(needed)),
+            ..self
+        }
+    }
+
+    pub(super) fn patience(&self) -> f64 {
+        self.patience.unwrap_or(Self::PATIENCE)
+    }
+
     pub(super) fn check(&self) -> Result<(), MpcError> {
         for (name, value) in [
-            ("fallback.patience", self.patience),
+            ("fallback.patience", self.patience()),
             ("fallback.ramp", self.ramp),
             ("fallback.damping", self.damping),
         ] {
@@ -130,8 +151,6 @@ pub(super) struct Fallback {
     in_a_row: usize,
     /// `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, kg/s.
     damping: f64,
-    /// What was sent last, from which a ramp begins.
-    before: Option<Command>,
 }
 
 impl Fallback {
@@ -145,89 +164,59 @@ impl Fallback {
             damping: 2.0 * settings.damping * (stiffness * 0.25 * model.mass()).sqrt(),
             settings,
             in_a_row: 0,
-            before: None,
         }
     }
 
     /// A sample had a command of its own.
     pub(super) fn succeed(&mut self) {
         self.in_a_row = 0;
-        self.before = None;
     }
 
     /// Samples have been left out, and the horizon of the plan has not moved meanwhile: what follows without a command of its own begins after
-    /// the plan, with the end of `last`.
-    pub(super) fn lose_plan(&mut self, last: &Command) {
+    /// the plan.
+    pub(super) fn lose_plan(&mut self) {
         self.in_a_row = self.in_a_row.max(self.settings.plan_samples);
-        self.before = Some(last.clone());
     }
 
-    /// A command from the time `start` on, within the bounds of the task.
+    /// Makes the controller issue a command from the time `start` on.
     pub(super) fn command(
         &mut self,
         controller: &mut Controller,
         state: &State,
         start: f64,
         cause: Cause,
-    ) -> (Command, Action) {
+    ) -> Action {
         self.in_a_row += 1;
         let plan = self.settings.plan_samples;
         let knows_velocity = !matches!(
             cause,
             Cause::NoMeasurement | Cause::BadMeasurement | Cause::Estimate
         );
-        let (command, action) = if self.in_a_row <= plan {
-            (controller.plan_alone(start).clone(), Action::Plan)
+        if self.in_a_row <= plan {
+            controller.plan_alone(start);
+            Action::Plan
         } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
-            (self.damped(controller, state, start), Action::Damping)
+            controller.steer(start, Aim::Tip(self.damped(controller.rod(), state)));
+            Action::Damping
         } else {
-            (self.ramp(controller, start), Action::Ramp)
-        };
-        self.before = Some(command.clone());
-        (command, action)
+            let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
+            controller.steer(start, Aim::Part(left));
+            Action::Ramp
+        }
     }
 
-    fn damped(&self, controller: &Controller, state: &State, start: f64) -> Command {
-        let rod = controller.rod();
+    /// A force against the velocity of the tip.
+    fn damped(&self, rod: &Rod, state: &State) -> Wrench {
         let tip = rod.tip();
         let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;
-        let mut command = controller.still(start);
-        for (at, node) in command.nodes.iter().enumerate() {
-            if *node == tip && velocity.iter().all(|v| v.is_finite()) {
-                let force = -self.damping * velocity;
-                for wrench in [&mut command.from[at], &mut command.to[at]] {
-                    wrench.force = force;
-                }
-            }
+        let is_finite = velocity.iter().all(|v| v.is_finite());
+        Wrench {
+            force: if is_finite {
+                -self.damping * velocity
+            } else {
+                Vector3::zeros()
+            },
+            ..Wrench::default()
         }
-        controller.within_bounds(&mut command);
-        command
-    }
-
-    fn ramp(&self, controller: &Controller, start: f64) -> Command {
-        let mut command = controller.still(start);
-        let Some(before) = &self.before else {
-            return command;
-        };
-        let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
-        let shrink = |wrench: &Wrench| {
-            let one = |v: Vector3<f64>| {
-                if v.iter().all(|c| c.is_finite()) {
-                    v * left
-                } else {
-                    Vector3::zeros()
-                }
-            };
-            Wrench {
-                force: one(wrench.force),
-                moment: one(wrench.moment),
-            }
-        };
-        for (at, wrench) in before.to.iter().enumerate() {
-            command.from[at] = *wrench;
-            command.to[at] = shrink(wrench);
-        }
-        controller.within_bounds(&mut command);
-        command
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::{State, Wrench};
-use crate::mpc::controller::{Command, Controller};
+use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::Holding;
 
@@ -75,8 +75,8 @@ impl TipLaw {
         })
     }
 
-    /// The command from `start` on, constant over a period.
-    pub(super) fn command(&self, controller: &Controller, state: &State, start: f64) -> Command {
+    /// Makes the controller issue the command from `start` on, constant over a period as far as rates allow.
+    pub(super) fn command(&self, controller: &mut Controller, state: &State, start: f64) {
         let rod = controller.rod();
         let tip = rod.tip();
         let reference = |t: f64| Vector3::from(controller.reference(t).unwrap_or_default());
@@ -86,15 +86,6 @@ impl TipLaw {
         let holding = self.holding.wrench(start, 1.0);
         let off = reference(start) - state.configuration.positions[tip];
         let force = holding.force + self.stiffness * off + self.damping * (wanted - velocity);
-        let mut command = controller.still(start);
-        for (at, node) in command.nodes.iter().enumerate() {
-            if *node == tip && force.iter().all(|f| f.is_finite()) {
-                let wrench = Wrench { force, ..holding };
-                command.from[at] = wrench;
-                command.to[at] = wrench;
-            }
-        }
-        controller.within_bounds(&mut command);
-        command
+        controller.steer(start, Aim::Tip(Wrench { force, ..holding }));
     }
 }

@@ -148,6 +148,10 @@ impl<'a> ClosedLoop<'a> {
             Knowledge::Sensors { sensors, estimator } => (sensors, Some(estimator)),
         };
         let lag = (sensors.iter()).fold(0.0, |lag: f64, sensor| lag.max(sensor.settings().age_s));
+        let settings = LoopSettings {
+            fallback: (settings.fallback).following(sensors.iter().map(Sensor::settings)),
+            ..settings
+        };
         Ok(Self {
             driver: Driver::new(controller, estimator, lag, settings)?,
             arm,

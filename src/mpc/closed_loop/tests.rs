@@ -6,6 +6,7 @@ use std::ops::ControlFlow;
 use nalgebra::Vector3;
 
 use super::{Cause, Contender, Experiment};
+use crate::control::Bound;
 use crate::mechanics::Material;
 use crate::mpc::MpcSettings;
 use crate::mpc::subproblem::FAILS;
@@ -14,6 +15,8 @@ use crate::task::{
 };
 
 const FORCE: f64 = 3.0;
+/// N/s: all of the force within a tenth of a second.
+const RATE: f64 = 30.0;
 const SAMPLES: usize = 10_000;
 
 /// A soft arm whose tip is to be held a tenth of its length aside, pushed once a second.
@@ -29,7 +32,10 @@ fn scene() -> Experiment {
         targets: Vec::new(),
         actuators: vec![WrenchActuator {
             at: Place::Tip,
-            force: ChannelLimits::at_most(FORCE),
+            force: ChannelLimits {
+                rate_bound: Some(Bound::Norm(RATE)),
+                ..ChannelLimits::at_most(FORCE)
+            },
             moment: ChannelLimits::NONE,
         }],
         cost: Cost {
@@ -62,8 +68,8 @@ fn scene() -> Experiment {
     scene
 }
 
-/// Ten thousand samples in which factorizations fail one at a time and in bursts that outlast the plan: every command is finite and within its bound,
-/// every fall-back has its cause, a restart follows each burst, and the tip is where it should be once the controller works again.
+/// Ten thousand samples in which factorizations fail one at a time and in bursts that outlast the plan: every command is finite, within its bound, and
+/// goes on from the one before at no more than its rate, every fall-back has its cause, a restart follows each burst, and the tip is where it should be once the controller works again.
 #[test]
 fn forced_failures_are_survived() {
     let scene = scene();
@@ -83,7 +89,14 @@ fn forced_failures_are_survived() {
     let mut forced = Some(forced);
     let mut causes = BTreeMap::new();
     let (mut n, mut since, mut worst) = (0, 0, 0.0f64);
-    let outcome = scene.run(Contender::Mpc, &mut |sample, _| {
+    let mut before = Vector3::zeros();
+    let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
+        let sent = closed.sent();
+        let [from, to] = [sent.from[0].force, sent.to[0].force];
+        assert!((from - before).norm() < 1e-9 * FORCE, "{} jumps", sample.t);
+        let most = RATE * (sent.end - sent.start) * (1.0 + 1e-9);
+        assert!((to - from).norm() < most, "{} is too fast", sample.t);
+        before = to;
         if let Some(forced) = forced.take() {
             FAILS.set(forced);
         }

@@ -1,89 +1,188 @@
-//! Bounds on the coefficients of the plan and on their rates, as rows and sets of the subproblem.
+//! Bounds on the coefficients of the plan and on their rates, as rows and sets of the subproblem, and a plan that is strictly within all of them.
+//!
+//! A rate is that from the command that acts. A linear course does not jump, so that its first coefficient is what acts; the first of a
+//! constant course differs from it by at most the rate times a period, as one command differs from the next.
+
+use std::ops::Range;
+
+use nalgebra::Vector3;
 
 use super::super::horizon::Horizon;
 use super::super::subproblem::{Set, Subproblem};
-use super::{Command, Controller};
-use crate::control::{Bound, Hold};
+use super::Controller;
+use crate::control::{Bound, Channel, Hold};
+
+/// Part of the fastest way to zero that the inner plan takes.
+const SLOWER: f64 = 0.5;
+
+/// The components of every vector that bounds are on, with its channel.
+pub(super) fn channels(horizon: &Horizon) -> impl Iterator<Item = (Range<usize>, Channel)> {
+    let components = &horizon.components;
+    let mut start = 0;
+    std::iter::from_fn(move || {
+        let first = components.get(start)?;
+        let n = (components[start..].iter())
+            .take_while(|other| {
+                other.actuator == first.actuator && other.axis / 3 == first.axis / 3
+            })
+            .count();
+        let range = start..start + n;
+        start = range.end;
+        Some((range, *horizon.problem.channel(first)))
+    })
+}
+
+/// The vector of one channel, in its unit, of scaled components.
+pub(super) fn vector(
+    horizon: &Horizon,
+    range: &Range<usize>,
+    channel: &Channel,
+    scaled: &[f64],
+) -> Vector3<f64> {
+    let mut out = Vector3::zeros();
+    for c in range.clone() {
+        out[horizon.components[c].axis % 3] = scaled[c] * channel.scale;
+    }
+    out
+}
+
+/// Whether any rate of a channel is bounded.
+pub(super) fn is_slow(channel: &Channel) -> bool {
+    match channel.rate_bound {
+        None => false,
+        Some(Bound::Norm(most)) => most.is_finite(),
+        Some(Bound::PerAxis(most)) => most.iter().any(|most| most.is_finite()),
+    }
+}
+
+/// Part of the way `change` that is within `limit` times `factor`.
+pub(super) fn part_within(limit: &Bound, factor: f64, change: &Vector3<f64>) -> f64 {
+    let part = |size: f64, most: f64| {
+        if size > most * factor {
+            most * factor / size
+        } else {
+            1.0
+        }
+    };
+    match limit {
+        Bound::Norm(most) => part(change.norm(), *most),
+        Bound::PerAxis(most) => (0..3)
+            .map(|axis| part(change[axis].abs(), most[axis]))
+            .fold(1.0, f64::min),
+    }
+}
 
 impl Controller {
-    /// Rows and sets of the bounds on coefficients, and on their rates.
+    /// Rows and sets of the bounds on coefficients, and on their rates, and which variables are fixed.
     pub(super) fn constrain(&mut self) {
         let Self {
             subproblem,
             horizon,
+            from_acting,
+            settings,
             ..
         } = self;
         subproblem.rows.clear();
         subproblem.sets.clear();
+        subproblem.fixed.fill(false);
+        from_acting.clear();
         let n_components = horizon.components.len();
+        let is_constant = horizon.knots.hold() == Hold::Constant;
         for coefficient in 0..horizon.knots.len() {
-            let mut c = 0;
-            while c < n_components {
-                let component = horizon.components[c];
-                let channel = horizon.problem.channel(&component);
-                let end = (c..n_components)
-                    .find(|&other| {
-                        let next = horizon.components[other];
-                        next.actuator != component.actuator || next.axis / 3 != component.axis / 3
-                    })
-                    .unwrap_or(n_components);
-                let scale = channel.scale;
-                let base = coefficient * n_components;
-                bounded(
-                    subproblem,
-                    horizon,
-                    c..end,
-                    channel.bound,
-                    1.0 / scale,
-                    |c| [(base + c, 1.0), (base + c, 0.0)],
-                );
+            let base = coefficient * n_components;
+            for (range, channel) in channels(horizon) {
+                let unit = 1.0 / channel.scale;
+                let own = |c: usize| [(base + c, 1.0), (base + c, 0.0)];
+                if coefficient == 0 && !is_constant && is_slow(&channel) {
+                    for c in range {
+                        subproblem.fixed[c] = true;
+                    }
+                    continue;
+                }
+                bounded(subproblem, horizon, &range, channel.bound, unit, own);
+                if !is_slow(&channel) {
+                    continue;
+                }
+                for c in range.clone() {
+                    let axis = horizon.components[c].axis % 3;
+                    let never = channel.rate_bound.is_some_and(|rate| !rate.actuates(axis));
+                    subproblem.fixed[base + c] = never;
+                }
                 if let Some(before) = coefficient.checked_sub(1) {
-                    let unit = horizon.knots.gap(before) / scale;
+                    let unit = unit * horizon.knots.gap(before);
                     let before = before * n_components;
-                    bounded(subproblem, horizon, c..end, channel.rate_bound, unit, |c| {
+                    bounded(subproblem, horizon, &range, channel.rate_bound, unit, |c| {
                         [(base + c, 1.0), (before + c, -1.0)]
                     });
-                } else if channel.rate_bound.is_some() && horizon.knots.hold() == Hold::Linear {
-                    // A course whose rate is bounded does not jump.
-                    let still = channel.rate_bound;
-                    bounded(subproblem, horizon, c..end, still, 0.0, |c| {
-                        [(base + c, 1.0), (base + c, 0.0)]
-                    });
+                } else {
+                    let unit = unit * settings.period;
+                    let rows = subproblem.rows.len();
+                    bounded(subproblem, horizon, &range, channel.rate_bound, unit, own);
+                    from_acting.extend(rows..subproblem.rows.len());
                 }
-                c = end;
             }
         }
     }
 
-    /// Brings a command within the bounds of the task on forces and moments, by their length where the bound is on that; what is not actuated
-    /// is taken away. What actuators of one's own do to other nodes stays as it is.
-    pub fn within_bounds(&self, command: &mut Command) {
-        let problem = &self.horizon.problem;
-        for (at, node) in command.nodes.iter().enumerate() {
-            let actuators = problem.wrench_actuators();
-            let Some(actuator) = actuators.iter().find(|own| own.node == *node) else {
+    /// Values of the rows of [`constrain`](Self::constrain) at the present plan, with what acts.
+    pub(super) fn write_offsets(&mut self) {
+        for (i, row) in self.subproblem.rows.iter().enumerate() {
+            self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
+        }
+        for &row in &self.from_acting {
+            let [(c, _), _] = self.subproblem.rows[row];
+            self.offsets[row] -= self.acting[c];
+        }
+    }
+
+    /// Writes the way from the present plan to one that is strictly within all bounds: from what acts towards zero at half of the rates; zero
+    /// where only magnitudes are bounded, and the present plan where nothing is.
+    pub(super) fn write_inside(&mut self) {
+        let Self {
+            horizon,
+            inside,
+            plan,
+            acting,
+            settings,
+            ..
+        } = self;
+        let n_components = horizon.components.len();
+        let is_constant = horizon.knots.hold() == Hold::Constant;
+        inside.fill(0.0);
+        for (range, channel) in channels(horizon) {
+            let is_slow = is_slow(&channel);
+            if channel.bound.is_none() && !is_slow {
                 continue;
-            };
-            for wrench in [&mut command.from[at], &mut command.to[at]] {
-                wrench.force = actuator.force.within(&wrench.force);
-                wrench.moment = actuator.moment.within(&wrench.moment);
             }
-        }
-    }
-
-    /// Rows that keep the first knot at the control that acts have it as their origin.
-    pub(super) fn start_rows(&mut self) {
-        let mut start = 0;
-        for set in &mut self.subproblem.sets {
-            let len = match set {
-                Set::Interval { .. } | Set::Fixed => 1,
-                Set::Ball { n, .. } => *n,
+            let mut at = if is_slow {
+                vector(horizon, &range, &channel, acting)
+            } else {
+                Vector3::zeros()
             };
-            if *set == Set::Fixed {
-                let (i, _) = self.subproblem.rows[start][0];
-                self.offsets[start] -= self.acting[i];
+            for coefficient in 0..horizon.knots.len() {
+                let time = match coefficient.checked_sub(1) {
+                    Some(before) => horizon.knots.gap(before),
+                    None if is_constant => settings.period,
+                    None => 0.0,
+                };
+                at = match channel.rate_bound.filter(|_| is_slow) {
+                    // What is fixed stays.
+                    _ if time == 0.0 => at,
+                    None => at,
+                    Some(bound @ Bound::Norm(_)) => {
+                        at * (1.0 - part_within(&bound, SLOWER * time, &at))
+                    }
+                    // Every axis takes its own time.
+                    Some(Bound::PerAxis(most)) => at.zip_map(&most, |at, most| {
+                        let most = SLOWER * most * time;
+                        at - at.clamp(-most, most)
+                    }),
+                };
+                for c in range.clone() {
+                    let j = coefficient * n_components + c;
+                    inside[j] = at[horizon.components[c].axis % 3] / channel.scale - plan[j];
+                }
             }
-            start += len;
         }
     }
 }
@@ -92,35 +191,29 @@ impl Controller {
 fn bounded(
     subproblem: &mut Subproblem,
     horizon: &Horizon,
-    range: std::ops::Range<usize>,
+    range: &Range<usize>,
     bound: Option<Bound>,
     unit: f64,
     row: impl Fn(usize) -> [(usize, f64); 2],
 ) {
     match bound {
         None => {}
-        Some(Bound::Norm(limit)) if unit > 0.0 => {
+        Some(Bound::Norm(limit)) => {
             let n = range.len();
-            subproblem.rows.extend(range.map(row));
             let radius = limit * unit;
-            subproblem.sets.push(Set::Ball { n, radius });
+            if radius > 0.0 && radius.is_finite() {
+                subproblem.rows.extend(range.clone().map(row));
+                subproblem.sets.push(Set::Ball { n, radius });
+            }
         }
-        Some(bound) => {
-            for c in range {
-                let limit = match bound {
-                    Bound::Norm(limit) => limit,
-                    Bound::PerAxis(limits) => limits[horizon.components[c].axis % 3],
-                };
-                let limit = if unit == 0.0 { 0.0 } else { limit * unit };
-                if !limit.is_finite() {
-                    continue; // an axis without a bound
+        Some(Bound::PerAxis(limits)) => {
+            for c in range.clone() {
+                let limit = limits[horizon.components[c].axis % 3] * unit;
+                // Neither an axis without a bound nor one that is fixed has a row.
+                if limit > 0.0 && limit.is_finite() {
+                    subproblem.rows.push(row(c));
+                    subproblem.sets.push(Set::Interval { limit });
                 }
-                subproblem.rows.push(row(c));
-                subproblem.sets.push(if limit == 0.0 {
-                    Set::Fixed
-                } else {
-                    Set::Interval { limit }
-                });
             }
         }
     }

@@ -65,7 +65,8 @@ impl Controller {
         (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
     }
 
-    /// What holds the tip along its reference; `None` without one, and where it goes on for more than ten minutes.
+    /// What holds the tip along its reference; `None` without one, where it goes on for more than ten minutes, and where
+    /// the making of the controller is stopped.
     pub(in crate::mpc) fn holding(&self) -> Option<Holding> {
         let tip = self.horizon.problem.rod.tip();
         let mut effects = self.horizon.effects.iter().flatten();
@@ -79,7 +80,23 @@ impl Controller {
         }
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let start = &self.horizon.problem.initial.configuration;
-        Holding::along(self.rod(), start, reference, spacing, self.reference_end())
+        let (end, stop) = (self.reference_end(), &self.horizon.stop);
+        Holding::along(self.rod(), start, reference, spacing, end, stop)
+    }
+
+    /// Whether the tip is to be at one place and turned in one way for ever.
+    pub(super) fn is_reference_at_rest(&self) -> bool {
+        let problem = &self.horizon.problem;
+        tip_track(problem).is_none_or(|track| track.path.len() <= 1)
+            && tip_turns(problem).is_none_or(|track| track.rotations.len() <= 1)
+    }
+
+    /// When the path of the tip ends on its way, s; `None` where there is none, or where it has come to rest by then.
+    pub(in crate::mpc) fn path_breaks_off(&self) -> Option<f64> {
+        match &tip_track(&self.horizon.problem)?.path[..] {
+            [.., (_, before), (end, last)] if before != last => Some(*end),
+            _ => None,
+        }
     }
 
     pub(super) fn counts_from_holding(&self) -> bool {

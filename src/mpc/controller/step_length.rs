@@ -48,6 +48,7 @@ impl Controller {
             let full = self.plan.clone();
             let mut part = 1.0;
             loop {
+                self.horizon.stop.check()?;
                 if self.horizon.roll_out(&self.plan).is_ok() {
                     let found = self.cost();
                     if found <= cost + COST_ROUNDING * cost.abs() {

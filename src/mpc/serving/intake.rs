@@ -47,6 +47,12 @@ struct Moving {
     is_momentum: bool,
 }
 
+/// Readings of one line at the most. An estimator looks at each of them before the plant has its answer.
+pub(super) const MOST_READINGS: usize = 1000;
+/// Signals of one instant that an estimator looks at together. It factors a matrix of three times as many rows; blocks one after the other say the
+/// same, and their time grows with their number alone.
+const BLOCK: usize = 128;
+
 /// Makes states and signals of lines.
 #[derive(Debug)]
 pub(super) struct Intake {
@@ -141,6 +147,14 @@ impl Intake {
         known_at: f64,
         line: &Line,
     ) -> Result<(Vec<Measurement>, Vec<Refusal>), Refusal> {
+        let n = line.readings.as_ref().map_or(0, Vec::len);
+        if n > MOST_READINGS {
+            return Err(Refusal::new(
+                "readings",
+                format!("{n} of them, and a line may have {MOST_READINGS}"),
+                "give fewer places, or what a sensor reads between two samples as its mean",
+            ));
+        }
         let mut readings: Vec<(String, ReadingLine)> = (line.readings.iter().flatten().enumerate())
             .map(|(i, reading)| (format!("readings[{i}]"), reading.clone()))
             .collect();
@@ -177,7 +191,14 @@ impl Intake {
             }
             self.read(&name, &reading, &mut found[at].signals)?;
         }
-        Ok((found, refusals))
+        let blocks = found.iter().flat_map(|measurement| {
+            let blocks = measurement.signals.chunks(BLOCK);
+            blocks.map(|signals| Measurement {
+                time: measurement.time,
+                signals: signals.to_vec(),
+            })
+        });
+        Ok((blocks.collect(), refusals))
     }
 
     /// Positions and rotations of all nodes.

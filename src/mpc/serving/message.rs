@@ -45,6 +45,18 @@ pub(super) struct Line {
     pub readings: Option<Vec<ReadingLine>>,
     /// Rows of a time and a position.
     pub reference_m: Option<Vec<[f64; 4]>>,
+    /// Rows of a time and a quaternion.
+    pub reference_wxyz: Option<Vec<[f64; 5]>>,
+    pub obstacles: Option<Vec<ObstacleLine>>,
+}
+
+/// Where an obstacle is at the time of the sample, from where the scene has it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ObstacleLine {
+    pub name: String,
+    pub moved_m: Vector,
+    pub velocity_m_s: Option<Vector>,
 }
 
 /// What one sensor reads at one place.
@@ -79,7 +91,10 @@ pub(super) struct Hello<'a> {
     pub nodes: Vec<NodeLine>,
     pub actuators: Vec<ActuatorLine>,
     pub accepts: Vec<&'static str>,
+    pub most_readings: usize,
     pub sensors: Vec<SensorLine>,
+    pub obstacles: Vec<&'a str>,
+    pub path_ends_s: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]

@@ -20,9 +20,9 @@ use std::io::{self, BufRead, Write};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
-use self::intake::{Intake, Refusal};
+use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
     ActuatorLine, CommandLine, DisturbanceLine, ErrorLine, FallbackLine, Hello, Kind, Line,
     NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows, version_message,
@@ -30,6 +30,7 @@ use self::message::{
 use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
 use super::error::MpcError;
 use crate::mechanics::place::node_places;
+use crate::mechanics::rotation::from_quaternion;
 use crate::output::summary::TOOL;
 
 pub use self::message::Served;
@@ -121,6 +122,8 @@ pub struct Server<W> {
     record: Record,
     /// From when on distances of the tip count, s.
     counted_from: f64,
+    /// When the path of the scene ends on its way, s, if the plant was not told so yet.
+    path_ends: Option<f64>,
     /// Length of the arm, m.
     length: f64,
     /// Seconds of the last preparation.
@@ -160,6 +163,9 @@ impl<W: Write> Server<W> {
         let mut server = Self {
             intake: Intake::new(model, experiment.sensors(model)),
             counted_from: experiment.counted_from,
+            // One that ends within the loop of the scene is a way to where the tip is then kept.
+            path_ends: (driver.controller().path_breaks_off())
+                .filter(|end| *end >= experiment.duration),
             length: model.scales.length,
             driver,
             output,
@@ -214,6 +220,9 @@ impl<W: Write> Server<W> {
             nodes,
             actuators,
             accepts,
+            most_readings: MOST_READINGS,
+            obstacles: controller.obstacles().collect(),
+            path_ends_s: self.path_ends,
             sensors: self.intake.sensors().iter().map(SensorLine::of).collect(),
         };
         write(&mut self.output, &hello)
@@ -262,8 +271,16 @@ impl<W: Write> Server<W> {
             self.repeat(begin, t)?;
             return Ok(ControlFlow::Continue(()));
         }
-        if let Err(refusal) = self.follow(&line) {
+        for refusal in self.follow(t, &line) {
             self.refuse(&refusal)?;
+        }
+        if let Some(end) = self.path_ends.filter(|end| t > end + 0.5 * self.period()) {
+            self.path_ends = None;
+            let what = format!(
+                "the path of the scene ended on its way at {end} s, and the tip is kept where its last point is"
+            );
+            let help = "give reference_m from here on, or a longer time.end_s to the scene";
+            self.refuse(&Refusal::new("time_s", what, help))?;
         }
         let (taken, refusals) = match self.known(t, &line) {
             Ok(known) => known,
@@ -352,22 +369,54 @@ impl<W: Write> Server<W> {
         Ok(t)
     }
 
-    /// Takes over the reference of a line, if it gives one.
-    fn follow(&mut self, line: &Line) -> Result<(), Refusal> {
-        let Some(rows) = &line.reference_m else {
-            return Ok(());
-        };
-        let path: Vec<_> = (rows.iter())
-            .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
-            .collect();
-        self.driver.follow(&path).map_err(|error| {
-            let place = match &error {
-                MpcError::Path { point, .. } => format!("reference_m[{point}]"),
-                _ => "reference_m".into(),
+    /// Takes over the references and obstacles of a line at time `t`, as far as it gives some; what of them cannot be used.
+    fn follow(&mut self, t: f64, line: &Line) -> Vec<Refusal> {
+        let mut refusals = Vec::new();
+        let refusal = |field: &str, error: &MpcError, help: &str| {
+            let place = match error {
+                MpcError::Path { point, .. } => format!("{field}[{point}]"),
+                _ => field.into(),
             };
-            let help = "give rows [time_s, x, y, z] whose times increase; the path is as it was";
             Refusal::new(place, error.to_string(), help)
-        })
+        };
+        if let Some(rows) = &line.reference_m {
+            let path: Vec<_> = (rows.iter())
+                .map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)))
+                .collect();
+            let help = "give rows [time_s, x, y, z] whose times increase; the path is as it was";
+            match self.driver.follow(&path) {
+                Ok(()) => self.path_ends = None,
+                Err(error) => refusals.push(refusal("reference_m", &error, help)),
+            }
+        }
+        if let Some(rows) = &line.reference_wxyz {
+            // A quaternion of no length is no rotation, and its matrix is not finite.
+            let rotation = |q: [f64; 4]| {
+                if q == [0.0; 4] {
+                    Matrix3::from_element(f64::NAN)
+                } else {
+                    from_quaternion(q)
+                }
+            };
+            let turns: Vec<_> = (rows.iter())
+                .map(|&[t, w, x, y, z]| (t, rotation([w, x, y, z])))
+                .collect();
+            let help = "give rows [time_s, w, x, y, z] whose times increase; the rotations are as they were";
+            if let Err(error) = self.driver.turn(&turns) {
+                refusals.push(refusal("reference_wxyz", &error, help));
+            }
+        }
+        for (i, own) in line.obstacles.iter().flatten().enumerate() {
+            let by = Vector3::from(own.moved_m);
+            let velocity = own.velocity_m_s.map_or_else(Vector3::zeros, Vector3::from);
+            if let Err(error) = self.driver.move_obstacle(&own.name, t, &by, &velocity) {
+                let names: Vec<&str> = self.driver.controller().obstacles().collect();
+                let help =
+                    format!("the obstacles of the scene are {names:?}; this one is as it was");
+                refusals.push(refusal(&format!("obstacles[{i}]"), &error, &help));
+            }
+        }
+        refusals
     }
 
     /// What a line says of the arm at time `t`, and what of it cannot be used.
@@ -463,6 +512,7 @@ impl<W: Write> Server<W> {
     /// The last command again.
     fn repeat(&mut self, begin: Instant, t: f64) -> io::Result<()> {
         let line = CommandLine {
+            sample: self.driver.next_sample().saturating_sub(1),
             fallback: Some(FallbackLine {
                 cause: Cause::BadMeasurement.to_string(),
                 action: "repeat".into(),

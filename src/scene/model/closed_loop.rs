@@ -95,8 +95,10 @@ pub enum Computing {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Fallback {
-    /// Age in s of an estimate that is still predicted from, positive, default 0.1.
-    pub patience_s: Positive<values::Duration>,
+    /// Age in s of an estimate that is still predicted from, positive. Absent: `age_s` of a sensor and two of its periods, of the slowest one, and at
+    /// least 0.1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patience_s: Option<Positive<values::Duration>>,
     /// Samples in a row that follow the plan, default 10.
     pub plan_samples: usize,
     /// Samples in a row after these that damp the tip where its velocity is known, default 50.
@@ -291,7 +293,7 @@ impl Default for Fallback {
     fn default() -> Self {
         let settings = FallbackSettings::default();
         Self {
-            patience_s: known(settings.patience),
+            patience_s: settings.patience.map(known),
             plan_samples: settings.plan_samples,
             damping_samples: settings.damping_samples,
             ramp_s: known(settings.ramp),

@@ -1,0 +1,150 @@
+//! The way of every command out of a controller.
+//!
+//! Whatever wants to act, a plan, a regulator, a law at the tip, or a fall-back, is brought within the bounds on magnitudes, and to where the rates
+//! allow from the command that acts. Magnitudes and reachable controls are convex sets that hold what acts, so that a part of the way from
+//! there to what is wanted is in both.
+
+use super::super::horizon::{Horizon, add_effects};
+use super::Command;
+use super::bounds::{channels, is_slow, part_within, vector};
+use crate::control::Hold;
+use crate::mechanics::Wrench;
+
+/// Scaled controls, linear in time from `start` to `end` (s) and constant outside.
+#[derive(Clone, Debug)]
+pub(super) struct Course {
+    pub start: f64,
+    pub end: f64,
+    pub from: Vec<f64>,
+    pub to: Vec<f64>,
+}
+
+impl Course {
+    fn none(start: f64, end: f64, n: usize) -> Self {
+        Self {
+            start,
+            end,
+            from: vec![0.0; n],
+            to: vec![0.0; n],
+        }
+    }
+
+    /// The same function of time as that of a [`Command`].
+    fn write_at(&self, t: f64, out: &mut [f64]) {
+        let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
+        for ((out, from), to) in out.iter_mut().zip(&self.from).zip(&self.to) {
+            *out = from * (1.0 - s) + to * s;
+        }
+    }
+}
+
+/// What was asked for last, what acts until then, and what is sent.
+#[derive(Clone, Debug)]
+pub(super) struct Outlet {
+    pub wanted: Course,
+    before: Course,
+    sent: Course,
+    /// What acts when the command begins.
+    acting: Vec<f64>,
+}
+
+impl Outlet {
+    /// Nothing acts until `start` (s).
+    pub fn new(start: f64, period: f64, n: usize) -> Self {
+        let none = Course::none(start - period, start, n);
+        Self {
+            wanted: none.clone(),
+            before: none.clone(),
+            sent: none,
+            acting: vec![0.0; n],
+        }
+    }
+
+    /// Writes what acts at time `t` (s).
+    pub fn write_acting(&self, t: f64, out: &mut [f64]) {
+        self.sent.write_at(t, out);
+    }
+
+    /// Sends what is wanted, as far as it may be, and writes the command.
+    pub fn send(&mut self, horizon: &Horizon, period: f64, command: &mut Command) {
+        std::mem::swap(&mut self.before, &mut self.sent);
+        self.reach(horizon, period, command);
+    }
+
+    /// Sends the last command anew, from `start` (s) on, in the place of what was sent.
+    pub fn postpone(&mut self, start: f64, horizon: &Horizon, period: f64, command: &mut Command) {
+        let shift = start - self.wanted.start;
+        if shift != 0.0 {
+            self.wanted.start = start;
+            self.wanted.end += shift;
+            self.reach(horizon, period, command);
+        }
+    }
+
+    fn reach(&mut self, horizon: &Horizon, period: f64, command: &mut Command) {
+        let Self {
+            wanted,
+            before,
+            sent,
+            acting,
+        } = self;
+        (sent.start, sent.end) = (wanted.start, wanted.end);
+        before.write_at(wanted.start, acting);
+        let is_constant = horizon.knots.hold() == Hold::Constant;
+        // Constant commands differ by what the rate allows from the beginning of one to that of the next.
+        let time = if is_constant {
+            (wanted.start - before.start).clamp(0.0, period)
+        } else {
+            wanted.end - wanted.start
+        };
+        for (range, channel) in channels(horizon) {
+            let of = |scaled: &[f64]| vector(horizon, &range, &channel, scaled);
+            let rate = channel.rate_bound.filter(|_| is_slow(&channel));
+            let from = of(acting);
+            for (asked, out) in [(&wanted.from, &mut sent.from), (&wanted.to, &mut sent.to)] {
+                let whole = of(asked);
+                let to = channel.within(&whole);
+                let part = rate.map_or(1.0, |rate| part_within(&rate, time, &(to - from)));
+                for c in range.clone() {
+                    let axis = horizon.components[c].axis % 3;
+                    out[c] = if !whole.iter().all(|value| value.is_finite()) {
+                        acting[c]
+                    } else if part == 1.0 && to[axis] == whole[axis] {
+                        asked[c]
+                    } else {
+                        acting[c] + (to[axis] / channel.scale - acting[c]) * part
+                    };
+                }
+            }
+            for c in range {
+                if is_constant {
+                    sent.to[c] = sent.from[c];
+                } else if rate.is_some() {
+                    sent.from[c] = acting[c];
+                }
+            }
+        }
+        self.write(horizon, command);
+    }
+
+    /// Writes what was sent.
+    pub fn write(&self, horizon: &Horizon, command: &mut Command) {
+        let Course {
+            start,
+            end,
+            from,
+            to,
+        } = &self.sent;
+        (command.start, command.end) = (*start, *end);
+        for (own, out) in [(from, &mut command.from), (to, &mut command.to)] {
+            out.fill(Wrench::default());
+            for ((effects, v), scale) in horizon.effects.iter().zip(own).zip(&horizon.scales) {
+                for effect in effects {
+                    if let Some(at) = command.nodes.iter().position(|node| *node == effect.0) {
+                        add_effects(&[(at, effect.1, effect.2)], v * scale, out);
+                    }
+                }
+            }
+        }
+    }
+}
