@@ -1,7 +1,7 @@
 //! The first arm of one's own: materials by name, diameters, blocks, the integrator that is chosen, and what `check` says of it.
 
 use nalgebra::Vector3;
-use softarm::control::static_need;
+use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::{Load, LoadFrame, Rod, TimeScheme, TipSpring, static_equilibrium};
 use softarm::scene::{MaterialPreset, Scene, Simulation};
 
@@ -266,35 +266,63 @@ fn the_force_that_holds_a_target_is_found() {
     });
     let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).expect("a shape");
     let target: [f64; 3] = shape.positions[rod.tip()].into();
-    let found =
-        static_need(&scene("force_max_n = 1\nmoment_max_n_m = 0", target)).expect("a force");
+    let found = held(&scene("force_max_n = 1\nmoment_max_n_m = 0", target));
     // The goal is met to 1e-6 of the length; the tip's stiffness is at most EA/L in force per length.
     let stiffness = rod.elements[0].linear_stiffness.z;
     assert!((found.wrenches[0].force - force).norm() < 1e-6 * stiffness);
     assert!((found.wrenches[0].force - force).norm() < 0.01 * force.norm());
-    assert!(found.is_within_bounds());
-    let tight =
-        static_need(&scene("force_max_n = 0.03\nmoment_max_n_m = 0", target)).expect("a force");
-    assert!((tight.excess[0][0] - (force.norm() - 0.03)).abs() < 1e-3 * force.norm());
-    // With a moment as well the force alone is as good; where its bound denies that, the moment takes a part of it.
-    let free =
-        static_need(&scene("force_max_n = 1\nmoment_max_n_m = 1", target)).expect("a wrench");
-    assert_eq!(free.wrenches[0].moment, Vector3::zeros());
-    assert!((free.wrenches[0].force - found.wrenches[0].force).norm() < 1e-12 * force.norm());
-    let weak = scene("force_max_n = 0.04\nmoment_max_n_m = 1", target);
-    let both = static_need(&weak).expect("a wrench");
-    assert!(both.wrenches[0].moment.norm() > 0.0);
-    assert!(both.wrenches[0].force.norm() < found.wrenches[0].force.norm());
+    match holding(&scene("force_max_n = 0.03\nmoment_max_n_m = 0", target)).expect("a verdict") {
+        Holding::CannotBeHeld {
+            why: CannotHold::AboveBounds(need),
+            nearest: Some((nearest, distance)),
+        } => {
+            assert!((need.excess[0][0] - (force.norm() - 0.03)).abs() < 1e-3 * force.norm());
+            assert!(nearest.is_stable && nearest.wrenches[0].force.norm() < 0.03 * (1.0 + 1e-5));
+            assert!(distance > 0.0);
+        }
+        other => panic!("{other:?}"),
+    }
+    // With a moment as well, the effort is no larger, and less force does.
+    let free = scene("force_max_n = 1\nmoment_max_n_m = 1", target);
+    let both = held(&free);
+    let actuator = &free.actuators[0];
+    let effort = |held: &Held| {
+        let wrench = &held.wrenches[0];
+        (wrench.force / actuator.force.scale).norm_squared()
+            + (wrench.moment / actuator.moment.scale).norm_squared()
+    };
+    assert!(effort(&both) < effort(&found) * (1.0 + 1e-6));
+    let weak = held(&scene("force_max_n = 0.04\nmoment_max_n_m = 1", target));
+    assert!(weak.wrenches[0].moment.norm() > 0.0);
+    assert!(weak.wrenches[0].force.norm() < 0.04 * (1.0 + 1e-5));
 }
 
-/// A wire is held nearer to its base than it is long, by a force under which alone it would leave: springs find it, however thin the wire.
+#[track_caller]
+fn held(problem: &OptimalControlProblem) -> Held {
+    match holding(problem).expect("a verdict") {
+        Holding::Held(held) => {
+            assert!(held.is_stable && held.is_within_bounds());
+            *held
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A wire is balanced nearer to its base than it is long by a force under which alone it leaves, however thin the wire: that force is found, and it is
+/// said that it does not hold the wire.
 #[test]
 fn the_force_that_presses_a_wire_together_is_found() {
     for radius in [0.5e-3, 0.1e-3] {
         let text = STEEL_WIRE.replace("0.5e-3", &format!("{radius:e}"));
         let (scene, source) = loaded(&text, &[]);
         let problem = scene.optimal_control(&source).expect("a problem").problem;
-        let need = static_need(&problem).unwrap_or_else(|error| panic!("{radius}: {error}"));
+        let need = match holding(&problem).expect("a verdict") {
+            Holding::CannotBeHeld {
+                why: CannotHold::Unstable(need),
+                ..
+            } => need,
+            other => panic!("{radius}: {other:?}"),
+        };
         let goal = (problem.goals.iter().find_map(|goal| goal.position)).expect("a position");
         // It bends the wire to the side and presses it together: more than the few EI/L² of a bend, less than the 20.19 EI/L² under which a
         // straight wire between a clamp and a pin buckles.

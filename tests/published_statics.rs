@@ -10,8 +10,9 @@ use std::f64::consts::{FRAC_PI_4, PI};
 
 use common::published::statics::{
     Benchmark, Elastica, Helix, bent_across, bent_along, buckled, critical_load_error,
-    dilatation_tables, elastica, follower_error, forty_five_degree_bend, line_load, loads,
-    paper_rod_table, post_buckling, roll_up_error, soft_arm_table, uniform, unit_rod,
+    dilatation_tables, elastica, exact_follower, follower_error, follower_error_from_rest,
+    forty_five_degree_bend, line_load, loads, paper_rod_table, post_buckling, roll_up_error,
+    soft_arm_table, uniform, unit_rod,
 };
 use common::published::{MakeRod, Triple, largest};
 use common::{
@@ -21,7 +22,10 @@ use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::exp;
-use softarm::mechanics::{Configuration, LoadFrame, Rod, RodModel, RodParameters, StrainRule};
+use softarm::mechanics::{
+    Configuration, LoadFrame, Material, Rod, RodModel, RodParameters, Section, SectionProfile,
+    StrainRule,
+};
 
 /// Tolerance, second order of both rules, and the tenth of the elements.
 fn check(benchmark: &Benchmark) {
@@ -244,6 +248,41 @@ fn follower_load() {
             error(StrainRule::Trapezoidal, 400),
         );
     }
+}
+
+/// A moment of bending and twist at once that turns with the tip (1.6 rad of bending per radian of twist, by more than a half turn), and Ibrahimbegovic's
+/// helix of ten turns (1997) under a moment and a force across that turn with the tip, both from the straight shape; reference: [`exact_follower`].
+#[test]
+fn bending_with_twist_is_found_from_rest() {
+    let soft = |n: usize| {
+        let section = Section::circle(&Material::isotropic(1e6, 0.5, 1000.0), 0.01);
+        RodParameters {
+            loads: tip_load(n, [0.0; 3], [0.128, 0.0, 0.128], LoadFrame::Body),
+            ..RodParameters::straight(0.2, n, SectionProfile::Uniform(section))
+        }
+    };
+    // Computed by others.
+    let known = Vector3::new(0.026605, 0.123361, 0.078421);
+    let found = exact_follower(&soft(40)).positions[40];
+    assert!((found - known).norm() < 1e-6, "{found}");
+    let errors = [40, 80].map(|n| follower_error_from_rest(&soft(n)));
+    assert!(errors[0] < 2e-3, "{errors:?}");
+    assert_second_order("bending with twist", errors[0], errors[1]);
+    let helix = |n: usize| {
+        let section = Section {
+            linear_stiffness: Vector3::repeat(1e4),
+            angular_stiffness: Vector3::repeat(100.0),
+            mass: 1.0,
+            rotary: Vector3::new(0.01, 0.01, 0.02),
+        };
+        RodParameters {
+            loads: tip_load(n, [50.0, 0.0, 0.0], [200.0 * PI, 0.0, 0.0], LoadFrame::Body),
+            ..RodParameters::straight(10.0, n, SectionProfile::Uniform(section))
+        }
+    };
+    let errors = [200, 400].map(|n| follower_error_from_rest(&helix(n)));
+    assert!(errors[0] < 1e-2, "{errors:?}");
+    assert_second_order("helix", errors[0], errors[1]);
 }
 
 /// Shear and stretch made ten thousand times stiffer than EI/L² allows for: the error of ten helical elements stays

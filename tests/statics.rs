@@ -7,10 +7,13 @@ use std::f64::consts::PI;
 use common::published::statics::{bent_across, unit_rod};
 use common::{RULES, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
+use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::{
-    BaseCondition, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, StrainRule,
+    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
+    SmallMotions, StrainRule,
 };
+use softarm::scene::Scene;
 
 /// Small tip load, both strain rules: the deflection approaches FL³/(3EI) + FL/(GA) at second order in l.
 #[test]
@@ -209,4 +212,188 @@ fn springs_bend_a_wire() {
         let pull = (target - shape.positions[20]).norm();
         assert!(pull < 0.01 * length, "{pull}");
     }
+}
+
+fn problem(text: &str, overrides: &[&str]) -> OptimalControlProblem {
+    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    let (scene, source) = Scene::from_toml("arm", text, &overrides).expect("a scene");
+    scene.optimal_control(&source).expect("a problem").problem
+}
+
+/// The arm of a problem with a held wrench as loads.
+fn loaded(problem: &OptimalControlProblem, held: &Held) -> Rod {
+    let mut rod = Rod::clone(&problem.rod);
+    for (actuator, wrench) in problem.actuators.iter().zip(&held.wrenches) {
+        for (force, moment, frame) in [
+            (wrench.force, Vector3::zeros(), LoadFrame::Spatial),
+            (Vector3::zeros(), wrench.moment, LoadFrame::Body),
+        ] {
+            rod.loads.push(Load {
+                node: actuator.node,
+                force,
+                moment,
+                frame,
+                profile: Vec::new(),
+            });
+        }
+    }
+    rod
+}
+
+/// The wrench within the bounds, the tip at the goal, and the shape one that the static solver finds too, from nearby.
+fn assert_holds(problem: &OptimalControlProblem, held: &Held) {
+    let tip = problem.rod.tip();
+    let length = problem.rod.scales.length;
+    let target = (problem.goals.iter().find_map(|goal| goal.position)).expect("a position");
+    assert!(
+        held.is_stable && held.is_within_bounds(),
+        "{:?}",
+        held.wrenches
+    );
+    assert!((held.shape.positions[tip] - target).norm() < 1e-6 * length);
+    let rod = loaded(problem, held);
+    let time = problem.grid.duration();
+    let again = static_equilibrium(&rod, &held.shape, time, &TipSpring::default()).unwrap();
+    assert!((again.positions[tip] - target).norm() < 1e-6 * length);
+    let motions = SmallMotions::about(&rod, &again, time);
+    assert_eq!(motions.growth_rate(), None);
+    // The compliance is that of a small load more.
+    let mut pushed = rod.clone();
+    let push = 1e-4 * rod.scales.force;
+    pushed.loads.push(Load {
+        node: tip,
+        force: Vector3::x() * push,
+        moment: Vector3::zeros(),
+        frame: LoadFrame::Spatial,
+        profile: Vec::new(),
+    });
+    let there = static_equilibrium(&pushed, &again, time, &TipSpring::default()).unwrap();
+    let moved = (there.positions[tip] - again.positions[tip]) / push;
+    let compliance = held.tip_compliance.column(0);
+    assert!(
+        (moved - compliance).norm() < 1e-2 * compliance.norm(),
+        "{moved} {compliance}"
+    );
+}
+
+#[track_caller]
+fn held(problem: &OptimalControlProblem) -> Held {
+    match holding(problem).unwrap() {
+        Holding::Held(held) => {
+            assert_holds(problem, &held);
+            *held
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+const TOLERANT: &str = "[rod]\nlength_m = 0.5\nelements = 8\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\n\
+    density_kg_m3 = 1000.0\n[rod.section]\nradius_m = 0.02\n[damping]\ninternal_s = 0.015\n[time]\nend_s = 1.0\n[task]\n\
+    position_m = [0.2, 0.0, 0.43]\n[control]\nblocks = 12\nforce_max_n = 5.0\n";
+
+/// The target of the built-in `reach` takes more force than its bound if a force alone holds it, and is held within the bounds by a force and a moment; in the
+/// plane of the arm two components of a force hold a target as three do.
+#[test]
+fn targets_are_held_by_all_that_acts() {
+    let reach = |overrides: &[&str]| {
+        let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+        let (scene, source) = Scene::load("reach", &overrides).expect("a scene");
+        scene.optimal_control(&source).expect("a problem").problem
+    };
+    let both = held(&reach(&[]));
+    assert!(both.wrenches[0].moment.norm() > 0.0);
+    let force_alone = reach(&["control.moment_max_n_m=0"]);
+    match holding(&force_alone).unwrap() {
+        Holding::CannotBeHeld { why, .. } => assert!(
+            matches!(why, CannotHold::AboveBounds(_) | CannotHold::Unstable(_)),
+            "{why}"
+        ),
+        other => panic!("{other:?}"),
+    }
+    // Within the sheet of tips that a force holds, for an arm whose shear and stretch lower it by about 3 EI/(GA L²) = 0.6 % of its way.
+    let place = "task.position_m=[0.3, 0.0, 0.944]";
+    let space = held(&reach(&["control.moment_max_n_m=0", place]));
+    let plane = held(&reach(&[
+        "control.moment_max_n_m=0",
+        "control.force_max_n=[20, 0, 20]",
+        place,
+    ]));
+    let difference = (space.wrenches[0].force - plane.wrenches[0].force).norm();
+    assert!(difference < 1e-4 * space.wrenches[0].force.norm());
+}
+
+/// A force of 1.6 N balances this target, and the arm leaves it: the equilibrium is unstable, as small motions about it say too. The nearest target
+/// that is held is.
+#[test]
+fn balance_is_not_hold() {
+    let problem = problem(TOLERANT, &["task.position_m=[0.2, 0, 0.446]"]);
+    let Holding::CannotBeHeld {
+        why: CannotHold::Unstable(balanced),
+        nearest: Some((nearest, distance)),
+    } = holding(&problem).unwrap()
+    else {
+        panic!("held")
+    };
+    let force = balanced.wrenches[0].force.norm();
+    assert!((force - 1.59).abs() < 0.01, "{force}");
+    let rod = loaded(&problem, &balanced);
+    let motions = SmallMotions::about(&rod, &balanced.shape, 1.0);
+    let (here, there) = (
+        balanced.growth_rate.unwrap(),
+        motions.growth_rate().unwrap(),
+    );
+    // Without the damping of the material, which slows the growth.
+    assert!(0.0 < here && here < 1.001 * there, "{here} {there}");
+    assert!(nearest.is_stable && nearest.is_within_bounds());
+    assert!(distance > 0.0 && distance < 0.02, "{distance}");
+}
+
+/// Tips that a force alone holds on an arm without weight whose shear and stretch hardly matter. A shape whose force pulls back toward the base's axis
+/// turns about that axis by itself, so that the lowest of them are those of Euler's buckled column, `x = 2 p/K(p)`, `z = 2 E(p)/K(p) - 1`: an
+/// independent route to the edge, which is 0.9424, 0.8943 and 0.8271 for x = 0.3, 0.4, 0.5 of the length.
+#[test]
+fn tips_held_by_a_force_form_a_sheet() {
+    let text = TOLERANT
+        .replace("elements = 8", "elements = 30")
+        .replace("radius_m = 0.02", "radius_m = 0.004")
+        .replace("force_max_n = 5.0", "force_max_n = 0.05");
+    for (x, edge) in [(0.3, 0.94241), (0.4, 0.89432), (0.5, 0.82711)] {
+        let at = |z: f64| {
+            let place = format!("task.position_m=[{}, 0, {}]", 0.5 * x, 0.5 * z);
+            problem(&text, &[&place])
+        };
+        held(&at(edge + 0.002));
+        match holding(&at(edge - 0.002)).unwrap() {
+            Holding::CannotBeHeld {
+                why: CannotHold::Unstable(_),
+                nearest: Some((_, distance)),
+            } => {
+                // To where an arm still sways at a tenth of its frequency, a little above the edge.
+                assert!((0.0005..0.01).contains(&(distance / 0.5)), "{distance}");
+            }
+            other => panic!("{x}: {other:?}"),
+        }
+    }
+}
+
+/// Without anything that acts, an arm stays where it rests and nowhere else; three components of a force do not hold position and orientation.
+#[test]
+fn too_little_holds_nothing() {
+    let away = problem(
+        TOLERANT,
+        &[
+            "task.orientation_wxyz=[0.9659, 0, 0.2588, 0]",
+            "control.moment_max_n_m=0",
+        ],
+    );
+    assert!(matches!(
+        holding(&away).unwrap(),
+        Holding::CannotBeHeld {
+            why: CannotHold::TooFewControls {
+                controls: 3,
+                equations: 6
+            },
+            ..
+        }
+    ));
 }

@@ -11,7 +11,7 @@ use super::hardly_meant::hardly_meant;
 use super::quantity::{digits, entry, mass, quantity};
 use super::{Global, Outcome, exit, scene_name};
 use crate::control::{
-    Bound, Channel, OptimalControlProblem, StaticNeedError, named_axes, static_need,
+    Bound, CannotHold, Channel, Held, Holding, OptimalControlProblem, holding, named_axes,
 };
 use crate::mechanics::stability::{automatic_step, bent_step, stable_step};
 use crate::mechanics::vibration::{SmallMotions, weight_in_words, weight_number};
@@ -21,8 +21,8 @@ use crate::mechanics::{
 };
 use crate::memory::{in_words, of_simulation, of_solve};
 use crate::output::summary::{
-    ActuatorSummary, CheckSummary, CostEstimate, MaterialSummary, OutputSize, ProblemSize,
-    RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
+    ActuatorSummary, CheckSummary, CostEstimate, MaterialSummary, NearestHeldSummary, OutputSize,
+    ProblemSize, RestSummary, SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
 use crate::scene::{
@@ -43,6 +43,9 @@ const NO_WRENCH: &str = "none";
 /// Verdicts of what holds the tip at its target.
 const WITHIN: &str = "within-bounds";
 const ABOVE: &str = "above-bounds";
+const UNSTABLE: &str = "unstable";
+const CANNOT: &str = "cannot-be-held";
+const NOT_FOUND: &str = "not-found";
 /// Actuators that are described one by one.
 const ACTUATORS_SHOWN: usize = 3;
 /// Seconds of a predicted solve from which it is said what would make it shorter.
@@ -77,6 +80,9 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
                 total_s: time.total(),
             },
             distance: distance(&setup.problem),
+            own_units: (setup.problem.acting.iter())
+                .map(|acting| acting.actuator.named_controls().1)
+                .collect(),
         });
         let memory = of_solve(&setup, 1, global.n_threads());
         (
@@ -98,9 +104,10 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     let at_rest = at_rest(&rod);
     concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
     let distance = plan.as_ref().and_then(|plan| plan.distance);
-    let (actuators, static_need, solve_cost) = plan.map_or((Vec::new(), None, None), |plan| {
-        (plan.actuators, plan.need, Some(plan.cost))
-    });
+    let (actuators, static_need, solve_cost, own_units) = plan
+        .map_or((Vec::new(), None, None, Vec::new()), |plan| {
+            (plan.actuators, plan.need, Some(plan.cost), plan.own_units)
+        });
     let summary = CheckSummary {
         schema_version: SCHEMA_VERSION,
         command: "check",
@@ -147,7 +154,15 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
         warnings: concerns,
     };
-    answer(&summary, &scene, &rod, grid.duration(), distance, console);
+    answer(
+        &summary,
+        &scene,
+        &rod,
+        grid.duration(),
+        distance,
+        &own_units,
+        console,
+    );
     detail(&summary, console);
     for warning in &summary.warnings {
         console.warn(warning);
@@ -164,6 +179,8 @@ struct Plan {
     cost: SolveCost,
     /// Of the target from where the tip starts, m.
     distance: Option<f64>,
+    /// Units of the controls of actuators that are no wrenches.
+    own_units: Vec<&'static str>,
 }
 
 /// The arm under gravity, with its payload and without loads.
@@ -302,40 +319,85 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         }
         bounded(channel, unit) + &named_axes(channel.axes)
     };
-    (problem.actuators.iter())
+    let own = (problem.acting.iter()).map(|acting| {
+        let (name, unit) = acting.actuator.named_controls();
+        let n = acting.places.len();
+        let bounds = (problem.actuators.get(acting.first))
+            .map_or_else(String::new, |group| bounded(&group.force, unit));
+        ActuatorSummary {
+            node: acting
+                .actuator
+                .nodes(&problem.rod)
+                .first()
+                .copied()
+                .unwrap_or(0),
+            force: NO_WRENCH.into(),
+            moment: NO_WRENCH.into(),
+            controls: Some(format!("{n} {name}, {bounds}")),
+        }
+    });
+    (problem.wrench_actuators().iter())
         .map(|actuator| ActuatorSummary {
             node: actuator.node,
             force: limit(&actuator.force, "N"),
             moment: limit(&actuator.moment, "N m"),
+            controls: None,
         })
+        .chain(own)
         .collect()
 }
 
+/// Whether and by what the tip can be held at its goal; `None` where it has none, or the search was stopped.
 fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
-    match static_need(problem) {
-        Ok(need) => Some(StaticNeedSummary {
-            verdict: if need.is_within_bounds() {
-                WITHIN
-            } else {
-                ABOVE
-            },
-            wrenches: (need.wrenches.iter())
-                .map(
-                    |Wrench {
-                         force: f,
-                         moment: m,
-                     }| [f.x, f.y, f.z, m.x, m.y, m.z],
-                )
-                .collect(),
-            reason: None,
-        }),
-        Err(StaticNeedError::NoGoal) => None,
-        Err(error) => Some(StaticNeedSummary {
-            verdict: "not-found",
-            wrenches: Vec::new(),
-            reason: Some(error.to_string()),
-        }),
+    let summary = |verdict, held: Option<&Held>, reason| StaticNeedSummary {
+        verdict,
+        wrenches: held.map_or_else(Vec::new, |held| wrenches(problem, held)),
+        controls: held.map_or_else(Vec::new, |held| controls(problem, held)),
+        reason,
+        stiffness_n_m: held
+            .filter(|held| held.is_stable)
+            .map(Held::least_stiffness),
+        first_frequency_hz: held
+            .and_then(|held| held.first_frequency)
+            .map(|omega| omega / TAU),
+        growth_rate_1_s: held.and_then(|held| held.growth_rate),
+        nearest: None,
+    };
+    match holding(problem).ok()? {
+        Holding::Held(held) => Some(summary(WITHIN, Some(&held), None)),
+        Holding::NotFound { why } => Some(summary(NOT_FOUND, None, Some(why.to_string()))),
+        Holding::CannotBeHeld { why, nearest } => {
+            let (verdict, held) = match &why {
+                CannotHold::AboveBounds(held) => (ABOVE, Some(&**held)),
+                CannotHold::Unstable(held) => (UNSTABLE, Some(&**held)),
+                CannotHold::NothingActuated | CannotHold::TooFewControls { .. } => (CANNOT, None),
+            };
+            let mut out = summary(verdict, held, Some(why.to_string()));
+            out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {
+                position_m: {
+                    // Rounding of a place in a plane of symmetry is nothing.
+                    let least = 1e-9 * problem.rod.scales.length;
+                    let tip = held.shape.positions[problem.rod.tip()];
+                    tip.map(|x| if x.abs() < least { 0.0 } else { x }).into()
+                },
+                distance_m,
+                wrenches: wrenches(problem, &held),
+                controls: controls(problem, &held),
+            });
+            Some(out)
+        }
     }
+}
+
+fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
+    let n = problem.wrench_actuators().len();
+    held.wrenches[..n].iter().map(Wrench::to_array).collect()
+}
+
+fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
+    (problem.acting.iter())
+        .map(|acting| acting.controls(&held.wrenches))
+        .collect()
 }
 
 fn distance(problem: &OptimalControlProblem) -> Option<f64> {
@@ -496,6 +558,7 @@ fn answer(
     rod: &Rod,
     duration: f64,
     distance: Option<f64>,
+    own_units: &[&str],
     console: &Console,
 ) {
     let say = |word: &str, text: &str| console.say(&entry(word, text));
@@ -541,7 +604,23 @@ fn answer(
             &format!("{on_nodes} on nodes, {along} along the arm"),
         );
     }
-    for actuator in summary.actuators.iter().take(ACTUATORS_SHOWN) {
+    let acting = |actuator: &&ActuatorSummary| {
+        actuator.controls.is_some()
+            || [&actuator.force, &actuator.moment]
+                .iter()
+                .any(|limit| *limit != NO_WRENCH)
+            || summary.actuators.len() == 1
+    };
+    for actuator in summary
+        .actuators
+        .iter()
+        .filter(acting)
+        .take(ACTUATORS_SHOWN)
+    {
+        if let Some(controls) = &actuator.controls {
+            say("along it", controls);
+            continue;
+        }
         let node = if actuator.node == rod.tip() {
             "tip".to_string()
         } else {
@@ -565,7 +644,7 @@ fn answer(
     }
     if let Some(need) = &summary.static_need {
         let away = distance.map_or_else(String::new, |d| format!("{} away; ", quantity(d, "m")));
-        say("target", &(away + &held_by(need)));
+        say("target", &(away + &held_by(need, own_units)));
     }
     let chosen = if summary.integrator_is_chosen {
         let cost = &summary.cost;
@@ -625,30 +704,69 @@ fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
     )
 }
 
-/// What holds the tip at its target, in words.
-fn held_by(need: &StaticNeedSummary) -> String {
+/// The largest force, moment and controls in words; `units` are those of the controls.
+fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[&str]) -> String {
     let largest = |from: usize| {
-        (need.wrenches.iter())
+        (wrenches.iter())
             .map(|wrench| Vector3::from_column_slice(&wrench[from..from + 3]).norm())
             .fold(0.0, f64::max)
     };
+    let own = (controls.iter().zip(units)).map(|(controls, unit)| {
+        let largest = controls.iter().fold(0.0, |most: f64, u| most.max(u.abs()));
+        (largest, *unit)
+    });
     let parts: Vec<String> = [(largest(0), "N"), (largest(3), "N m")]
         .into_iter()
+        .chain(own)
         .filter(|(size, _)| *size > 0.0)
         .map(|(size, unit)| quantity(size, unit))
         .collect();
-    let parts = if parts.is_empty() {
+    if parts.is_empty() {
         "nothing".to_string()
     } else {
         parts.join(" and ")
-    };
-    match (need.verdict, &need.reason) {
-        (WITHIN, _) => format!("held there by {parts}: within the bounds"),
-        (ABOVE, _) => {
-            format!("the least that holds it there, {parts}, is ABOVE THE BOUNDS")
+    }
+}
+
+/// What holds the tip at its target, in words.
+fn held_by(need: &StaticNeedSummary, units: &[&str]) -> String {
+    let parts = in_parts(&need.wrenches, &need.controls, units);
+    let nearest = need.nearest.as_ref().map_or_else(String::new, |nearest| {
+        let [x, y, z] = nearest.position_m.map(digits);
+        format!(
+            "; the nearest point found that is held is [{x}, {y}, {z}] m, {} away, by {}",
+            quantity(nearest.distance_m, "m"),
+            in_parts(&nearest.wrenches, &nearest.controls, units)
+        )
+    });
+    let reason = need.reason.as_deref().unwrap_or("unknown");
+    match need.verdict {
+        WITHIN => {
+            let stiffness = need.stiffness_n_m.map_or_else(String::new, |stiffness| {
+                format!(
+                    "; stable: along its softest direction the tip gives way by {} per newton",
+                    quantity(stiffness.recip(), "m")
+                )
+            });
+            let swings = need
+                .first_frequency_hz
+                .map_or_else(String::new, |frequency| {
+                    format!(", and the held arm sways at {}", quantity(frequency, "Hz"))
+                });
+            format!("held there by {parts}: within the bounds{stiffness}{swings}")
         }
-        (_, Some(reason)) => format!("no wrench that holds it there was found: {reason}"),
-        _ => "no wrench that holds it there was found".into(),
+        ABOVE => format!("what holds it there, {parts}, is ABOVE THE BOUNDS{nearest}"),
+        UNSTABLE => {
+            let growth = need.growth_rate_1_s.map_or_else(
+                || "stay".to_string(),
+                |rate| format!("grow e-fold in {}", quantity(rate.recip(), "s")),
+            );
+            format!("NOT HELD by {parts}, which balances it there: deviations {growth}{nearest}")
+        }
+        CANNOT => format!("CANNOT BE HELD there: {reason}{nearest}"),
+        _ => format!(
+            "no wrench that holds it there was found, nor a reason that there is none: {reason}"
+        ),
     }
 }
 

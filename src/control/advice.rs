@@ -4,6 +4,7 @@
 use nalgebra::Vector3;
 
 use super::hold::Hold;
+use super::holding::{CannotHold, Holding, holding};
 use super::problem::{Bound, OptimalControlProblem};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{Rod, Trajectory, Wrench};
@@ -46,6 +47,11 @@ pub enum Observation {
         force: f64,
         /// The bound, N.
         bound: f64,
+    },
+    /// No constant wrench within the bounds holds the arm at the target.
+    CannotStay {
+        /// Why, and where it can.
+        why: String,
     },
     /// A moment bends the section that it acts on more than the arm bends elsewhere, at a small part of the price.
     CheapMoment {
@@ -95,6 +101,10 @@ impl std::fmt::Display for Observation {
                 f,
                 "holding the tip at the target takes a force of about {force:.3e} N, more than the bound of {bound:.3e} N: the arm cannot \
                  stay there, and can pass at most; raise control.force_max_n, or set task.at_rest = false"
+            ),
+            Self::CannotStay { why } => write!(
+                f,
+                "the arm cannot stay at the target with the last wrench held: {why}; it can pass at most: set task.at_rest = false, or give it a target that is held"
             ),
             Self::CheapMoment {
                 node,
@@ -204,22 +214,30 @@ impl Peaks {
     }
 }
 
-/// The static force on the tip at its last target, against its bound, where a force on the tip is all there is to hold it with.
+/// Why the arm cannot stay at its last target, where it is to come to rest there.
 fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
-    let tip = problem.rod.tip();
-    let actuator = problem.wrench_actuators().iter().find(|a| a.node == tip)?;
-    let Some(Bound::Norm(bound)) = actuator.force.bound else {
-        return None;
-    };
-    let has_moment = actuator.moment.acts();
-    let at_rest = problem.final_goals().any(|goal| goal.at_rest);
-    if has_moment || problem.actuators.len() > 1 || !at_rest {
+    if !problem.final_goals().any(|goal| goal.at_rest) {
         return None;
     }
-    let need = super::static_need(problem).ok()?;
-    let at = problem.actuators.iter().position(|a| a.node == tip)?;
-    let force = need.wrenches[at].force.norm();
-    (force > bound).then_some(Observation::StaticNeed { force, bound })
+    let Ok(Holding::CannotBeHeld { why, nearest }) = holding(problem) else {
+        return None;
+    };
+    if let CannotHold::AboveBounds(held) = &why
+        && let [actuator] = &problem.actuators[..]
+        && actuator.node == problem.rod.tip()
+        && !actuator.moment.acts()
+        && let Some(Bound::Norm(bound)) = actuator.force.bound
+    {
+        let force = held.wrenches[0].force.norm();
+        return Some(Observation::StaticNeed { force, bound });
+    }
+    let nearest = nearest.map_or_else(String::new, |(held, distance)| {
+        let [x, y, z]: [f64; 3] = held.shape.positions[problem.rod.tip()].into();
+        format!("; [{x:.4}, {y:.4}, {z:.4}] m can be held, {distance:.1e} m away")
+    });
+    Some(Observation::CannotStay {
+        why: format!("{why}{nearest}"),
+    })
 }
 
 /// A moment whose price is small beside that of the forces, where the arm bends most at the node that it acts on.

@@ -19,7 +19,7 @@ use std::ops::ControlFlow;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use self::program::{Aim, HoldingPoint, HoldingProgram, SPRING};
-use self::statics::{Statics, Target};
+use self::statics::{SLOWEST_GROWTH, Statics, Target};
 use super::guess::{SPRINGS, carried};
 use super::problem::OptimalControlProblem;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
@@ -108,6 +108,33 @@ pub enum CannotHold {
     Unstable(Box<Held>),
 }
 
+impl std::fmt::Display for CannotHold {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NothingActuated => write!(f, "nothing is actuated, and the arm rests elsewhere"),
+            Self::TooFewControls {
+                controls,
+                equations,
+            } => write!(
+                f,
+                "{controls} independent controls cannot meet the {equations} equations of this goal"
+            ),
+            Self::AboveBounds(_) => write!(f, "what holds it there is beyond the bounds"),
+            Self::Unstable(held) => match held.growth_rate {
+                Some(rate) => write!(
+                    f,
+                    "the equilibrium there is unstable: with the wrench held, deviations grow e-fold in {:.3e} s",
+                    rate.recip()
+                ),
+                None => write!(
+                    f,
+                    "the equilibrium there is neutral: nothing brings the arm back"
+                ),
+            },
+        }
+    }
+}
+
 /// Why neither a wrench that holds the target was found, nor a reason that there is none.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotFound {
@@ -123,9 +150,18 @@ pub enum NotFound {
     /// Equilibria at the goal are unstable; there may be others.
     #[error("the equilibria that were found there are unstable")]
     Unstable,
-    /// The search for controls within the bounds came to no end.
-    #[error("controls within their bounds that put the tip there at rest were not found")]
-    Bounds,
+    /// The search for controls within the bounds did not reach the goal.
+    #[error("controls within their bounds that put the tip there at rest were not found{}", nearest_in_words(.nearest))]
+    Bounds {
+        /// Distance from the goal of the nearest tip that was found to be held, m.
+        nearest: Option<f64>,
+    },
+}
+
+fn nearest_in_words(nearest: &Option<f64>) -> String {
+    nearest.map_or_else(String::new, |distance| {
+        format!("; the nearest tip that was found to be held is {distance:.2e} m away")
+    })
 }
 
 /// Why nothing was looked for.
@@ -140,7 +176,7 @@ pub enum HoldingError {
 }
 
 /// Elements, and controls, up to which the search takes about a second.
-const MOST_ELEMENTS: usize = 200;
+const MOST_ELEMENTS: usize = 1000;
 const MOST_CONTROLS: usize = 60;
 /// Iterations of one search.
 const ITERATIONS: usize = 60;
@@ -243,7 +279,7 @@ impl Search<'_> {
         for branch in 0..=BRANCHES.len() {
             if self.statics.problem.stop.is_raised() {
                 return Holding::NotFound {
-                    why: NotFound::Bounds,
+                    why: NotFound::Bounds { nearest: None },
                 };
             }
             let pulled = match self.pulled(branch) {
@@ -262,8 +298,18 @@ impl Search<'_> {
             known.push(pulled);
         }
         let nearest = self.nearest();
-        if let Some((held, miss)) = &nearest
-            && *miss < AT_GOAL
+        // With more controls than equations, what came near may be led to the goal itself.
+        if let Some((_, point)) = &nearest
+            && findings.unresolved
+            && let Some(point) = self.solve(Aim::Hold, Some(LEAST_STABILITY), true, point)
+            && let Some(held) = self.held(&point)
+            && held.is_stable
+            && held.is_within_bounds()
+        {
+            return Holding::Held(Box::new(held));
+        }
+        if let Some((held, _)) = &nearest
+            && self.miss(held) < AT_GOAL
         {
             return Holding::Held(Box::new(held.clone()));
         }
@@ -271,6 +317,9 @@ impl Search<'_> {
             let distance = self.distance(&held.shape);
             (Box::new(held), distance)
         });
+        let out_of_reach = NotFound::Bounds {
+            nearest: nearest.as_ref().map(|(_, distance)| *distance),
+        };
         let cannot = |why| Holding::CannotBeHeld { why, nearest };
         if self.statics.components.is_empty() {
             return cannot(CannotHold::NothingActuated);
@@ -296,11 +345,8 @@ impl Search<'_> {
             (_, _, Some(_)) => Holding::NotFound {
                 why: NotFound::Unstable,
             },
-            (_, None, None) if no_shape.is_some() => Holding::NotFound {
-                why: no_shape.map_or(NotFound::Bounds, NotFound::Equilibrium),
-            },
             _ => Holding::NotFound {
-                why: NotFound::Bounds,
+                why: no_shape.map_or(out_of_reach, NotFound::Equilibrium),
             },
         }
     }
@@ -357,9 +403,8 @@ impl Search<'_> {
         (held.is_within_bounds() && held.is_stable).then_some(held)
     }
 
-    /// The equilibrium within the bounds that is stable and whose tip is nearest to the goal, of those that the arm comes to from its rest, and by how
-    /// much it misses the goal, in the goal's units.
-    fn nearest(&self) -> Option<(Held, f64)> {
+    /// The equilibrium within the bounds that is stable and whose tip is nearest to the goal, of those that the arm comes to from its rest.
+    fn nearest(&self) -> Option<(Held, HoldingPoint)> {
         let n = self.statics.components.len();
         let rest = self.equilibrium(&self.start, &TipSpring::default()).ok()?;
         let first = HoldingPoint {
@@ -373,9 +418,13 @@ impl Search<'_> {
                 .unwrap_or(first)
         };
         let held = self.held(&point)?;
+        (held.is_stable && held.is_within_bounds()).then_some((held, point))
+    }
+
+    /// Largest component of what the tip misses the goal by, in the goal's units.
+    fn miss(&self, held: &Held) -> f64 {
         let missing = self.target.residual(self.rod(), &held.shape);
-        let miss = missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()));
-        (held.is_stable && held.is_within_bounds()).then_some((held, miss))
+        missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()))
     }
 
     /// m
@@ -509,11 +558,11 @@ impl Search<'_> {
         let square = modes.first()?.squared_frequency;
         let rounding = POSITIVE * statics.unit;
         let growth = if tangent.asymmetry() > ASYMMETRIC || square < -rounding {
-            let rate = tangent.growth_rate(rod, &shape, statics.unit)?;
-            (rate > rounding.sqrt()).then_some(rate)
+            statics.growth(&shape, &point.controls)?
         } else {
-            None
+            0.0
         };
+        let growth = (growth > SLOWEST_GROWTH).then(|| growth * statics.unit.sqrt());
         let is_stable = growth.is_none() && square > rounding;
         let unit_force = |axis: usize| {
             let mut force = vec![nalgebra::Vector6::zeros(); rod.n_nodes() - rod.first_free_node()];

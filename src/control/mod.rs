@@ -1,19 +1,20 @@
 //! Optimal control of a rod: the problem, its transcription, and the first guess.
 //!
 //! An [`OptimalControlProblem`] comes from [`Task::discretize`](crate::task::Task::discretize); [`search`](fn@search) solves it,
-//! [`static_need`] says what statics alone asks of the actuators, and a [`StateTerm`] is a cost or a limit of one's own.
+//! [`holding`] says by which wrench the target is held, and a [`StateTerm`] is a cost or a limit of one's own.
 //!
 //! ```
 //! use nalgebra::Vector3;
-//! use softarm::control::static_need;
+//! use softarm::control::{CannotHold, Holding, holding};
 //! use softarm::mechanics::Material;
 //! use softarm::task::{Arm, Discretization, Task};
 //!
 //! let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05);
 //! let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 1.0);
 //! let problem = task.discretize(&arm, &Discretization::with_elements(8))?.discrete;
-//! let need = static_need(&problem)?;
-//! assert!(!need.is_within_bounds()); // the tip cannot be held there with 1 N
+//! let Holding::CannotBeHeld { why: CannotHold::AboveBounds(need), .. } = holding(&problem)? else {
+//!     panic!("the tip cannot be held there with 1 N")
+//! };
 //! println!("{:.2} N", need.wrenches[0].force.norm());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -43,7 +44,6 @@ pub mod problem;
 pub mod search;
 #[doc(hidden)]
 pub mod second_opinion;
-mod static_need;
 mod stay;
 mod term;
 mod tracking;
@@ -72,7 +72,6 @@ pub use problem::{
 #[doc(hidden)]
 pub use problem::{Component, GoalRow};
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
-pub use static_need::{StaticNeed, StaticNeedError, static_need};
 pub use stay::Stay;
 #[doc(hidden)]
 pub use stay::VECTORS as STAY_VECTORS;

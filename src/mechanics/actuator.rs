@@ -94,6 +94,11 @@ pub trait Actuator: fmt::Debug + Send + Sync {
         None
     }
 
+    /// Name of its controls in messages, in the plural, and their unit.
+    fn named_controls(&self) -> (&'static str, &'static str) {
+        ("controls of an actuator of one's own", "")
+    }
+
     /// Second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, over the configuration and then the controls: `6m + n` rows and
     /// columns, symmetric; along a rotation that of `s ↦ w(R exp(s ζ̂))`. By default from central differences of both Jacobians, to about
     /// 1e-9 of its size.

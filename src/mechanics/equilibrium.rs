@@ -2,8 +2,9 @@
 //!
 //! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in
 //! coordinates in which the elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU
-//! solves the equilibrium itself. Loads whose work has no potential (body-fixed forces, spatial moments) enter the
-//! minimization at their current direction and Newton exactly.
+//! solves the equilibrium itself, with steps along which the strains are linear, so that turning does not stretch. Loads whose work has no
+//! potential (body-fixed forces, moments) enter the minimization at their current direction and Newton exactly; where Newton's method fails from
+//! the start, these loads are increased from zero.
 
 use std::cell::{Cell, RefCell};
 
@@ -15,10 +16,11 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
 use super::configuration::Configuration;
 use super::forces::NodalForces;
-use super::load::{LoadFrame, Wrench};
+use super::load::{Load, LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
 use super::stiffness::tangent_stiffness;
+use super::strain_coordinates::retract_shape;
 use super::tangent::Tangent;
 use crate::stop::{Stop, StopSignal};
 
@@ -117,8 +119,13 @@ const EVALUATION_LIMIT: usize = 1000;
 /// its elements by the square of the turn, and the residual falls only with the next one; without a potential the
 /// minimization would have no answer.
 const NEWTON_PATIENCE: usize = 8;
-/// Newton steps that turn a node further than this are left to the minimization.
+/// Newton steps that turn a node further than this are left to the minimization; without a potential, those that bend an element further.
 const LARGEST_NEWTON_TURN: f64 = 0.5;
+/// Part of the loads in the first step of a continuation, and the least one.
+const FIRST_STRIDE: f64 = 0.1;
+const LEAST_STRIDE: f64 = 1e-3;
+/// Newton steps at one load.
+const CONTINUATION_STEPS: usize = 12;
 
 /// Finds an equilibrium from `start` whose base stays where it is in `start`, with loads at their value at time `t`.
 ///
@@ -151,13 +158,18 @@ pub fn static_equilibrium_until(
     let mut statics = Statics::new(rod, t, *spring);
     let mut residual = statics.residual(&center);
     let mut iterations = 0;
+    let mut was_continued = false;
     while iterations < OUTER_LIMIT {
         stop.check()?;
         iterations += 1;
         let size = statics.scaled(&residual);
         let tolerance = TOLERANCE.max(statics.rounding(&center));
         if size <= tolerance {
-            return checked(rod, center);
+            // One step more takes it to rounding.
+            return match statics.newton(&center, &residual) {
+                Some((better, left)) if statics.scaled(&left) < size => checked(rod, better),
+                _ => checked(rod, center),
+            };
         }
         if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
             if statics.scaled(&trial_residual) < 0.5 * size {
@@ -168,6 +180,12 @@ pub fn static_equilibrium_until(
             // At rounding already: nothing more can be gained.
             if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
                 return checked(rod, center);
+            }
+        }
+        if !statics.is_conservative() && !was_continued {
+            was_continued = true;
+            if let Some(found) = continued(rod, start, t, spring, stop)? {
+                return checked(rod, found);
             }
         }
         let lower = statics.minimize(&center, stop);
@@ -182,6 +200,50 @@ pub fn static_equilibrium_until(
         iterations,
         residual: statics.scaled(&residual),
     })
+}
+
+/// The equilibrium that the loads without a potential lead to when they are increased from zero; `None` where Newton's method cannot follow it.
+fn continued(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &TipSpring,
+    stop: &StopSignal,
+) -> Result<Option<Configuration>, EquilibriumError> {
+    let under = |part: f64| {
+        let mut rod = rod.clone();
+        for load in rod.loads.iter_mut().filter(|load| !has_potential(load)) {
+            load.force *= part;
+            load.moment *= part;
+        }
+        if part == 0.0 {
+            rod.loads.retain(has_potential);
+        }
+        rod
+    };
+    let mut shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
+    let (mut part, mut stride) = (0.0, FIRST_STRIDE);
+    while part < 1.0 {
+        stop.check()?;
+        let next = f64::min(part + stride, 1.0);
+        let loaded = under(next);
+        match Statics::new(&loaded, t, *spring).solved(&shape) {
+            Some(found) => {
+                shape = found;
+                part = next;
+                stride *= 1.5;
+            }
+            None if stride > LEAST_STRIDE => stride *= 0.5,
+            None => return Ok(None),
+        }
+    }
+    Ok(Some(shape))
+}
+
+/// Whether the work of a load has a potential: a force fixed in space, no moment.
+fn has_potential(load: &Load) -> bool {
+    load.moment == Vector3::zeros()
+        && (load.frame == LoadFrame::Spatial || load.force == Vector3::zeros())
 }
 
 fn checked(rod: &Rod, shape: Configuration) -> Result<Configuration, EquilibriumError> {
@@ -262,10 +324,26 @@ impl<'a> Statics<'a> {
 
     /// Whether the work of the loads has a potential: forces fixed in space, no moments.
     fn is_conservative(&self) -> bool {
-        self.rod.loads.iter().all(|load| {
-            load.moment == Vector3::zeros()
-                && (load.frame == LoadFrame::Spatial || load.force == Vector3::zeros())
-        })
+        self.rod.loads.iter().all(has_potential)
+    }
+
+    /// Newton's method to the end; `None` where it does not converge.
+    fn solved(&mut self, start: &Configuration) -> Option<Configuration> {
+        let mut at = start.clone();
+        let mut residual = self.residual(&at);
+        for _ in 0..CONTINUATION_STEPS {
+            let size = self.scaled(&residual);
+            if size <= TOLERANCE.max(self.rounding(&at)) {
+                return Some(at);
+            }
+            let next = self.newton(&at, &residual)?;
+            // At rounding already: nothing more can be gained.
+            if size < 1e3 * TOLERANCE && self.scaled(&next.1) > 0.5 * size {
+                return Some(at);
+            }
+            (at, residual) = next;
+        }
+        None
     }
 
     /// Newton steps until the residual is halved: one where the minimization can do better, otherwise a few.
@@ -300,13 +378,17 @@ impl<'a> Statics<'a> {
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
         let l = self.rod.elements[0].length;
         let reach = l * step.len() as f64;
-        if !step.iter().all(|s| {
+        let is_short = step.iter().all(|s| {
             s.fixed_rows::<3>(3).norm() < LARGEST_NEWTON_TURN
                 && s.fixed_rows::<3>(0).norm() < LARGEST_NEWTON_TURN * reach
-        }) {
+        });
+        if !is_short && self.is_conservative() {
             return None;
         }
-        let trial = moved(at, &step);
+        let trial = strained(at, &step);
+        if !is_short && !(largest_bend(at, &trial) < LARGEST_NEWTON_TURN) {
+            return None;
+        }
         let residual = self.residual(&trial);
         Some((trial, residual))
     }
@@ -391,6 +473,28 @@ fn moved(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
         out.rotations[q + 1] *= exp(&s.fixed_rows::<3>(3).into());
     }
     out
+}
+
+/// The shape to which a step leads along which the strains of all elements are linear.
+fn strained(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
+    let mut positions = vec![Vector3::zeros()];
+    let mut rotations = positions.clone();
+    for s in step {
+        positions.push(s.fixed_rows::<3>(0).into());
+        rotations.push(s.fixed_rows::<3>(3).into());
+    }
+    let mut out = at.clone();
+    retract_shape(at, &positions, &rotations, &mut out);
+    out
+}
+
+/// Largest change of the turn between the ends of an element, rad.
+fn largest_bend(from: &Configuration, to: &Configuration) -> f64 {
+    let turn =
+        |shape: &Configuration, q: usize| log(&shape.rotations[q].tr_mul(&shape.rotations[q + 1]));
+    (0..from.rotations.len() - 1)
+        .map(|q| (turn(to, q) - turn(from, q)).norm())
+        .fold(0.0, |most, bend| if bend <= most { most } else { bend })
 }
 
 /// The rod's loads as wrenches at `center`, summed per node.

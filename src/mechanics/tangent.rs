@@ -180,7 +180,6 @@ impl Tangent {
         let time = unit.sqrt().recip();
         for i in 0..n {
             for j in 0..n {
-                first_order[(i, n + j)] *= 1.0;
                 first_order[(n + i, j)] *= time * time;
                 first_order[(n + i, n + j)] *= time;
             }

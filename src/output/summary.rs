@@ -110,17 +110,44 @@ pub struct ActuatorSummary {
     pub force: String,
     /// Bound of the moment, N m, in the node's body frame, likewise.
     pub moment: String,
+    /// Of an actuator that is no wrench on one node: its controls and their bounds in words; `node` is then the first that it acts on.
+    pub controls: Option<String>,
 }
 
-/// The wrench that holds the tip at its target.
+/// Whether the tip can be held at its target, and by which wrench.
 #[derive(Clone, Debug, Serialize)]
 pub struct StaticNeedSummary {
-    /// `within-bounds`, `above-bounds`, or `not-found`.
+    /// `within-bounds`: held by a wrench within the bounds, in a stable equilibrium. `above-bounds`, `unstable`, `cannot-be-held`: it cannot be. `not-found`:
+    /// neither was found.
     pub verdict: &'static str,
-    /// The wrench of every actuator: force in space, N, and moment in the body frame, N m; empty where none was found.
+    /// The wrench of every actuated node: force in space, N, and moment in the body frame, N m; that of the equilibrium at the target, also where it is beyond
+    /// the bounds or unstable; empty where there is none.
     pub wrenches: Vec<[f64; 6]>,
-    /// Why none was found.
+    /// The controls of other actuators, actuator by actuator, in their own unit.
+    pub controls: Vec<Vec<f64>>,
+    /// Why it cannot be held, or why nothing was found.
     pub reason: Option<String>,
+    /// Stiffness of the held tip along its softest direction, N/m.
+    pub stiffness_n_m: Option<f64>,
+    /// Lowest frequency of the held arm without damping, Hz.
+    pub first_frequency_hz: Option<f64>,
+    /// Rate at which deviations from the equilibrium grow with the wrench held, 1/s.
+    pub growth_rate_1_s: Option<f64>,
+    /// The nearest point that is held.
+    pub nearest: Option<NearestHeldSummary>,
+}
+
+/// The nearest point to a target at which the tip can be held.
+#[derive(Clone, Debug, Serialize)]
+pub struct NearestHeldSummary {
+    /// m
+    pub position_m: [f64; 3],
+    /// From the target, m.
+    pub distance_m: f64,
+    /// As in [`StaticNeedSummary`].
+    pub wrenches: Vec<[f64; 6]>,
+    /// As in [`StaticNeedSummary`].
+    pub controls: Vec<Vec<f64>>,
 }
 
 /// The predicted time of a solve.

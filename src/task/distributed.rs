@@ -112,6 +112,10 @@ impl Actuator for DistributedCouple {
         Mat::zeros(n, n)
     }
 
+    fn named_controls(&self) -> (&'static str, &'static str) {
+        ("couples along the arm", "N m/m")
+    }
+
     fn linear_map(&self, rod: &Rod) -> Option<Mat<f64>> {
         Some(self.weights(rod))
     }

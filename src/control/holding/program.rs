@@ -12,11 +12,11 @@
 use faer::Mat;
 use nalgebra::Vector6;
 
-use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
+use super::statics::{LARGEST_TURN, SLOWEST_GROWTH, Statics, Target, largest_turn};
 use crate::control::problem::Bound;
 use crate::mechanics::Configuration;
 use crate::mechanics::equilibrium::TipSpring;
-use crate::mechanics::tangent::{Mode, TangentLu};
+use crate::mechanics::tangent::{Mode, TangentLu, dot};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
 };
@@ -27,6 +27,10 @@ pub(super) const SPRING: f64 = 1e4;
 const LITTLE: f64 = 1e-6;
 /// Modes whose `ω²` is bounded: those of bending in two planes may be equal.
 const WATCHED_MODES: usize = 2;
+/// Largest growth rate of small motions over the frequency of the arm at rest, where moments act: half of what counts as growth.
+const SLOW: f64 = 0.5 * SLOWEST_GROWTH;
+/// Largest turn of a node, and change of the scaled controls, by which the growth rate is differentiated.
+const DIFFERENCE: f64 = 1e-4;
 
 /// What is asked of an equilibrium.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,18 +125,76 @@ impl<'a> HoldingProgram<'a> {
             .ok_or_else(|| Failure("the arm's modes are not numbers".into()))
     }
 
-    /// `σ - ω²` over the unit, and its derivative along a direction.
-    fn rows_along<'b>(
-        &'b self,
-        point: &'b HoldingPoint,
-        rows: &'b [usize],
-    ) -> Result<impl Iterator<Item = (Vec<Vector6<f64>>, Vec<f64>)> + 'b, Failure> {
-        let modes = self.modes(point)?;
-        Ok(rows.iter().map(move |&row| {
-            self.statics
-                .mode_gradient(&point.shape, &point.controls, &modes[row])
-        }))
+    /// The growth rate of small motions over the frequency of the arm at rest, beyond what is allowed; `None` where everything that acts has a potential.
+    fn growth(&self, point: &HoldingPoint) -> Result<Option<f64>, Failure> {
+        if self.stability.is_none() || !self.statics.has_moments() {
+            return Ok(None);
+        }
+        self.statics
+            .growth(&point.shape, &point.controls)
+            .map(|growth| Some(growth - SLOW))
+            .ok_or_else(|| Failure("the growth of small motions is not a number".into()))
     }
+
+    fn gradients(
+        &self,
+        point: &HoldingPoint,
+        evaluation: &Evaluation<Vec<Vector6<f64>>>,
+        rows: &[usize],
+    ) -> Result<Vec<RowGradient>, Failure> {
+        let modes = self.modes(point)?;
+        let gradients = rows.iter().map(|&row| match modes.get(row) {
+            Some(mode) => {
+                let (states, controls) =
+                    (self.statics).mode_gradient(&point.shape, &point.controls, mode);
+                RowGradient::Mode { states, controls }
+            }
+            None => RowGradient::Growth(evaluation.inequalities[row]),
+        });
+        Ok(gradients.collect())
+    }
+
+    /// Derivative of a row along a direction.
+    fn slope(
+        &self,
+        point: &HoldingPoint,
+        row: &RowGradient,
+        step: &[Vector6<f64>],
+        change: &[f64],
+    ) -> Result<f64, Failure> {
+        match row {
+            RowGradient::Mode { states, controls } => {
+                let by_controls: f64 = controls.iter().zip(change).map(|(g, d)| g * d).sum();
+                Ok(-(dot(states, step) + by_controls) / self.statics.unit)
+            }
+            RowGradient::Growth(here) => {
+                let size = change
+                    .iter()
+                    .fold(largest_turn(step), |most, d| most.max(d.abs()));
+                if !(size > 0.0) {
+                    return Ok(0.0);
+                }
+                let length = DIFFERENCE / size;
+                let direction = HoldingDirection {
+                    change: change.to_vec(),
+                    step: step.to_vec(),
+                };
+                let there = self.growth(&self.retract(point, &direction, length))?;
+                Ok((there.unwrap_or(*here) - here) / length)
+            }
+        }
+    }
+}
+
+/// How a row of stability changes.
+enum RowGradient {
+    /// The derivative of `ω²` along the states and the controls.
+    Mode {
+        states: Vec<Vector6<f64>>,
+        controls: Vec<f64>,
+    },
+    /// The value of the row of growth, from which differences are taken.
+    Growth(f64),
 }
 
 impl LiftedProgram for HoldingProgram<'_> {
@@ -173,6 +235,7 @@ impl LiftedProgram for HoldingProgram<'_> {
             let least = self.stability.unwrap_or(0.0);
             (self.modes(point)?.iter())
                 .map(|mode| least - mode.squared_frequency / self.statics.unit)
+                .chain(self.growth(point)?)
                 .collect()
         } else {
             Vec::new()
@@ -205,7 +268,7 @@ impl LiftedProgram for HoldingProgram<'_> {
         let missing = self.missing(point);
         let own = along(&answers.own);
         let slopes: Vec<Vec<f64>> = answers.columns.iter().map(|step| along(step)).collect();
-        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+        let product = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
         let (mut gradient, mut model_gradient) = (Vec::new(), Vec::new());
         let mut defect_slope = 0.0;
         let mut gauss_newton = Mat::zeros(n, n);
@@ -223,13 +286,13 @@ impl LiftedProgram for HoldingProgram<'_> {
                     .collect();
             }
             Aim::Approach => {
-                defect_slope = dot(&missing, &own);
+                defect_slope = product(&missing, &own);
                 for i in 0..n {
                     let effort = LITTLE * point.controls[i];
-                    gradient.push(effort + dot(&missing, &slopes[i]));
-                    model_gradient.push(gradient[i] + dot(&own, &slopes[i]));
+                    gradient.push(effort + product(&missing, &slopes[i]));
+                    model_gradient.push(gradient[i] + product(&own, &slopes[i]));
                     for j in 0..n {
-                        gauss_newton[(i, j)] = dot(&slopes[i], &slopes[j]);
+                        gauss_newton[(i, j)] = product(&slopes[i], &slopes[j]);
                     }
                     gauss_newton[(i, i)] += LITTLE;
                 }
@@ -237,16 +300,15 @@ impl LiftedProgram for HoldingProgram<'_> {
         }
         let mut inequality_jacobian = Mat::zeros(request.rows.len(), n);
         let mut inequality_offset = Vec::new();
-        for (at, gradient) in self.rows_along(point, request.rows)?.enumerate() {
-            let slope = |step: &[Vector6<f64>], change: &[f64]| {
-                -Statics::slope(&gradient, step, change) / self.statics.unit
-            };
+        let gradients = self.gradients(point, evaluation, request.rows)?;
+        for (at, row) in gradients.iter().enumerate() {
             for j in 0..n {
                 let mut change = vec![0.0; n];
                 change[j] = 1.0;
-                inequality_jacobian[(at, j)] = slope(&answers.columns[j], &change);
+                inequality_jacobian[(at, j)] =
+                    self.slope(point, row, &answers.columns[j], &change)?;
             }
-            let answer = slope(&answers.own, &vec![0.0; n]);
+            let answer = self.slope(point, row, &answers.own, &vec![0.0; n])?;
             inequality_offset.push(evaluation.inequalities[request.rows[at]] + answer);
         }
         Ok(Linearization {
@@ -270,13 +332,13 @@ impl LiftedProgram for HoldingProgram<'_> {
         direction: &HoldingDirection,
     ) -> Result<Vec<f64>, Failure> {
         let rows: Vec<usize> = (0..evaluation.inequalities.len()).collect();
-        let gradients = self.rows_along(point, &rows)?;
-        Ok((gradients.zip(&evaluation.inequalities))
-            .map(|(gradient, value)| {
-                let slope = Statics::slope(&gradient, &direction.step, &direction.change);
-                value - slope / self.statics.unit
+        (self.gradients(point, evaluation, &rows)?.iter())
+            .zip(&evaluation.inequalities)
+            .map(|(row, value)| {
+                let slope = self.slope(point, row, &direction.step, &direction.change)?;
+                Ok(value + slope)
             })
-            .collect())
+            .collect()
     }
 
     fn expand(

@@ -8,7 +8,7 @@ use crate::mechanics::equilibrium::TipSpring;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
 use crate::mechanics::strain_coordinates::retract_shape;
-use crate::mechanics::tangent::{Mode, Tangent, dot};
+use crate::mechanics::tangent::{Mode, Tangent};
 use crate::mechanics::{Configuration, Rod, StateView, Wrench};
 
 /// A target of the tip.
@@ -406,17 +406,25 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// `gᵀ δ` of a mode's gradient.
-    pub fn slope(
-        gradient: &(Vec<Vector6<f64>>, Vec<f64>),
-        step: &[Vector6<f64>],
-        change: &[f64],
-    ) -> f64 {
-        let by_controls: f64 = gradient.1.iter().zip(change).map(|(g, d)| g * d).sum();
-        dot(&gradient.0, step) + by_controls
+    /// Whether controls act whose work has no potential: all but forces in space.
+    pub fn has_moments(&self) -> bool {
+        (self.components.iter())
+            .any(|component| component.axis >= 3 || self.problem.own_control(component).is_some())
+    }
+
+    /// The growth rate of small motions over the frequency of the arm at rest.
+    pub fn growth(&self, shape: &Configuration, controls: &[f64]) -> Option<f64> {
+        let rate = (self.tangent(shape, controls, &TipSpring::default())).growth_rate(
+            self.rod(),
+            shape,
+            self.unit,
+        )?;
+        Some(rate / self.unit.sqrt())
     }
 }
 
+/// Growth rate over the frequency of the arm at rest up to which an equilibrium is stable for all purposes: an e-fold in 160 of its periods.
+pub(super) const SLOWEST_GROWTH: f64 = 1e-3;
 const NEWTON_STEPS: usize = 25;
 /// Residual, over EI/L² and EI/L, at which an equilibrium is one.
 const SETTLED: f64 = 1e-6;

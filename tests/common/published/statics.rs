@@ -562,17 +562,36 @@ pub fn uniform(profile: &SectionProfile) -> Section {
 /// Error of the tip under a follower wrench. The one equilibrium that exists is near the continuous one, where the
 /// solver starts.
 pub fn follower_error(parameters: &RodParameters) -> f64 {
-    let n = parameters.n_elements;
+    let exact = exact_follower(parameters);
+    follower_error_from(parameters, &exact, &exact)
+}
+
+/// The same, where the solver starts from the shape without stress.
+pub fn follower_error_from_rest(parameters: &RodParameters) -> f64 {
+    let rest = Rod::new(parameters).unwrap().rest;
+    follower_error_from(parameters, &exact_follower(parameters), &rest)
+}
+
+/// The shape of [`follower_shape`] under the first load.
+pub fn exact_follower(parameters: &RodParameters) -> Configuration {
     let load = &parameters.loads[0];
-    let exact = follower_shape(
+    follower_shape(
         &uniform(&parameters.section),
         parameters.length,
         load.force.into(),
         load.moment.into(),
-        n,
-    );
+        parameters.n_elements,
+    )
+}
+
+fn follower_error_from(
+    parameters: &RodParameters,
+    exact: &Configuration,
+    start: &Configuration,
+) -> f64 {
+    let n = parameters.n_elements;
     let rod = Rod::new(parameters).unwrap();
-    let shape = static_equilibrium(&rod, &exact, 0.0, &TipSpring::default()).unwrap();
+    let shape = static_equilibrium(&rod, start, 0.0, &TipSpring::default()).unwrap();
     (shape.positions[n] - exact.positions[n]).norm() / parameters.length
 }
 
