@@ -66,7 +66,8 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         );
     }
     let (rod, grid, size, output, memory) = if is_wanted {
-        let setup = scene.optimal_control(&source)?;
+        // Whether the arm can stay at its target is a verdict here, and no reason to refuse the scene.
+        let setup = scene.passing().optimal_control(&source)?;
         let size = problem_size(&setup.problem);
         let time = solve_time(&setup.problem);
         concerns.extend(shorter(&setup, &time));
@@ -100,6 +101,16 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         let memory = of_simulation(&setup);
         (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
     };
+    let need = plan.as_ref().and_then(|plan| plan.need.as_ref());
+    if let (Some(need), true) = (need, scene.stays())
+        && need.verdict != WITHIN
+    {
+        concerns.push(
+            "task.at_rest: the arm should stay at its target, which nothing is known to hold; a solve refuses that: move the target, raise the \
+             bounds, allow a moment, or set at_rest = \"tip\""
+                .into(),
+        );
+    }
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let at_rest = at_rest(&rod);
     concerns.extend(topples(&at_rest, &rod).or(by_symmetry));

@@ -38,6 +38,9 @@ pub struct Stay {
 }
 
 impl Stay {
+    /// Factor by which a deviation may grow, in length, before the tip is as far off as it may be.
+    pub(crate) const ROOM: f64 = 1.0 / MOTION_SHARE;
+
     /// Staying where `held` holds the arm of this rod, for some seconds and within a distance in m, as a part of goal number `goal`. `None` where
     /// the equilibrium is not stable, or an actuator couples nodes that are no neighbors.
     #[must_use]

@@ -129,7 +129,25 @@ impl Scene {
         Ok((scene, source))
     }
 
+    /// The same scene, whose tip only stops for an instant where the arm should stay.
+    #[cfg(feature = "cli")]
+    pub(crate) fn passing(&self) -> Self {
+        let mut out = self.clone();
+        if let (true, Some(task)) = (self.stays(), &mut out.task) {
+            task.at_rest = model::AtRest::Tip;
+            (task.stays_s, task.stays_m) = (None, None);
+        }
+        out
+    }
+
+    /// Tells whether the arm should stay at its target.
+    #[cfg(feature = "cli")]
+    pub(crate) fn stays(&self) -> bool {
+        (self.task.as_ref()).is_some_and(|task| task.at_rest == model::AtRest::Staying)
+    }
+
     /// The scene as text, with every default written out; it reads back as an equal scene.
+    #[must_use]
     pub fn to_toml(&self) -> String {
         toml::to_string(self)
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))

@@ -36,14 +36,17 @@ struct Wanted<'a> {
     angle: f64,
     /// s
     time: f64,
+    /// Whether the whole arm is at rest then.
+    rests: bool,
 }
 
 /// Refuses goals that exclude each other or themselves under the hard limits of a problem.
 ///
-/// A duration that is free may be as long as `longest`, s.
+/// A duration that is free may be as long as `longest`, s. An arm that `stays` is at rest at the end.
 pub(super) fn check_contradictions(
     problem: &OptimalControlProblem,
     longest: Option<f64>,
+    stays: bool,
 ) -> Result<(), DiscretizeError> {
     // Times of the grid stretch with a free duration.
     let stretch = longest.map_or(1.0, |longest| longest / problem.grid.duration());
@@ -66,6 +69,7 @@ pub(super) fn check_contradictions(
                 distance,
                 angle,
                 time: stretch * problem.grid.time(goal.time_node),
+                rests: stays && goal.time_node == problem.grid.n_steps,
             })
         })
         .collect();
@@ -274,11 +278,7 @@ fn largest_twist(problem: &OptimalControlProblem) -> Option<f64> {
 /// The bound `δ` on the strain of the arm at a goal.
 fn strain(problem: &OptimalControlProblem, goal: &Wanted) -> f64 {
     let rod = &problem.rod;
-    let rests = goal.goal.at_rest
-        || problem.goals.iter().any(|other| {
-            other.at_rest && other.time_node == goal.goal.time_node && other.node == goal.goal.node
-        });
-    let is_known = rests && rod.model == RodModel::Standard;
+    let is_known = goal.rests && rod.model == RodModel::Standard;
     (largest_force(problem).filter(|_| is_known)).map_or(RANGE_OF_THE_MODEL, |force| {
         (rod.elements.iter())
             .map(|element| force / element.linear_stiffness.min())

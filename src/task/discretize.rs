@@ -221,7 +221,8 @@ impl Task {
         };
         check_start(&discrete)?;
         check_goals(&discrete)?;
-        check_contradictions(&discrete, self.free_duration.map(|free| free.longest))?;
+        let longest = self.free_duration.map(|free| free.longest);
+        check_contradictions(&discrete, longest, self.how_it_stays().is_some())?;
         if let Some((conflict, what)) = discrete.duration_conflict() {
             return Err(DiscretizeError::Duration { conflict, what });
         }

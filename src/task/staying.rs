@@ -2,7 +2,9 @@
 
 use super::definition::Staying;
 use super::error::DiscretizeError;
-use crate::control::{CannotHold, Holding, HoldingError, OptimalControlProblem, Stay, holding};
+use crate::control::{
+    CannotHold, Held, Holding, HoldingError, OptimalControlProblem, Stay, holding,
+};
 use crate::mechanics::equilibrium::EquilibriumError;
 
 /// Where the arm stays from the end of the horizon of `problem` on, for an arm of `length` in m.
@@ -17,6 +19,10 @@ pub(super) fn stay(
     let refuse = |reason: String| Err(DiscretizeError::NotHeld(reason));
     let held = match holding(problem) {
         Ok(Holding::Held(held)) => *held,
+        Ok(Holding::CannotBeHeld {
+            why: CannotHold::Unstable(held),
+            ..
+        }) if grows_little(&held, staying) => *held,
         Ok(Holding::CannotBeHeld { why, nearest }) => {
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {
                 let x = held.shape.positions[problem.rod.tip()];
@@ -25,10 +31,7 @@ pub(super) fn stay(
                     x.x, x.y, x.z
                 )
             });
-            return refuse(format!(
-                "the arm cannot stay there: {}{nearest}",
-                reason(&why)
-            ));
+            return refuse(format!("the arm cannot stay there: {why}{nearest}"));
         }
         Ok(Holding::NotFound { why }) => {
             return refuse(format!("nothing was found that holds the arm there: {why}"));
@@ -42,44 +45,22 @@ pub(super) fn stay(
     let goal = (problem.goals.iter())
         .position(|goal| goal.node == tip && goal.time_node == last)
         .unwrap_or(0);
-    let seconds = (staying.seconds).or_else(|| {
-        held.first_frequency
-            .map(|frequency| std::f64::consts::TAU / frequency)
-    });
+    let seconds = seconds(&held, staying);
     let distance = staying.distance(length);
-    match seconds.and_then(|seconds| Stay::at(&problem.rod, held, [seconds, distance], goal)) {
+    match Stay::at(&problem.rod, held, [seconds, distance], goal) {
         Some(stay) => Ok(stay),
         None => refuse("the equilibrium there is hardly stable".into()),
     }
 }
 
-fn reason(why: &CannotHold) -> String {
-    match why {
-        CannotHold::NothingActuated => "nothing is actuated, and it rests elsewhere".into(),
-        CannotHold::TooFewControls {
-            controls,
-            equations,
-        } => format!("{controls} independent controls hold no {equations} coordinates of a target"),
-        CannotHold::AboveBounds(held) => format!(
-            "what holds it is above the bounds by {}",
-            in_words(&held.excess)
-        ),
-        CannotHold::Unstable(held) => match held.growth_rate {
-            Some(rate) => {
-                format!("its equilibrium there is unstable, deviations grow as exp({rate:.2} t)")
-            }
-            None => "its equilibrium there is not stable".into(),
-        },
-    }
+/// How long the arm stays, s: one first period of the held arm, where nothing else is asked.
+fn seconds(held: &Held, staying: Staying) -> f64 {
+    (staying.seconds).unwrap_or(std::f64::consts::TAU / held.least_squared_frequency.sqrt())
 }
 
-/// The largest excess over bounds, "1.2 N and 0.3 N m".
-fn in_words(excess: &[[f64; 2]]) -> String {
-    let largest = |part: usize| excess.iter().map(|e| e[part]).fold(0.0, f64::max);
-    let parts: Vec<String> = [(largest(0), "N"), (largest(1), "N m")]
-        .into_iter()
-        .filter(|(size, _)| *size > 0.0)
-        .map(|(size, unit)| format!("{size:.3e} {unit}"))
-        .collect();
-    parts.join(" and ")
+/// Tells whether an equilibrium with a positive stiffness, which only a body moment makes unstable, lets deviations grow no more over the stay than
+/// the part of the distance that the motion leaves unused.
+fn grows_little(held: &Held, staying: Staying) -> bool {
+    let growth = held.growth_rate.unwrap_or(f64::INFINITY);
+    held.least_squared_frequency > 0.0 && growth * seconds(held, staying) < Stay::ROOM.ln()
 }
