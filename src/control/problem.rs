@@ -157,9 +157,10 @@ pub enum Enforcement {
         weight: f64,
     },
     /// A set around the goal: `|x - x*| ≤ distance`, a rotation away from `R*` of at most `angle`, and where it asks for rest
-    /// `|v| ≤ speed` and `|ω| ≤ spin`; a speed or spin of 0 is an equality.
+    /// `|v| ≤ speed` and `|ω| ≤ spin`; a tolerance of 0 is an equality.
     ///
-    /// Rest is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance.
+    /// Each of the four is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance. The
+    /// subproblem has the ball as a second-order cone, so that no step linearizes its surface.
     Within {
         /// m
         distance: f64,
@@ -170,6 +171,20 @@ pub enum Enforcement {
         /// rad/s
         spin: f64,
     },
+}
+
+impl Enforcement {
+    /// By how much a part of the goal may be off, in the part's own unit; 0 where it is an equality or paid for.
+    #[must_use]
+    pub fn tolerance(&self, part: GoalPart) -> f64 {
+        match (*self, part) {
+            (Self::Within { distance, .. }, GoalPart::Position) => distance,
+            (Self::Within { angle, .. }, GoalPart::Orientation) => angle,
+            (Self::Within { speed, .. }, GoalPart::Velocity) => speed,
+            (Self::Within { spin, .. }, GoalPart::AngularVelocity) => spin,
+            (Self::Hard | Self::Soft { .. }, _) => 0.0,
+        }
+    }
 }
 
 /// What a node must have reached at a time node.
@@ -215,10 +230,8 @@ impl Goal {
     #[must_use]
     pub fn parts(&self) -> Vec<GoalPart> {
         let mut parts = Vec::new();
-        if !matches!(self.enforcement, Enforcement::Within { .. }) {
-            parts.extend(self.position.map(|_| GoalPart::Position));
-            parts.extend(self.rotation.map(|_| GoalPart::Orientation));
-        }
+        parts.extend(self.position.map(|_| GoalPart::Position));
+        parts.extend(self.rotation.map(|_| GoalPart::Orientation));
         if self.at_rest {
             parts.extend([GoalPart::Velocity, GoalPart::AngularVelocity]);
         }
@@ -319,6 +332,14 @@ pub struct GoalRow {
     pub part: GoalPart,
     /// Component, 0..3.
     pub axis: usize,
+}
+
+impl GoalRow {
+    /// Tells whether both are components of one vector. Those of a vector follow each other among the rows.
+    #[must_use]
+    pub fn shares_vector_with(&self, other: &Self) -> bool {
+        (self.goal, self.part) == (other.goal, other.part)
+    }
 }
 
 /// The vectors of a goal.
@@ -463,68 +484,15 @@ impl OptimalControlProblem {
 
     /// Radius of the ball in which the scaled residual of a goal's part may lie; `None` where it is an equality, or paid for.
     #[must_use]
-    pub fn rest_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
-        let Enforcement::Within { speed, spin, .. } = self.goals[goal].enforcement else {
-            return None;
-        };
-        let radius = match part {
-            GoalPart::Velocity => speed,
-            GoalPart::AngularVelocity => spin,
-            GoalPart::Position | GoalPart::Orientation => 0.0,
-        };
+    pub fn goal_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
+        let radius = self.goals[goal].enforcement.tolerance(part);
         (radius > 0.0).then(|| radius / self.goal_scale(part))
     }
 
     /// Whether a goal's residual equals a variable of its own, instead of zero.
     #[must_use]
     pub fn has_slack(&self, row: &GoalRow) -> bool {
-        self.soft_weight(row).is_some() || self.rest_radius(row.goal, row.part).is_some()
-    }
-
-    /// The path constraints, and those of the goals that are sets.
-    #[must_use]
-    pub fn path_constraints(&self) -> Vec<PathConstraint> {
-        let mut out = self.path.clone();
-        for goal in &self.goals {
-            let Enforcement::Within {
-                distance, angle, ..
-            } = goal.enforcement
-            else {
-                continue;
-            };
-            let node = goal.node;
-            let mut add = |part: GoalPart, limit| {
-                out.push(PathConstraint {
-                    name: format!("{}.{}", goal.name, part.name()),
-                    limit,
-                    time_nodes: vec![goal.time_node],
-                    enforcement: PathEnforcement::Hard,
-                });
-            };
-            if let Some(from) = goal.position {
-                let largest = distance;
-                add(
-                    GoalPart::Position,
-                    PathLimit::Distance {
-                        node,
-                        from,
-                        largest,
-                    },
-                );
-            }
-            if let Some(from) = goal.rotation {
-                let largest = angle;
-                add(
-                    GoalPart::Orientation,
-                    PathLimit::Angle {
-                        node,
-                        from,
-                        largest,
-                    },
-                );
-            }
-        }
-        out
+        self.soft_weight(row).is_some() || self.goal_radius(row.goal, row.part).is_some()
     }
 
     /// The components that are actuated, in the order of the variables of one coefficient.
@@ -637,7 +605,7 @@ impl OptimalControlProblem {
         None
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of rest within a tolerance.
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of those within a tolerance.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()

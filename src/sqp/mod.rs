@@ -35,6 +35,7 @@ pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
+pub(crate) use kkt::norm;
 pub use kkt::{KktResidual, Multipliers};
 pub use outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
 pub use program::{

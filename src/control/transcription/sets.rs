@@ -1,4 +1,4 @@
-//! Bounds on coefficients and rates, and rest within a tolerance, as convex sets of the variables.
+//! Bounds on coefficients and rates, and goals within a tolerance, as convex sets of the variables.
 
 use crate::control::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
 use crate::sqp::ConvexSet;
@@ -71,7 +71,7 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, on their differences, and on what rest within a tolerance leaves, in scaled variables.
+/// The bounds on coefficients, on their differences, and on the residuals of goals within a tolerance, in scaled variables.
 pub(super) fn convex_sets(
     problem: &OptimalControlProblem,
     components: &[Component],
@@ -95,10 +95,11 @@ pub(super) fn convex_sets(
             }
         }
     }
-    for (rows, slacks) in goal_rows.chunks(3).zip(slack_variables.chunks(3)) {
-        if let Some(radius) = problem.rest_radius(rows[0].goal, rows[0].part) {
-            let rows = slacks.iter().flatten().map(|&i| vec![(i, 1.0)]).collect();
-            sets.push(ConvexSet::Ball { rows, radius });
+    let mut slacks = slack_variables.iter();
+    for rows in goal_rows.chunk_by(GoalRow::shares_vector_with) {
+        let slacks: Vec<usize> = (slacks.by_ref().take(rows.len()).flatten().copied()).collect();
+        if let Some(radius) = problem.goal_radius(rows[0].goal, rows[0].part) {
+            sets.push(ConvexSet::ball(slacks, radius));
         }
     }
     sets

@@ -275,8 +275,6 @@ pub(super) fn normal_cone(
     u: &Vector3<f64>,
     scale: f64,
 ) -> (Vector3<f64>, f64, Vector3<f64>) {
-    // Within this of the limit a normal may act; the product with the slack is reported either way.
-    const NEAR: f64 = 1e-3;
     let zero = Vector3::zeros();
     match bound {
         None => (*g, 0.0, zero),
@@ -284,17 +282,13 @@ pub(super) fn normal_cone(
             if *limit <= 0.0 {
                 return (zero, 0.0, zero);
             }
-            let norm = u.norm();
-            if norm < limit * (1.0 - NEAR) {
-                return (*g, 0.0, zero);
+            let size = outward_pull(*limit, g.as_slice(), u.as_slice());
+            if !(size > 0.0) {
+                return (g + u * size, 0.0, zero);
             }
-            let outward = u / norm;
-            let size = (-g.dot(&outward)).max(0.0);
-            (
-                g + outward * size,
-                size * (limit - norm).abs() / scale,
-                outward * size,
-            )
+            let norm = u.norm();
+            let normal = u * (size / norm);
+            (g + normal, size * (limit - norm).abs() / scale, normal)
         }
         Some(Bound::PerAxis(limits)) => {
             let (mut rest, mut gap, mut normal) = (zero, 0.0, zero);
@@ -314,4 +308,17 @@ pub(super) fn normal_cone(
             (rest, gap, normal)
         }
     }
+}
+
+/// Within this part of its limit a normal may act; the product with the slack is reported either way.
+const NEAR: f64 = 1e-3;
+
+/// Length of the normal of the ball `|u| ≤ limit` at `u` that explains `-g` best: along `u`, never inward, and 0 within the ball.
+pub(super) fn outward_pull(limit: f64, g: &[f64], u: &[f64]) -> f64 {
+    let norm = u.iter().map(|u| u * u).sum::<f64>().sqrt();
+    if norm < limit * (1.0 - NEAR) {
+        return 0.0;
+    }
+    let inward = g.iter().zip(u).map(|(g, u)| g * u / norm).sum::<f64>();
+    (-inward).max(0.0)
 }
