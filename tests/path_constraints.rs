@@ -8,10 +8,12 @@ use common::tasks::{busy_problem, long_reach};
 use common::{Dice, RULES, finer_at_rest};
 use nalgebra::Vector3;
 use softarm::control::{
-    ActuatedNode, Bound, Enforcement, Goal, Guess, LiftedPoint, OptimalControlProblem,
+    ActuatedNode, Bound, Enforcement, Goal, GoalPart, Guess, LiftedPoint, OptimalControlProblem,
     PathConstraint, PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
 use softarm::mechanics::RodParameters;
+use softarm::mechanics::rotation::log;
+use softarm::scene::Scene;
 use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
     solve,
@@ -370,6 +372,91 @@ fn strains_speeds_and_sets_hold() {
     assert!((distance - 0.05).abs() < 1e-8, "{distance}");
     let check = checked(&parameters, &problem, &outcome);
     assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
+}
+
+/// A set that contains a goal is no harder to reach than the goal: at the end and on the way, positions and orientations within a
+/// tolerance are met at its edge, in about as many iterations as exactly, for a lower price the larger they are.
+#[test]
+fn tolerances_are_no_harder_than_exact_goals() {
+    const SCENE: &str = r#"
+        damping.internal_s = 0.015
+        time.end_s = 1.0
+        control = { blocks = 12, force_max_n = 5.0, moment_max_n_m = 0.5 }
+        [rod]
+        length_m = 0.5
+        elements = 8
+        [rod.material]
+        youngs_modulus_pa = 1e6
+        poisson_ratio = 0.5
+        density_kg_m3 = 1000.0
+        [rod.section]
+        radius_m = 0.02
+        [task]
+        position_m = [0.2, 0.0, 0.43]
+    "#;
+    let solved = |overrides: &[String]| {
+        let (scene, source) = Scene::from_toml("reach", SCENE, overrides).unwrap();
+        let problem = scene.optimal_control(&source).unwrap().problem;
+        let outcome = solved_from(&problem, Guess::Rest);
+        assert_eq!(outcome.status, SqpStatus::Converged, "{overrides:?}");
+        (outcome, problem)
+    };
+    let force = "control.moment_max_n_m=0".to_string();
+    let turned = "task.orientation_wxyz=[0.92388,0,0.38268,0]".to_string();
+    let passing = "task.via=[{at_s=0.6,position_m=[0.05,0.1,0.48]}]".to_string();
+    let cases: [(&[String], &str, GoalPart, &[f64]); 3] = [
+        (
+            &[force],
+            "task.tolerance_m",
+            GoalPart::Position,
+            &[5e-4, 2e-3, 0.01, 0.05],
+        ),
+        (
+            &[turned],
+            "task.tolerance_rad",
+            GoalPart::Orientation,
+            &[1e-3, 0.02, 0.1],
+        ),
+        (
+            &[passing],
+            "task.via.0.tolerance_m",
+            GoalPart::Position,
+            &[5e-4, 0.01],
+        ),
+    ];
+    for (overrides, key, part, tolerances) in cases {
+        let (exact, _) = solved(overrides);
+        let mut price = exact.objective;
+        for &tolerance in tolerances {
+            let overrides = [overrides, &[format!("{key}={tolerance}")]].concat();
+            let (within, problem) = solved(&overrides);
+            let [iterations, of_exact] = [&within, &exact].map(|outcome| outcome.history.len());
+            assert!(
+                2 * iterations <= 3 * of_exact,
+                "{key} {tolerance}: {iterations}, {of_exact}"
+            );
+            assert!(within.objective < price, "{key} {tolerance}");
+            price = within.objective;
+            let goal = (problem.goals.iter())
+                .find(|goal| goal.enforcement.tolerance(part) == tolerance)
+                .unwrap();
+            let trajectory = &within.point.trajectory;
+            let off = match part {
+                GoalPart::Position => {
+                    let x = trajectory.positions_at(goal.time_node)[goal.node];
+                    (x - goal.position.unwrap()).norm()
+                }
+                _ => {
+                    let r = trajectory.rotations_at(goal.time_node)[goal.node];
+                    log(&(goal.rotation.unwrap().transpose() * r)).norm()
+                }
+            };
+            assert!(
+                (off / tolerance - 1.0).abs() < 1e-6,
+                "{key} {tolerance}: {off}"
+            );
+        }
+    }
 }
 
 /// Bounds on the rate of a control, as norms and per axis, hold with equality somewhere, and the check explains them.

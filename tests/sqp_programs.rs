@@ -709,3 +709,75 @@ fn waves_are_cancelled_far_away() {
         assert!((a.hypot(b) - 1.0 / GAIN).abs() < 1e-9, "{choice:?}");
     }
 }
+
+/// A linkage of six joints with the least turns whose end is within a distance of a point, as residual = s with s in a ball. Every ball
+/// contains its center, so that reaching into it is no harder than reaching that: whatever its radius, it takes about as many iterations.
+/// The same distance as one inequality, whose direction turns within a radius, takes more than five times as many.
+#[test]
+fn small_balls_are_no_harder_than_their_center() {
+    const JOINTS: usize = 6;
+    let target = [1.0, 4.0];
+    // `cos` and `sin` of the joints' sums are those of the links' directions.
+    let miss = move |x: &[Jet]| -> [Jet; 2] {
+        let mut direction = x[0].map(0.0, 0.0, 0.0);
+        let mut out = target.map(|along| direction.clone() - along);
+        for joint in &x[..JOINTS] {
+            direction = direction + joint.clone();
+            let cos = (direction.clone() + std::f64::consts::FRAC_PI_2).sin();
+            out[0] = out[0].clone() + cos;
+            out[1] = out[1].clone() + direction.sin();
+        }
+        out
+    };
+    let turns = |x: &[Jet]| x[..JOINTS].to_vec();
+    let within = |radius: f64| Program {
+        n_variables: JOINTS + 2,
+        residuals: Box::new(turns),
+        constraints: Box::new(move |x| {
+            let [a, b] = miss(x);
+            vec![a - x[JOINTS].clone(), b - x[JOINTS + 1].clone()]
+        }),
+        sets: vec![ConvexSet::ball(JOINTS..JOINTS + 2, radius)],
+        ..Program::default()
+    };
+    let as_row = |radius: f64| Program {
+        n_variables: JOINTS,
+        residuals: Box::new(turns),
+        inequalities: Box::new(move |x| {
+            let [a, b] = miss(x);
+            let square = a.square() + b.square();
+            let distance = square.value.sqrt();
+            let slope = 0.5 / distance;
+            let bend = -0.5 * slope / square.value;
+            vec![square.map(distance - radius, slope, bend)]
+        }),
+        ..Program::default()
+    };
+    let exact = Program {
+        n_variables: JOINTS,
+        residuals: Box::new(turns),
+        constraints: Box::new(move |x| miss(x).to_vec()),
+        ..Program::default()
+    };
+    let solved = |program: &Program| {
+        let start = vec![0.1; program.n_variables];
+        let outcome = go(program, &start, &settings(HessianChoice::Auto));
+        (outcome.status, outcome.history.len(), outcome.objective)
+    };
+    let (status, center, highest) = solved(&exact);
+    assert_eq!(status, SqpStatus::Converged);
+    for radius in [1e-1, 1e-2, 1e-3, 1e-4, 1e-6] {
+        let (status, iterations, objective) = solved(&within(radius));
+        assert_eq!(status, SqpStatus::Converged, "{radius:e}");
+        assert!(2 * iterations <= 3 * center, "{radius:e}: {iterations}");
+        assert!(objective < highest, "{radius:e}: {objective}");
+        let (status, iterations, same) = solved(&as_row(radius));
+        assert!(iterations > 5 * center, "{radius:e}: {iterations}");
+        // Residuals of 1e-8, and radii that the row has not yet reached.
+        let apart = (same - objective).abs();
+        assert!(
+            apart < 1e-8 || status != SqpStatus::Converged,
+            "{radius:e}: {apart:e}"
+        );
+    }
+}

@@ -629,7 +629,7 @@ proptest! {
             path: &path,
             rates: &rates,
         };
-        let constraints = problem.path_constraints();
+        let constraints = &problem.path;
         let exists = |row: &PathMultiplier| {
             (constraints.get(row.constraint)).is_some_and(|constraint| {
                 constraint.time_nodes.contains(&row.time_node)

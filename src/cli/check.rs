@@ -554,7 +554,7 @@ fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
         target_equations: (problem.goal_rows().iter())
             .filter(|row| !problem.has_slack(row))
             .count(),
-        path_rows: (problem.path_constraints().iter())
+        path_rows: (problem.path.iter())
             .map(|path| path.time_nodes.len() * path.limit.n_items(&problem.rod))
             .sum(),
         eliminated: 6 * free * problem.grid.n_steps,

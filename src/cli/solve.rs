@@ -48,7 +48,7 @@ pub(super) struct SolveArguments {
     #[arg(long)]
     deep: bool,
     /// Minimize the same objective by L-BFGS on adjoint gradients as well, from a tenth away, and compare; for problems without
-    /// obstacles, limits and tolerances
+    /// obstacles and limits
     #[arg(long)]
     second_opinion: bool,
 }

@@ -29,7 +29,7 @@ use faer::matrix_free::eigen::{PartialEigenParams, partial_svd, partial_svd_scra
 use faer::{Accum, Col, Mat, Par, Side};
 
 use super::acting::{ActingAlong, own_controls};
-use super::problem::{Enforcement, OptimalControlProblem};
+use super::problem::OptimalControlProblem;
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::Motion;
@@ -303,7 +303,7 @@ fn states_at_edges(
     Ok(states)
 }
 
-/// The goals at the end of the horizon as rows over the last deviation, over their tolerances.
+/// The goals at the end of the horizon as rows over the last deviation, over `tolerance` or that of the goal, whichever is larger.
 fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f64) -> Mat<f64> {
     let problem = program.problem();
     let last = problem.grid.n_steps;
@@ -315,34 +315,18 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
     };
     for row in program.goal_rows() {
         if problem.goals[row.goal].time_node == last {
+            let radius = problem.goal_radius(row.goal, row.part).unwrap_or(0.0);
+            let size = tolerance.max(radius);
             let forms = program.goal_gradient(trajectory, row);
             let terms = forms.iter().flat_map(|form| &form.terms);
             rows.push(
                 terms
                     .filter_map(|term| {
                         let at = index(term.node, term.component)?;
-                        Some((at, term.coefficient / tolerance))
+                        Some((at, term.coefficient / size))
                     })
                     .collect(),
             );
-        }
-    }
-    for goal in problem.goals.iter().filter(|goal| goal.time_node == last) {
-        if let Enforcement::Within {
-            distance, angle, ..
-        } = goal.enforcement
-        {
-            let parts = [
-                (0, distance, goal.position.is_some()),
-                (3, angle, goal.rotation.is_some()),
-            ];
-            for (from, size, present) in parts {
-                if present && size > 0.0 {
-                    let unit =
-                        |axis: usize| index(goal.node, from + axis).map(|at| (at, 1.0 / size));
-                    rows.extend((0..3).map(|axis| unit(axis).into_iter().collect()));
-                }
-            }
         }
     }
     let mut out = Mat::zeros(rows.len(), n);

@@ -1,4 +1,4 @@
-//! Inequalities on the states: clearance of obstacles, limits of strain and speed, sets around goals.
+//! Inequalities on the states: clearance of obstacles, limits of strain and speed.
 //!
 //! Every constraint is a family of scalar rows `h ≤ 0`, one per item (a point of the arm, an element, a node) and time node,
 //! scaled by the rod's length and time so that 1 is large. Rows are functions of the configurations at one time node, or for speeds at
@@ -11,7 +11,6 @@ use super::cost::durations;
 use super::obstacle::Shape;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
-use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::strain::{IntervalStress, log_second_derivative};
 use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
@@ -51,24 +50,6 @@ pub enum PathLimit {
     Speed {
         /// The node.
         node: usize,
-        /// Largest.
-        largest: f64,
-    },
-    /// Distance of a node from a point, m.
-    Distance {
-        /// The node.
-        node: usize,
-        /// The point, m.
-        from: Vector3<f64>,
-        /// Largest.
-        largest: f64,
-    },
-    /// Angle between a node's orientation and a given one, rad.
-    Angle {
-        /// The node.
-        node: usize,
-        /// The orientation, body to space.
-        from: Matrix3<f64>,
         /// Largest.
         largest: f64,
     },
@@ -330,7 +311,7 @@ impl PathLimit {
             Self::Clearance { points, .. } => points * rod.n_elements() + 1,
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
-            Self::Speed { .. } | Self::Distance { .. } | Self::Angle { .. } => 1,
+            Self::Speed { .. } => 1,
             Self::Term(term) => term.n_values(rod),
         }
     }
@@ -342,9 +323,7 @@ impl PathLimit {
             Self::Clearance { points, .. } => item / points,
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
-            Self::Speed { node, .. } | Self::Distance { node, .. } | Self::Angle { node, .. } => {
-                *node
-            }
+            Self::Speed { node, .. } => *node,
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -353,11 +332,10 @@ impl PathLimit {
     #[must_use]
     pub fn unit(&self) -> &'static str {
         match self {
-            Self::Clearance { .. } | Self::Distance { .. } => "m",
+            Self::Clearance { .. } => "m",
             Self::Stretch { .. } => "",
             Self::Curvature { .. } | Self::Twist { .. } => "1/m",
             Self::Speed { .. } => "m/s",
-            Self::Angle { .. } => "rad",
             Self::Term(term) => term.unit(),
         }
     }
@@ -367,8 +345,8 @@ impl PathLimit {
     pub fn scale(&self, rod: &Rod) -> f64 {
         let scales = &rod.scales;
         match self {
-            Self::Clearance { .. } | Self::Distance { .. } => scales.length,
-            Self::Stretch { .. } | Self::Angle { .. } | Self::Term(_) => 1.0,
+            Self::Clearance { .. } => scales.length,
+            Self::Stretch { .. } | Self::Term(_) => 1.0,
             Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
             Self::Speed { .. } => scales.length / scales.time,
         }
@@ -462,19 +440,6 @@ impl PathLimit {
                 side(item) * kappa.z - largest
             }
             Self::Speed { node, largest } => Self::velocity(rod_view, k, *node).norm() - largest,
-            Self::Distance {
-                node,
-                from,
-                largest,
-            } => (rod_view.trajectory.positions_at(k)[*node] - from).norm() - largest,
-            Self::Angle {
-                node,
-                from,
-                largest,
-            } => {
-                let r = rod_view.trajectory.rotations_at(k)[*node];
-                log(&from.tr_mul(&r)).norm() - largest
-            }
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
         excess / self.scale(rod_view.rod)
@@ -531,18 +496,6 @@ impl PathLimit {
             Self::Speed { node, .. } => {
                 let n = unit(&Self::velocity(rod_view, k, *node)) * (inverse / rod_view.grid.step);
                 velocity_form(k, *node, &n)
-            }
-            Self::Distance { node, from, .. } => {
-                let x = rod_view.trajectory.positions_at(k)[*node];
-                at(k, along(*node, 0, &(unit(&(x - from)) * inverse)).collect())
-            }
-            Self::Angle { node, from, .. } => {
-                let r = rod_view.trajectory.rotations_at(k)[*node];
-                let psi = log(&from.tr_mul(&r));
-                let c = InverseTangentCoefficients::at(psi.norm_squared());
-                // δψ = Sᵀ ζ.
-                let direction = log_tangent(&psi, &c) * (unit(&psi) * inverse);
-                at(k, along(*node, 3, &direction).collect())
             }
             Self::Term(term) => at(k, term.gradient(&rod_view.view(k), item).terms),
         }
@@ -608,25 +561,6 @@ impl PathLimit {
                 RowCurvature {
                     forms: forms.to_vec(),
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),
-                }
-            }
-            Self::Distance { node, from, .. } => {
-                let x = rod_view.trajectory.positions_at(k)[*node];
-                RowCurvature {
-                    forms: vector_forms(k, *node, 0),
-                    matrix: dynamic(&(norm_curvature(&(x - from)) * inverse)),
-                }
-            }
-            Self::Angle { node, from, .. } => {
-                let r = rod_view.trajectory.rotations_at(k)[*node];
-                let psi = log(&from.tr_mul(&r));
-                let c = InverseTangentCoefficients::at(psi.norm_squared());
-                let s = log_tangent(&psi, &c);
-                let bent = s * norm_curvature(&psi) * s.transpose()
-                    + log_second_derivative(&psi, &unit(&psi));
-                RowCurvature {
-                    forms: vector_forms(k, *node, 3),
-                    matrix: dynamic(&(0.5 * (bent + bent.transpose()) * inverse)),
                 }
             }
             Self::Term(term) => term_curvature(term, rod_view, k, item, 1.0),

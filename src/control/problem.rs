@@ -158,9 +158,10 @@ pub enum Enforcement {
         weight: f64,
     },
     /// A set around the goal: `|x - x*| ≤ distance`, a rotation away from `R*` of at most `angle`, and where it asks for rest
-    /// `|v| ≤ speed` and `|ω| ≤ spin`; a speed or spin of 0 is an equality.
+    /// `|v| ≤ speed` and `|ω| ≤ spin`; a tolerance of 0 is an equality.
     ///
-    /// Rest is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance.
+    /// Each of the four is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance. The
+    /// subproblem has the ball as a second-order cone, so that no step linearizes its surface.
     Within {
         /// m
         distance: f64,
@@ -171,6 +172,21 @@ pub enum Enforcement {
         /// rad/s
         spin: f64,
     },
+}
+
+impl Enforcement {
+    /// By how much a part of the goal may be off, in the part's own unit; 0 where it is an equality or paid for.
+    #[must_use]
+    pub fn tolerance(&self, part: GoalPart) -> f64 {
+        match (*self, part) {
+            (Self::Within { distance, .. }, GoalPart::Position) => distance,
+            (Self::Within { angle, .. }, GoalPart::Orientation) => angle,
+            (Self::Within { speed, .. }, GoalPart::Velocity) => speed,
+            (Self::Within { spin, .. }, GoalPart::AngularVelocity) => spin,
+            (Self::Within { .. }, GoalPart::Deviation(_)) => 0.0,
+            (Self::Hard | Self::Soft { .. }, _) => 0.0,
+        }
+    }
 }
 
 /// What a node must have reached at a time node.
@@ -216,10 +232,8 @@ impl Goal {
     #[must_use]
     pub fn parts(&self) -> Vec<GoalPart> {
         let mut parts = Vec::new();
-        if !matches!(self.enforcement, Enforcement::Within { .. }) {
-            parts.extend(self.position.map(|_| GoalPart::Position));
-            parts.extend(self.rotation.map(|_| GoalPart::Orientation));
-        }
+        parts.extend(self.position.map(|_| GoalPart::Position));
+        parts.extend(self.rotation.map(|_| GoalPart::Orientation));
         if self.at_rest {
             parts.extend([GoalPart::Velocity, GoalPart::AngularVelocity]);
         }
@@ -322,6 +336,17 @@ pub struct GoalRow {
     pub part: GoalPart,
     /// Component, 0..3.
     pub axis: usize,
+}
+
+impl GoalRow {
+    /// Tells whether both are components of one vector; the deviation from where the arm stays is one as a whole. Those of a vector follow each
+    /// other among the rows.
+    #[must_use]
+    pub fn shares_vector_with(&self, other: &Self) -> bool {
+        let is_of_whole = |row: &Self| matches!(row.part, GoalPart::Deviation(_));
+        self.goal == other.goal
+            && (self.part == other.part || (is_of_whole(self) && is_of_whole(other)))
+    }
 }
 
 /// The vectors of a goal.
@@ -482,90 +507,18 @@ impl OptimalControlProblem {
 
     /// Radius of the ball in which the scaled residual of a goal's part may lie; `None` where it is an equality, or paid for.
     #[must_use]
-    pub fn rest_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
-        if let (GoalPart::Deviation(_), Some(stay)) = (part, &self.stay) {
-            return Some(stay.radius() / self.goal_scale(part));
-        }
-        let Enforcement::Within { speed, spin, .. } = self.goals[goal].enforcement else {
-            return None;
-        };
-        let radius = match part {
-            GoalPart::Velocity => speed,
-            GoalPart::AngularVelocity => spin,
-            GoalPart::Position | GoalPart::Orientation | GoalPart::Deviation(_) => 0.0,
+    pub fn goal_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
+        let radius = match (part, &self.stay) {
+            (GoalPart::Deviation(_), Some(stay)) => stay.radius(),
+            _ => self.goals[goal].enforcement.tolerance(part),
         };
         (radius > 0.0).then(|| radius / self.goal_scale(part))
-    }
-
-    /// The balls in which residuals of goals may lie, as ranges of [`Self::goal_rows`] with the radius of their scaled residuals: those of
-    /// rest within a tolerance by vectors, that of where the arm stays as a whole.
-    #[must_use]
-    pub fn goal_balls(&self, rows: &[GoalRow]) -> Vec<(std::ops::Range<usize>, f64)> {
-        let mut out = Vec::new();
-        let mut first = 0;
-        let is_of_whole = |row: &GoalRow| matches!(row.part, GoalPart::Deviation(_));
-        let same = |a: &GoalRow, b: &GoalRow| {
-            a.goal == b.goal && (a.part == b.part || (is_of_whole(a) && is_of_whole(b)))
-        };
-        for group in rows.chunk_by(same) {
-            let range = first..first + group.len();
-            first = range.end;
-            let radius = self.rest_radius(group[0].goal, group[0].part);
-            out.extend(radius.map(|radius| (range, radius)));
-        }
-        out
     }
 
     /// Whether a goal's residual equals a variable of its own, instead of zero.
     #[must_use]
     pub fn has_slack(&self, row: &GoalRow) -> bool {
-        self.soft_weight(row).is_some() || self.rest_radius(row.goal, row.part).is_some()
-    }
-
-    /// The path constraints, and those of the goals that are sets.
-    #[must_use]
-    pub fn path_constraints(&self) -> Vec<PathConstraint> {
-        let mut out = self.path.clone();
-        for goal in &self.goals {
-            let Enforcement::Within {
-                distance, angle, ..
-            } = goal.enforcement
-            else {
-                continue;
-            };
-            let node = goal.node;
-            let mut add = |part: GoalPart, limit| {
-                out.push(PathConstraint {
-                    name: format!("{}.{}", goal.name, part.name()),
-                    limit,
-                    time_nodes: vec![goal.time_node],
-                    enforcement: PathEnforcement::Hard,
-                });
-            };
-            if let Some(from) = goal.position {
-                let largest = distance;
-                add(
-                    GoalPart::Position,
-                    PathLimit::Distance {
-                        node,
-                        from,
-                        largest,
-                    },
-                );
-            }
-            if let Some(from) = goal.rotation {
-                let largest = angle;
-                add(
-                    GoalPart::Orientation,
-                    PathLimit::Angle {
-                        node,
-                        from,
-                        largest,
-                    },
-                );
-            }
-        }
-        out
+        self.soft_weight(row).is_some() || self.goal_radius(row.goal, row.part).is_some()
     }
 
     /// The components that are actuated, in the order of the variables of one coefficient.
@@ -678,7 +631,7 @@ impl OptimalControlProblem {
         None
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of rest within a tolerance.
+    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of those within a tolerance.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()

@@ -92,7 +92,7 @@ pub struct SecondOpinion {
 pub enum SecondOpinionError {
     /// A constraint on the way.
     #[error(
-        "a second opinion knows no inequalities, and {name} is one; leave out --second-opinion, or the obstacle, limit or tolerance"
+        "a second opinion knows no inequalities, and {name} is one; leave out --second-opinion, or the obstacle or limit"
     )]
     Inequality {
         /// Its name.
@@ -152,8 +152,8 @@ impl ReducedProgram for Transcription<'_> {
             ..Multipliers::zeros(0, self.n_path_rows(), self.sets())
         };
         let mut gradient = self.lagrangian_gradient(&point, &pulls)?;
-        // What rest within a tolerance leaves stays as it is at the start.
-        for slack in self.rest_slacks() {
+        // What a tolerance leaves stays as it is at the start.
+        for slack in self.tolerance_slacks() {
             gradient[slack] = 0.0;
         }
         Ok(ReducedValues {
@@ -169,7 +169,7 @@ impl ReducedProgram for Transcription<'_> {
 /// # Errors
 /// [`SecondOpinionError::Inequality`] with the name of the first one.
 pub fn without_inequalities(problem: &OptimalControlProblem) -> Result<(), SecondOpinionError> {
-    match problem.path_constraints().first() {
+    match problem.path.first() {
         Some(constraint) => Err(SecondOpinionError::Inequality {
             name: constraint.name.clone(),
         }),

@@ -270,7 +270,7 @@ fn rows(problem: &OptimalControlProblem) -> f64 {
 
 fn n_path_rows(problem: &OptimalControlProblem) -> usize {
     let of = |limit: &PathLimit, times: usize| times.saturating_mul(limit.n_items(&problem.rod));
-    (problem.path_constraints().iter())
+    (problem.path.iter())
         .map(|path| of(&path.limit, path.time_nodes.len()))
         .fold(0, usize::saturating_add)
 }

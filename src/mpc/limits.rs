@@ -7,7 +7,7 @@
 use faer::Mat;
 
 use crate::control::path::{PathEnforcement, PathLimit, RodView};
-use crate::control::{OptimalControlProblem, PathConstraint};
+use crate::control::{Enforcement, Goal, OptimalControlProblem, PathConstraint};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{Rod, StateForm};
 
@@ -49,7 +49,8 @@ pub(super) struct Limits {
 /// # Errors
 /// [`MpcError::Unsupported`].
 pub(super) fn check(problem: &OptimalControlProblem) -> Result<(), MpcError> {
-    if problem.path_constraints().len() != problem.path.len() {
+    let has_tolerance = |goal: &Goal| matches!(goal.enforcement, Enforcement::Within { .. });
+    if problem.goals.iter().any(has_tolerance) {
         return Err(MpcError::Unsupported(
             "the controller's targets are soft; leave out tolerances of targets",
         ));

@@ -57,7 +57,7 @@ pub fn read_multipliers(
     problem: &OptimalControlProblem,
 ) -> Result<MultiplierRecord, OutputError> {
     let goals = problem.goal_rows().len() as u64;
-    let path_rows = (problem.path_constraints().iter()).fold(0u64, |sum, constraint| {
+    let path_rows = (problem.path.iter()).fold(0u64, |sum, constraint| {
         let rows = constraint.limit.n_items(&problem.rod) as u64;
         sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
     });

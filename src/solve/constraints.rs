@@ -23,7 +23,7 @@ pub(super) fn worst_constraints<D>(
         let goal = &problem.goals[row.goal];
         let slack = problem.has_slack(row).then(|| slacks.next());
         let scaled = values.constraints[i] + slack.flatten().copied().unwrap_or(0.0);
-        let (off, list) = match problem.rest_radius(row.goal, row.part) {
+        let (off, list) = match problem.goal_radius(row.goal, row.part) {
             Some(radius) => ((scaled.abs() - radius).max(0.0), &mut named),
             None if problem.soft_weight(row).is_some() => (scaled.abs(), &mut soft),
             None => (scaled.abs(), &mut named),

@@ -62,12 +62,11 @@ fn terms(
     let problem = &problem.with_time_scale(time_scale);
     let Motion { trajectory, end } = roll_out(problem, &problem.initial, solution.coefficients)?;
     let control = hold::signal(problem, 1, solution.coefficients);
-    let path = problem.path_constraints();
     let conditions = Conditions {
         problem,
         trajectory: &trajectory,
         control: &control,
-        path: &path,
+        path: &problem.path,
     };
     let multipliers = &solution.multipliers;
     let residuals = conditions.residuals(&end.linear_momentum, &end.angular_momentum);

@@ -150,16 +150,6 @@ impl Measure<'_> {
             PathLimit::Speed { node, largest } => before.map_or(-largest, |before| {
                 (here.x[*node] - before.x[*node]).norm() / self.step - largest
             }),
-            PathLimit::Distance {
-                node,
-                from,
-                largest,
-            } => (here.x[*node] - from).norm() - largest,
-            PathLimit::Angle {
-                node,
-                from,
-                largest,
-            } => log(&(from.transpose() * here.r[*node])).norm() - largest,
             PathLimit::Term(term) => term_value(&**term, self.rod, here, item),
         }
     }
@@ -183,9 +173,7 @@ impl Measure<'_> {
     fn support(&self, limit: &PathLimit, item: usize) -> Vec<usize> {
         let first = limit.node(self.rod, item);
         match limit {
-            PathLimit::Speed { .. } | PathLimit::Distance { .. } | PathLimit::Angle { .. } => {
-                vec![first]
-            }
+            PathLimit::Speed { .. } => vec![first],
             PathLimit::Term(term) => term.nodes(self.rod, item),
             _ => vec![first, (first + 1).min(self.rod.tip())],
         }
@@ -239,7 +227,6 @@ impl Measure<'_> {
         match limit {
             PathLimit::Curvature { .. } => Some(self.bend(pose, item)),
             PathLimit::Twist { .. } => Some(self.bend(pose, item / 2)),
-            PathLimit::Angle { node, from, .. } => Some(log(&(from.transpose() * pose.r[*node]))),
             _ => None,
         }
     }
@@ -285,11 +272,9 @@ impl Measure<'_> {
                 let along = unit(&(here.x[node] - before.x[node])) / self.step;
                 if along_before { -along } else { along }
             }
-            PathLimit::Distance { from, .. } => unit(&(here.x[node] - from)),
-            PathLimit::Curvature { .. }
-            | PathLimit::Twist { .. }
-            | PathLimit::Angle { .. }
-            | PathLimit::Term(_) => Vector3::zeros(),
+            PathLimit::Curvature { .. } | PathLimit::Twist { .. } | PathLimit::Term(_) => {
+                Vector3::zeros()
+            }
         }
     }
 }

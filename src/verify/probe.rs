@@ -3,13 +3,13 @@
 use nalgebra::DMatrix;
 
 use super::hold::{self, Spline};
+use super::kkt::balls::GoalBall;
 use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_back};
 use super::kkt::functional::AT_LIMIT;
 use super::kkt::motion::Conditions;
-use super::kkt::rest::RestBall;
 use super::limits::Pose;
 use super::{CheckError, ReplayKind, Solution, SolutionMultipliers, samples};
-use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathMultiplier};
+use crate::control::{OptimalControlProblem, PathEnforcement, PathMultiplier};
 use crate::mechanics::{State, Stepper, Trajectory, Wrench};
 
 /// A row of a path constraint with a multiplier.
@@ -22,7 +22,6 @@ struct PathTerm {
 /// A solution whose scaled controls can be moved; the motion follows.
 pub(super) struct Probe<'a> {
     pub(super) problem: &'a OptimalControlProblem,
-    path: Vec<PathConstraint>,
     terms: Vec<PathTerm>,
     multipliers: SolutionMultipliers<'a>,
     /// Scaled actuated coefficients of the solution.
@@ -31,8 +30,8 @@ pub(super) struct Probe<'a> {
     pub(super) scale: f64,
     /// The bounds that pull there.
     pub(super) bounds: Vec<ActiveBound>,
-    /// Velocities at the end of the tolerance within which they rest.
-    pub(super) rest: Vec<RestBall>,
+    /// Goals at the end of their tolerance.
+    pub(super) balls: Vec<GoalBall>,
     /// Indices into the path's terms of the rows that are held at their limits.
     held: Vec<usize>,
 }
@@ -72,16 +71,14 @@ pub(super) fn roll_out(
 
 impl<'a> Probe<'a> {
     pub(super) fn new(problem: &'a OptimalControlProblem, solution: &Solution<'a>) -> Self {
-        let path = problem.path_constraints();
         let mut out = Self {
             problem,
-            path,
             terms: Vec::new(),
             multipliers: solution.multipliers,
             variables: problem.variables(solution.coefficients)[..problem.n_controls()].to_vec(),
             scale: 0.0,
             bounds: Vec::new(),
-            rest: Vec::new(),
+            balls: Vec::new(),
             held: Vec::new(),
         };
         let control = hold::signal(problem, 1, solution.coefficients);
@@ -89,7 +86,7 @@ impl<'a> Probe<'a> {
             problem,
             trajectory: solution.trajectory,
             control: &control,
-            path: &out.path,
+            path: &problem.path,
         };
         let (functional, _) = conditions.functional(&solution.multipliers);
         let pulled = conditions.control_gradient(&functional, solution.multipliers.goals);
@@ -101,7 +98,7 @@ impl<'a> Probe<'a> {
         );
         let defects = conditions.defects();
         let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
-        let mut rest = conditions.rest_balls(&residuals, solution.multipliers.goals);
+        let mut balls = conditions.goal_balls(&residuals, solution.multipliers.goals);
         let terms = (solution.multipliers.path.iter())
             .map(|row| PathTerm {
                 row: *row,
@@ -112,8 +109,8 @@ impl<'a> Probe<'a> {
         out.bounds = controls.active;
         out.terms = terms;
         let least = super::kkt::controls::ACTIVE * out.scale;
-        rest.retain(|ball| ball.multiplier.norm() > least && ball.residual.norm() > 0.0);
-        out.rest = rest;
+        balls.retain(|ball| ball.multiplier.norm() > least && ball.residual.norm() > 0.0);
+        out.balls = balls;
         out.held = (out.terms.iter().enumerate())
             .filter(|(_, term)| term.price.is_none() && term.row.multiplier > least)
             .map(|(i, _)| i)
@@ -164,7 +161,7 @@ impl<'a> Probe<'a> {
             problem: self.problem,
             trajectory,
             control,
-            path: &self.path,
+            path: &self.problem.path,
         }
     }
 

@@ -6,7 +6,7 @@ use super::limits::{Measure, Pose};
 use super::stay::{Held, follow};
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
-use crate::control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit};
+use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};
 use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::{ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory};
 use crate::stop::StopSignal;
@@ -197,8 +197,7 @@ pub fn refine(
         levels.push(level(rod, start, factor, ReplayKind::MoreElements));
     }
 
-    let path = problem.path_constraints();
-    let mut watch = Watch::new(problem, &path, finest, step / factor as f64);
+    let mut watch = Watch::new(problem, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;
@@ -257,12 +256,7 @@ struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    fn new(
-        problem: &OptimalControlProblem,
-        path: &[PathConstraint],
-        rod: &'a Rod,
-        step: f64,
-    ) -> Self {
+    fn new(problem: &OptimalControlProblem, rod: &'a Rod, step: f64) -> Self {
         let factor = rod.n_elements() / problem.rod.n_elements();
         let radius = |q: usize| {
             let (from, s) = (q / factor, (q % factor) as f64 / factor as f64);
@@ -281,10 +275,8 @@ impl<'a> Watch<'a> {
         let thickness = thinnest(&radii);
         let mut limits = Vec::new();
         let mut worst = Vec::new();
-        for constraint in path {
-            // Sets around goals are met at one instant; how far off they are is the error in time and space.
+        for constraint in &problem.path {
             let reference = match &constraint.limit {
-                PathLimit::Distance { .. } | PathLimit::Angle { .. } => continue,
                 PathLimit::Clearance { shape, margin, .. } => {
                     let radius = shape.least_radius() + thickness + margin;
                     if radius.is_finite() && radius > 0.0 {

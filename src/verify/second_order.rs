@@ -1,8 +1,8 @@
 //! The second-order condition: curvature of the Lagrangian over the directions that the active constraints leave free.
 //!
 //! In the scaled coefficients `v` of the controls, with the motion a function of them, `∇²L` must be positive on the null space of the
-//! gradients of all that is held: hard goals, and rows of the path, rates and bounds with a multiplier. Active norm bounds, and rest at
-//! the end of its tolerance, add the curvature of their own ball, `|z| (I - û ûᵀ)/|u|`. Rows without a multiplier hold nothing here, which can only lower the result.
+//! gradients of all that is held: hard goals, and rows of the path, rates and bounds with a multiplier. Active norm bounds, and goals at
+//! the end of their tolerance, add the curvature of their own ball, `|z| (I - û ûᵀ)/|u|`. Rows without a multiplier hold nothing here, which can only lower the result.
 //!
 //! Products of `∇²L` with a direction are central differences of the recomputed gradient ([`kkt`](super::kkt)); the smallest
 //! eigenvalue comes from Lanczos' method with full reorthogonalization, stopped when its residual is a small part of it.
@@ -101,7 +101,7 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
         return Ok(out);
     }
     let project = |v: &DVector<f64>| v - &normals * normals.tr_mul(v);
-    let curvature = own_curvature(probe) + rest_curvature(probe, responses);
+    let curvature = own_curvature(probe) + ball_curvature(probe, responses);
     let product = |d: &DVector<f64>, step: f64| -> Result<DVector<f64>, CheckError> {
         let plus = DVector::from_vec(probe.gradient(d.as_slice(), step)?);
         let minus = DVector::from_vec(probe.gradient(d.as_slice(), -step)?);
@@ -247,13 +247,9 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
         let held = (first..n).map(|i| DVector::from_fn(n, |j, _| f64::from(u8::from(i == j))));
         columns.extend(held);
     }
-    for ball in &probe.rest {
+    for ball in &probe.balls {
         let along = ball.residual.normalize();
-        columns.push(
-            responses
-                .rows(ball.rows.start, ball.rows.len())
-                .tr_mul(&along),
-        );
+        columns.push(responses.rows(ball.first, along.len()).tr_mul(&along));
     }
     for bound in &probe.bounds {
         for normal in &bound.normals {
@@ -289,15 +285,15 @@ fn ends(at: usize, earlier: Option<usize>) -> impl Iterator<Item = (usize, f64)>
     std::iter::once((at, 1.0)).chain(earlier.map(|earlier| (earlier, -1.0)))
 }
 
-/// Sum of the curvatures of the balls in which velocities rest.
-fn rest_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
+/// Sum of the curvatures of the balls in which goals are met.
+fn ball_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     let n = probe.variables.len();
     let mut out = DMatrix::zeros(n, n);
-    for ball in &probe.rest {
+    for ball in &probe.balls {
         let along = ball.residual.normalize();
-        let n = ball.rows.len();
-        let tangent = DMatrix::identity(n, n) - &along * along.transpose();
-        let response = responses.rows(ball.rows.start, n);
+        let m = along.len();
+        let tangent = DMatrix::identity(m, m) - &along * along.transpose();
+        let response = responses.rows(ball.first, m);
         let size = ball.multiplier.norm() / ball.residual.norm();
         out += response.tr_mul(&(tangent * response)) * size;
     }

@@ -21,7 +21,7 @@ pub struct Solution<'a> {
 pub struct SolutionMultipliers<'a> {
     /// Of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
     pub goals: &'a [f64],
-    /// Of rows of [`OptimalControlProblem::path_constraints`]; those that are absent are zero.
+    /// Of rows of [`OptimalControlProblem::path`]; those that are absent are zero.
     pub path: &'a [PathMultiplier],
     /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, per step between coefficients and
     /// actuator (force, moment); empty without such bounds.
@@ -90,7 +90,7 @@ impl SolutionMultipliers<'_> {
             require_count("rates", self.rates.len(), count)?;
             require_finite("rates", self.rates.iter().flatten())?;
         }
-        let constraints = problem.path_constraints();
+        let constraints = &problem.path;
         let mut seen = HashMap::new();
         for (i, row) in self.path.iter().enumerate() {
             let field = |name: &str| format!("path[{i}].{name}");

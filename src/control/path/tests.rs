@@ -88,16 +88,6 @@ fn limits(rod: &Rod) -> Vec<PathLimit> {
             node: rod.tip(),
             largest: 1.0,
         },
-        PathLimit::Distance {
-            node: 2,
-            from: x,
-            largest: 0.1,
-        },
-        PathLimit::Angle {
-            node: 3,
-            from: exp(&Vector3::new(0.2, 0.1, -0.5)),
-            largest: 0.1,
-        },
     ]
 }
 

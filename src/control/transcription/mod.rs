@@ -2,7 +2,7 @@
 //!
 //! The state equations are the discrete equations of motion; they are eliminated exactly, by the forward recursion of
 //! the linearized motion (condensing), or its transpose. The constraints are the scaled residuals of the goals, the inequalities the rows of
-//! the path constraints; a soft goal has variables of its own for its residuals.
+//! the path constraints; a soft goal, and one within a tolerance, has variables of its own for its residuals.
 
 use nalgebra::Vector3;
 
@@ -47,7 +47,7 @@ const SCREENING_MARGIN: f64 = 0.05;
 /// Controls and configurations; the configurations need not obey the dynamics.
 #[derive(Clone, Debug)]
 pub struct LiftedPoint {
-    /// Scaled control coefficients, then the residuals of soft goals.
+    /// Scaled control coefficients, then the residuals of soft goals and of those within a tolerance.
     pub variables: Vec<f64>,
     /// Configurations at every time node.
     pub trajectory: Trajectory,
@@ -144,7 +144,7 @@ impl<'a> Transcription<'a> {
                 })
             })
             .collect();
-        let path = problem.path_constraints();
+        let path = problem.path.clone();
         let mut path_starts = vec![0];
         for constraint in &path {
             let rows = constraint.time_nodes.len() * constraint.limit.n_items(&problem.rod);
@@ -189,14 +189,14 @@ impl<'a> Transcription<'a> {
         &self.goal_rows
     }
 
-    /// The variables of goals that may be at rest within a tolerance.
-    pub(super) fn rest_slacks(&self) -> impl Iterator<Item = usize> {
+    /// The variables of goals within a tolerance.
+    pub(super) fn tolerance_slacks(&self) -> impl Iterator<Item = usize> {
         (self.goal_rows.iter().zip(&self.slack_variables))
-            .filter(|(row, _)| self.problem.rest_radius(row.goal, row.part).is_some())
+            .filter(|(row, _)| self.problem.goal_radius(row.goal, row.part).is_some())
             .filter_map(|(_, slack)| *slack)
     }
 
-    /// The path constraints, those of the goals included.
+    /// The path constraints.
     #[must_use]
     pub fn path(&self) -> &[PathConstraint] {
         &self.path
@@ -300,7 +300,7 @@ impl<'a> Transcription<'a> {
         self.problem.signal(&self.problem.control, &coefficients)
     }
 
-    /// Scaled residuals of the goals, without the variables of soft ones.
+    /// Scaled residuals of the goals, without the variables that some have for them.
     fn goal_residuals(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
         self.goal_rows
             .iter()
@@ -392,8 +392,8 @@ impl<'a> Transcription<'a> {
             .collect()
     }
 
-    /// Residuals of the goals minus the variables that soft ones have for them.
-    fn less_soft(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
+    /// Residuals of the goals minus the variables that some have for them.
+    fn less_slacks(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
         for (row, (r, variable)) in residuals.iter_mut().zip(&self.slack_variables).enumerate() {
             *r -= variable.map_or(0.0, |variable| variables[variable]);
             *r += self.relaxed_constraint(row) * self.shortfall(variables);
@@ -553,7 +553,7 @@ impl LiftedProgram for Transcription<'_> {
             .map(|row| 0.5 * row.residual * row.residual)
             .sum();
         let objective = control_cost + state_cost;
-        let constraints = self.less_soft(residuals, &point.variables);
+        let constraints = self.less_slacks(residuals, &point.variables);
         let inequalities = self.path_values(point);
         if !objective.is_finite() {
             return Err(Failure(

@@ -1,4 +1,4 @@
-//! Bounds on coefficients and rates, and rest within a tolerance, as convex sets of the variables.
+//! Bounds on coefficients and rates, and goals within a tolerance, as convex sets of the variables.
 
 use crate::control::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
 use crate::sqp::ConvexSet;
@@ -73,7 +73,7 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, on their differences, and on what rest within a tolerance leaves, in scaled variables.
+/// The bounds on coefficients, on their differences, and on the residuals of goals within a tolerance, in scaled variables.
 pub(super) fn convex_sets(
     problem: &OptimalControlProblem,
     components: &[Component],
@@ -116,9 +116,12 @@ pub(super) fn convex_sets(
             }
         }
     }
-    for (range, radius) in problem.goal_balls(goal_rows) {
-        let slacks = slack_variables[range].iter().flatten().copied();
-        sets.push(ConvexSet::ball(slacks, radius));
+    let mut slacks = slack_variables.iter();
+    for rows in goal_rows.chunk_by(GoalRow::shares_vector_with) {
+        let slacks: Vec<usize> = (slacks.by_ref().take(rows.len()).flatten().copied()).collect();
+        if let Some(radius) = problem.goal_radius(rows[0].goal, rows[0].part) {
+            sets.push(ConvexSet::ball(slacks, radius));
+        }
     }
     sets
 }

@@ -1,6 +1,6 @@
 //! The conditions on the controls: their cost, the gradient of the Lagrangian, bounds and their normals.
 
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use super::rows::{Place, Worst, largest_axis, per};
 use crate::control::{Bound, OptimalControlProblem};
@@ -280,20 +280,6 @@ fn rate_slack(
     }
 }
 
-/// What of `-g` a normal of the ball `|u| ≤ radius` at `u` cannot explain, and the product of slack and normal.
-pub(super) fn cone_of_ball(radius: f64, g: &DVector<f64>, u: &DVector<f64>) -> (DVector<f64>, f64) {
-    let norm = u.norm();
-    if norm < radius * (1.0 - NEAR) {
-        return (g.clone(), 0.0);
-    }
-    let outward = u / norm;
-    let size = (-g.dot(&outward)).max(0.0);
-    (g + outward * size, size * (radius - norm).abs())
-}
-
-/// Within this of a limit, as a fraction of it, a normal may act; the product with the slack is reported either way.
-const NEAR: f64 = 1e-3;
-
 /// What of `-g` the bound's normal at `u` cannot explain, the product of slack and normal, and the normal.
 ///
 /// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
@@ -310,17 +296,13 @@ pub(super) fn normal_cone(
             if *limit <= 0.0 {
                 return (zero, 0.0, zero);
             }
-            let norm = u.norm();
-            if norm < limit * (1.0 - NEAR) {
-                return (*g, 0.0, zero);
+            let size = outward_pull(*limit, g.as_slice(), u.as_slice());
+            if !(size > 0.0) {
+                return (g + u * size, 0.0, zero);
             }
-            let outward = u / norm;
-            let size = (-g.dot(&outward)).max(0.0);
-            (
-                g + outward * size,
-                size * (limit - norm).abs() / scale,
-                outward * size,
-            )
+            let norm = u.norm();
+            let normal = u * (size / norm);
+            (g + normal, size * (limit - norm).abs() / scale, normal)
         }
         Some(Bound::PerAxis(limits)) => {
             let (mut rest, mut gap, mut normal) = (zero, 0.0, zero);
@@ -340,4 +322,17 @@ pub(super) fn normal_cone(
             (rest, gap, normal)
         }
     }
+}
+
+/// Within this part of its limit a normal may act; the product with the slack is reported either way.
+const NEAR: f64 = 1e-3;
+
+/// Length of the normal of the ball `|u| ≤ limit` at `u` that explains `-g` best: along `u`, never inward, and 0 within the ball.
+pub(super) fn outward_pull(limit: f64, g: &[f64], u: &[f64]) -> f64 {
+    let norm = u.iter().map(|u| u * u).sum::<f64>().sqrt();
+    if norm < limit * (1.0 - NEAR) {
+        return 0.0;
+    }
+    let inward = g.iter().zip(u).map(|(g, u)| g * u / norm).sum::<f64>();
+    (-inward).max(0.0)
 }

@@ -6,10 +6,10 @@
 //! damping](crate::mechanics::implicit) come from differentiated strains.
 
 mod adjoint;
+pub(in crate::verify) mod balls;
 pub(super) mod controls;
 pub(super) mod functional;
 pub(super) mod motion;
-pub(in crate::verify) mod rest;
 mod rows;
 mod stresses;
 
@@ -49,21 +49,20 @@ pub fn recompute(
     multipliers: &SolutionMultipliers,
 ) -> RecomputedKkt {
     let control = hold::signal(problem, 1, coefficients);
-    let path = problem.path_constraints();
     let conditions = Conditions {
         problem,
         trajectory,
         control: &control,
-        path: &path,
+        path: &problem.path,
     };
     let defects = conditions.defects();
     let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
     // A soft goal is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
     let mut equalities = Worst::default();
     let mut soft_cost = 0.0;
-    let rest = conditions.rest_conditions(&residuals, multipliers.goals);
+    let balls = conditions.ball_conditions(&residuals, multipliers.goals);
     for ((r, y), row) in (residuals.iter().zip(multipliers.goals)).zip(&problem.goal_rows()) {
-        if problem.rest_radius(row.goal, row.part).is_some() {
+        if problem.goal_radius(row.goal, row.part).is_some() {
             continue;
         }
         let soft = problem.soft_weight(row).map_or(0.0, |weight| {
@@ -100,13 +99,13 @@ pub fn recompute(
     let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
     let stationarity = (controls.stationarity)
         .or(on_path.stationarity)
-        .or(rest.stationarity)
+        .or(balls.stationarity)
         .over(scale);
     let signs = on_path.signs.over(scale);
-    let inequalities = controls.bounds.or(on_path.violation).or(rest.violation);
+    let inequalities = controls.bounds.or(on_path.violation).or(balls.violation);
     let complementarity = (controls.complementarity)
         .or(on_path.complementarity)
-        .or(rest.complementarity)
+        .or(balls.complementarity)
         .over(scale);
     RecomputedKkt {
         residual: KktResidual {
