@@ -16,8 +16,8 @@ use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
 use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{
-    ClosedLoop, Contender, EstimatorChoice, MpcError, Outcome as Run, Percentiles, Sample, Sensing,
-    TipError, Unknowns,
+    Cause, ClosedLoop, Contender, EstimatorChoice, FallbackSettings, MpcError, Outcome as Run,
+    Percentiles, Sample, Sensing, TipError, Unknowns,
 };
 use crate::output::closed_loop::{
     BaselineSummary, LimitPeak, MpcSummary, SampleRow, write_samples,
@@ -500,7 +500,7 @@ fn summarize(
         fallbacks: tally.fallbacks.clone(),
         bounded: tally.bounded,
         limits: Vec::new(),
-        advice: advice(setup, run),
+        advice: advice(setup, run, &others),
         transfer_error_m: run.transfer_error,
         seed: (setup.resolved.mpc.as_ref())
             .and_then(|mpc| mpc.seed)
@@ -513,8 +513,71 @@ fn summarize(
 /// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
 const FAR: f64 = 0.01;
 
+/// What stands between a loop and its reference: what the loop itself tells, and where the tip is far off at the end, what may be changed.
+fn advice(setup: &ClosedLoopSetup, run: &Run, others: &[Run]) -> Vec<String> {
+    let mut out = causes(setup, run, others);
+    out.extend(changes(setup, run));
+    out
+}
+
+/// Causes that figures of the runs name.
+fn causes(setup: &ClosedLoopSetup, run: &Run, others: &[Run]) -> Vec<String> {
+    let own = &setup.experiment;
+    let length = own.arm.length;
+    let mut out = Vec::new();
+    let n = run.tally.samples;
+    if n > 0 && run.tally.bounded == n {
+        out.push(format!(
+            "a bound was active in all {n} samples: what is asked takes more than the bounds and rates of [control] allow, or limits and obstacles are \
+             in the way"
+        ));
+    }
+    let patience = own.settings.fallback.patience();
+    let needed = FallbackSettings::default()
+        .following(setup.sensors())
+        .patience();
+    let blind = (run.tally.fallbacks).get(&Cause::NoMeasurement.to_string());
+    if let Some(blind) = blind.filter(|_| patience < needed) {
+        out.push(format!(
+            "{blind} samples fell back because nothing was measured for longer than mpc.fallback.patience_s = {patience}: the slowest [[sensor]] needs \
+             {needed:.3}, its age_s and two of its periods"
+        ));
+    }
+    let rms = |run: &Run| run.tip_error.rms / length;
+    let of = |contender: Contender| others.iter().find(|other| other.contender == contender);
+    if rms(run) > FAR
+        && let (Some(model), Some(waits)) = (of(Contender::PlantIsModel), of(Contender::PlantWaits))
+    {
+        let [whole, model, waits] = [run, model, waits].map(|run| 100.0 * rms(run));
+        // The largest of three parts: of what the model has wrong and the delays nothing is in the first.
+        let parts = [
+            (
+                model,
+                "on an arm that is its model and known at once, the tip is nearly as far off: the path, the bounds, or the horizon are at fault, not \
+                 what the model has wrong",
+            ),
+            (
+                waits - model,
+                "most of it goes with what the model has wrong: an [estimator] with estimator.disturbances looks for it",
+            ),
+            (
+                whole - waits,
+                "most of it goes with sensors and delays: mpc.actuator_delay_s, mpc.computing and age_s of [[sensor]] say what the loop predicts over",
+            ),
+        ];
+        let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, words)) = largest {
+            out.push(format!(
+                "the tip is {whole:.2} % of the length off (rms), {waits:.2} % where the arm waits and is known, {model:.2} % where it is the model as \
+                 well: {words}"
+            ));
+        }
+    }
+    out
+}
+
 /// What may be changed where the tip is far from its reference at the end.
-fn advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
+fn changes(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
     let own = &setup.experiment;
     let quarter = 0.75 * own.duration;
     let late = run

@@ -44,6 +44,20 @@ const PART_OF_PERIOD: f64 = 0.5;
 const FEWEST_SAMPLES: f64 = 10.0;
 const BLOCKS: f64 = 10.0;
 
+impl ClosedLoopSetup {
+    /// The sensors that an estimator uses.
+    pub fn sensors(&self) -> impl Iterator<Item = &SensorSettings> {
+        let sensors = match &self.experiment.sensing {
+            Sensing::Everything => &[][..],
+            Sensing::Estimated { sensors, .. } => &sensors[..],
+        };
+        sensors.iter().filter_map(|choice| match choice {
+            SensorChoice::Own(settings) => Some(settings),
+            SensorChoice::Preset(_) => None,
+        })
+    }
+}
+
 impl Scene {
     /// The closed loop that the scene describes; `seed` is that of the noise where the scene has none, and `stop` ends the search for an
     /// initial state.

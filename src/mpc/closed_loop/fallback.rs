@@ -122,7 +122,9 @@ impl FallbackSettings {
         }
     }
 
-    pub(super) fn patience(&self) -> f64 {
+    /// Age of an estimate that is still predicted from, s.
+    #[must_use]
+    pub fn patience(&self) -> f64 {
         self.patience.unwrap_or(Self::PATIENCE)
     }
 

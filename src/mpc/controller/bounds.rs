@@ -165,9 +165,9 @@ impl Controller {
                     None if is_constant => settings.period,
                     None => 0.0,
                 };
-                at = match channel.rate_bound.filter(|_| is_slow) {
-                    // What is fixed stays.
-                    _ if time == 0.0 => at,
+                // What is fixed stays.
+                let rate = channel.rate_bound.filter(|_| is_slow && time > 0.0);
+                at = match rate {
                     None => at,
                     Some(bound @ Bound::Norm(_)) => {
                         at * (1.0 - part_within(&bound, SLOWER * time, &at))

@@ -10,7 +10,7 @@ use super::{
     Work, fit,
 };
 use crate::mechanics::RodModel;
-use crate::mpc::{Contender, MpcError, Outcome};
+use crate::mpc::{Contender, Outcome};
 use crate::scene::{EstimatorKind, TimeScheme};
 
 /// Part of the budget that one run may take, so that there are enough of them.
@@ -114,14 +114,11 @@ impl Work<'_, '_> {
         let own = self.sweep.scene;
         let plant = own.plant.as_ref().and_then(|plant| plant.elements);
         scene.set_plant_elements(finer * plant.unwrap_or(own.rod.elements));
-        let within_budget = (self.sweep.stop).no_later_than(self.began + self.sweep.budget);
-        let mut setup = scene.closed_loop(self.sweep.source, 0, &within_budget)?;
-        setup.experiment.stop = within_budget.clone();
-        // The first run, which is as long as the scene's, tells what fits the budget.
-        let stop = match duration {
-            Some(_) => &within_budget,
-            None => self.sweep.stop,
-        };
+        let stop = self.sweep.stop;
+        // No plan is waited for longer than the whole sweep may take.
+        let making = stop.no_later_than(Instant::now() + self.sweep.budget);
+        let mut setup = scene.closed_loop(self.sweep.source, 0, &making)?;
+        setup.experiment.stop = making;
         let run = setup.experiment.run(Contender::Mpc, &mut |_, _| {
             if stop.is_raised() {
                 ControlFlow::Break(())
@@ -129,8 +126,6 @@ impl Work<'_, '_> {
                 ControlFlow::Continue(())
             }
         })?;
-        // What was cut off has no error.
-        stop.check().map_err(MpcError::from)?;
         let step = setup.experiment.discretization.step.unwrap_or(f64::NAN);
         Ok((run, setup.experiment.arm.length, step))
     }
