@@ -14,7 +14,7 @@ pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
-use super::estimator::Disturbance;
+use super::estimator::{Disturbance, ModelParameters};
 use super::holding::Holding;
 use super::horizon::{Horizon, add_effects};
 use super::knots::Knots;
@@ -116,7 +116,7 @@ pub struct Controller {
     state: State,
     prediction: Option<StepperMemory>,
     /// What is wrong with the model that its constants are for.
-    tuned: [f64; 3],
+    tuned: ModelParameters,
     in_period: Divided,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
@@ -272,9 +272,7 @@ impl Controller {
             settings: *settings,
             horizon,
         };
-        if controller.counts_from_holding() {
-            controller.holding = controller.holding();
-        }
+        controller.count_from_holding();
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
@@ -347,6 +345,21 @@ impl Controller {
                 expected: "a finite number that leaves no negative damping",
             });
         }
+        let internal = disturbance.internal;
+        if !(internal.is_finite() && internal >= -model.internal_damping) {
+            return Err(MpcError::Setting {
+                name: "disturbance.internal",
+                value: internal,
+                expected: "a finite number that leaves no negative damping",
+            });
+        }
+        if !disturbance.delay.is_finite() {
+            return Err(MpcError::Setting {
+                name: "disturbance.delay",
+                value: disturbance.delay,
+                expected: "a finite number",
+            });
+        }
         let weight = model.gravity * payload;
         let tip = &disturbance.tip;
         let numbers = (tip.force.iter().chain(&tip.moment)).chain(&disturbance.distributed);
@@ -411,8 +424,10 @@ impl Controller {
         }
         self.horizon.follow(track, path);
         // Statics along a path take longer than a sample has, at one place they do not.
-        let is_asked = self.counts_from_holding() && path.len() == 1;
-        self.holding = is_asked.then(|| self.holding()).flatten();
+        self.holding = None;
+        if path.len() == 1 {
+            self.count_from_holding();
+        }
         Ok(())
     }
 

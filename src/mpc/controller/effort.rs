@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Controller, EffortFrom};
 use crate::control::{OptimalControlProblem, Tracking};
 use crate::mechanics::rotation::log;
-use crate::mpc::holding::{Holding, TipPose};
+use crate::mpc::holding::{Along, Holding, TipPose};
 
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
@@ -66,7 +66,7 @@ impl Controller {
     }
 
     /// What holds the tip along its reference; `None` without one, and where it goes on for more than ten minutes.
-    pub(in crate::mpc) fn holding(&self) -> Option<Holding> {
+    pub(in crate::mpc) fn holding(&self, along: Along) -> Option<Holding> {
         let tip = self.horizon.problem.rod.tip();
         let mut effects = self.horizon.effects.iter().flatten();
         let turns = effects.any(|&(node, axis, _)| node == tip && axis >= 3);
@@ -79,11 +79,19 @@ impl Controller {
         }
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let start = &self.horizon.problem.initial.configuration;
-        Holding::along(self.rod(), start, reference, spacing, self.reference_end())
+        let times = [spacing, self.reference_end()];
+        Holding::along(self.rod(), start, reference, times, along)
     }
 
-    pub(super) fn counts_from_holding(&self) -> bool {
-        self.settings.effort == EffortFrom::Holding && self.settings.due.is_none()
+    /// Notes the wrench from which effort counts along the reference.
+    pub(super) fn count_from_holding(&mut self) {
+        let along = match self.settings.effort {
+            _ if self.settings.due.is_some() => None,
+            EffortFrom::Zero => None,
+            EffortFrom::Holding => Some(Along::All),
+            EffortFrom::Auto => Some(Along::Rests),
+        };
+        self.holding = along.and_then(|along| self.holding(along));
     }
 
     /// Writes what costs no effort at the coefficients of the present plan.
@@ -92,7 +100,7 @@ impl Controller {
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
         let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
-            let t = horizon.knots.time(coefficient);
+            let t = horizon.knots.time(coefficient) + horizon.delay();
             // Before it is to be there, nothing holds the tip.
             let wrench = (self.holding.as_ref())
                 .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)))
