@@ -63,8 +63,8 @@ fn poses_are_held() {
     assert!(turn.rms < 0.02, "{turn:?}");
 }
 
-/// Where the arm is the model and its state is known, a place that is followed is held more than twice as near if effort counts from what holds it than if it counts
-/// from zero, at weights at which effort matters.
+/// Where the arm is the model and its state is known, a place that is followed is held more than twice as near if effort counts from what holds it, as by default, than
+/// if it counts from zero, at weights at which effort matters.
 #[test]
 fn targets_are_reached_and_held() {
     let scene = worked_scene();
@@ -90,4 +90,6 @@ fn targets_are_reached_and_held() {
     let (held, pulled) = (off("holding"), off("zero"));
     println!("{held} {pulled}");
     assert!(pulled > 5e-3 && held < 0.5 * pulled, "{held} {pulled}");
+    // The place rests, and the arm is stable under what holds it: that is the default.
+    assert_eq!(off("auto"), held);
 }

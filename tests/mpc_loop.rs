@@ -279,6 +279,56 @@ fn loops_survive_their_sensors() {
     assert!(worst < 0.03, "{worst}");
 }
 
+/// One pose of the tip that is a third of the length off, or all positions at the base, once a second: the tip stays as near to its path as
+/// without, every bad signal is refused and counted, and nothing else is.
+#[test]
+fn outliers_cost_nothing() {
+    let mut circling = scene();
+    circling.duration = 4.0;
+    let rod = circling
+        .task
+        .discretize(&circling.plant, &circling.plant_discretization)
+        .unwrap()
+        .discrete
+        .rod;
+    let run = |bad: fn(f64, f64) -> Option<Vector3<f64>>| {
+        let tamper = move |measurement: &mut softarm::mpc::Measurement| {
+            let t = measurement.time;
+            if t > 0.5 && (t - t.round()).abs() < 1e-6 {
+                for signal in &mut measurement.signals {
+                    if let Reading::Position(x) = &mut signal.reading {
+                        *x = bad(t, signal.place).unwrap_or(*x);
+                    }
+                }
+            }
+            true
+        };
+        let fallback = FallbackSettings::default();
+        let mut closed = tampered(&circling, &rod, fallback, Box::new(tamper)).unwrap();
+        let samples = closed
+            .run(400, &mut |_, _| ControlFlow::Continue(()))
+            .unwrap();
+        let refused: usize = (samples.iter())
+            .filter_map(|sample| sample.innovation)
+            .map(|innovation| innovation.refused)
+            .sum();
+        let tally = softarm::mpc::Tally::of(&samples, 0.01);
+        assert_eq!(tally.innovations.unwrap().refused, refused);
+        let error = softarm::mpc::TipError::of(&samples, 0.9);
+        (error.max, refused)
+    };
+    let (usual, none) = run(|_, _| None);
+    let (tip, one) = run(|_, place| (place == 1.0).then(|| Vector3::new(0.3, 0.0, 0.9)));
+    let (base, three) = run(|_, _| Some(Vector3::zeros()));
+    println!("{usual} {tip} {base}");
+    assert_eq!((none, one, three), (0, 3, 9));
+    // What a measurement that is left out makes of noise.
+    assert!(
+        tip < usual + 1e-3 && base < usual + 1e-3,
+        "{usual} {tip} {base}"
+    );
+}
+
 /// Ten thousand samples with a push every five seconds, measurements that are lost, not finite, or finite and absurd, one at a time and in bursts:
 /// no panic, the motion stays finite, forces and moments within their bounds at every sample, every command that is not the controller's has its
 /// cause, failures of the controller's own among them, and between the troubles the tip is where it should be.

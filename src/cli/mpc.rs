@@ -498,6 +498,7 @@ fn summarize(
         tip_turn_rad: run.tip_turn,
         baselines,
         fallbacks: tally.fallbacks.clone(),
+        innovations: tally.innovations,
         bounded: tally.bounded,
         limits: Vec::new(),
         advice: advice(setup, run, &others),
@@ -513,9 +514,10 @@ fn summarize(
 /// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
 const FAR: f64 = 0.01;
 
-/// What stands between a loop and its reference: what the loop itself tells, and where the tip is far off at the end, what may be changed.
+/// What stands between a loop and its reference: an estimate that cannot be trusted, what the loop itself tells, and where the tip is far off at the end, what may be changed.
 fn advice(setup: &ClosedLoopSetup, run: &Run, others: &[Run]) -> Vec<String> {
-    let mut out = causes(setup, run, others);
+    let mut out = estimate_advice(setup, run);
+    out.extend(causes(setup, run, others));
     out.extend(changes(setup, run));
     out
 }
@@ -572,6 +574,34 @@ fn causes(setup: &ClosedLoopSetup, run: &Run, others: &[Run]) -> Vec<String> {
                  well: {words}"
             ));
         }
+    }
+    out
+}
+
+/// Standard deviations from which on a delay is more than noise.
+const CERTAIN: f64 = 3.0;
+
+/// What the filter says about the scene.
+fn estimate_advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
+    let mut out = Vec::new();
+    if let Some(found) = (run.tally.innovations).filter(|found| found.is_off) {
+        out.push(format!(
+            "the estimate is in doubt: the squares of what is measured otherwise than expected are {:.2} times as large as the filter expects \
+             (consistent: at most {:.2}); something is wrong that is not among estimator.disturbances, such as a \"delay\" of the commands, or a sensor is noisier than [[sensor]] says",
+            found.per_number, found.at_most
+        ));
+    }
+    let late = (run.samples.last())
+        .map(|last| (last.disturbance.delay, last.deviation.delay))
+        .filter(|(delay, deviation)| *deviation > 0.0 && delay.abs() > CERTAIN * deviation);
+    if let Some((delay, deviation)) = late {
+        out.push(format!(
+            "commands act {:.1} +- {:.1} ms {} than they are said to, which the loop predicts over: mpc.actuator_delay_s = {:.4} says so",
+            1e3 * delay.abs(),
+            1e3 * deviation,
+            if delay > 0.0 { "later" } else { "earlier" },
+            (setup.experiment.settings.actuator_delay + delay).max(0.0)
+        ));
     }
     out
 }
@@ -673,6 +703,12 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
         console.say(&format!(
             "  {}: {verdict} at node {}, t = {:.3} s",
             peak.name, peak.node, peak.at_s
+        ));
+    }
+    if let Some(found) = &summary.innovations {
+        console.say(&format!(
+            "  innovations: eᵀS⁻¹e over its numbers is {:.2} (consistent: at most {:.2}); {} signals refused",
+            found.per_number, found.at_most, found.refused
         ));
     }
     for (cause, n) in &summary.fallbacks {

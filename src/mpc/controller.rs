@@ -16,7 +16,7 @@ pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
-use super::estimator::Disturbance;
+use super::estimator::{Disturbance, ModelParameters};
 use super::holding::Holding;
 use super::horizon::Horizon;
 use super::knots::Knots;
@@ -125,7 +125,7 @@ pub struct Controller {
     state: State,
     prediction: Option<StepperMemory>,
     /// What is wrong with the model that its constants are for.
-    tuned: [f64; 3],
+    tuned: ModelParameters,
     in_period: Divided,
     /// Of the two ends of a step, one a node.
     wrenches: [Vec<Wrench>; 2],
@@ -343,10 +343,8 @@ impl Controller {
             horizon,
         };
         controller.horizon.stop = stop.clone();
-        if controller.counts_from_holding() {
-            controller.holding = controller.holding();
-            stop.check()?;
-        }
+        controller.count_from_holding();
+        stop.check()?;
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
@@ -418,6 +416,21 @@ impl Controller {
                 name: "disturbance.viscous",
                 value: viscous,
                 expected: "a finite number that leaves no negative damping",
+            });
+        }
+        let internal = disturbance.internal;
+        if !(internal.is_finite() && internal >= -model.internal_damping) {
+            return Err(MpcError::Setting {
+                name: "disturbance.internal",
+                value: internal,
+                expected: "a finite number that leaves no negative damping",
+            });
+        }
+        if !disturbance.delay.is_finite() {
+            return Err(MpcError::Setting {
+                name: "disturbance.delay",
+                value: disturbance.delay,
+                expected: "a finite number",
             });
         }
         let weight = model.gravity * payload;
@@ -533,8 +546,10 @@ impl Controller {
 
     /// Statics along a path take longer than a sample has, at one place they do not.
     fn hold_anew(&mut self) {
-        let is_asked = self.counts_from_holding() && self.is_reference_at_rest();
-        self.holding = is_asked.then(|| self.holding()).flatten();
+        self.holding = None;
+        if self.is_reference_at_rest() {
+            self.count_from_holding();
+        }
     }
 
     /// How it works.

@@ -16,7 +16,8 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Configuration, Rod, Wrench};
+use crate::mechanics::vibration::SmallMotions;
+use crate::mechanics::{Configuration, Load, LoadFrame, Rod, Wrench};
 use crate::stop::StopSignal;
 
 /// Where the tip should be (m) and how it should be turned (body to space), as far as something asks for it.
@@ -49,6 +50,34 @@ pub(super) struct Holding {
     spacing: f64,
 }
 
+/// Where along a reference a wrench holds the tip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::mpc) enum Along {
+    /// Everywhere, and it moves the mass of the arm.
+    All,
+    /// Where the reference rests and the arm is stable under the wrench; elsewhere there is none.
+    Rests,
+}
+
+/// Tells whether a shape at rest is stable under a wrench on the tip, spatial force and moment in the body frame, that is held.
+fn is_stable(rod: &Rod, shape: &Configuration, t: f64, wrench: &Vector6<f64>) -> bool {
+    let mut held = rod.clone();
+    let mut push = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {
+        held.loads.push(Load {
+            node: rod.tip(),
+            force,
+            moment,
+            frame,
+            profile: Vec::new(),
+        });
+    };
+    let force = wrench.fixed_rows::<3>(0).into();
+    let moment = wrench.fixed_rows::<3>(3).into();
+    push(force, Vector3::zeros(), LoadFrame::Spatial);
+    push(Vector3::zeros(), moment, LoadFrame::Body);
+    SmallMotions::about(&held, shape, t).growth_rate().is_none()
+}
+
 /// Springs that pull the tip, this many times stiffer than the arm is across.
 const SPRING: f64 = 100.0;
 /// Stiffness over that of the arm across from which on the tip need not be where it should be: that of an arm along itself is some hundred times
@@ -65,14 +94,14 @@ const STIFFER: f64 = 0.1;
 const LONGEST: f64 = 600.0;
 
 impl Holding {
-    /// Along `reference`, a pose of the tip at every time up to `end`, from near the shape `start`; `None` where it goes on for too long, and
-    /// where `stop` is raised.
+    /// Along `reference`, a pose of the tip at every time up to an end, from near the shape `start`; times are the spacing of the wrenches and
+    /// that end, s. `None` where it goes on for too long, and where `stop` is raised.
     pub fn along(
         rod: &Rod,
         start: &Configuration,
         reference: impl Fn(f64) -> TipPose,
-        spacing: f64,
-        end: f64,
+        [spacing, end]: [f64; 2],
+        along: Along,
         stop: &StopSignal,
     ) -> Option<Self> {
         if !(end <= LONGEST) {
@@ -87,6 +116,9 @@ impl Holding {
                 stop.check().ok()?;
                 let t = i as f64 * spacing;
                 let target = reference(t);
+                if along == Along::Rests && reference(t + spacing) != target {
+                    return Some([Vector6::zeros(); 2]);
+                }
                 let (_, [own, slope], mass) = match before.filter(|(pose, ..)| *pose == target) {
                     Some(held) => held,
                     None => {
@@ -94,7 +126,9 @@ impl Holding {
                         // From there: an arm that is pressed together may be held in several shapes.
                         let (other, _) =
                             Search::new(&stiffer, target, t, stop).wrench(&mut shape.clone());
-                        (target, [own, (other - own) / STIFFER], mass)
+                        let is_held = along == Along::All || is_stable(rod, &shape, t, &own);
+                        let part = if is_held { 1.0 } else { 0.0 };
+                        (target, [own * part, (other - own) * (part / STIFFER)], mass)
                     }
                 };
                 before = Some((target, [own, slope], mass));
@@ -295,7 +329,8 @@ mod tests {
             position: Some(Vector3::new(way * t.min(1.0), 0.0, 0.5)),
             rotation: None,
         };
-        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 1.0, &StopSignal::default())
+        let never = StopSignal::default();
+        let holding = Holding::along(&rod, &rod.rest, reference, [0.1, 1.0], Along::All, &never)
             .expect("short");
         let expected = 3.0 * rod.scales.force * way / rod.scales.length;
         for (t, stiffness, part) in [
@@ -311,7 +346,7 @@ mod tests {
             );
         }
         assert!(
-            Holding::along(&rod, &rod.rest, reference, 0.1, 1e4, &StopSignal::default()).is_none()
+            Holding::along(&rod, &rod.rest, reference, [0.1, 1e4], Along::All, &never).is_none()
         );
     }
     /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
@@ -326,7 +361,8 @@ mod tests {
             position: Some(Vector3::new(way, 0.0, 0.5)),
             rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
         };
-        let holding = Holding::along(&rod, &rod.rest, reference, 0.1, 0.0, &StopSignal::default())
+        let never = StopSignal::default();
+        let holding = Holding::along(&rod, &rod.rest, reference, [0.1, 0.0], Along::All, &never)
             .expect("short");
         let found = holding.wrench(0.0, 1.0);
         let across = way / rod.scales.length;
@@ -357,7 +393,8 @@ mod tests {
             )),
             rotation: None,
         };
-        let holding = Holding::along(&rod, &rod.rest, circle, 0.005, 1.0, &StopSignal::default())
+        let never = StopSignal::default();
+        let holding = Holding::along(&rod, &rod.rest, circle, [0.005, 1.0], Along::All, &never)
             .expect("short");
         let mass = 33.0 / 140.0 * rod.mass();
         let stiffness = 3.0 * rod.scales.force / rod.scales.length;

@@ -17,7 +17,7 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::MpcError;
-use super::estimator::Disturbance;
+use super::estimator::{Disturbance, ModelParameters};
 use super::knots::Knots;
 use super::limits::{self, Limits};
 use super::soft_rows::SoftRows;
@@ -146,10 +146,12 @@ pub(super) struct Horizon {
     /// What ends simulations and sweeps before they are done.
     pub stop: StopSignal,
     /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
-    parameters: [f64; 3],
-    tuned: [f64; 3],
+    parameters: ModelParameters,
+    tuned: ModelParameters,
     /// What disturbs every node, constant in time.
     disturbing: Vec<Wrench>,
+    /// By how much later commands act than they say, s.
+    delay: f64,
     trajectory: Trajectory,
     /// State that the roll-out starts from, and the one that it ends in.
     pub start: State,
@@ -286,6 +288,7 @@ impl Horizon {
             parameters: Disturbance::NONE.parameters(),
             tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
+            delay: 0.0,
             trajectory,
             end: start.clone(),
             start,
@@ -413,11 +416,25 @@ impl Horizon {
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
+        self.delay = disturbance.delay;
         let parameters = disturbance.parameters();
         if parameters != self.parameters {
             disturbance.change_model(&self.model, Arc::make_mut(&mut self.problem.rod));
             self.parameters = parameters;
         }
+    }
+
+    /// When the motion happens: later than the commands say by how much they are found to be late.
+    fn acting_grid(&self) -> TimeGrid {
+        TimeGrid {
+            start: self.grid.start + self.delay,
+            ..self.grid
+        }
+    }
+
+    /// By how much later commands act than they say, s.
+    pub fn delay(&self) -> f64 {
+        self.delay
     }
 
     /// The model without anything wrong with it.
@@ -426,7 +443,7 @@ impl Horizon {
     }
 
     /// What is wrong with the model: equal numbers make equal models.
-    pub fn parameters(&self) -> [f64; 3] {
+    pub fn parameters(&self) -> ModelParameters {
         self.parameters
     }
 
@@ -623,7 +640,7 @@ impl Horizon {
         }
         self.speeds.evaluate(
             &self.problem,
-            (&self.trajectory, &self.grid),
+            (&self.trajectory, &self.acting_grid()),
             (&self.forms, self.first_row),
             &mut self.residuals,
         );
@@ -632,6 +649,7 @@ impl Horizon {
     /// Value and form of one row, but for those of speeds.
     fn evaluate(&mut self, at: usize) {
         let Row { quantity, factor } = self.rows[at];
+        let acting = self.acting_grid();
         let form = &mut self.forms[at];
         if let Quantity::Limit { index } = quantity {
             let view = RodView {
@@ -650,7 +668,7 @@ impl Horizon {
             Quantity::Track { index, axis } => {
                 let track = &self.problem.objective.tracking[index];
                 let x = self.trajectory.positions_at(k)[track.node];
-                let t = self.grid.time(k);
+                let t = acting.time(k);
                 let place = track.position(t).filter(|_| track.counts(t));
                 form.terms[0].coefficient = if place.is_some() { factor } else { 0.0 };
                 place.map_or(0.0, |place| (x - place)[axis])
@@ -658,7 +676,7 @@ impl Horizon {
             Quantity::TrackRotation { index, axis } => {
                 let track = &self.problem.objective.tracking[index];
                 let r = self.trajectory.rotations_at(k)[track.node];
-                let t = self.grid.time(k);
+                let t = acting.time(k);
                 let psi = track.turn(t, &r).filter(|_| track.counts(t));
                 let own = if psi.is_some() { factor } else { 0.0 };
                 let psi = psi.unwrap_or_default();

@@ -70,8 +70,8 @@ mod transfer;
 
 pub use closed_loop::{
     Action, Cause, ClosedLoop, Computing, Contender, Driver, EstimatorChoice, Experiment,
-    FallbackSettings, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Sample,
-    SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
+    FallbackSettings, Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles,
+    Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
 pub(crate) use controller::with_long_steps;
 pub use controller::{Command, Controller, EffortFrom, MpcSettings, SampleRecord};

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::OutputError;
 use super::reading::read_text;
-use crate::mpc::{Disturbance, Percentiles, Sample, TipError};
+use crate::mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
 
 /// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
 #[derive(Clone, Debug, Serialize)]
@@ -63,11 +63,14 @@ pub struct MpcSummary {
     pub baselines: BTreeMap<&'static str, BaselineSummary>,
     /// Samples without a command of their own, by the cause.
     pub fallbacks: BTreeMap<String, usize>,
+    /// What was measured beside what the filter expected; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub innovations: Option<Innovations>,
     /// Samples with active bounds.
     pub bounded: usize,
     /// How nearly the arm kept obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
-    /// What may be changed where the tip is far from its reference at the end; empty where it is not.
+    /// What may be changed where the estimate is in doubt, where commands are late, and where the tip is far from its reference at the end.
     pub advice: Vec<String>,
     /// How far the model's nodes were from describing the arm's shape at the end, m.
     pub transfer_error_m: f64,
@@ -113,7 +116,7 @@ pub struct BaselineSummary {
 }
 
 /// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
-const COLUMNS: [&str; 57] = [
+const COLUMNS: [&str; 62] = [
     "t",
     "acts_from",
     "age",
@@ -129,6 +132,7 @@ const COLUMNS: [&str; 57] = [
     "innovation_rms",
     "innovation_normalized",
     "innovation_distance",
+    "innovation_refused",
     "predicted_cost",
     "iterations",
     "subproblem_iterations",
@@ -153,6 +157,8 @@ const COLUMNS: [&str; 57] = [
     "estimated_stiffness",
     "estimated_payload",
     "estimated_viscous",
+    "estimated_internal",
+    "estimated_delay",
     "deviation_tip_fx",
     "deviation_tip_fy",
     "deviation_tip_fz",
@@ -165,6 +171,8 @@ const COLUMNS: [&str; 57] = [
     "deviation_stiffness",
     "deviation_payload",
     "deviation_viscous",
+    "deviation_internal",
+    "deviation_delay",
     "estimate_ms",
     "predict_ms",
     "feedback_ms",
@@ -214,10 +222,10 @@ pub struct SampleRow {
     /// First moment of the command, body frame, N m.
     pub moment: [f64; 3],
     /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
-    /// damping (1/s).
-    pub disturbance: [f64; 12],
+    /// damping (1/s), time of internal damping and delay (s).
+    pub disturbance: [f64; 14],
     /// Its standard deviations.
-    pub deviation: [f64; 12],
+    pub deviation: [f64; 14],
     /// Times of estimation, prediction, feedback, preparation and of the whole sample, ms.
     pub times_ms: [f64; 5],
 }
@@ -227,11 +235,11 @@ impl SampleRow {
     #[must_use]
     pub fn of(sample: &Sample) -> Self {
         let numbers = |d: &Disturbance| {
-            let mut out = [0.0; 12];
+            let mut out = [0.0; 14];
             out[..3].copy_from_slice(d.tip.force.as_slice());
             out[3..6].copy_from_slice(d.tip.moment.as_slice());
             out[6..9].copy_from_slice(d.distributed.as_slice());
-            out[9..].copy_from_slice(&[d.stiffness, d.payload, d.viscous]);
+            out[9..].copy_from_slice(&[d.stiffness, d.payload, d.viscous, d.internal, d.delay]);
             out
         };
         Self {
@@ -336,8 +344,8 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
             turn: known(turn)?,
             force: three(force)?,
             moment: three(force + 3)?,
-            disturbance: [0.0; 12],
-            deviation: [0.0; 12],
+            disturbance: [0.0; 14],
+            deviation: [0.0; 14],
             times_ms: [0.0; 5],
         };
         for (i, value) in row.disturbance.iter_mut().enumerate() {
@@ -373,8 +381,9 @@ fn row(sample: &Sample) -> Vec<String> {
             row.numbers(&[innovation.rms]);
             row.optional(innovation.normalized);
             row.optional(innovation.distance);
+            row.0.push(innovation.refused.to_string());
         }
-        None => row.nothing(4),
+        None => row.nothing(5),
     }
     row.numbers(&[sample.predicted_cost]);
     row.0.push(sample.iterations.to_string());
@@ -420,6 +429,8 @@ impl Row {
             disturbance.stiffness,
             disturbance.payload,
             disturbance.viscous,
+            disturbance.internal,
+            disturbance.delay,
         ]);
     }
 }

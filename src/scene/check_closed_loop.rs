@@ -127,7 +127,7 @@ impl Keys<'_> {
         if let Some(elements) = estimator.elements {
             self.count("estimator.elements", elements, MOST_ELEMENTS)?;
         }
-        let named = &estimator.disturbances;
+        let named = estimator.unknowns();
         for (index, one) in named.iter().enumerate() {
             if named[..index].contains(one) {
                 let key = format!("estimator.disturbances.{index}");

@@ -182,6 +182,9 @@ impl Scene {
             ..self.plant.clone().unwrap_or_default()
         });
         resolved.sensor = sensors.iter().map(written).collect();
+        if let Some(estimator) = &mut resolved.estimator {
+            estimator.disturbances = Some(estimator.unknowns().to_vec());
+        }
 
         // The controller's problem and the one here have the same weights.
         for (track, discrete) in
@@ -408,7 +411,7 @@ impl Scene {
         let Some(keys) = &self.estimator else {
             return Sensing::Everything;
         };
-        let has = |unknown| keys.disturbances.contains(&unknown);
+        let has = |unknown| keys.unknowns().contains(&unknown);
         let estimator = match keys.kind {
             EstimatorKind::None => return Sensing::Everything,
             EstimatorKind::Observer => EstimatorChoice::Observer {
@@ -421,6 +424,8 @@ impl Scene {
                 stiffness: has(Unknown::Stiffness),
                 payload: has(Unknown::Payload),
                 viscous: has(Unknown::Viscous),
+                internal: has(Unknown::Internal),
+                delay: has(Unknown::Delay),
                 wrench_change: (keys.wrench_change_1_s)
                     .map_or(Unknowns::NONE.wrench_change, Number::get),
             }),

@@ -11,7 +11,7 @@ use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
 use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Command, Controller};
 use crate::mpc::error::MpcError;
-use crate::mpc::estimator::{Disturbance, EstimateError, Estimator, Inbox, Predictor};
+use crate::mpc::estimator::{Disturbance, Estimate, EstimateError, Estimator, Inbox, Predictor};
 use crate::mpc::signal::Measurement;
 
 /// Failures of an estimator one after the other, after which it starts anew from where the task begins.
@@ -40,6 +40,8 @@ pub struct Driver {
     /// Commands that acted or will act, by the instant from which they do, the earliest first; the first acts for ever before.
     sent: VecDeque<Command>,
     told: Command,
+    /// Memory for a command that acts later than it was sent to.
+    late: Command,
     measurement: Measurement,
     state: State,
     disturbance: Disturbance,
@@ -120,6 +122,7 @@ impl Driver {
             fallback: Fallback::new(model, settings.fallback),
             inbox: Inbox::new(lag),
             told: before.clone(),
+            late: before.clone(),
             sent: VecDeque::from([before]),
             measurement: Measurement::default(),
             state: controller.expected().clone(),
@@ -314,9 +317,11 @@ impl Driver {
             return None;
         }
         let mut state = self.state.clone();
+        let disturbance = self.compensated();
         let sent = &self.sent[self.sent.len() - 1];
-        let span = [sent.start, sent.end];
-        let moved = (self.predictor).advance(&mut state, span, sent, &self.compensated());
+        let span = [sent.start, sent.end].map(|t| t + disturbance.delay);
+        late_at(&self.sent, disturbance.delay, span, &mut self.late);
+        let moved = (self.predictor).advance(&mut state, span, &self.late, &disturbance);
         let tip = state.configuration.positions[self.controller.rod().tip()];
         moved.ok().map(|()| tip)
     }
@@ -350,12 +355,16 @@ impl Driver {
         let mut n_used = 0;
         while let Some(measurement) = self.inbox.take(t) {
             self.measurement.clone_from(measurement);
-            let advanced = advance(estimator.as_mut(), &self.sent, self.measurement.time);
+            let late = &mut self.late;
+            let advanced = advance(estimator.as_mut(), &self.sent, late, self.measurement.time);
             match advanced.and_then(|()| estimator.correct(&self.measurement)) {
-                Ok(innovation) => {
-                    n_used += 1;
+                Ok(mut innovation) => {
+                    if innovation.n > 0 {
+                        n_used += 1;
+                        self.corrected_at = self.measurement.time;
+                    }
                     self.failures = 0;
-                    self.corrected_at = self.measurement.time;
+                    innovation.refused += sample.innovation.map_or(0, |before| before.refused);
                     sample.innovation = Some(innovation);
                 }
                 Err(error) => {
@@ -400,10 +409,12 @@ impl Driver {
     fn predict(&mut self, until: f64) -> Option<Cause> {
         let disturbance = self.compensated();
         let mut from = self.known_at;
+        // The command acts later by the delay that has been found, and so does every one before it.
+        let until = until + disturbance.delay;
         while from < until - 1e-9 {
-            let (command, end) = acting_at(&self.sent, from, until);
+            let end = late_at(&self.sent, disturbance.delay, [from, until], &mut self.late);
             let moved =
-                (self.predictor).advance(&mut self.state, [from, end], command, &disturbance);
+                (self.predictor).advance(&mut self.state, [from, end], &self.late, &disturbance);
             if moved.is_err() {
                 return Some(Cause::Prediction);
             }
@@ -451,7 +462,9 @@ impl Driver {
         self.sent.retain(|other| other.start < acts_from);
         self.sent.push_back(command);
         // Nothing asks for what acted before the oldest estimate.
-        while (self.sent.get(1)).is_some_and(|next| next.start < self.known_at) {
+        let oldest =
+            self.known_at - self.disturbance.delay.max(0.0) - self.controller.settings().period;
+        while (self.sent.get(1)).is_some_and(|next| next.start < oldest) {
             self.sent.pop_front();
         }
     }
@@ -480,21 +493,40 @@ fn acting_at(sent: &VecDeque<Command>, from: f64, until: f64) -> (&Command, f64)
     (command, end)
 }
 
-/// Moves an estimator on under the commands that acted.
+/// Writes the command that acts at `from` where all are late by `delay` (s) to `late`, and returns until when it does, at most `until`.
+fn late_at(
+    sent: &VecDeque<Command>,
+    delay: f64,
+    [from, until]: [f64; 2],
+    late: &mut Command,
+) -> f64 {
+    let (command, end) = acting_at(sent, from - delay, until - delay);
+    (late.start, late.end) = (command.start + delay, command.end + delay);
+    late.nodes.clone_from(&command.nodes);
+    late.from.clone_from(&command.from);
+    late.to.clone_from(&command.to);
+    (end + delay).min(until)
+}
+
+/// Moves an estimator on under the commands that acted, as late as it finds them; `late` is memory.
 fn advance(
     estimator: &mut dyn Estimator,
     sent: &VecDeque<Command>,
+    late: &mut Command,
     until: f64,
 ) -> Result<(), EstimateError> {
     loop {
-        let from = estimator.estimate().time;
-        let (command, end) = acting_at(sent, from, until);
-        estimator.advance(command, end)?;
+        let Estimate {
+            time, disturbance, ..
+        } = estimator.estimate();
+        let from = *time;
+        let end = late_at(sent, disturbance.delay, [from, until], late);
+        estimator.advance(late, end)?;
         if end >= until - 1e-9 {
             return Ok(());
         }
         if estimator.estimate().time <= from {
-            return estimator.advance(command, until);
+            return estimator.advance(late, until);
         }
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
-use crate::mpc::holding::Holding;
+use crate::mpc::holding::{Along, Holding};
 
 /// What computes the commands of a loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,7 +61,7 @@ impl TipLaw {
             .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
             .fold(f64::INFINITY, f64::min);
         let own = 3.0 * weakest / length.powi(3);
-        let Some(holding) = controller.holding() else {
+        let Some(holding) = controller.holding(Along::All) else {
             return Err(MpcError::Unsupported(
                 "a law at the tip needs a reference of at most ten minutes",
             ));

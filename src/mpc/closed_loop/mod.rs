@@ -33,7 +33,7 @@ pub use self::experiment::{
 };
 pub use self::fallback::{Action, Cause, FallbackSettings};
 pub use self::law::{Law, TipGains};
-pub use self::sample::{Percentiles, Sample, Tally, TipError};
+pub use self::sample::{Innovations, Percentiles, Sample, Tally, TipError};
 use super::controller::{Command, Controller};
 use super::error::MpcError;
 use super::estimator::Estimator;

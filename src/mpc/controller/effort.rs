@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Controller, EffortFrom};
 use crate::control::{OptimalControlProblem, Tracking};
 use crate::mechanics::rotation::log;
-use crate::mpc::holding::{Holding, TipPose};
+use crate::mpc::holding::{Along, Holding, TipPose};
 
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
@@ -67,7 +67,7 @@ impl Controller {
 
     /// What holds the tip along its reference; `None` without one, where it goes on for more than ten minutes, and where
     /// the making of the controller is stopped.
-    pub(in crate::mpc) fn holding(&self) -> Option<Holding> {
+    pub(in crate::mpc) fn holding(&self, along: Along) -> Option<Holding> {
         let tip = self.horizon.problem.rod.tip();
         let mut effects = self.horizon.effects.iter().flatten();
         let turns = effects.any(|&(node, axis, _)| node == tip && axis >= 3);
@@ -80,8 +80,8 @@ impl Controller {
         }
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let start = &self.horizon.problem.initial.configuration;
-        let (end, stop) = (self.reference_end(), &self.horizon.stop);
-        Holding::along(self.rod(), start, reference, spacing, end, stop)
+        let (times, stop) = ([spacing, self.reference_end()], &self.horizon.stop);
+        Holding::along(self.rod(), start, reference, times, along, stop)
     }
 
     /// Whether the tip is to be at one place and turned in one way for ever.
@@ -99,8 +99,15 @@ impl Controller {
         }
     }
 
-    pub(super) fn counts_from_holding(&self) -> bool {
-        self.settings.effort == EffortFrom::Holding && self.settings.due.is_none()
+    /// Notes the wrench from which effort counts along the reference.
+    pub(super) fn count_from_holding(&mut self) {
+        let along = match self.settings.effort {
+            _ if self.settings.due.is_some() => None,
+            EffortFrom::Zero => None,
+            EffortFrom::Holding => Some(Along::All),
+            EffortFrom::Auto => Some(Along::Rests),
+        };
+        self.holding = along.and_then(|along| self.holding(along));
     }
 
     /// Writes what costs no effort at the coefficients of the present plan.
@@ -109,7 +116,7 @@ impl Controller {
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
         let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
-            let t = horizon.knots.time(coefficient);
+            let t = horizon.knots.time(coefficient) + horizon.delay();
             // Before it is to be there, nothing holds the tip.
             let wrench = (self.holding.as_ref())
                 .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)))

@@ -9,9 +9,13 @@ use super::super::error::MpcError;
 pub enum EffortFrom {
     /// None at all, as in an optimal-control problem: a tip that is held by force stays off its reference by what its weight allows.
     Zero,
-    /// The force at the tip that holds the model at the reference at rest, as far as it is actuated: no offset remains for the sake of effort.
-    #[default]
+    /// The force at the tip that holds the model at the reference, its mass moved along, as far as it is actuated: no offset remains for the sake of
+    /// effort. Along a path it may lean on the arm with most of what makes it buckle.
     Holding,
+    /// Where the reference rests, the force at the tip that holds the model there, if the arm is stable under that force; none where the reference
+    /// moves.
+    #[default]
+    Auto,
 }
 
 /// How a [`Controller`](super::Controller) works. Times in s.
@@ -62,7 +66,7 @@ impl MpcSettings {
             block: horizon / 10.0,
             equal_blocks: None,
             jump: 100.0,
-            effort: EffortFrom::Holding,
+            effort: EffortFrom::Auto,
             target_weight: 1e4,
             limit_price: 5e3,
             iterations: 1,

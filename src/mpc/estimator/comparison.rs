@@ -117,6 +117,7 @@ impl Comparison {
             rms: if n > 0 { (sum / n as f64).sqrt() } else { 0.0 },
             normalized: None,
             distance: self.nearest.map(|(_, distance)| distance),
+            refused: 0,
         }
     }
 }

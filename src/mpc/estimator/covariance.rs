@@ -16,7 +16,7 @@ use faer::linalg::triangular_solve::{
 };
 use faer::prelude::*;
 use faer::{Accum, Mat, MatRef, Par, Spec};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::strain_coordinates::ShapeTransport;
@@ -56,6 +56,26 @@ impl Rows {
     pub fn clear(&mut self) {
         self.terms.clear();
         self.signals.clear();
+    }
+
+    /// Leaves out the signals that are marked; there are as many marks, or none.
+    pub fn retain(&mut self, refused: &[bool]) {
+        if !refused.contains(&true) {
+            return;
+        }
+        let (mut start, mut kept, mut end) = (0, 0, 0);
+        for (index, refused) in refused.iter().enumerate().take(self.signals.len()) {
+            let row = self.signals[index];
+            if !refused {
+                self.terms.copy_within(start..row.end, end);
+                end += row.end - start;
+                self.signals[kept] = Row { end, ..row };
+                kept += 1;
+            }
+            start = row.end;
+        }
+        self.signals.truncate(kept);
+        self.terms.truncate(end);
     }
 
     /// Every signal with its terms.
@@ -176,6 +196,37 @@ impl Covariance {
     pub fn begin_correction(&mut self) {
         self.prior.copy_from(&self.matrix);
         self.mean.fill(0.0);
+    }
+
+    /// `eᵀ S⁻¹ e` of every signal by itself, with the covariance that a correction starts from; infinite where `S` has no inverse.
+    pub fn squares<'a>(&'a self, rows: &'a Rows) -> impl Iterator<Item = f64> + 'a {
+        rows.iter().map(|(row, terms)| {
+            let mut inner = Matrix3::from_diagonal_element(row.sigma * row.sigma);
+            for (i, left) in terms {
+                for (j, right) in terms {
+                    inner += left * right.transpose() * self.prior[(*i, *j)];
+                }
+            }
+            let factor = inner.cholesky();
+            factor.map_or(f64::INFINITY, |factor| {
+                row.residual.dot(&factor.solve(&row.residual))
+            })
+        })
+    }
+
+    /// Changes a component of the correction, and the others by what goes with it in the corrected covariance.
+    pub fn shift(&mut self, at: usize, change: f64) {
+        let own = self.next[(at, at)];
+        if change == 0.0 {
+            return;
+        }
+        for (i, value) in self.correction.iter_mut().enumerate() {
+            if i == at {
+                *value += change;
+            } else if own > 0.0 {
+                *value += self.next[(i, at)] / own * change;
+            }
+        }
     }
 
     /// A correction starts from the present matrix, taken to another shape, and from what is written to [`mean`](Self::mean). The components of

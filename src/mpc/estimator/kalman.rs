@@ -9,15 +9,16 @@ use crate::mechanics::rotation::orthonormalized;
 use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
-use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory};
+use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::controller::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading, Signal};
 
 use super::comparison::Comparison;
 use super::covariance::Covariance;
+use super::parameter::N_PARAMETERS;
 use super::prediction::{Predictor, Steps};
-use super::readings::Layout;
+use super::readings::{self, Kind, Layout};
 use super::slow::SlowPart;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
 use super::{check_start, check_time, setting};
@@ -51,6 +52,15 @@ pub struct KalmanSettings {
     pub payload: Option<RandomWalk>,
     /// Viscous damping beyond the model's, 1/s. The damping stays between none and 50 over the time scale of the arm, `L² sqrt(ρA/EI)`.
     pub viscous: Option<RandomWalk>,
+    /// Time of the internal damping beyond the model's, s; of a model with implicit steps, and of another one not. The damping stays between none
+    /// and a tenth of the time scale of the arm.
+    pub internal: Option<RandomWalk>,
+    /// Time by which commands act later than they say, s. It stays below a tenth of the time scale of the arm.
+    pub delay: Option<RandomWalk>,
+    /// Whether signals are refused that cannot be true: of whose innovation a square, over the covariance that the filter expects of it, is larger
+    /// than of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). What is refused three
+    /// times in a row is believed: then it is the estimate that is wrong.
+    pub refuses: bool,
     /// Longest time step of the model, s.
     pub longest_step: f64,
 }
@@ -69,18 +79,26 @@ impl KalmanSettings {
             stiffness: None,
             payload: None,
             viscous: None,
+            internal: None,
+            delay: None,
+            refuses: false,
             longest_step: automatic_step(model),
         }
     }
 
-    fn walks(&self) -> [Option<RandomWalk>; 6] {
+    /// Of tip force, tip moment and distributed force.
+    fn wrench_walks(&self) -> [Option<RandomWalk>; 3] {
+        [self.tip_force, self.tip_moment, self.distributed]
+    }
+
+    /// Of [`Parameter::ALL`].
+    fn parameter_walks(&self) -> [Option<RandomWalk>; N_PARAMETERS] {
         [
-            self.tip_force,
-            self.tip_moment,
-            self.distributed,
             self.stiffness,
             self.payload,
             self.viscous,
+            self.internal,
+            self.delay,
         ]
     }
 
@@ -99,8 +117,11 @@ impl KalmanSettings {
             "stiffness",
             "payload",
             "viscous",
+            "internal",
+            "delay",
         ];
-        for (name, walk) in names.into_iter().zip(self.walks()) {
+        let walks = (self.wrench_walks().into_iter()).chain(self.parameter_walks());
+        for (name, walk) in names.into_iter().zip(walks) {
             if let Some(walk) = walk {
                 at_least_zero(name, walk.initial)?;
                 at_least_zero(name, walk.change)?;
@@ -118,6 +139,10 @@ const MOST_ITERATIONS: usize = 10;
 const LINEAR: f64 = 0.5;
 /// Angle by which an element is bent or twisted by one linearization of a measurement, rad, at most.
 const FARTHEST_TURN: f64 = 0.5;
+/// What the sum of three squares of independent standard normal numbers exceeds once in 10⁹ times.
+const LARGEST_SQUARE: f64 = 44.841_275;
+/// Refusals of a signal in a row after which it is believed.
+const MOST_REFUSALS: usize = 3;
 /// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
 const MOST_STEPS: usize = 15;
 
@@ -151,6 +176,8 @@ pub struct KalmanFilter {
     /// Where the measurement is linearized, and where the next state is made.
     point: Estimate,
     next: State,
+    acting: Acting,
+    gate: Gate,
     /// Innovations at the point, from the linearization at the point before.
     expected: Vec<Vector3<f64>>,
     /// What one may have to go back to.
@@ -181,7 +208,12 @@ impl KalmanFilter {
     ) -> Result<Self, MpcError> {
         settings.check()?;
         check_start(model, time, state)?;
-        let layout = Layout::new(model, settings.walks().map(|walk| walk.is_some()));
+        let mut parameters = settings.parameter_walks().map(|walk| walk.is_some());
+        for (is_there, parameter) in parameters.iter_mut().zip(Parameter::ALL) {
+            *is_there &= parameter.applies(model);
+        }
+        let wrenches = settings.wrench_walks().map(|walk| walk.is_some());
+        let layout = Layout::new(model, wrenches, parameters);
         let n_nodes = model.n_nodes();
         let mut trajectory = Trajectory::with_capacity(n_nodes, MOST_STEPS + 1);
         for _ in 0..2 {
@@ -216,6 +248,8 @@ impl KalmanFilter {
             transport: ShapeTransport::new(n_nodes),
             point: estimate.clone(),
             next: state.clone(),
+            acting: Acting::default(),
+            gate: Gate::default(),
             expected: Vec::new(),
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),
@@ -254,6 +288,7 @@ impl KalmanFilter {
             }],
         };
         self.point.clone_from(&self.estimate);
+        self.gate.refused.clear();
         self.compare(&measurement)?;
         let mut out = Mat::zeros(3, self.layout.n);
         for (i, slope) in &self.comparison.rows.terms {
@@ -307,7 +342,9 @@ impl KalmanFilter {
         Ok(())
     }
 
-    /// The columns of the parameters, by the difference of two motions.
+    /// The columns of the parameters, by the difference of two motions, of which the slow part is left. For a payload `m` these are motions with the
+    /// same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the column is
+    /// `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, `v'` at the end.
     fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
         for parameter in Parameter::ALL {
             let Some(at) = self.layout.parameter(parameter) else {
@@ -317,12 +354,29 @@ impl KalmanFilter {
             let Estimate {
                 state, disturbance, ..
             } = &self.estimate;
-            let out = self.transition[1].col_as_slice_mut(column);
+            let [along_state, along_disturbance] = &mut self.transition;
+            let out = along_disturbance.col_as_slice_mut(column);
             let change = PARAMETER_CHANGE * parameter.unit(self.predictor.model());
+            let tip = self.predictor.model().tip();
+            // A mass is learned at the velocity that is known, and not at the momentum: that of a heavier tip is larger.
+            let velocities = (parameter == Parameter::Payload).then(|| {
+                let mass = self.predictor.changed(disturbance).nodes[tip].mass;
+                [&*state, &self.next].map(|state| state.linear_momentum[tip] / mass)
+            });
+            let start = &mut self.point.state;
+            start.clone_from(state);
             for sign in [-1.0, 1.0] {
                 let mut moved = *disturbance;
                 *parameter.of_mut(&mut moved) += sign * change;
-                (self.predictor).roll_out(state, steps, command, &moved, |_| ())?;
+                let mut command = command;
+                if parameter == Parameter::Delay {
+                    command = self.acting.later(steps.start, sign * change);
+                }
+                if let Some([velocity, _]) = velocities {
+                    start.linear_momentum[tip] =
+                        state.linear_momentum[tip] + velocity * (sign * change);
+                }
+                (self.predictor).roll_out(start, steps, command, &moved, |_| ())?;
                 let end = self.predictor.end();
                 end.difference_into(&self.next, &mut self.tangent);
                 let tangent = self.tangent.components_from(self.layout.first_free_node);
@@ -331,7 +385,22 @@ impl KalmanFilter {
                     *out = if sign < 0.0 { slope } else { *out + slope };
                 }
             }
+            let Some([first, last]) = velocities else {
+                self.slow.leave(&self.next.configuration, out);
+                continue;
+            };
+            let at = NODE_COMPONENTS * (tip - self.layout.first_free_node) + readings::LINEAR;
+            for axis in 0..3 {
+                out[at + axis] -= last[axis];
+            }
             self.slow.leave(&self.next.configuration, out);
+            for axis in 0..3 {
+                out[at + axis] += last[axis];
+                let along = along_state.col_as_slice(at + axis);
+                for (out, along) in out.iter_mut().zip(along) {
+                    *out -= along * first[axis];
+                }
+            }
         }
         Ok(())
     }
@@ -340,7 +409,9 @@ impl KalmanFilter {
     fn compare(&mut self, measurement: &Measurement) -> Result<(), EstimateError> {
         let rod = (self.predictor).changed(&self.point.disturbance);
         let layout = Some(&self.layout);
-        (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)
+        (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)?;
+        self.comparison.rows.retain(&self.gate.refused);
+        Ok(())
     }
 
     /// The prior in the tangent of the point, which is not that of the estimate.
@@ -388,9 +459,28 @@ impl KalmanFilter {
         self.covariance.move_prior(transport, first);
     }
 
+    /// Keeps the parameters where they can be: a correction that leads beyond goes to the likeliest errors at the bound, by the corrected covariance
+    /// (projection of the estimate; Simon 2010, section 2.3). A parameter that is cut off on its own would leave the errors that go with
+    /// it, and bias them at every measurement.
+    fn stay_in_range(&mut self) {
+        let model = self.predictor.model();
+        for _ in 0..N_PARAMETERS {
+            for parameter in Parameter::ALL {
+                let Some(at) = self.layout.parameter(parameter) else {
+                    continue;
+                };
+                let [least, most] = parameter.range(model);
+                let own = parameter.of(&self.point.disturbance);
+                let found = own + self.covariance.correction[at];
+                self.covariance.shift(at, found.clamp(least, most) - found);
+            }
+        }
+    }
+
     /// Moves the point along the correction, by a part of it where it would turn elements far; the part, and what the innovations are then
     /// to first order, go to `expected`. The point before is `next`.
     fn move_point(&mut self) -> f64 {
+        self.stay_in_range();
         let correction = &mut self.covariance.correction;
         let first = self.layout.first_free_node;
         let n_nodes = self.next.linear_momentum.len();
@@ -492,6 +582,9 @@ impl KalmanFilter {
 impl Estimator for KalmanFilter {
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError> {
         self.predictor.check(command)?;
+        if self.layout.parameter(Parameter::Delay).is_some() {
+            self.acting.take(command);
+        }
         let Some(steps) = self.predictor.steps(self.estimate.time, until)? else {
             self.estimate.time = until;
             return Ok(());
@@ -521,13 +614,21 @@ impl Estimator for KalmanFilter {
         self.point.time = self.estimate.time;
         self.point.state.clone_from(&self.estimate.state);
         self.point.disturbance = self.estimate.disturbance;
+        self.gate.refused.clear();
         self.compare(measurement)?;
+        self.covariance.begin_correction();
+        let mut refused = 0;
+        if self.settings.refuses {
+            let squares = self.covariance.squares(&self.comparison.rows);
+            refused = self.gate.judge(measurement, squares);
+            self.comparison.rows.retain(&self.gate.refused);
+        }
         let mut innovation = self.comparison.innovation();
         innovation.normalized = Some(0.0);
+        innovation.refused = refused;
         if innovation.n == 0 {
             return Ok(innovation);
         }
-        self.covariance.begin_correction();
         for iteration in 1..=MOST_ITERATIONS {
             let normalized = self.covariance.correct(&self.comparison.rows)?;
             if iteration == 1 {
@@ -580,6 +681,101 @@ impl Estimator for KalmanFilter {
     }
 }
 
+/// The command that acts, where the one before ended, and the same command later.
+#[derive(Debug, Default)]
+struct Acting {
+    /// Start and end, nodes, and wrenches when it begins and ends.
+    span: [f64; 2],
+    nodes: Vec<usize>,
+    from: Vec<Wrench>,
+    to: Vec<Wrench>,
+    /// Where the command before ended, on the nodes of this one.
+    before: Vec<Wrench>,
+    later: Option<Command>,
+}
+
+impl Acting {
+    /// A command acts, be it the same one.
+    fn take(&mut self, command: &Command) {
+        self.span = [command.start, command.end];
+        if (&self.nodes, &self.from, &self.to) == (&command.nodes, &command.from, &command.to) {
+            return;
+        }
+        self.before.clear();
+        for (node, from) in command.nodes.iter().zip(&command.from) {
+            let at = self.nodes.iter().position(|other| other == node);
+            self.before.push(at.map_or(*from, |at| self.to[at]));
+        }
+        self.nodes.clone_from(&command.nodes);
+        self.from.clone_from(&command.from);
+        self.to.clone_from(&command.to);
+    }
+
+    /// The command by `delay` (s) later, from `start` (s) on until its end: less by what it changes by meanwhile. A jump from where the command
+    /// before ended counts as if it were spread over the command: its impulse is the same.
+    fn later(&mut self, start: f64, delay: f64) -> &Command {
+        let [begin, end] = self.span;
+        let part = if start < end {
+            delay / (end - begin)
+        } else {
+            0.0
+        };
+        let out = self.later.get_or_insert_with(|| Command {
+            start: begin,
+            end,
+            nodes: Vec::new(),
+            from: Vec::new(),
+            to: Vec::new(),
+        });
+        (out.start, out.end) = (begin, end);
+        out.nodes.clone_from(&self.nodes);
+        out.from.clone_from(&self.from);
+        out.to.clone_from(&self.to);
+        for (i, before) in self.before.iter().enumerate() {
+            let force = (self.to[i].force - before.force) * part;
+            let moment = (self.to[i].moment - before.moment) * part;
+            for wrench in [&mut out.from[i], &mut out.to[i]] {
+                wrench.force -= force;
+                wrench.moment -= moment;
+            }
+        }
+        out
+    }
+}
+
+/// Refuses signals that cannot be true.
+#[derive(Debug, Default)]
+struct Gate {
+    /// Of every signal of the last measurement, whether it is refused; none where all are used.
+    refused: Vec<bool>,
+    /// Signals that were refused, and how many times in a row.
+    in_a_row: Vec<(Kind, f64, usize)>,
+}
+
+impl Gate {
+    /// Judges the signals of a measurement by the normalized squares of their innovations; returns how many are refused.
+    fn judge(&mut self, measurement: &Measurement, squares: impl Iterator<Item = f64>) -> usize {
+        self.refused.clear();
+        for (signal, square) in measurement.signals.iter().zip(squares) {
+            let (kind, place) = (Kind::of(&signal.reading), signal.place);
+            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (kind, place));
+            let is_refused = square > LARGEST_SQUARE && {
+                let at = at.unwrap_or_else(|| {
+                    self.in_a_row.push((kind, place, 0));
+                    self.in_a_row.len() - 1
+                });
+                self.in_a_row[at].2 += 1;
+                self.in_a_row[at].2 <= MOST_REFUSALS
+            };
+            if let (Some(at), true) = (at, square <= LARGEST_SQUARE) {
+                self.in_a_row[at].2 = 0;
+            }
+            self.refused.push(is_refused);
+        }
+        self.refused.iter().filter(|refused| **refused).count()
+    }
+}
+
 fn motion<'a>(rod: &'a Rod, grid: TimeGrid, initial: &'a State) -> Motion<'a> {
     Motion {
         rod,
@@ -627,16 +823,10 @@ fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<M
 
 /// The random walk of a component of the error, where it is one of a disturbance.
 fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<RandomWalk> {
-    let [stiffness, payload, viscous] = layout.parameters;
-    let starts = [
-        (layout.tip_force, 3),
-        (layout.tip_moment, 3),
-        (layout.distributed, 3),
-        (stiffness, 1),
-        (payload, 1),
-        (viscous, 1),
-    ];
-    (starts.into_iter().zip(settings.walks()))
+    let wrenches = [layout.tip_force, layout.tip_moment, layout.distributed].map(|at| (at, 3));
+    let starts = (wrenches.into_iter()).chain(layout.parameters.map(|at| (at, 1)));
+    let walks = (settings.wrench_walks().into_iter()).chain(settings.parameter_walks());
+    (starts.zip(walks))
         .find(|((at, size), _)| at.is_some_and(|at| (at..at + size).contains(&i)))
         .and_then(|(_, walk)| walk)
 }

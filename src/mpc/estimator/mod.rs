@@ -37,6 +37,7 @@ mod slow;
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
 pub use self::observer::{BoundaryObserver, ObserverSettings};
+pub(in crate::mpc) use self::parameter::ModelParameters;
 use self::parameter::Parameter;
 pub use self::prediction::Predictor;
 pub(super) use self::readings::{Kind, Reader};
@@ -55,6 +56,10 @@ pub struct Disturbance {
     pub payload: f64,
     /// Viscous damping beyond the model's own, 1/s.
     pub viscous: f64,
+    /// Time of the internal damping beyond the model's own, s.
+    pub internal: f64,
+    /// By how much later commands act than they are said to, s.
+    pub delay: f64,
 }
 
 impl Disturbance {
@@ -68,6 +73,8 @@ impl Disturbance {
         stiffness: 1.0,
         payload: 0.0,
         viscous: 0.0,
+        internal: 0.0,
+        delay: 0.0,
     };
 
     /// Adds its wrenches to `wrenches`, one a node of the rod: that at the tip, and of the distributed force what acts on a node's halves of
@@ -83,17 +90,18 @@ impl Disturbance {
         tip.moment += self.tip.moment;
     }
 
-    /// Gives `rod`, a copy of `model`, what is wrong with the model: the stiffness times its factor, the payload and the damping.
+    /// Gives `rod`, a copy of `model`, what is wrong with the model: the stiffness times its factor, the payload and both kinds of damping.
     pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
         rod.take_stiffness(model, self.stiffness);
         let tip = model.tip();
         rod.nodes[tip].mass = model.nodes[tip].mass + self.payload;
         rod.viscous_damping = model.viscous_damping + self.viscous;
+        rod.internal_damping = model.internal_damping + self.internal;
     }
 
     /// What [`change_model`](Self::change_model) takes from it: equal numbers make equal models.
-    pub(in crate::mpc) fn parameters(&self) -> [f64; 3] {
-        Parameter::ALL.map(|parameter| parameter.of(self))
+    pub(in crate::mpc) fn parameters(&self) -> ModelParameters {
+        Parameter::OF_THE_MODEL.map(|parameter| parameter.of(self))
     }
 }
 
@@ -128,6 +136,8 @@ pub struct Innovation {
     pub normalized: Option<f64>,
     /// Distance of the measured from the expected position nearest to the tip, m; `None` where no position was measured.
     pub distance: Option<f64>,
+    /// Signals that were refused because they cannot be true, and are not among the `n` numbers.
+    pub refused: usize,
 }
 
 /// Why an estimator refuses something; it is left as it was.

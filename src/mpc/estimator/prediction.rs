@@ -3,7 +3,7 @@
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, Wrench};
 use crate::mpc::controller::Command;
 
-use super::{Disturbance, EstimateError};
+use super::{Disturbance, EstimateError, ModelParameters};
 
 /// Moves a state of the model under commands and a disturbance. It asks for no memory after it is made, where steps are explicit.
 #[derive(Clone, Debug)]
@@ -11,11 +11,11 @@ pub struct Predictor {
     model: Rod,
     /// The model with what is wrong with it, and the parameters that say so.
     rod: Rod,
-    parameters: [f64; 3],
+    parameters: ModelParameters,
     longest_step: f64,
     memory: Option<StepperMemory>,
     /// Step length and parameters that the memory is for.
-    tuned: (f64, [f64; 3]),
+    tuned: (f64, ModelParameters),
     nodes: Vec<usize>,
     /// One a node, of the two ends of a step.
     wrenches: [Vec<Wrench>; 2],

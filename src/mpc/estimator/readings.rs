@@ -21,12 +21,13 @@ use crate::mechanics::strain::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::{Rod, State};
 use crate::mpc::signal::Reading;
 
+use super::parameter::N_PARAMETERS;
 use super::{Disturbance, Parameter};
 
 /// First component of a node's positions, rotations, linear and angular momenta.
 const POSITION: usize = 0;
 const ROTATION: usize = 3;
-const LINEAR: usize = 6;
+pub(super) const LINEAR: usize = 6;
 const ANGULAR: usize = 9;
 
 /// Where the components of the error are.
@@ -41,14 +42,14 @@ pub(super) struct Layout {
     pub tip_moment: Option<usize>,
     pub distributed: Option<usize>,
     /// First component of each of [`Parameter::ALL`].
-    pub parameters: [Option<usize>; 3],
+    pub parameters: [Option<usize>; N_PARAMETERS],
     /// All components.
     pub n: usize,
 }
 
 impl Layout {
     /// With the disturbances that are there: tip force, tip moment, distributed force, and [`Parameter::ALL`].
-    pub fn new(rod: &Rod, estimated: [bool; 6]) -> Self {
+    pub fn new(rod: &Rod, wrenches: [bool; 3], parameters: [bool; N_PARAMETERS]) -> Self {
         let first_free_node = rod.first_free_node();
         let n_state = NODE_COMPONENTS * (rod.n_nodes() - first_free_node);
         let mut n = n_state;
@@ -58,7 +59,7 @@ impl Layout {
                 n - size
             })
         };
-        let [tip_force, tip_moment, distributed, parameters @ ..] = estimated;
+        let [tip_force, tip_moment, distributed] = wrenches;
         let tip_force = place(tip_force, 3);
         let tip_moment = place(tip_moment, 3);
         let distributed = place(distributed, 3);
@@ -286,6 +287,15 @@ impl Reader {
                     };
                     terms.push((at, own / disturbance.stiffness));
                 }
+                if let Some(at) = layout.parameter(Parameter::Internal) {
+                    let [force, moment] = element.per_damping_time(&rate_of(rod, state));
+                    let own = if kind == Kind::BaseForce {
+                        force
+                    } else {
+                        -moment
+                    };
+                    terms.push((at, own));
+                }
                 if let (Some(at), Kind::BaseForce) = (layout.distributed, kind) {
                     let share = 0.5 * rod.elements[0].length;
                     terms.extend((0..3).map(|i| (at + i, Vector3::ith(i, share))));
@@ -366,6 +376,21 @@ impl Helix {
     }
 }
 
+/// `(v_b - v_a, ω_a, ω_b)` of the element at the clamp.
+fn rate_of(rod: &Rod, state: &State) -> SVector<f64, 9> {
+    let velocity = |q: usize| state.linear_momentum[q] / rod.nodes[q].mass;
+    let mut rate = SVector::<f64, 9>::zeros();
+    let parts = [
+        velocity(1) - velocity(0),
+        spin(rod, state, 0),
+        spin(rod, state, 1),
+    ];
+    for (part, value) in parts.iter().enumerate() {
+        rate.fixed_rows_mut::<3>(3 * part).copy_from(value);
+    }
+    rate
+}
+
 /// The element at the clamp, with the stress of its strain and, under internal damping, of the strain's rate.
 struct BaseElement<'a> {
     rod: &'a Rod,
@@ -378,19 +403,7 @@ impl<'a> BaseElement<'a> {
     fn at(rod: &'a Rod, state: &'a State) -> Self {
         let configuration = &state.configuration;
         let pose = Rod::element_pose(0, &configuration.positions, &configuration.rotations);
-        let rate = (rod.internal_damping > 0.0).then(|| {
-            let velocity = |q: usize| state.linear_momentum[q] / rod.nodes[q].mass;
-            let mut rate = SVector::<f64, 9>::zeros();
-            let parts = [
-                velocity(1) - velocity(0),
-                spin(rod, state, 0),
-                spin(rod, state, 1),
-            ];
-            for (part, value) in parts.iter().enumerate() {
-                rate.fixed_rows_mut::<3>(3 * part).copy_from(value);
-            }
-            rate
-        });
+        let rate = (rod.internal_damping > 0.0).then(|| rate_of(rod, state));
         Self { rod, pose, rate }
     }
 
@@ -416,6 +429,21 @@ impl<'a> BaseElement<'a> {
                 element.gradient_under(rule, &self.pose, &stress)
             }
         };
+        [gradient.force, gradient.moment_a]
+    }
+
+    /// What `F` and `M_a` gain by a second of internal damping, in which they are linear.
+    fn per_damping_time(&self, rate: &SVector<f64, 9>) -> [Vector3<f64>; 2] {
+        let (element, rule) = (&self.rod.elements[0], self.rod.strain_rule);
+        let (_, slope) = rule.strain_derivative(element.length, &self.pose);
+        let added = slope * rate;
+        let part = |at: usize| -> Vector3<f64> { added.fixed_rows::<3>(at).into() };
+        let strain = ElementStrain {
+            linear: [part(0), part(3)],
+            curvature: part(6),
+        };
+        let stress = element.stress_of_strain(&strain, 1.0);
+        let gradient = element.gradient_under(rule, &self.pose, &stress);
         [gradient.force, gradient.moment_a]
     }
 

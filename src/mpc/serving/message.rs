@@ -263,6 +263,8 @@ pub(super) struct DisturbanceLine {
     pub stiffness_factor: f64,
     pub payload_kg: f64,
     pub viscous_1_s: f64,
+    pub internal_s: f64,
+    pub delay_s: f64,
 }
 
 impl DisturbanceLine {
@@ -275,6 +277,8 @@ impl DisturbanceLine {
             stiffness_factor: disturbance.stiffness,
             payload_kg: disturbance.payload,
             viscous_1_s: disturbance.viscous,
+            internal_s: disturbance.internal,
+            delay_s: disturbance.delay,
         }
     }
 }

@@ -217,9 +217,10 @@ pub struct Estimator {
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
-    /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Default: nothing.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub disturbances: Vec<Unknown>,
+    /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Absent: for a Kalman filter all
+    /// of them but `"delay"`, for an observer nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disturbances: Option<Vec<Unknown>>,
     /// How fast the unknown wrenches of a Kalman filter change: the deflection over the length that they cause more or less within a second;
     /// not negative. Larger, pushes are followed faster, and the noise of sensors with them. Absent: 0.007.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -256,6 +257,34 @@ pub enum Unknown {
     Payload,
     /// Viscous damping, beyond that of `[damping]`.
     Viscous,
+    /// Internal damping, beyond that of `[damping]`; of a model with implicit steps.
+    Internal,
+    /// Delay of the commands, beyond `mpc.actuator_delay_s`.
+    Delay,
+}
+
+impl Estimator {
+    /// What is estimated besides the state.
+    pub(crate) fn unknowns(&self) -> &[Unknown] {
+        match (&self.disturbances, self.kind) {
+            (Some(named), _) => named,
+            (None, EstimatorKind::Kalman) => &Unknown::USUAL,
+            (None, EstimatorKind::None | EstimatorKind::Observer) => &[],
+        }
+    }
+}
+
+impl Unknown {
+    /// All but the delay, which is to be asked for: beside a payload, a step of the force from rest tells both apart too late on light arms.
+    pub(crate) const USUAL: [Self; 7] = [
+        Self::TipForce,
+        Self::TipMoment,
+        Self::Distributed,
+        Self::Stiffness,
+        Self::Payload,
+        Self::Viscous,
+        Self::Internal,
+    ];
 }
 
 /// Jumps are dearer than by default in the library: a model coarser than the arm has its fast modes wrong, and must not chase them.

@@ -338,6 +338,24 @@ fn facts(summary: Fields) -> Vec<(String, String)> {
         let said = format!("{rms} rms, {}", baseline.text("status"));
         facts.push(fact(&format!("baseline {name}"), said));
     }
+    if !summary.get("innovations").is_null() {
+        let number = |key: &str| summary.number(&format!("innovations.{key}"));
+        let verdict = if summary.get("innovations.is_off") == &serde_json::Value::Bool(true) {
+            ": the estimate is in doubt"
+        } else {
+            ""
+        };
+        let said = format!(
+            "{:.2}, consistent at most {:.2}{verdict}",
+            number("per_number"),
+            number("at_most")
+        );
+        facts.push(fact("squared innovations over their variance", said));
+        facts.push(fact("signals refused", summary.get("innovations.refused")));
+    }
+    for sentence in summary.get("advice").as_array().into_iter().flatten() {
+        facts.push(fact("advice", sentence.as_str().unwrap_or_default()));
+    }
     for (cause, n) in summary.get("fallbacks").as_object().into_iter().flatten() {
         facts.push(fact(&format!("fall-back, {cause}"), n));
     }
@@ -499,6 +517,13 @@ fn disturbance_charts(samples: &[&SampleRow]) -> Vec<ReportChart> {
             "c",
             0.0,
         ),
+        (
+            "Estimated time of internal damping beyond the model's",
+            "s",
+            "τ",
+            0.0,
+        ),
+        ("Estimated delay of the commands", "s", "d", 0.0),
     ]) {
         if samples.iter().any(|s| s.disturbance[part] != known) {
             let series = with_deviation(name, "norm", samples, part);
