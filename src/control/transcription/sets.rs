@@ -84,13 +84,13 @@ pub(super) fn convex_sets(
         for variables in ChannelVariables::all(problem, components, coefficient) {
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
-            variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+            variables.push_sets(channel.bound, 1.0 / channel.unit(), own, &mut sets);
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
                 let change = (variables.indices.iter())
                     .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
                     .collect();
-                let unit = gap / channel.scale;
+                let unit = gap / channel.unit();
                 variables.push_sets(channel.rate_bound, unit, change, &mut sets);
             }
         }
