@@ -299,3 +299,68 @@ fn minimum_time_needs_no_effort() {
     let outcome = solve(&program, start, &faster.settings, &mut { on });
     assert_ne!(outcome.status, SqpStatus::Converged);
 }
+
+/// A free stick of 1 kg is pushed along its axis by 2 cm and stops to within a speed v. With |f| <= 1 N the shortest time is 2 sqrt(m d/F) by a
+/// switch at half of it, less what stopping to within v saves, which is at most v m/F; linear controls on 20 blocks go over from one bound to
+/// the other within two blocks, which costs a part 1 - (1 - 1/300)^(-1/2). All solves together take few of the iterations that a solve may
+/// take, although the bound is a ten-thousandth of the force scale.
+#[test]
+fn minimum_time_is_bang_bang_under_a_small_bound() {
+    const STICK: &str = r#"
+        [rod]
+        length_m = 0.1
+        elements = 2
+        [rod.stiffness]
+        ea_n = 1e4
+        ga_n = 1e4
+        ei_n_m2 = 100.0
+        gj_n_m2 = 100.0
+        [rod.inertia]
+        mass_kg_m = 10.0
+        rotary_kg_m = [0.01, 0.01, 0.02]
+        [base]
+        kind = "free"
+        [damping]
+        internal_s = 0.002
+        [time]
+        end_s = 0.4
+        [task]
+        position_m = [0.0, 0.0, 0.12]
+        tolerance_m_s = 1e-4
+        [task.free_duration]
+        shortest_s = 0.1
+        longest_s = 0.6
+        [control]
+        blocks = 20
+        force_max_n = [0.0, 0.0, 1.0]
+        [objective]
+        effort = 0.0
+        rate = 0.0
+    "#;
+    let solved_in = |hold: &str| {
+        let overrides = [format!("control.hold=\"{hold}\"")];
+        let (scene, source) = Scene::from_toml("scene.toml", STICK, &overrides).unwrap();
+        let setup = scene.optimal_control(&source).unwrap();
+        let on = |_: usize, _: &IterationRecord| ControlFlow::Continue(());
+        let mut attempts = search(&setup.problem, &setup.settings, &setup.search, &on).unwrap();
+        let attempt = attempts.swap_remove(0);
+        let duration = attempt.time_scale * setup.problem.grid.duration();
+        (
+            attempt.outcome.status.clone(),
+            attempt.iterations(),
+            duration,
+        )
+    };
+    let switched = 2.0 * (1.0f64 * 0.02 / 1.0).sqrt();
+    let ramped = switched / (1.0f64 - 1.0 / 300.0).sqrt();
+    for (hold, exact) in [("constant", switched), ("linear", ramped)] {
+        let (status, iterations, duration) = solved_in(hold);
+        assert_eq!(status, SqpStatus::Converged, "{hold}");
+        assert!(iterations <= 200, "{hold}: {iterations}");
+        let saved = exact - duration;
+        assert!(
+            (0.0..=1e-4).contains(&saved),
+            "{hold}: {duration} s, {exact} s"
+        );
+    }
+}

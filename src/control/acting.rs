@@ -138,9 +138,9 @@ impl<'a> ActingAlong<'a> {
                         for (coefficient, weight) in problem.control.weights(k) {
                             for (i, component) in components.iter().enumerate() {
                                 if own[i] == Some((index, control)) && weight != 0.0 {
-                                    let scale = problem.channel(component).scale;
+                                    let unit = problem.channel(component).unit();
                                     entries
-                                        .push((coefficient * components.len() + i, weight * scale));
+                                        .push((coefficient * components.len() + i, weight * unit));
                                 }
                             }
                         }

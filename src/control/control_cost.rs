@@ -2,7 +2,7 @@
 
 use faer::Mat;
 
-use super::problem::{GoalRow, OptimalControlProblem};
+use super::problem::{Component, GoalRow, OptimalControlProblem};
 
 /// `½ vᵀ (E + R + W) v + w τ` over controls and soft residuals `v`: weighted effort and rate, and the weights of the residuals; and over what
 /// a relaxed program falls short of its rows by, the last of its variables.
@@ -16,7 +16,7 @@ pub(super) struct ControlCost {
 impl ControlCost {
     pub(super) fn of(
         problem: &OptimalControlProblem,
-        n_components: usize,
+        components: &[Component],
         goal_rows: &[GoalRow],
         slack_variables: &[Option<usize>],
         shortfall: Option<f64>,
@@ -26,8 +26,11 @@ impl ControlCost {
             let mut out = Mat::zeros(n, n);
             for i in 0..matrix.nrows() {
                 for j in 0..matrix.ncols() {
-                    for c in 0..n_components {
-                        out[(i * n_components + c, j * n_components + c)] = weight * matrix[(i, j)];
+                    for (c, component) in components.iter().enumerate() {
+                        let channel = problem.channel(component);
+                        let part = channel.unit() / channel.scale;
+                        out[(i * components.len() + c, j * components.len() + c)] =
+                            weight * part * part * matrix[(i, j)];
                     }
                 }
             }

@@ -62,7 +62,7 @@ pub(crate) fn named_axes(axes: [bool; 3]) -> String {
 /// One of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {
-    /// Magnitude that counts as 1 in the cost and in the solver, N or N m.
+    /// Magnitude that counts as 1 in the cost, N or N m; and in the solver, as far as the [bound](Self::unit) reaches it.
     pub scale: f64,
     /// Limit; none means unbounded.
     pub bound: Option<Bound>,
@@ -81,6 +81,22 @@ impl Channel {
             bound,
             rate_bound: None,
             axes: [true; 3],
+        }
+    }
+
+    /// Magnitude that counts as 1 in the solver, N or N m: the scale, or a smaller bound. Variables of a size far below 1 would be lost in
+    /// the tolerances of the subproblem.
+    #[must_use]
+    pub fn unit(&self) -> f64 {
+        let largest = match self.bound {
+            Some(Bound::Norm(limit)) => limit,
+            Some(Bound::PerAxis(limits)) => limits.max(),
+            None => f64::INFINITY,
+        };
+        if largest > 0.0 {
+            self.scale.min(largest)
+        } else {
+            self.scale
         }
     }
 
@@ -665,7 +681,7 @@ impl OptimalControlProblem {
         for (j, chunk) in chunks.enumerate() {
             for (component, v) in components.iter().zip(chunk) {
                 let wrench = &mut out[j * self.actuators.len() + component.actuator];
-                let value = v * self.channel(component).scale;
+                let value = v * self.channel(component).unit();
                 if component.axis < 3 {
                     wrench.force[component.axis] = value;
                 } else {
@@ -690,7 +706,7 @@ impl OptimalControlProblem {
                     } else {
                         wrench.moment[component.axis - 3]
                     };
-                    value / self.channel(component).scale
+                    value / self.channel(component).unit()
                 })
             })
             .collect();

@@ -30,7 +30,7 @@ use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop};
 
-/// `Auto` uses the exact Hessian below this stationarity and infeasibility.
+/// `Auto` uses the exact Hessian below this stationarity along the controls and this infeasibility.
 const EXACT_BELOW: f64 = 0.3;
 /// A solve that began with the multipliers of another uses it below this infeasibility.
 const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
@@ -208,7 +208,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 self.infeasibility() < EXACT_BELOW_WHEN_WARM
             }
             HessianChoice::Auto => self.trace.history.last().is_some_and(|last| {
-                last.residual.stationarity < EXACT_BELOW && self.infeasibility() < EXACT_BELOW
+                last.residual.along_controls < EXACT_BELOW && self.infeasibility() < EXACT_BELOW
             }),
         }
     }

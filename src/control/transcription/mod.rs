@@ -158,7 +158,7 @@ impl<'a> Transcription<'a> {
             sets: convex_sets(problem, &components, &goal_rows, &slack_variables),
             control_cost: ControlCost::of(
                 problem,
-                components.len(),
+                &components,
                 &goal_rows,
                 &slack_variables,
                 relaxation.as_ref().map(|relaxation| relaxation.weight),

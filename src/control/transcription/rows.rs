@@ -133,7 +133,7 @@ impl ControlColumns for Columns<'_> {
             }
             for (at, component) in self.components.iter().enumerate() {
                 let column = coefficient * self.components.len() + at;
-                let weight = weight * self.problem.channel(component).scale;
+                let weight = weight * self.problem.channel(component).unit();
                 match (self.own[at], self.acting) {
                     (None, _) => {
                         let node = self.problem.actuators[component.actuator].node;

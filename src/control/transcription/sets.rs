@@ -88,7 +88,7 @@ pub(super) fn convex_sets(
         let value = |component: &Component| {
             let wrench = &stay.wrenches[component.actuator];
             let vector = [&wrench.force, &wrench.moment][component.axis / 3];
-            vector[component.axis % 3] / problem.channel(component).scale
+            vector[component.axis % 3] / problem.channel(component).unit()
         };
         components.iter().map(value).collect::<Vec<f64>>()
     });
@@ -104,14 +104,14 @@ pub(super) fn convex_sets(
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
             if held.is_none() || coefficient < last {
-                variables.push_sets(channel.bound, 1.0 / channel.scale, own, &mut sets);
+                variables.push_sets(channel.bound, 1.0 / channel.unit(), own, &mut sets);
             }
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
                 let change = (variables.indices.iter())
                     .map(|&i| vec![(i, -1.0), (i + stride, 1.0)])
                     .collect();
-                let unit = gap / channel.scale;
+                let unit = gap / channel.unit();
                 variables.push_sets(channel.rate_bound, unit, change, &mut sets);
             }
         }

@@ -14,18 +14,18 @@ fn parts(wrench: &Wrench) -> Pair {
     [wrench.force, wrench.moment]
 }
 
-/// `(scale, unit)` of both channels of actuator `a`.
+/// Of both channels of actuator `a`: what counts as 1 in the solver, name, and unit.
 pub(in crate::verify) fn channels(
     problem: &OptimalControlProblem,
     a: usize,
 ) -> [(f64, &'static str, &'static str); 2] {
     let actuator = &problem.actuators[a];
     if a >= problem.wrench_actuators().len() {
-        return [actuator.force.scale, actuator.moment.scale].map(|scale| (scale, "control", ""));
+        return [actuator.force.unit(), actuator.moment.unit()].map(|one| (one, "control", ""));
     }
     [
-        (actuator.force.scale, "force", "N"),
-        (actuator.moment.scale, "moment", "N m"),
+        (actuator.force.unit(), "force", "N"),
+        (actuator.moment.unit(), "moment", "N m"),
     ]
 }
 
@@ -61,7 +61,10 @@ pub(in crate::verify) fn control_cost(
     let mut cost = 0.0;
     let mut gradient = vec![[Vector3::zeros(); 2]; coefficients.len()];
     for a in 0..n {
-        for (channel, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+        let own = &problem.actuators[a];
+        let scales = [own.force.scale, own.moment.scale];
+        for (channel, (one, ..)) in channels(problem, a).into_iter().enumerate() {
+            let scale = scales[channel];
             let scaled: Vec<_> = (coefficients.iter().skip(a).step_by(n))
                 .map(|u| parts(u)[channel] / scale)
                 .collect();
@@ -69,7 +72,7 @@ pub(in crate::verify) fn control_cost(
                 spline.cost(&scaled, problem.objective.effort, problem.objective.rate);
             cost += part;
             for (j, slope) in slope.into_iter().enumerate() {
-                gradient[j * n + a][channel] = slope;
+                gradient[j * n + a][channel] = slope * (one / scale);
             }
         }
     }

@@ -20,7 +20,7 @@ use self::motion::Conditions;
 use self::rows::{AXES, Place, Worst};
 use super::SolutionMultipliers;
 use super::hold::{self, Spline};
-use crate::control::OptimalControlProblem;
+use crate::control::{Channel, OptimalControlProblem};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::sqp::KktResidual;
 
@@ -93,10 +93,17 @@ pub fn recompute(
     let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
     // As the solver: a problem whose terms all vanish is judged against one unit of effort.
     let spline = Spline::of(problem);
+    let channels =
+        (problem.actuators.iter()).flat_map(|actuator| [actuator.force, actuator.moment]);
+    let part = (channels.filter(Channel::acts))
+        .map(|channel| channel.unit() / channel.scale)
+        .fold(1.0, f64::min);
     let unit = 1e-6
+        * (part * part)
         * (spline.largest_curvature(problem.objective.effort, 0.0)
             + spline.largest_curvature(0.0, problem.objective.rate));
     let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
+    let along_controls = controls.stationarity.scaled / scale;
     let stationarity = (controls.stationarity)
         .or(on_path.stationarity)
         .or(balls.stationarity)
@@ -110,6 +117,7 @@ pub fn recompute(
     RecomputedKkt {
         residual: KktResidual {
             stationarity: stationarity.scaled,
+            along_controls,
             feasibility: worse(equalities.scaled, inequalities.scaled),
             complementarity: worse(signs.scaled, complementarity.scaled),
         },
