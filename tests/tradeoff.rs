@@ -219,6 +219,12 @@ fn pages_from_files() {
         desk.run(&["report", name]);
         assert!(fs::read(&page).unwrap() == written, "{name}");
     }
+    let page = fs::read_to_string(desk.path("fine/report.html")).unwrap();
+    let elements = &sweeps[0]["recommended"]["elements"];
+    assert!(
+        page.contains(&format!("<pre>rod.elements = {elements}")),
+        "{elements}"
+    );
     let (code, report, talk) = desk.run(&["report", "fine", "short", "none"]);
     assert_eq!(code, DONE, "{talk}");
     let page = fs::read_to_string(desk.path("comparison.html")).unwrap();
@@ -480,6 +486,12 @@ fn applying_replaces_no_file_of_others() {
         elements
     );
 
+    // Of a built-in scene it makes a file, and changes none.
+    fs::write(desk.path("swing.toml"), "mine").unwrap();
+    let (code, _, talk) = desk.run(&["tradeoff", "swing", "--out", "built-in", "--apply"]);
+    assert_eq!(code, USAGE, "{talk}");
+    assert!(talk.contains("--force=swing.toml"), "{talk}");
+    assert!(!desk.path("built-in").exists());
     fs::write(desk.path("mine.toml"), "mine").unwrap();
     symlink("mine.toml", desk.path("to-mine.toml")).unwrap();
     for name in ["mine.toml", "to-mine.toml"] {

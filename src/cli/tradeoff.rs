@@ -391,4 +391,8 @@ fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console
         .as_ref()
         .is_some_and(|recommended| recommended.checked);
     console.verdict(good, sentence);
+    if let Some(recommended) = &found.recommended {
+        let keys = recommended.point.assignments(usual).join("; ");
+        console.say(&format!("in the scene: {keys}"));
+    }
 }

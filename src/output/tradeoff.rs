@@ -421,12 +421,17 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     let findings: String = (found.findings.iter())
         .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
         .collect();
+    let keys = recommended.map_or(String::new(), |recommended| {
+        let lines = recommended.point.assignments(usual).join("\n");
+        format!("<p>In the scene:</p>\n<pre>{}</pre>", escaped(&lines))
+    });
     let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
         measured_against(found.subject, reference)
     });
     include_str!("tradeoff_template.html")
         .replace("{{title}}", &escaped(scene))
         .replace("{{sentence}}", &escaped(sentence))
+        .replace("{{keys}}", &keys)
         .replace("{{reference}}", &reference)
         .replace("{{findings}}", &findings)
         .replace("{{models}}", &models)

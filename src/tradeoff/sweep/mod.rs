@@ -3,6 +3,7 @@
 //! A motion is compared with one on a much finer grid, whose own error is known. An optimal-control problem is solved with every setting, and
 //! its controls are simulated on grids twice and four times as fine. A closed loop is run with every setting, and its error is that of its tip.
 
+mod assignments;
 mod closed_loop;
 mod control;
 mod features;
