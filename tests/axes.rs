@@ -121,7 +121,7 @@ fn scenes_name_the_components() {
     let scene = |control: &str| {
         let text = format!(
             "[rod]\nlength_m = 1.0\nelements = 4\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
-             [rod.section]\nradius_m = 0.05\n[time]\nend_s = 1.0\n[task]\nposition_m = [0.2, 0.0, 0.95]\n[control]\n{control}\n"
+             [rod.section]\nradius_m = 0.05\n[time]\nend_s = 1.0\n[task]\nposition_m = [0.2, 0.0, 0.95]\nat_rest = \"tip\"\n[control]\n{control}\n"
         );
         let (scene, source) = Scene::from_toml("scene.toml", &text, &[])?;
         Ok::<_, softarm::scene::SceneError>(scene.optimal_control(&source)?.problem)

@@ -34,6 +34,7 @@ shape = \"equilibrium\"
 end_s = 1.5
 [task]
 position_m = [0.1, 0.0, {height}]
+at_rest = 'tip'
 [control]
 blocks = 10
 force_max_n = 1.0

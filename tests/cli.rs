@@ -305,7 +305,7 @@ fn stiff_and_damped_arms_are_certified() {
         ),
         (
             "scene.toml",
-            ["damping.internal_s=0.01", "task.at_rest=true"],
+            ["damping.internal_s=0.01", "task.at_rest=\"tip\""],
             "0.01",
         ),
     ] {
@@ -601,7 +601,7 @@ fn obstacles_are_touched_and_shown() {
 fn a_free_duration_is_found_and_verified() {
     let desk = Desk::new();
     let scene = (SCENE.replace("elements = 4", "elements = 8"))
-        .replace("at_rest = false", "at_rest = true");
+        .replace("at_rest = false", "at_rest = \"tip\"");
     let free = "[task.free_duration]\nshortest_s = 0.2\nlongest_s = 0.6\nprice = 1.0\n";
     desk.write("scene.toml", &(scene + free));
     let run = desk.run(&["solve", "scene.toml", "--out", "run", "--json"]);
@@ -653,7 +653,7 @@ fn saddles_are_rejected() {
         .replace("[0.1, 0.03, 0.985]", "[0.5, 0.0, 0.8]")
         .replace(
             "at_rest = false",
-            "at_rest = true\ntolerance_m_s = 0\ntolerance_rad_s = 0",
+            "at_rest = \"tip\"\ntolerance_m_s = 0\ntolerance_rad_s = 0",
         )
         .replace("blocks = 5", "blocks = 10");
     let ball = "[[obstacle]]\nname = \"ball\"\nsphere = { center_m = [0.25, 0.0, 1.03], radius_m = 0.05 }\nmargin_m = 0.001\n";
@@ -684,7 +684,7 @@ fn failures_come_with_advice() {
         "scene.toml",
         "--json",
         "--set",
-        "task.at_rest=true",
+        "task.at_rest=\"tip\"",
         "--set",
         "control.moment_max_n_m=0",
         "--set",

@@ -81,7 +81,7 @@ fn posed() -> (Arm, Task, Discretization) {
 const SCENE: &str = "[rod]\nlength_m = 1.0\nelements = 8\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000\n\
     [rod.section]\nradius_base_m = 0.05\nradius_tip_m = 0.04\n[base]\ndirection = [0, 0, -1]\n[gravity]\nacceleration_m_s2 = [0, 0, -9.81]\n\
     [damping]\nviscous_1_s = 1.0\n[[load]]\nnode = 4\nforce_n = [0, 0.2, 0]\nframe = 'body'\nprofile = [[0, 0], [0.5, 1]]\n\
-    [initial]\nshape = 'equilibrium'\n[time]\nend_s = 1.0\n[task]\nposition_m = [0.3, 0, -0.9]\n[[task.via]]\nat_s = 0.4\nnode = 4\n\
+    [initial]\nshape = 'equilibrium'\n[time]\nend_s = 1.0\n[task]\nposition_m = [0.3, 0, -0.9]\nat_rest = 'tip'\n[[task.via]]\nat_s = 0.4\nnode = 4\n\
     position_m = [0.05, 0, -0.45]\ntolerance_m = 0.05\n[[obstacle]]\nname = 'ball'\nsphere = { center_m = [0.5, 0.5, 0], radius_m = 0.1 }\n\
     margin_m = 0.01\nrate_hz = 50\n[[limit]]\nspeed_max_m_s = 5\n[control]\nforce_max_n = 20\n[[control.actuator]]\nnode = 2\n\
     moment_max_n_m = 0.5\n";
@@ -326,7 +326,7 @@ fn refusals_are_typed() {
 #[test]
 fn defaults_are_those_of_scenes() {
     let text = "[rod]\nlength_m = 1\nelements = 20\n[rod.material]\npreset = 'pdms'\n[rod.section]\nradius_m = 0.02\n[time]\nend_s = 1\n\
-                [task]\nposition_m = [0.1, 0, 0.9]\n[control]\nforce_max_n = 1\n";
+                [task]\nposition_m = [0.1, 0, 0.9]\nat_rest = 'tip'\n[control]\nforce_max_n = 1\n";
     let (scene, source) = Scene::from_toml("arm", text, &[]).unwrap();
     assert_eq!(scene.discretization(), Discretization::default());
     assert_eq!(scene.start(), Start::default());

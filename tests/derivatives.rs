@@ -66,6 +66,7 @@ end_s = 0.3
 [task]
 position_m = [0.1, 0.03, 0.985]
 orientation_wxyz = [0.98, 0.1, 0.1, 0.1]
+at_rest = 'tip'
 hard = false
 weight = 10.0
 [[task.via]]
@@ -165,7 +166,7 @@ energy = 0.3
             "task.position_m",
             "task.orientation_wxyz",
             "task.at_rest (velocity)",
-            "task.via.0.position_m (path)",
+            "task.via.0.position_m",
             "ball (path)",
             "ball (distance)",
             "bar (distance)",

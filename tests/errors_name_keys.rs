@@ -280,7 +280,9 @@ fn items_are_called_by_their_names() {
 #[test]
 fn lengths_of_directions_do_not_matter() {
     let problem = |overrides: &[String]| {
-        let (scene, source) = Scene::load("reach", overrides).unwrap();
+        let passing = "task={position_m = [0.5, 0.0, 0.8], at_rest = \"tip\"}".to_string();
+        let overrides = [&[passing], overrides].concat();
+        let (scene, source) = Scene::load("reach", &overrides).unwrap();
         scene.optimal_control(&source).unwrap().problem
     };
     for size in ["5e-324", "1e-300", "1e-160", "1.0", "1e160", "1e308"] {

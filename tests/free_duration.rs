@@ -25,6 +25,7 @@ viscous_1_s = 1.0
 end_s = 0.5
 [task]
 position_m = [0.15, 0.05, 0.97]
+at_rest = 'tip'
 [task.free_duration]
 shortest_s = 0.15
 longest_s = 0.9
@@ -326,6 +327,7 @@ fn minimum_time_is_bang_bang_under_a_small_bound() {
         end_s = 0.4
         [task]
         position_m = [0.0, 0.0, 0.12]
+        at_rest = "tip"
         tolerance_m_s = 1e-4
         [task.free_duration]
         shortest_s = 0.1

@@ -380,7 +380,7 @@ fn infeasible_by_physics() {
         (&["solver.guess=\"rest\""][..], slow.as_str()),
         // Rest is proven infeasible; static shapes, which come a little nearer in as many iterations, prove nothing.
         (
-            &["task.at_rest=true", "solver.max_iterations=150"][..],
+            &["task.at_rest=\"tip\"", "solver.max_iterations=150"][..],
             slow.as_str(),
         ),
     ] {
@@ -504,7 +504,7 @@ fn zero_bounds() {
     );
     for channel in zero {
         desk.solve(&[channel], "", &[DONE]);
-        let stay = desk.solve(&[channel, STAY, "task.at_rest=true"], "", &[DONE]);
+        let stay = desk.solve(&[channel, STAY, "task.at_rest=\"tip\""], "", &[DONE]);
         assert_eq!(stay["objective"], 0.0);
     }
     // A pull along the axis only stretches a straight arm: 0.1 m aside are out of reach.
@@ -598,7 +598,7 @@ fn short_horizons() {
     desk.solve(&["control.blocks=1"], "", &[DONE, REJECTED]);
     // Nine conditions on six numbers.
     desk.solve(
-        &["control.blocks=1", "task.at_rest=true"],
+        &["control.blocks=1", "task.at_rest=\"tip\""],
         "",
         &[INFEASIBLE],
     );
@@ -619,7 +619,7 @@ fn short_horizons() {
         for (steps, settings) in [(1, one), (2, two)] {
             let summary = desk.solve(&settings, "", &[INFEASIBLE]);
             assert_eq!(summary["steps"], steps);
-            for rest in ["task.at_rest=false", "task.at_rest=true"] {
+            for rest in ["task.at_rest=false", "task.at_rest=\"tip\""] {
                 desk.solve(&[&settings[..], &[STAY, rest][..]].concat(), "", &[DONE]);
             }
         }
@@ -720,7 +720,7 @@ fn extreme_weights() {
         "task.hard=false",
         "task.weight=1000.0",
         "task.position_m=[0.001, 0.0, 1.0]",
-        "task.at_rest=true",
+        "task.at_rest=\"tip\"",
     ];
     desk.solve(&near, "", &[DONE]);
 }

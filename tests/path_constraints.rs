@@ -393,6 +393,7 @@ fn tolerances_are_no_harder_than_exact_goals() {
         radius_m = 0.02
         [task]
         position_m = [0.2, 0.0, 0.43]
+        at_rest = "tip"
     "#;
     let solved = |overrides: &[String]| {
         let (scene, source) = Scene::from_toml("reach", SCENE, overrides).unwrap();
@@ -562,9 +563,11 @@ fn arcs_that_a_limit_of_curvature_excludes() {
             .iter()
             .map(|limit| format!("[[limit]]\n{limit}\n"))
             .collect();
+        // So small a force does not hold the arm there either, which is another refusal.
         refusal(&format!(
             "[task]\n{goal}\n[control]\nforce_max_n = 1e-3\n{limits}"
         ))
+        .filter(|error| error.key().is_some_and(|key| key.starts_with("limit")))
     };
     let limit = |value: f64| format!("curvature_max_1_m = {value}");
     for goal in [&position, &rotation] {

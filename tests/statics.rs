@@ -215,7 +215,8 @@ fn springs_bend_a_wire() {
 }
 
 fn problem(text: &str, overrides: &[&str]) -> OptimalControlProblem {
-    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    let mut overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    overrides.push("task.at_rest=\"tip\"".into());
     let (scene, source) = Scene::from_toml("arm", text, &overrides).expect("a scene");
     scene.optimal_control(&source).expect("a problem").problem
 }
@@ -296,7 +297,10 @@ const TOLERANT: &str = "[rod]\nlength_m = 0.5\nelements = 8\n[rod.material]\nyou
 #[test]
 fn targets_are_held_by_all_that_acts() {
     let reach = |overrides: &[&str]| {
-        let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+        let passing = "task={position_m = [0.5, 0.0, 0.8], at_rest = \"tip\"}";
+        let overrides: Vec<String> = (std::iter::once(&passing).chain(overrides))
+            .map(|text| text.to_string())
+            .collect();
         let (scene, source) = Scene::load("reach", &overrides).expect("a scene");
         scene.optimal_control(&source).expect("a problem").problem
     };

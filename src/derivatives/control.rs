@@ -10,6 +10,7 @@ use super::mechanics::ROUNDING;
 use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::path::RowGradient;
+use crate::control::problem::GoalRow;
 use crate::control::{
     ControlGrid, LiftedPoint, Objective, OptimalControlProblem, PathLimit, RodView, Shape,
     Transcription,
@@ -217,14 +218,14 @@ fn goal_blocks(
     let linearization = program.linearize(point, &evaluation, &LinearizationRequest::default())?;
     let n = point.variables.len();
     let mut out = Vec::new();
-    for (first, row) in program.goal_rows().iter().enumerate() {
-        if row.axis != 0 {
-            continue;
-        }
+    let mut first = 0;
+    for rows in program.goal_rows().chunk_by(GoalRow::shares_vector_with) {
+        let (row, range) = (&rows[0], first..first + rows.len());
+        first = range.end;
         let mut found = Vec::new();
         for kind in kinds(problem) {
             let change = random_change(n, &kind, rng);
-            let slopes = (first..first + 3)
+            let slopes = (range.clone())
                 .map(|i| {
                     (0..n)
                         .map(|j| linearization.jacobian[(i, j)] * change[j])
@@ -234,7 +235,7 @@ fn goal_blocks(
             let mut values = |s: f64| {
                 let there = program.rollout(point, &scaled(&change, s)).ok()?;
                 let constraints = program.evaluate(&there).ok()?.constraints;
-                Some(vec![constraints[first..first + 3].to_vec()])
+                Some(vec![constraints[range.clone()].to_vec()])
             };
             found.extend(compare(&mut values, &[slopes], ROUNDING));
         }

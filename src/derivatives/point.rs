@@ -72,12 +72,20 @@ pub fn random_variables(
     let mut variables: Vec<f64> = (0..problem.n_variables())
         .map(|_| 0.5 * number(rng))
         .collect();
+    // A variable that is fixed is in general position where it is.
+    let is_fixed = |set: &&ConvexSet| matches!(set, ConvexSet::Interval { lower, upper, .. } if lower == upper);
+    let (fixed, free): (Vec<_>, Vec<_>) = sets.iter().partition(is_fixed);
     for _ in 0..60 {
-        if sets.iter().all(|set| set.violation(&variables) <= 0.0) {
+        if free.iter().all(|set| set.violation(&variables) <= 0.0) {
             break;
         }
         for v in &mut variables {
             *v *= 0.5;
+        }
+    }
+    for set in fixed {
+        if let ConvexSet::Interval { index, lower, .. } = set {
+            variables[*index] = *lower;
         }
     }
     variables

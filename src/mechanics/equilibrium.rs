@@ -121,6 +121,8 @@ const EVALUATION_LIMIT: usize = 1000;
 const NEWTON_PATIENCE: usize = 8;
 /// Newton steps that turn a node further than this are left to the minimization; without a potential, those that bend an element further.
 const LARGEST_NEWTON_TURN: f64 = 0.5;
+/// Turn of a node up to which a step may stretch the rod, by the square of it.
+const SMALL_TURN: f64 = 1e-3;
 /// Part of the loads in the first step of a continuation, and the least one.
 const FIRST_STRIDE: f64 = 0.1;
 const LEAST_STRIDE: f64 = 1e-3;
@@ -385,7 +387,15 @@ impl<'a> Statics<'a> {
         if !is_short && self.is_conservative() {
             return None;
         }
-        let trial = strained(at, &step);
+        // Near steps have no need of keeping the strains, and round less.
+        let farthest = (step.iter())
+            .map(|s| s.fixed_rows::<3>(3).norm())
+            .fold(0.0, f64::max);
+        let trial = if farthest > SMALL_TURN {
+            strained(at, &step)
+        } else {
+            moved(at, &step)
+        };
         if !is_short && !(largest_bend(at, &trial) < LARGEST_NEWTON_TURN) {
             return None;
         }

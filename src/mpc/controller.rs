@@ -239,14 +239,11 @@ impl Controller {
             // No plan tells more of them apart, and each takes a sweep.
             cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
         }
-        let mut task = task.clone();
+        let mut task = task.clone().stopping();
         task.horizon = settings.horizon;
         let n_tracks = task.cost.tracks.len();
         for target in &mut task.targets {
             target.time = None;
-            if target.rest != Rest::Passing {
-                target.rest = Rest::Instant;
-            }
             // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
             if settings.due.is_none() {
                 target.rest = Rest::Passing;

@@ -91,7 +91,9 @@ impl Scene {
                 default_horizon(&rod, &start, period)
             }
         };
-        let mut task = self.posed_task_until(source, duration + horizon)?;
+        let mut task = self
+            .posed_task_until(source, duration + horizon)?
+            .stopping();
         task.horizon = horizon;
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
         let settings = MpcSettings {

@@ -78,7 +78,7 @@ fn motion_loads_payload_and_start_arrive() {
     let (scene, source) = Scene::load("swing", &overrides).expect("a scene");
     let setup = scene.simulation(&source).expect("a simulation");
     let base = setup.rod.driven_base(1.0).expect("a driven base");
-    let turn = from_direction(&Vector3::x(), 0.0) * exp(&Vector3::new(0.0, 0.0, 0.4));
+    let turn = exp(&Vector3::new(0.0, 0.0, 0.4)) * from_direction(&Vector3::x(), 0.0);
     assert!((base.position - Vector3::new(2.0, 2.1, 3.0)).norm() < 1e-15);
     assert!((base.rotation - turn).norm() < 1e-14);
     // The quarter period of the oscillation ends with its velocity gone, the table flat: the uniform part is left.
@@ -397,6 +397,7 @@ radius_m = 0.05
 end_s = 1.0
 [task]
 position_m = [0.1, 0, 0.9]
+at_rest = 'tip'
 [control]
 blocks = 4
 ";
@@ -445,7 +446,7 @@ blocks = 4
 #[test]
 fn moments_are_priced_by_the_section_they_act_on() {
     let scales = |control: &str| {
-        let overrides = ["rod.elements=100", control].map(str::to_string);
+        let overrides = ["rod.elements=100", "task.at_rest=\"tip\"", control].map(str::to_string);
         let (scene, source) = Scene::load("reach-tapered", &overrides).unwrap();
         let setup = scene.optimal_control(&source).unwrap();
         let tip = &setup.problem.actuators[0];

@@ -348,6 +348,17 @@ impl Task {
         self
     }
 
+    /// The same task at whose end a tip that should stay only stops for an instant: what a closed loop goes on from.
+    #[must_use]
+    pub(crate) fn stopping(mut self) -> Self {
+        for target in &mut self.targets {
+            if let Rest::Staying(_) = target.rest {
+                target.rest = Rest::Instant;
+            }
+        }
+        self
+    }
+
     /// The same task that lasts `factor` times as long, its points on the way at the same parts of it.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
