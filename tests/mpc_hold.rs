@@ -52,6 +52,8 @@ fn poses_are_held() {
         &worked_scene(),
         &[
             moments,
+            // No constant wrench holds this pose stably, so that effort would count from zero.
+            "mpc.effort_from=\"holding\"",
             "damping.internal_s=0.005",
             "task.position_m=[0.15, 0.05, -0.34]",
             "task.orientation_wxyz=[0.0, 0.955, 0.1, 0.296]",

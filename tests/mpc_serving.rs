@@ -405,8 +405,7 @@ fn orientations_and_obstacles_may_come_with_measurements() {
     blind.task.limits = vec![post(2.15)];
     let plant = Plant::new(&turned);
     let mut arm = plant.arm(&turned);
-    let [mut knows, mut is_told, mut never] =
-        [&turned, &blind, &blind].map(|scene| Desk::new(scene));
+    let [mut knows, mut is_told, mut never] = [&turned, &blind, &blind].map(Desk::new);
     assert_eq!(is_told.hello["obstacles"], json!(["post"]));
     let [mut off, mut other] = [0.0f64; 2];
     for k in 0..45 {

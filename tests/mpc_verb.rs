@@ -308,7 +308,7 @@ fn what_ran_is_kept() {
 
     let desk = Desk::new();
     let long = ["--set", "mpc.duration_s=2000", "--set", "time.end_s=1.0"];
-    let deadline = ["--set", "solver.deadline_s=1.0", "--out", "deadline"];
+    let deadline = ["--set", "solver.deadline_s=5.0", "--out", "deadline"];
     let run = desk.run(&[&["mpc", "loop.toml"], &long[..], &deadline].concat());
     assert_eq!(run.code, STOPPED, "{}", run.stderr);
     assert_eq!(desk.summary("deadline")["status"], "deadline");

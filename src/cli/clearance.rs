@@ -42,7 +42,7 @@ impl Clearances {
                     _ => 1,
                 };
                 Some(Obstacle {
-                    shape: shape.clone(),
+                    shape: *shape,
                     velocity: *velocity,
                     points,
                     least: ClearanceSummary {

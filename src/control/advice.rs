@@ -48,11 +48,6 @@ pub enum Observation {
         /// The bound, N.
         bound: f64,
     },
-    /// No constant wrench within the bounds holds the arm at the target.
-    CannotStay {
-        /// Why, and where it can.
-        why: String,
-    },
     /// A moment bends the section that it acts on more than the arm bends elsewhere, at a small part of the price.
     CheapMoment {
         /// The node that it acts on.
@@ -101,10 +96,6 @@ impl std::fmt::Display for Observation {
                 f,
                 "holding the tip at the target takes a force of about {force:.3e} N, more than the bound of {bound:.3e} N: the arm cannot \
                  stay there, and can pass at most; raise control.force_max_n, or set task.at_rest = false"
-            ),
-            Self::CannotStay { why } => write!(
-                f,
-                "the arm cannot stay at the target with the last wrench held: {why}; it can pass at most: set task.at_rest = false, or give it a target that is held"
             ),
             Self::CheapMoment {
                 node,
@@ -214,30 +205,27 @@ impl Peaks {
     }
 }
 
-/// Why the arm cannot stay at its last target, where it is to come to rest there.
+/// A tip force beyond its bound that balances the arm at its last target, where its tip is to stop.
 fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
-    if !problem.final_goals().any(|goal| goal.at_rest) {
-        return None;
-    }
-    let Ok(Holding::CannotBeHeld { why, nearest }) = holding(problem) else {
+    let [actuator] = &problem.actuators[..] else {
         return None;
     };
-    if let CannotHold::AboveBounds(held) = &why
-        && let [actuator] = &problem.actuators[..]
+    let is_asked = problem.final_goals().any(|goal| goal.at_rest)
         && actuator.node == problem.rod.tip()
-        && !actuator.moment.acts()
-        && let Some(Bound::Norm(bound)) = actuator.force.bound
-    {
-        let force = held.wrenches[0].force.norm();
-        return Some(Observation::StaticNeed { force, bound });
+        && !actuator.moment.acts();
+    let (true, Some(Bound::Norm(bound))) = (is_asked, actuator.force.bound) else {
+        return None;
+    };
+    let Ok(Holding::CannotBeHeld { why, .. }) = holding(problem) else {
+        return None;
+    };
+    match why {
+        CannotHold::AboveBounds(held) | CannotHold::Unstable(held) if !held.is_within_bounds() => {
+            let force = held.wrenches[0].force.norm();
+            Some(Observation::StaticNeed { force, bound })
+        }
+        _ => None,
     }
-    let nearest = nearest.map_or_else(String::new, |(held, distance)| {
-        let [x, y, z]: [f64; 3] = held.shape.positions[problem.rod.tip()].into();
-        format!("; [{x:.4}, {y:.4}, {z:.4}] m can be held, {distance:.1e} m away")
-    });
-    Some(Observation::CannotStay {
-        why: format!("{why}{nearest}"),
-    })
 }
 
 /// A moment whose price is small beside that of the forces, where the arm bends most at the node that it acts on.

@@ -167,11 +167,7 @@ pub fn static_equilibrium_until(
         let size = statics.scaled(&residual);
         let tolerance = TOLERANCE.max(statics.rounding(&center));
         if size <= tolerance {
-            // One step more takes it to rounding.
-            return match statics.newton(&center, &residual) {
-                Some((better, left)) if statics.scaled(&left) < size => checked(rod, better),
-                _ => checked(rod, center),
-            };
+            return checked(rod, statics.to_rounding(center, &residual));
         }
         if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
             if statics.scaled(&trial_residual) < 0.5 * size {
@@ -181,7 +177,8 @@ pub fn static_equilibrium_until(
             }
             // At rounding already: nothing more can be gained.
             if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
-                return checked(rod, center);
+                let is_nearer = statics.scaled(&trial_residual) < size;
+                return checked(rod, if is_nearer { trial } else { center });
             }
         }
         if !statics.is_conservative() && !was_continued {
@@ -329,6 +326,16 @@ impl<'a> Statics<'a> {
         self.rod.loads.iter().all(has_potential)
     }
 
+    /// An equilibrium within the tolerance, and one Newton step more: rounding of the stiff strains hides in the residual what the soft ones
+    /// still lack.
+    fn to_rounding(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
+        let tolerance = TOLERANCE.max(self.rounding(&at));
+        match self.newton(&at, residual) {
+            Some((nearer, left)) if self.scaled(&left) <= tolerance => nearer,
+            _ => at,
+        }
+    }
+
     /// Newton's method to the end; `None` where it does not converge.
     fn solved(&mut self, start: &Configuration) -> Option<Configuration> {
         let mut at = start.clone();
@@ -336,7 +343,7 @@ impl<'a> Statics<'a> {
         for _ in 0..CONTINUATION_STEPS {
             let size = self.scaled(&residual);
             if size <= TOLERANCE.max(self.rounding(&at)) {
-                return Some(at);
+                return Some(self.to_rounding(at, &residual));
             }
             let next = self.newton(&at, &residual)?;
             // At rounding already: nothing more can be gained.
