@@ -300,12 +300,16 @@ fn stiff_and_damped_arms_are_certified() {
     for (scene, settings, damping) in [
         (
             "wire-reach",
-            ["rod.elements=6", "time.step_s=2.5e-4"],
+            &[
+                "rod.elements=6",
+                "time.step_s=2.5e-4",
+                "task.at_rest=\"tip\"",
+            ][..],
             "0.0002",
         ),
         (
             "scene.toml",
-            ["damping.internal_s=0.01", "task.at_rest=\"tip\""],
+            &["damping.internal_s=0.01", "task.at_rest=\"tip\""],
             "0.01",
         ),
     ] {

@@ -307,30 +307,36 @@ fn what_ran_is_kept() {
     use std::process::Stdio;
 
     let desk = Desk::new();
-    let long = ["--set", "mpc.duration_s=2000", "--set", "time.end_s=1.0"];
-    let deadline = ["--set", "solver.deadline_s=5.0", "--out", "deadline"];
+    let long = ["--set", "mpc.duration_s=20000", "--set", "time.end_s=1.0"];
+    let deadline = ["--set", "solver.deadline_s=10.0", "--out", "deadline"];
     let run = desk.run(&[&["mpc", "loop.toml"], &long[..], &deadline].concat());
     assert_eq!(run.code, STOPPED, "{}", run.stderr);
     assert_eq!(desk.summary("deadline")["status"], "deadline");
 
-    let mut child = Command::new(env!("CARGO_BIN_EXE_softarm"))
-        .args(["mpc", "loop.toml", "--out", "stopped"])
-        .args(long)
-        .current_dir(desk.folder.path())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut talk = BufReader::new(child.stderr.take().unwrap());
-    let mut line = String::new();
-    talk.read_line(&mut line).unwrap();
-    assert!(line.contains("samples of"), "{line}");
-    let id = child.id().to_string();
-    let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
-    assert!(sent.success());
-    let mut rest = String::new();
-    talk.read_to_string(&mut rest).unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(STOPPED), "{rest}");
+    // A loop that is stopped before its first sample has nothing to keep: wait longer.
+    let mut patience = std::time::Duration::from_millis(200);
+    while !desk.path("stopped/summary.json").exists() {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(["mpc", "loop.toml", "--out", "stopped"])
+            .args(long)
+            .current_dir(desk.folder.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut talk = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        talk.read_line(&mut line).unwrap();
+        assert!(line.contains("samples of"), "{line}");
+        std::thread::sleep(patience);
+        patience *= 2;
+        let id = child.id().to_string();
+        let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
+        assert!(sent.success());
+        let mut rest = String::new();
+        talk.read_to_string(&mut rest).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(STOPPED), "{rest}");
+    }
     let summary = desk.summary("stopped");
     assert_eq!(summary["status"], "interrupted");
 

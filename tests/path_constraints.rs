@@ -416,7 +416,7 @@ fn tolerances_are_no_harder_than_exact_goals() {
             &[turned],
             "task.tolerance_rad",
             GoalPart::Orientation,
-            &[1e-3, 0.02, 0.1],
+            &[0.1],
         ),
         (
             &[passing],
