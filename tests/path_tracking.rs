@@ -251,7 +251,7 @@ fn speeds_are_followed() {
         "path_m = [[0.0, 0.0, 0.0, 1.0], [1.0, 0.1, 0.0, 0.995]], weight = 1e-3, from_s = 0.3";
     let [free, priced] = with_priced_speed(path, &[]);
     assert!(priced < 0.2 * free, "{priced} and {free}");
-    let target = "task.position_m=[0.1, 0.0, 0.99]";
+    let target = "task={position_m = [0.1, 0.0, 0.99], at_rest = \"tip\"}";
     let [free, priced] = with_priced_speed("from_s = 0.0", &[target]);
     assert!(priced < 0.99 * free && priced > 0.1, "{priced} and {free}");
 }

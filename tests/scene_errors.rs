@@ -498,7 +498,9 @@ fn contradictions_and_halves_name_both_keys() {
             "task.at_rest",
         ),
         (
-            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nhard = false\ntolerance_rad_s = 1\n"),
+            format!(
+                "{ROD}[task]\nposition_m = [0, 0, 1]\nat_rest = 'tip'\nhard = false\ntolerance_rad_s = 1\n"
+            ),
             "task.tolerance_rad_s",
             "task.hard",
         ),

@@ -248,6 +248,9 @@ const SCENES: [&[&str]; 5] = [
         "rod.section.diameter_m=0.08",
         "time.end_s=1.0",
         "task.position_m=[0.5, 0.2, 0.9]",
+        "task.at_rest=true",
+        "task.stays_s=0.7",
+        "task.stays_m=0.02",
         "task.hard=false",
         "task.weight=10.0",
         "task.via.0.at_s=0.5",
@@ -255,6 +258,16 @@ const SCENES: [&[&str]; 5] = [
         "task.via.0.position_m=[0.1, 0.1, 0.5]",
         "task.via.0.hard=false",
         "task.via.0.weight=5.0",
+        "task.via.1.at_s=0.25",
+        "task.via.1.node=0.5",
+        "task.via.1.position_m=[0.1, 0.1, 0.5]",
+        "load.0.node=0.25",
+        "load.0.force_n=[1.0, 0.0, 0.0]",
+        "limit.0.speed_max_m_s=5.0",
+        "limit.0.node=0.75",
+        "disturbance.0.node=0.5",
+        "disturbance.0.force_n=[0.0, 1.0, 0.0]",
+        "objective.track.0.node=0.5",
         "control.blocks=10",
         "control.force_max_n=[1.0, 2.0, 3.0]",
         "control.moment_max_n_m=[0.1, 0.2, 0.3]",
@@ -285,6 +298,7 @@ const SCENES: [&[&str]; 5] = [
         "rod.section.diameter_tip_m=0.01",
         "time.end_s=1.0",
         "task.position_m=[0.05, 0.0, 0.25]",
+        "task.at_rest='tip'",
         "task.tolerance_m_s=0.001",
         "task.tolerance_rad_s=0.01",
         "control.force_max_n=1.0",
@@ -576,7 +590,7 @@ fn nodes_may_be_fractions() {
         let text = format!(
             "[rod]\nlength_m = 1.0\nelements = 8\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000.0\n\
              [rod.section]\nradius_m = 0.05\n[time]\nend_s = 0.5\n[[load]]\nnode = {node}\nforce_n = [1.0, 0.0, 0.0]\n[control]\nforce_max_n = 5.0\n\
-             [task]\nposition_m = [0.1, 0.0, 0.95]\n[[task.via]]\nat_s = 0.25\nnode = {node}\nposition_m = [0.01, 0.0, 0.1]\n\
+             [task]\nposition_m = [0.1, 0.0, 0.95]\nat_rest = false\n[[task.via]]\nat_s = 0.25\nnode = {node}\nposition_m = [0.01, 0.0, 0.1]\n\
              [[limit]]\nspeed_max_m_s = 50.0\nnode = {node}\n"
         );
         Scene::from_toml("scene.toml", &text, &[])

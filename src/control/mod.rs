@@ -12,10 +12,11 @@
 //! let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05);
 //! let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 1.0);
 //! let problem = task.discretize(&arm, &Discretization::with_elements(8))?.discrete;
-//! let Holding::CannotBeHeld { why: CannotHold::AboveBounds(need), .. } = holding(&problem)? else {
-//!     panic!("the tip cannot be held there with 1 N")
+//! let Holding::CannotBeHeld { why: CannotHold::Unstable(balanced), nearest } = holding(&problem)? else {
+//!     panic!("a force alone balances this arm there, and does not hold it")
 //! };
-//! println!("{:.2} N", need.wrenches[0].force.norm());
+//! println!("{:.2} N, growing with {:?} 1/s", balanced.wrenches[0].force.norm(), balanced.growth_rate);
+//! println!("{:.3} m away it can be held", nearest.map_or(f64::NAN, |(_, distance)| distance));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
