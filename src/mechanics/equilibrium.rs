@@ -167,7 +167,7 @@ pub fn static_equilibrium_until(
         let size = statics.scaled(&residual);
         let tolerance = TOLERANCE.max(statics.rounding(&center));
         if size <= tolerance {
-            return checked(rod, statics.to_rounding(center, &residual));
+            return checked(rod, statics.refined_once(center, &residual));
         }
         if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
             if statics.scaled(&trial_residual) < 0.5 * size {
@@ -328,7 +328,7 @@ impl<'a> Statics<'a> {
 
     /// An equilibrium within the tolerance, and one Newton step more: rounding of the stiff strains hides in the residual what the soft ones
     /// still lack.
-    fn to_rounding(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
+    fn refined_once(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
         let tolerance = TOLERANCE.max(self.rounding(&at));
         match self.newton(&at, residual) {
             Some((nearer, left)) if self.scaled(&left) <= tolerance => nearer,
@@ -343,7 +343,7 @@ impl<'a> Statics<'a> {
         for _ in 0..CONTINUATION_STEPS {
             let size = self.scaled(&residual);
             if size <= TOLERANCE.max(self.rounding(&at)) {
-                return Some(self.to_rounding(at, &residual));
+                return Some(self.refined_once(at, &residual));
             }
             let next = self.newton(&at, &residual)?;
             // At rounding already: nothing more can be gained.

@@ -12,8 +12,10 @@ use crate::mechanics::{
 const UNSTABLE_GROWTH: f64 = 10.0;
 
 /// Deviation from an equilibrium, over the length, up to which an arm starts beside it.
+#[cfg(feature = "cli")]
 const BESIDE: f64 = 0.05;
 /// Elements up to which an equilibrium and its growth take a fraction of a second.
+#[cfg(feature = "cli")]
 const MOST_ELEMENTS: usize = 1000;
 
 /// What may be behind a motion that could not be computed, or a problem that could not be solved, on a time grid from `initial` on: a step that
@@ -42,6 +44,7 @@ fn long_step(rod: &Rod, step: f64) -> Option<String> {
 
 /// Says that an arm starts beside an equilibrium that is unstable under the loads at the start or at the end of a motion, by how fast deviations
 /// grow. What is computed may then stand by its symmetry alone.
+#[cfg(feature = "cli")]
 pub(crate) fn stands_by_symmetry(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
     if rod.n_elements() > MOST_ELEMENTS {
         return None;
