@@ -64,11 +64,11 @@ class Problem:
         lines.append(f"position_m = {list(self.position)}")
         if self.orientation is not None:
             lines.append(f"orientation_wxyz = {list(self.orientation)}")
-        lines.append(f"at_rest = true\n\n[control]\nblocks = {self.n_blocks}")
-        if self.force_max is not None:
-            lines.append(f"force_max_n = {self.force_max!r}")
-        if self.moment_max is not None:
-            lines.append(f"moment_max_n_m = {self.moment_max!r}")
+        # The same problem as the peers solve: rest of the tip and no tolerance, constant controls, and a wrench without bounds where none is given.
+        lines.append("at_rest = 'tip'\ntolerance_m_s = 0\ntolerance_rad_s = 0")
+        lines.append(f"\n[control]\nblocks = {self.n_blocks}\nhold = 'constant'")
+        lines.append(f"force_max_n = {'inf' if self.force_max is None else repr(self.force_max)}")
+        lines.append(f"moment_max_n_m = {'inf' if self.moment_max is None else repr(self.moment_max)}")
         lines.append(f"\n[objective]\nforce_scale_n = {self.force_scale!r}\nmoment_scale_n_m = {self.moment_scale!r}")
         lines.append(f'\n[solver]\nguess = "{guess}"\nmax_iterations = 300\n')
         return "\n".join(lines)
