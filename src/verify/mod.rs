@@ -39,7 +39,7 @@ pub use self::replay::{EnergyBalance, Replay, replay};
 use self::replay::{Simulation, account, halving};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
-pub use self::stay::Held;
+pub use self::stay::StayReplay;
 use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
@@ -210,7 +210,7 @@ pub struct ForwardCheck {
     /// Angular speed of the replayed tip at the end, rad/s.
     pub tip_spin: f64,
     /// The motion after the task with the last wrench held, where the arm stays.
-    pub stays: Option<Held>,
+    pub stays: Option<StayReplay>,
     /// Work in, change of energy and dissipation of the replay.
     pub energy: EnergyBalance,
     /// Energy residual with the step halved over the residual itself: about 1/4.

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::limits::{Measure, Pose};
-use super::stay::{Held, follow};
+use super::stay::{StayReplay, follow};
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};
@@ -60,7 +60,7 @@ pub struct Refinement {
     /// Of every hard path constraint.
     pub between: Vec<Between>,
     /// The motion after the horizon on the finest rod, where the arm stays.
-    pub stays: Option<Held>,
+    pub stays: Option<StayReplay>,
 }
 
 /// Node-steps of implicit replays up to which the second refinement in space is made.

@@ -11,7 +11,7 @@ use crate::mechanics::{NodeWrenches, Rod, State, Stepper, TimeGrid};
 
 /// The motion of an arm after its task, with the last wrench held.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Held {
+pub struct StayReplay {
     /// How long it was followed, s.
     pub seconds: f64,
     /// Largest distance of the tip from its target, m.
@@ -36,7 +36,7 @@ pub(super) fn follow(
     wrenches: NodeWrenches,
     bound: f64,
     mut observe: impl FnMut(&Stepper),
-) -> Result<Held, CheckError> {
+) -> Result<StayReplay, CheckError> {
     let target = problem.goals[stay.goal].position;
     let tip = rod.tip();
     let place = target.unwrap_or(stay.shape.positions[problem.rod.tip()]);
@@ -45,7 +45,7 @@ pub(super) fn follow(
         ..TimeGrid::covering(stay.seconds, step, 1)
     };
     let mut stepper = Stepper::new(rod, grid, state);
-    let mut out = Held {
+    let mut out = StayReplay {
         seconds: stay.seconds,
         tip_error: (stepper.position(tip) - place).norm(),
         at: 0.0,
