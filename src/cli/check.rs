@@ -358,7 +358,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         .collect()
 }
 
-/// Whether and by what the tip can be held at its goal; `None` where it has none, or the search was stopped.
+/// Says whether and by what the tip can be held at its goal; `None` where it has none, or the search was stopped.
 fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
     let summary = |verdict, held: Option<&Held>, reason| StaticNeedSummary {
         verdict,
@@ -739,7 +739,7 @@ fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[&str]) -> Str
     }
 }
 
-/// What holds the tip at its target, in words.
+/// The wrench that holds the tip at its target, in words.
 fn held_by(need: &StaticNeedSummary, units: &[&str]) -> String {
     let parts = in_parts(&need.wrenches, &need.controls, units);
     let nearest = need.nearest.as_ref().map_or_else(String::new, |nearest| {

@@ -39,7 +39,7 @@ pub struct Held {
     pub excess: Vec<[f64; 2]>,
     /// The shape at rest.
     pub shape: Configuration,
-    /// Whether small deviations stay small with the controls held.
+    /// True where small deviations stay small with the controls held.
     pub is_stable: bool,
     /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
     pub least_squared_frequency: f64,
@@ -54,7 +54,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// Whether all controls are within their bounds.
+    /// Tells whether all controls are within their bounds.
     #[must_use]
     pub fn is_within_bounds(&self) -> bool {
         self.excess.iter().flatten().all(|excess| *excess == 0.0)
@@ -71,7 +71,7 @@ impl Held {
     }
 }
 
-/// Whether a wrench within the bounds holds the tip at its goal.
+/// Verdict on a wrench within the bounds that holds the tip at its goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Holding {
     /// One does.

@@ -33,6 +33,8 @@ pub struct Stay {
     pub distance: f64,
     /// Largest eigenvalue of the tip's compliance, m/N.
     pub compliance: f64,
+    /// Tells whether deviations do not grow; a body moment may let them, by no more than the stay has room for.
+    pub is_stable: bool,
     norm: EnergyNorm,
     first_free_node: usize,
 }
@@ -49,6 +51,7 @@ impl Stay {
         Some(Self {
             goal,
             compliance: held.least_stiffness().recip(),
+            is_stable: held.is_stable,
             wrenches: held.wrenches,
             shape: held.shape,
             seconds,

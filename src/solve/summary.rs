@@ -7,6 +7,7 @@ use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
 use crate::control::{Attempt, OptimalControlProblem, SolveLog, observe, tracking_errors};
+use crate::mechanics::Wrench;
 use crate::output::summary::{
     AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
     GrowthSummary, LargestDistance, LargestSpeed, MomentumAccount, NOT_CHECKED, NamedConstraint,
@@ -126,13 +127,8 @@ pub(crate) fn stays(
     Some(StaysSummary {
         seconds: stay.seconds,
         allowed_m: stay.distance,
-        wrench: (stay.wrenches.iter())
-            .map(|u| {
-                let (f, m) = (&u.force, &u.moment);
-                [f.x, f.y, f.z, m.x, m.y, m.z]
-            })
-            .collect(),
-        stable: true,
+        wrench: stay.wrenches.iter().map(Wrench::to_array).collect(),
+        stable: stay.is_stable,
         tip_compliance_m_n: stay.compliance,
         tip_error_m: held.map(|held| LargestDistance {
             max: held.tip_error,

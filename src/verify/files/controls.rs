@@ -23,8 +23,8 @@ pub fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck 
         let held = rows.iter().skip(n_coefficients).zip(&stay.wrenches);
         for (i, (row, wrench)) in held.enumerate() {
             let found = [row.fx, row.fy, row.fz, row.mx, row.my, row.mz];
-            let expected = (wrench.force.iter()).chain(wrench.moment.iter());
-            for (column, (found, expected)) in WRENCH.iter().zip(found.iter().zip(expected)) {
+            let expected = wrench.to_array();
+            for (column, (found, expected)) in WRENCH.iter().zip(found.iter().zip(&expected)) {
                 let allowed = ELSEWHERE * (wrench.force.norm() + wrench.moment.norm());
                 out.number(*found, *expected, allowed, || {
                     format!("{column}, line {}", n_coefficients + i + 2)

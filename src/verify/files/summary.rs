@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::{OptimalControlProblem, tracking_errors};
-use crate::mechanics::Trajectory;
+use crate::mechanics::{Trajectory, Wrench};
 use crate::verify::{CheckLimits, ForwardCheck};
 
 /// A summary beside what it must say.
@@ -141,12 +141,12 @@ impl Expected<'_> {
                 walk.number(summary, &format!("stays.{field}"), value, allowed);
             }
             let wrenches = (stay.wrenches.iter())
-                .flat_map(|u| u.force.iter().chain(u.moment.iter()))
+                .flat_map(Wrench::to_array)
                 .enumerate();
             for (i, value) in wrenches {
                 let (actuator, axis) = (i / 6, i % 6);
                 let path = format!("stays.wrench.{actuator}.{axis}");
-                walk.number(summary, &path, *value, ELSEWHERE + DERIVED * value.abs());
+                walk.number(summary, &path, value, ELSEWHERE + DERIVED * value.abs());
             }
         }
         if let Some(list) = summary.get("tracking") {
