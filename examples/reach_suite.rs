@@ -40,7 +40,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use softarm::control::{Attempt, Guess, Search, Shape, Transcription, first_point, search};
-use softarm::mechanics::{Configuration, SmallMotions, Wrench};
+use softarm::mechanics::{Configuration, Stability, Wrench};
 use softarm::output::MultiplierRecord;
 use softarm::scene::{OptimalControl, Scene};
 use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
@@ -391,11 +391,8 @@ fn thrown(
     };
     let shape = held.initial.configuration;
     let tip = shape.positions.len() - 1;
-    if stay
-        && SmallMotions::about(&held.rod, &shape, 0.0)
-            .first_frequency()
-            .is_none()
-    {
+    let is_stable = || Stability::of(&held.rod, &shape, 0.0).is_some_and(|found| found.is_stable);
+    if stay && !is_stable() {
         return Ok(None);
     }
     let rest = if stay { "true" } else { "\"tip\"" };
@@ -457,6 +454,12 @@ fn thrown(
             }
         }
     }
+    let _ = writeln!(
+        toml,
+        "# held by {} N and {} N m, {frame} frame",
+        list(&force),
+        list(&moment)
+    );
     let _ = writeln!(toml, "# {:.2} periods", horizon / arm.period);
     Ok(Some((arm.family, toml)))
 }
@@ -646,7 +649,7 @@ fn finer(
     let fails = |names: &[&str]| failed.iter().any(|name| names.contains(name));
     let samples = fails(&["between_samples"]);
     // What is between samples may also be between nodes.
-    let space = samples || fails(&["refined_space_m"]);
+    let space = samples || fails(&["refined_space_m", "stays_m"]);
     let time = fails(&["refined_time_m", "energy", "energy_halving"]);
     if !(space || time) {
         return None;

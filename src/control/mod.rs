@@ -75,7 +75,6 @@ pub use problem::{Component, GoalRow};
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use stay::Stay;
 #[doc(hidden)]
-pub use stay::VECTORS as STAY_VECTORS;
 pub use term::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
 pub use tracking::Tracking;
 pub use tracking_error::{TrackingError, tracking_errors};

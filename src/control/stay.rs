@@ -1,22 +1,21 @@
 //! Staying: an arm that comes to rest in an equilibrium under a wrench that is held from then on.
 //!
-//! Under a constant wrench the energy of a deviation from a stable equilibrium `z*` does not grow. With the deviation `d = (δx, η, p, π)` of
-//! the free nodes, the tangent stiffness `K` at `z*` (gravity and loads with it) and the inertia `M` of the nodes it is, to second order,
-//! `E = ½ (δx, η)ᵀ K (δx, η) + ½ (p, π)ᵀ M⁻¹ (p, π) = ½ |r|²`. A tip whose compliance at `z*` has the largest eigenvalue `C` is never
-//! farther from its place at `z*` than `sqrt(2 E C)`. One ball, `|r| ≤ ρ`, is therefore a promise for all later time.
+//! Under a constant wrench the energy of a deviation from a stable equilibrium `z*` does not grow, nor, to second order, that of any of its modes. With
+//! the deviation `d = (δx, η)` of the free nodes and their momenta `P`, the mode `φ` of angular frequency `ω` has the energy `½ |(ω φᵀ M d, φᵀ P)|²`.
+//! The ball `|r| ≤ ρ` over these pairs of the slow modes, which have nearly all of the compliance `C` of the tip, is a promise for all later
+//! time: they move the tip by at most `ρ sqrt(C)`. Faster modes can carry much energy without moving the tip.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
 use super::holding::Held;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
-use crate::mechanics::{Configuration, EnergyNorm, FormTerm, Rod, State, Wrench};
+use crate::mechanics::slow_modes::{GROUP, SlowModes};
+use crate::mechanics::{Configuration, FormTerm, Rod, State, Wrench};
 
 /// Fraction of the allowed distance that the motion after the arrival may use. The rest is for the grid: on a finer one the equilibrium of
 /// the held wrench lies elsewhere.
 const MOTION_SHARE: f64 = 0.5;
-/// Vectors of three components in the deviation of a node.
-pub const VECTORS: usize = NODE_COMPONENTS / 3;
 
 /// Where an arm stays after its task, and what holds it there.
 #[derive(Clone, Debug)]
@@ -35,7 +34,7 @@ pub struct Stay {
     pub compliance: f64,
     /// Tells whether deviations do not grow; a body moment may let them, by no more than the stay has room for.
     pub is_stable: bool,
-    norm: EnergyNorm,
+    modes: SlowModes,
     first_free_node: usize,
 }
 
@@ -44,24 +43,25 @@ impl Stay {
     pub(crate) const ROOM: f64 = 1.0 / MOTION_SHARE;
 
     /// Staying where `held` holds the arm of this rod, for some seconds and within a distance in m, as a part of goal number `goal`. `None` where
-    /// the equilibrium is not stable, or an actuator couples nodes that are no neighbors.
+    /// the symmetric part of the tangent stiffness is not positive.
     #[must_use]
     pub fn at(rod: &Rod, held: Held, [seconds, distance]: [f64; 2], goal: usize) -> Option<Self> {
-        let norm = EnergyNorm::about(rod, &held.shape, &held.tangent)?;
+        let unit = held.least_squared_frequency;
+        let modes = SlowModes::about(rod, &held.shape, held.tangent, unit)?;
         Some(Self {
             goal,
-            compliance: held.least_stiffness().recip(),
+            compliance: modes.compliance(),
             is_stable: held.is_stable,
             wrenches: held.wrenches,
             shape: held.shape,
             seconds,
             distance,
-            norm,
+            modes,
             first_free_node: rod.first_free_node(),
         })
     }
 
-    /// Largest energy of a deviation at the arrival, J: with `½ (share δ)²/C` the tip stays within that share of the distance `δ`.
+    /// Largest energy of the slow modes at the arrival, J: with `½ (share δ)²/C` the tip stays within that share of the distance `δ`.
     #[must_use]
     pub fn energy(&self) -> f64 {
         0.5 * (MOTION_SHARE * self.distance).powi(2) / self.compliance
@@ -73,24 +73,42 @@ impl Stay {
         (2.0 * self.energy()).sqrt()
     }
 
-    /// Energy `½ |r|²` of the deviation of a state, J.
+    /// Energy of the deviation of a state, J, to second order.
     #[must_use]
     pub fn energy_of(&self, state: &State) -> f64 {
-        let at = &state.configuration;
-        let vectors = [
-            &at.positions[..],
-            &state.linear_momentum,
-            &state.angular_momentum,
-        ];
-        (0..self.n_vectors())
-            .map(|vector| 0.5 * self.vector(vector, vectors, &at.rotations).norm_squared())
-            .sum()
+        let [deviation, momenta] = self.deviation(state);
+        self.modes.energy(&deviation, &momenta)
     }
 
-    /// Number of vectors of `r`: of every free node the two of `Lᵀ d` that begin with its pose, and its two momenta.
+    /// How far the tip can go from its place at the equilibrium with the energy that a state's deviation has in each of its modes, m, to second
+    /// order: at most `sqrt(2 E C)`.
+    #[must_use]
+    pub fn reach(&self, state: &State) -> f64 {
+        let [deviation, momenta] = self.deviation(state);
+        self.modes.reach(&deviation, &momenta)
+    }
+
+    /// `(δx, η)` and `(δp, δπ)` of the free nodes.
+    fn deviation(&self, state: &State) -> [Vec<Vector6<f64>>; 2] {
+        let at = &state.configuration;
+        let nodes = self.free_nodes();
+        let pose = |q: usize| self.pose(q, &at.positions[q], &at.rotations[q]);
+        let momenta = |q: usize| join(state.linear_momentum[q], state.angular_momentum[q]);
+        [
+            nodes.clone().map(pose).collect(),
+            nodes.map(momenta).collect(),
+        ]
+    }
+
+    /// `(x - x*, log(R*ᵀ R))` of a node of the rod.
+    fn pose(&self, q: usize, x: &Vector3<f64>, r: &Matrix3<f64>) -> Vector6<f64> {
+        join(x - self.shape.positions[q], self.turn(q, r))
+    }
+
+    /// Number of vectors of `r`: of every three slow modes their `ω φᵀ M d`, and their `φᵀ P`.
     #[must_use]
     pub fn n_vectors(&self) -> usize {
-        VECTORS * self.n_nodes()
+        2 * self.modes.n_groups()
     }
 
     /// A vector of `r`, J^½, from the positions and rotations of all nodes and their momenta.
@@ -101,80 +119,101 @@ impl Stay {
         [x, p, pi]: [&[Vector3<f64>]; 3],
         r: &[Matrix3<f64>],
     ) -> Vector3<f64> {
-        let (node, part) = (vector / VECTORS, vector % VECTORS);
-        let q = self.first_free_node + node;
-        let pose = |q: usize| match x.get(q) {
-            Some(x) => join(x - self.shape.positions[q], self.turn(q, &r[q])),
-            None => Vector6::zeros(),
-        };
-        let momenta = join(p[q], pi[q]);
-        let found = self.norm.of_node(node, [&pose(q), &pose(q + 1), &momenta]);
-        found[part / 2].fixed_rows::<3>(3 * (part % 2)).into_owned()
+        self.free_nodes()
+            .map(|q| self.part_of_node(vector, q, [&x[q], &p[q], &pi[q]], &r[q]))
+            .sum()
     }
 
-    /// Derivative of component `axis` of a vector along `(δx, ζ, δp, δπ)`.
+    /// What one node of the rod adds to a vector of `r`, which is a sum over the free nodes.
+    #[must_use]
+    pub fn part_of_node(
+        &self,
+        vector: usize,
+        q: usize,
+        [x, p, pi]: [&Vector3<f64>; 3],
+        r: &Matrix3<f64>,
+    ) -> Vector3<f64> {
+        let of_node = match Half::of(vector) {
+            Half::Deviation => self.pose(q, x, r),
+            Half::Momenta => join(*p, *pi),
+        };
+        let covectors = self.covectors(vector, q);
+        Vector3::from_fn(|i, _| covectors[i].dot(&of_node))
+    }
+
+    /// Derivatives of the components of a vector of `r` along a node's pose or its momenta, whichever it looks at.
+    fn covectors(&self, vector: usize, q: usize) -> [Vector6<f64>; GROUP] {
+        let (group, free) = (vector / 2, q - self.first_free_node);
+        match Half::of(vector) {
+            Half::Deviation => self.modes.along_deviation(group, free),
+            Half::Momenta => self.modes.along_momenta(group, free),
+        }
+    }
+
+    /// Derivative of component `axis` of a vector along `(δx, ζ, δp, δπ)` of the nodes with these rotations.
     #[must_use]
     pub fn gradient(&self, vector: usize, axis: usize, r: &[Matrix3<f64>]) -> Vec<FormTerm> {
-        let mut y = vec![Vector3::zeros(); self.n_vectors()];
-        y[vector][axis] = 1.0;
-        let node = vector / VECTORS;
-        // A vector of a pose reaches to the next node.
-        (node..self.n_nodes().min(node + 2))
-            .flat_map(|node| self.pull(node, &y, r))
-            .collect()
-    }
-
-    /// Covector `Σ y·r` over the components of one free node's state.
-    fn pull(&self, node: usize, y: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Vec<FormTerm> {
-        let q = self.first_free_node + node;
-        let [on_pose, on_momenta] = self.on_deviation(node, y);
-        let psi = self.turn(q, &r[q]);
-        // δψ = Sᵀ ζ
-        let slope = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
-        let turned = slope * on_pose.fixed_rows::<3>(3);
-        let parts = [
-            on_pose.fixed_rows::<3>(0).into_owned(),
-            turned,
-            on_momenta.fixed_rows::<3>(0).into_owned(),
-            on_momenta.fixed_rows::<3>(3).into_owned(),
-        ];
-        (0..NODE_COMPONENTS)
-            .map(|component| FormTerm {
+        let terms = self.free_nodes().flat_map(|q| {
+            let mut along = self.covectors(vector, q)[axis];
+            let first = match Half::of(vector) {
+                Half::Deviation => {
+                    let psi = self.turn(q, &r[q]);
+                    // δψ = Sᵀ ζ
+                    let slope =
+                        log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+                    let turned = slope * along.fixed_rows::<3>(3);
+                    along.fixed_rows_mut::<3>(3).copy_from(&turned);
+                    0
+                }
+                Half::Momenta => NODE_COMPONENTS / 2,
+            };
+            (0..6).map(move |i| FormTerm {
                 node: q,
-                component,
-                coefficient: parts[component / 3][component % 3],
+                component: first + i,
+                coefficient: along[i],
             })
-            .filter(|term| term.coefficient != 0.0)
-            .collect()
+        });
+        terms.filter(|term| term.coefficient != 0.0).collect()
     }
 
-    /// Covector `Σ y·r` over a free node's deviation, poses and momenta: `L y`.
+    /// Covector `Σ y·r` over the logarithm `log(R*ᵀ R)` of a node of the rod.
     #[must_use]
-    pub fn on_deviation(&self, node: usize, y: &[Vector3<f64>]) -> [Vector6<f64>; 2] {
-        let of =
-            |node: usize, from: usize| join(y[VECTORS * node + from], y[VECTORS * node + from + 1]);
-        let before = node
-            .checked_sub(1)
-            .map_or_else(Vector6::zeros, |at| of(at, 0));
-        (self.norm).pulled(node, [&before, &of(node, 0), &of(node, 2)])
+    pub fn on_turn(&self, q: usize, y: &[Vector3<f64>]) -> Vector3<f64> {
+        let vectors = (0..self.n_vectors()).filter(|vector| Half::of(*vector) == Half::Deviation);
+        vectors
+            .flat_map(|vector| {
+                let covectors = self.covectors(vector, q);
+                (0..GROUP).map(move |i| covectors[i].fixed_rows::<3>(3) * y[vector][i])
+            })
+            .sum()
     }
 
-    /// Number of free nodes.
+    /// Nodes of the rod that are free.
     #[must_use]
-    pub fn n_nodes(&self) -> usize {
-        self.norm.n_nodes()
-    }
-
-    /// Node of the rod of a free node.
-    #[must_use]
-    pub fn node(&self, free: usize) -> usize {
-        self.first_free_node + free
+    pub fn free_nodes(&self) -> std::ops::Range<usize> {
+        self.first_free_node..self.shape.positions.len()
     }
 
     /// `log(R*ᵀ R)` of a node of the rod.
     #[must_use]
     pub fn turn(&self, q: usize, r: &Matrix3<f64>) -> Vector3<f64> {
         log(&(self.shape.rotations[q].transpose() * r))
+    }
+}
+
+/// What a vector of `r` looks at.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Half {
+    Deviation,
+    Momenta,
+}
+
+impl Half {
+    fn of(vector: usize) -> Self {
+        match vector % 2 {
+            0 => Self::Deviation,
+            _ => Self::Momenta,
+        }
     }
 }
 

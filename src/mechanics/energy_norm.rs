@@ -11,7 +11,6 @@ use super::configuration::Configuration;
 use super::forms::NODE_COMPONENTS;
 use super::rod::Rod;
 use super::strain::IntervalStress;
-use super::tangent::Tangent;
 use super::vibration::inertia_roots;
 
 /// Components of a node's deviation that belong to its pose; its momenta follow.
@@ -71,62 +70,6 @@ impl EnergyNorm {
             momenta: inertia_roots(rod, at),
             poses: BlockCholesky::new(&diagonal, &below)?,
         })
-    }
-
-    /// The norm of deviations from an equilibrium with this tangent stiffness: the strains' energy as above, and that of gravity, loads and
-    /// controls to second order, by its symmetric part. `None` where the equilibrium is not stable, the base is free, or an actuator couples
-    /// nodes that are no neighbors.
-    #[must_use]
-    pub(crate) fn about(rod: &Rod, at: &Configuration, tangent: &Tangent) -> Option<Self> {
-        if rod.first_free_node() == 0 {
-            return None;
-        }
-        let stiffness = tangent.tridiagonal()?;
-        let diagonal: Vec<_> = (stiffness.diagonal.iter())
-            .map(|block| 0.5 * (block + block.transpose()))
-            .collect();
-        let below: Vec<_> = (stiffness.below.iter().zip(&stiffness.above))
-            .map(|(below, above)| 0.5 * (below + above.transpose()))
-            .collect();
-        Some(Self {
-            momenta: inertia_roots(rod, at),
-            poses: BlockCholesky::new(&diagonal, &below)?,
-        })
-    }
-
-    /// Number of free nodes.
-    #[must_use]
-    pub fn n_nodes(&self) -> usize {
-        self.momenta.len()
-    }
-
-    /// `Lᵀ d` of a free node (0 is the first one): of its pose and that of the next node `(δx, η)`, and of its momenta `(δp, δπ)`.
-    #[must_use]
-    pub fn of_node(
-        &self,
-        node: usize,
-        [pose, next, momenta]: [&Vector6<f64>; 3],
-    ) -> [Vector6<f64>; 2] {
-        let mut of_pose = self.poses.diagonal()[node].tr_mul(pose);
-        if let Some(below) = self.poses.below().get(node) {
-            of_pose += below.tr_mul(next);
-        }
-        [of_pose, momenta.component_mul(&self.momenta[node])]
-    }
-
-    /// `L y` of a free node: what pulls with `y` on [`Self::of_node`] pulls with this on its deviation, where `before` is the pose's part of `y`
-    /// at the node before.
-    #[must_use]
-    pub fn pulled(
-        &self,
-        node: usize,
-        [before, pose, momenta]: [&Vector6<f64>; 3],
-    ) -> [Vector6<f64>; 2] {
-        let mut on_pose = self.poses.diagonal()[node] * pose;
-        if let Some(earlier) = node.checked_sub(1) {
-            on_pose += self.poses.below()[earlier] * before;
-        }
-        [on_pose, momenta.component_mul(&self.momenta[node])]
     }
 
     /// `M L⁻ᵀ`: a map of deviations, as one of `z`.

@@ -74,6 +74,7 @@ mod section;
 pub mod sensitivity;
 #[doc(hidden)]
 pub mod signal;
+pub(crate) mod slow_modes;
 #[doc(hidden)]
 pub mod sparse_motion;
 #[doc(hidden)]
@@ -118,4 +119,5 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
 pub use strain::StrainRule;
+pub use tangent::Stability;
 pub use vibration::SmallMotions;

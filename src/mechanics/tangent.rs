@@ -10,7 +10,7 @@ use faer::Side;
 use faer::linalg::solvers::Solve as _;
 use faer::sparse::linalg::solvers::{Llt, Lu};
 use faer::sparse::{SparseColMat, Triplet};
-use nalgebra::{DMatrix, Matrix6, Schur, Vector3, Vector6};
+use nalgebra::{DMatrix, Matrix3, Matrix6, Schur, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
@@ -33,6 +33,53 @@ pub(crate) struct Mode {
     pub squared_frequency: f64,
     /// `(δx, η)` of every free node.
     pub shape: Vec<Vector6<f64>>,
+}
+
+/// Stability of an equilibrium under loads and controls that stay as they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stability {
+    /// True where small deviations stay small: the smallest `ω²` is above rounding, and nothing grows.
+    pub is_stable: bool,
+    /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
+    pub least_squared_frequency: f64,
+    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, damping included; `None` where they do not.
+    pub growth_rate: Option<f64>,
+}
+
+impl Stability {
+    /// That of an equilibrium of a rod under its loads at time `t`; `None` where something is no number.
+    #[must_use]
+    pub fn of(rod: &Rod, at: &Configuration, t: f64) -> Option<Self> {
+        Tangent::stiffness(rod, at, t).stability(rod, at, own_squared_frequency(rod))
+    }
+
+    /// Lowest angular frequency without damping, rad/s; `None` where the equilibrium is not stable.
+    #[must_use]
+    pub fn first_frequency(&self) -> Option<f64> {
+        (self.is_stable).then(|| self.least_squared_frequency.sqrt())
+    }
+}
+
+/// Growth rate over the frequency of the arm at rest up to which an equilibrium is stable for all purposes: an e-fold in 160 of its periods.
+pub(crate) const SLOWEST_GROWTH: f64 = 1e-3;
+/// `ω²` over that of the arm at rest above which an equilibrium is stable for certain: shapes that may turn about the base's axis have 0, and an error of
+/// discretization.
+const POSITIVE: f64 = 1e-6;
+/// Unsymmetric part of the stiffness, relative to its largest entry, of loads without a potential.
+const ASYMMETRIC: f64 = 1e-9;
+
+/// `ω²` of the slowest mode of an arm in its stress-free shape, without loads, 1/s²: the unit of the thresholds of [`Tangent::stability`].
+pub(crate) fn own_squared_frequency(rod: &Rod) -> f64 {
+    let guess = rod.scales.time.powi(-2);
+    let bare = Rod {
+        loads: Vec::new(),
+        ..rod.clone()
+    };
+    Tangent::stiffness(&bare, &rod.rest, 0.0)
+        .lowest_modes(rod, &rod.rest, guess, 1)
+        .and_then(|modes| modes.first().map(|mode| mode.squared_frequency))
+        .filter(|square| *square > 0.0)
+        .unwrap_or(guess)
 }
 
 /// Modes that are computed with those that are asked for, so that subspace iteration converges fast.
@@ -68,24 +115,24 @@ impl Tangent {
         Self::of(tangent_stiffness(rod, at, t))
     }
 
+    /// Rows and columns.
+    pub fn n_unknowns(&self) -> usize {
+        6 * self.n_blocks
+    }
+
+    /// The symmetric part.
+    pub fn symmetric(&self) -> Self {
+        let mut blocks = BTreeMap::new();
+        for (&(row, column), block) in &self.blocks {
+            *blocks.entry((row, column)).or_insert_with(Matrix6::zeros) += 0.5 * block;
+            *blocks.entry((column, row)).or_insert_with(Matrix6::zeros) += 0.5 * block.transpose();
+        }
+        Self { blocks, ..*self }
+    }
+
     /// Adds a block.
     pub fn add(&mut self, row: usize, column: usize, block: &Matrix6<f64>) {
         *self.blocks.entry((row, column)).or_default() += block;
-    }
-
-    /// The matrix, where it couples neighbors alone; `None` where an actuator couples other nodes.
-    pub fn tridiagonal(&self) -> Option<BlockTridiagonal> {
-        let mut out = BlockTridiagonal::zeros(self.n_blocks);
-        for (&(row, column), block) in &self.blocks {
-            let place = match row.abs_diff(column) {
-                0 => &mut out.diagonal[row],
-                1 if row > column => &mut out.below[column],
-                1 => &mut out.above[row],
-                _ => return None,
-            };
-            *place = *block;
-        }
-        Some(out)
     }
 
     /// Factors of the matrix; `None` where it is singular.
@@ -106,11 +153,9 @@ impl Tangent {
         count: usize,
     ) -> Option<Vec<Mode>> {
         let roots = inertia_roots(rod, at);
-        let mut scaled = BTreeMap::new();
-        for (&(row, column), block) in &self.blocks {
-            let half = 0.5 * block.component_mul(&(roots[row] * roots[column].transpose()));
-            *scaled.entry((row, column)).or_insert_with(Matrix6::zeros) += half;
-            *scaled.entry((column, row)).or_insert_with(Matrix6::zeros) += half.transpose();
+        let mut scaled = self.symmetric().blocks;
+        for (&(row, column), block) in &mut scaled {
+            block.component_mul_assign(&(roots[row] * roots[column].transpose()));
         }
         let (shift, factor) = positive(self.n_blocks, &scaled, unit)?;
         let n = 6 * self.n_blocks;
@@ -191,6 +236,38 @@ impl Tangent {
         Some(largest / time)
     }
 
+    /// Stability of the equilibrium whose stiffness this is. The smallest `ω²` of a stiffness with a potential decides; without one (body moments, forces that
+    /// turn with the arm) or below zero the growth rate does. `unit` is [`own_squared_frequency`]. `None` where something is no number.
+    pub fn stability(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<Stability> {
+        let modes = self.lowest_modes(rod, at, unit, 1)?;
+        let square = modes.first()?.squared_frequency;
+        let rounding = POSITIVE * unit;
+        let growth = if self.asymmetry() > ASYMMETRIC || square < -rounding {
+            self.growth_rate(rod, at, unit)?
+        } else {
+            0.0
+        };
+        let growth_rate = (growth > SLOWEST_GROWTH * unit.sqrt()).then_some(growth);
+        Some(Stability {
+            is_stable: growth_rate.is_none() && square > rounding,
+            least_squared_frequency: square,
+            growth_rate,
+        })
+    }
+
+    /// Displacement of the tip per force on it, m/N, spatial frame; `None` where the matrix is singular.
+    pub fn tip_compliance(&self) -> Option<Matrix3<f64>> {
+        let unit_force = |axis: usize| {
+            let mut force = vec![Vector6::zeros(); self.n_blocks];
+            if let Some(tip) = force.last_mut() {
+                tip[axis] = 1.0;
+            }
+            force
+        };
+        let answers = self.factor()?.solve(&[0, 1, 2].map(unit_force));
+        Some(Matrix3::from_fn(|i, j| answers[j][self.n_blocks - 1][i]))
+    }
+
     /// Largest entry of the unsymmetric part, over the largest entry.
     pub fn asymmetry(&self) -> f64 {
         let largest = self.blocks.values().map(Matrix6::amax).fold(0.0, f64::max);
@@ -202,7 +279,8 @@ impl Tangent {
         unsymmetric.fold(0.0, f64::max) / largest
     }
 
-    fn times(&self, vector: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
+    /// `K v`
+    pub fn times(&self, vector: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
         let mut out = vec![Vector6::zeros(); self.n_blocks];
         for (&(row, column), block) in &self.blocks {
             out[row] += block * vector[column];

@@ -136,7 +136,8 @@ impl CheckItem {
             "refined_space_m" if problem.rod.strain_rule == StrainRule::Trapezoidal => {
                 "use rod.strain = \"helical\", or more rod.elements"
             }
-            "refined_space_m" => {
+            // Where the wrench holds a finer arm lies elsewhere.
+            "refined_space_m" | "stays_m" => {
                 let elements = problem.rod.n_elements() as f64 * self.refinement();
                 return format!("set rod.elements = {}", elements.ceil());
             }
@@ -158,6 +159,9 @@ impl CheckItem {
             }
             "between_samples" => {
                 "use a shorter time.step_s, more rod.elements, or a higher rate_hz of what is limited"
+            }
+            "stays_bound_m" => {
+                "the arrival sets off fast waves: use control.hold = \"linear\" or \"cubic\", more control.blocks, or a larger task.stays_m"
             }
             "controls.csv" | "trajectory.npz" | "summary.json" | "feedback.npz" => {
                 "the file was changed, or belongs to another solution: solve again"

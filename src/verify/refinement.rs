@@ -222,7 +222,7 @@ pub fn refine(
             let state = level.stepper.state();
             let wrenches = level.signal.at(level.stepper.step());
             let step = step / factor as f64;
-            let bound = (2.0 * stay.energy_of(end) * stay.compliance).sqrt();
+            let bound = stay.reach(end);
             let look = |stepper: &Stepper| watch.look(stepper);
             Some(follow(
                 problem,

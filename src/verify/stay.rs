@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{CheckError, ReplayKind};
-use crate::control::{OptimalControlProblem, STAY_VECTORS as VECTORS, Stay};
+use crate::control::{OptimalControlProblem, Stay};
 use crate::mechanics::differences;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{NodeWrenches, Rod, State, Stepper, TimeGrid};
@@ -20,8 +20,8 @@ pub struct StayReplay {
     pub at: f64,
     /// Largest speed of any node, m/s.
     pub node_speed: f64,
-    /// `sqrt(2 E C)` in m, with the energy `E` of the deviation in which the motion arrives on the solution's own grid and the largest
-    /// eigenvalue `C` of the tip's compliance: the tip is never farther from where the wrench holds it, to second order.
+    /// Distance in m from which the tip is never farther from where the wrench holds it, to second order, by the energy that the arrival on the
+    /// solution's own grid leaves in every mode.
     pub bound: f64,
 }
 
@@ -94,33 +94,21 @@ pub(super) fn covectors(stay: &Stay, y: &[Vector3<f64>], r: &[Matrix3<f64>]) -> 
         p: zeros(),
         pi: zeros(),
     };
-    let shape = &stay.shape.positions;
-    for free in 0..stay.n_nodes() {
-        let q = stay.node(free);
-        // The vectors that see this node: its own, and those of the pose of the node before.
-        let seen = VECTORS * free.saturating_sub(1)..VECTORS * (free + 1);
-        let value = |x: &[Vector3<f64>], r: &[Matrix3<f64>], p: &[Vector3<f64>], pi: &[_]| -> f64 {
-            (seen.clone())
-                .map(|vector| y[vector].dot(&stay.vector(vector, [x, p, pi], r)))
+    for q in stay.free_nodes() {
+        let none = Vector3::zeros();
+        let value = |x: &Vector3<f64>, r: &Matrix3<f64>, p: &Vector3<f64>, pi: &_| -> f64 {
+            (y.iter().enumerate())
+                .map(|(vector, y)| y.dot(&stay.part_of_node(vector, q, [x, p, pi], r)))
                 .sum()
         };
+        let place = &stay.shape.positions[q];
+        let at_rest = value(place, &r[q], &none, &none);
         for axis in 0..3 {
             let unit = Vector3::ith(axis, 1.0);
-            let shifted = |from: &[Vector3<f64>]| {
-                let mut out = from.to_vec();
-                out[q] += unit;
-                out
-            };
-            let none = zeros();
-            let at_rest = value(shape, r, &none, &none);
-            out.x[q][axis] = value(&shifted(shape), r, &none, &none) - at_rest;
-            out.p[q][axis] = value(shape, r, &shifted(&none), &none) - at_rest;
-            out.pi[q][axis] = value(shape, r, &none, &shifted(&none)) - at_rest;
-            let turned = |angle: f64| {
-                let mut r = r.to_vec();
-                r[q] *= exp(&(unit * angle));
-                value(shape, &r, &none, &none)
-            };
+            out.x[q][axis] = value(&(place + unit), &r[q], &none, &none) - at_rest;
+            out.p[q][axis] = value(place, &r[q], &unit, &none) - at_rest;
+            out.pi[q][axis] = value(place, &r[q], &none, &unit) - at_rest;
+            let turned = |angle: f64| value(place, &(r[q] * exp(&(unit * angle))), &none, &none);
             let [near, far] = [STEP, 2.0 * STEP].map(|step| [turned(step), turned(-step)]);
             out.eta[q][axis] = differences::slope(near, far, STEP);
         }

@@ -369,10 +369,8 @@ impl<'a> Transcription<'a> {
                 .map(|vector| of(first + 3 * vector) / scale)
                 .collect();
             let r = trajectory.rotations_at(k);
-            out.extend((0..stay.n_nodes()).map(|free| {
-                let node = stay.node(free);
-                let [on_pose, _] = stay.on_deviation(free, &y);
-                let turned = on_pose.fixed_rows::<3>(3).into_owned();
+            out.extend(stay.free_nodes().map(|node| {
+                let turned = stay.on_turn(node, &y);
                 turn_curvature(k, node, &stay.turn(node, &r[node]), &turned)
             }));
         }

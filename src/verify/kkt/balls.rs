@@ -5,7 +5,7 @@ use nalgebra::{DVector, Vector3};
 use super::controls::outward_pull;
 use super::motion::Conditions;
 use super::rows::{Place, Worst, per};
-use crate::control::{GoalPart, GoalRow, STAY_VECTORS};
+use crate::control::{GoalPart, GoalRow};
 use crate::verify::stay;
 
 /// A vector of a goal that may be met within a tolerance.
@@ -100,7 +100,7 @@ impl Conditions<'_> {
         let y: Vec<_> = (goals.get(first..)?.chunks_exact(3))
             .map(|y| Vector3::from_row_slice(y) / scale)
             .collect();
-        if y.len() != STAY_VECTORS * stay.n_nodes() {
+        if y.len() != stay.n_vectors() {
             return None;
         }
         let k = self.problem.goals[stay.goal].time_node;
