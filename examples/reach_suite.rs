@@ -649,7 +649,13 @@ fn finer(
     let fails = |names: &[&str]| failed.iter().any(|name| names.contains(name));
     let samples = fails(&["between_samples"]);
     // What is between samples may also be between nodes.
-    let space = samples || fails(&["refined_space_m", "stays_m"]);
+    let space = samples
+        || fails(&[
+            "refined_space_m",
+            "stays_m",
+            "refined_speed_m_s",
+            "refined_spin_rad_s",
+        ]);
     let time = fails(&["refined_time_m", "energy", "energy_halving"]);
     if !(space || time) {
         return None;

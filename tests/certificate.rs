@@ -24,7 +24,7 @@ use softarm::verify::kkt::{self, NamedRow};
 use softarm::verify::momentum::MomentumBalance;
 use softarm::verify::second_order::Extremum;
 use softarm::verify::{
-    CheckItem, CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
+    CheckItem, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
 };
 
 /// A problem, what its rod is built from, and a solution.
@@ -94,7 +94,7 @@ impl Solved {
             &self.problem,
             &|factor| finer_at_rest(&self.parameters, factor),
             &solution,
-            &CheckLimits::default(),
+            &common::on_its_own_grid(),
         )
         .unwrap();
         check.deepen(&self.problem, &solution).unwrap();

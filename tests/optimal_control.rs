@@ -25,9 +25,7 @@ use softarm::sqp::{
     SqpSettings, SqpStatus, solve,
 };
 use softarm::stop::Stop;
-use softarm::verify::{
-    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay,
-};
+use softarm::verify::{ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay};
 
 /// A problem and what its rod is built from.
 struct Case {
@@ -182,7 +180,7 @@ impl Case {
                 coefficients: &self.problem.wrenches(&point.variables),
                 multipliers: SolutionMultipliers::of_goals(multipliers),
             },
-            &CheckLimits::default(),
+            &common::on_its_own_grid(),
         )
         .unwrap()
     }

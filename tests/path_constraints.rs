@@ -18,9 +18,7 @@ use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
     solve,
 };
-use softarm::verify::{
-    CheckLimits, ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt,
-};
+use softarm::verify::{ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt};
 
 /// A point that obeys its equations, somewhere.
 fn rolled_out(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
@@ -261,7 +259,7 @@ fn checked(
                 rates: &program.rate_normals(&outcome.multipliers.normals),
             },
         },
-        &CheckLimits::default(),
+        &common::on_its_own_grid(),
     )
     .unwrap()
 }

@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 use softarm::control::Stay;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Energy, Load, LoadFrame, NodeWrenches, Rod, SmallMotions, State, Stepper, TimeGrid, stable_step,
+    ControlSignal, Energy, Load, LoadFrame, NodeWrenches, Rod, SmallMotions, State, Stepper,
+    TimeGrid, stable_step,
 };
 use softarm::scene::Scene;
 use softarm::solve::{Solution, SolveOptions, solve_problem};
@@ -50,11 +51,18 @@ fn solved(problem: &Problem) -> Solution {
     solution
 }
 
-/// Largest distance of the tip from its target over `seconds` after the task, over the length, and largest speed of any node, m/s: on twice
-/// the elements, from the start, with the last wrench held.
-fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
+/// An arm that was simulated to the end of its task.
+struct Arrived {
+    rod: Rod,
+    state: State,
+    control: ControlSignal,
+    grid: TimeGrid,
+}
+
+/// The controls of a solution on `times` as many elements.
+fn arrived(solution: &Solution, times: usize) -> Arrived {
     let problem = &solution.problem;
-    let (rod, start) = problem.finer(2).unwrap();
+    let (rod, start) = problem.finer(times).unwrap();
     let discrete = &problem.discrete;
     let factor = (discrete.grid.step / (0.9 * stable_step(&rod))).ceil() as usize;
     let grid = TimeGrid {
@@ -64,15 +72,33 @@ fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
     };
     let mut control = discrete.signal(&discrete.control.refined(factor), &solution.coefficients);
     for node in &mut control.nodes {
-        *node *= 2;
+        *node *= times;
     }
     let mut stepper = Stepper::new(&rod, grid, start);
     for k in 0..grid.n_steps {
         stepper.advance([control.at(k), control.at(k + 1)]).unwrap();
     }
-    let held: NodeWrenches = control.at(grid.n_steps);
-    let mut stepper = Stepper::new(&rod, grid.step, stepper.state());
-    let target = discrete
+    Arrived {
+        state: stepper.state(),
+        control,
+        grid,
+        rod,
+    }
+}
+
+/// Largest distance of the tip from its target over `seconds` after the task, over the length, and largest speed of any node, m/s: on twice
+/// the elements, from the start, with the last wrench held.
+fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
+    let problem = &solution.problem;
+    let Arrived {
+        rod,
+        state,
+        control,
+        grid,
+    } = arrived(solution, 2);
+    let mut stepper = Stepper::new(&rod, grid.step, state);
+    let held = control.at(grid.n_steps);
+    let target = (problem.discrete)
         .final_goals()
         .find_map(|goal| goal.position)
         .unwrap();
@@ -131,6 +157,29 @@ fn arms_stay_where_they_arrive() {
     let [leaves, faster] = afterwards(&instant, period);
     assert!(leaves > 0.1, "{leaves}");
     assert!(speed < 0.1 * faster, "{speed} {faster}");
+}
+
+/// A tip that should stop is judged on the finest grid of the check: on few elements it stops on its own grid alone, and the certificate says so.
+#[test]
+fn tips_stop_on_finer_grids() {
+    for (elements, stops) in [(3, false), (16, true)] {
+        let overrides = [
+            "task.at_rest=\"tip\"".to_owned(),
+            format!("rod.elements={elements}"),
+        ];
+        let overrides: Vec<&str> = overrides.iter().map(String::as_str).collect();
+        let solution = solved(&posed(HANGING, &overrides));
+        let check = solution.certify().unwrap();
+        let Arrived { rod, state, .. } = arrived(&solution, 4);
+        let speed = (state.linear_momentum[rod.tip()] / rod.nodes[rod.tip()].mass).norm();
+        let item = |name: &str| check.items.iter().find(|item| item.name == name).unwrap();
+        let (own, finer) = (item("tip_speed_m_s"), item("refined_speed_m_s"));
+        assert!(own.holds(), "{own:?}");
+        // The steps of both replays are not the same.
+        let difference = (finer.value - speed).abs();
+        assert!(difference < 0.05 * speed + 1e-3, "{finer:?} {speed}");
+        assert_eq!(finer.holds(), stops, "{finer:?}");
+    }
 }
 
 /// The last coefficient of every hold is the wrench of the equilibrium, and the rows of `controls.csv` go on with it.

@@ -34,7 +34,7 @@ use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
 use self::probe::Probe;
-use self::refinement::{Between, PeakStrains, refine};
+use self::refinement::{Between, PeakStrains, TipMotion, refine};
 pub use self::replay::{EnergyBalance, Replay, replay};
 use self::replay::{Simulation, account, halving};
 use self::second_order::{Extremum, SecondOrder};
@@ -64,6 +64,9 @@ pub struct CheckLimits {
     pub refined: f64,
     /// Tip error of the replay against a hard target, in rod lengths (rad for the orientation).
     pub tip: f64,
+    /// Speed and angular speed of the tip of the finest rod at the end, over the highest ones before, beyond what the goal allows. The turning of a
+    /// single node holds the shortest waves, so that it converges last.
+    pub rest: [f64; 2],
     /// Energy residual over the energy that passed through.
     pub energy: f64,
     /// Largest energy residual with the step halved over the largest one: 1/4 of second order, 1/2 of first, 1 of none. Not asked of one
@@ -99,6 +102,7 @@ impl Default for CheckLimits {
             duration: 1e-5,
             refined: 0.02,
             tip: 1e-4,
+            rest: [0.1, 0.5],
             energy: 0.02,
             energy_halving: 0.8,
             between: 0.01,
@@ -137,7 +141,7 @@ impl CheckItem {
                 "use rod.strain = \"helical\", or more rod.elements"
             }
             // Where the wrench holds a finer arm lies elsewhere.
-            "refined_space_m" | "stays_m" => {
+            "refined_space_m" | "stays_m" | "refined_speed_m_s" | "refined_spin_rad_s" => {
                 let elements = problem.rod.n_elements() as f64 * self.refinement();
                 return format!("set rod.elements = {}", elements.ceil());
             }
@@ -213,6 +217,8 @@ pub struct ForwardCheck {
     pub tip_speed: f64,
     /// Angular speed of the replayed tip at the end, rad/s.
     pub tip_spin: f64,
+    /// Motion of the tip of the finest rod.
+    pub finest_tip: TipMotion,
     /// The motion after the task with the last wrench held, where the arm stays.
     pub stays: Option<StayReplay>,
     /// Work in, change of energy and dissipation of the replay.
@@ -464,6 +470,7 @@ pub fn forward_check(
         tip_angle: 0.0,
         tip_speed: 0.0,
         tip_spin: 0.0,
+        finest_tip: refinement.tip,
         stays: refinement.stays,
         energy: same.balance,
         energy_ratio: half.balance.residual() / same.balance.residual(),
@@ -714,22 +721,40 @@ fn items(
             Enforcement::Within { speed, spin, .. } => [speed, spin],
             Enforcement::Hard | Enforcement::Soft { .. } => [0.0; 2],
         };
-        let scale = problem.goal_scale(GoalPart::Velocity);
+        let speed = speed + limits.tip * problem.goal_scale(GoalPart::Velocity);
         items.push(item(
             "tip_speed_m_s",
             check.tip_speed,
-            speed + limits.tip * scale,
+            speed,
             "m/s",
             "speed of the simulated tip at the end",
         ));
-        let scale = problem.goal_scale(GoalPart::AngularVelocity);
+        let spin = spin + limits.tip * problem.goal_scale(GoalPart::AngularVelocity);
         items.push(item(
             "tip_spin_rad_s",
             check.tip_spin,
-            spin + limits.tip * scale,
+            spin,
             "rad/s",
             "angular speed of the simulated tip at the end",
         ));
+        // An arm that stays is followed instead.
+        if problem.stay.is_none() {
+            let tip = &check.finest_tip;
+            items.push(item(
+                "refined_speed_m_s",
+                tip.speed,
+                speed + limits.rest[0] * tip.highest_speed,
+                "m/s",
+                "speed of the tip at the end on a finer grid, where it should stop, beside the highest before",
+            ));
+            items.push(item(
+                "refined_spin_rad_s",
+                tip.spin,
+                spin + limits.rest[1] * tip.highest_spin,
+                "rad/s",
+                "angular speed of the tip at the end on a finer grid, beside the highest before",
+            ));
+        }
     }
     items
 }

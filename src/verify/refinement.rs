@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::kkt::worse;
 use super::limits::{Measure, Pose};
 use super::stay::{StayReplay, follow};
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
@@ -50,6 +51,29 @@ pub struct Between {
     pub time: f64,
 }
 
+/// How the tip of the finest rod moves at the end of the horizon, and at most before.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TipMotion {
+    /// Speed at the end, m/s.
+    pub speed: f64,
+    /// Angular speed at the end, rad/s.
+    pub spin: f64,
+    /// Highest speed at any time node of the solution, m/s.
+    pub highest_speed: f64,
+    /// Highest angular speed, rad/s.
+    pub highest_spin: f64,
+}
+
+impl TipMotion {
+    fn note(&mut self, rod: &Rod, state: &State) {
+        let (tip, node) = (rod.tip(), &rod.nodes[rod.tip()]);
+        self.speed = (state.linear_momentum[tip] / node.mass).norm();
+        self.spin = (state.angular_momentum[tip].component_div(&node.rotary)).norm();
+        self.highest_speed = worse(self.highest_speed, self.speed);
+        self.highest_spin = worse(self.highest_spin, self.spin);
+    }
+}
+
 /// The result of the replays on finer grids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refinement {
@@ -59,6 +83,8 @@ pub struct Refinement {
     pub space: ErrorEstimate,
     /// Of every hard path constraint.
     pub between: Vec<Between>,
+    /// Of the finest rod.
+    pub tip: TipMotion,
     /// The motion after the horizon on the finest rod, where the arm stays.
     pub stays: Option<StayReplay>,
 }
@@ -199,6 +225,7 @@ pub fn refine(
 
     let mut watch = Watch::new(problem, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
+    let mut tip = TipMotion::default();
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;
         let last = levels.len() - 1;
@@ -209,6 +236,7 @@ pub fn refine(
                 }
             })?;
         }
+        tip.note(finest, &levels[last].stepper.state());
         for (chain, changes) in [&in_time, &in_space].into_iter().zip(&mut changes) {
             for (pair, change) in chain.windows(2).zip(changes) {
                 let [before, after] = [pair[0], pair[1]].map(|at| levels[at].positions());
@@ -240,6 +268,7 @@ pub fn refine(
         time: ErrorEstimate::of(in_time[0], Some(in_time[1])),
         space: ErrorEstimate::of(in_space[0], twice.then_some(in_space[1])),
         between: watch.worst,
+        tip,
         stays,
     })
 }

@@ -392,3 +392,11 @@ pub fn random_tangent(rod: &Rod, dice: &mut Dice) -> StateTangent {
         angular: vectors(),
     }
 }
+
+/// Limits that leave alone how fast the tips of coarse arms are on finer grids.
+pub fn on_its_own_grid() -> softarm::verify::CheckLimits {
+    softarm::verify::CheckLimits {
+        rest: [f64::MAX; 2],
+        ..Default::default()
+    }
+}
