@@ -96,7 +96,11 @@ fn afterwards(solution: &Solution, seconds: f64) -> [f64; 2] {
         control,
         grid,
     } = arrived(solution, 2);
-    let mut stepper = Stepper::new(&rod, grid.step, state);
+    let after = TimeGrid {
+        start: grid.start + grid.duration(),
+        ..grid
+    };
+    let mut stepper = Stepper::new(&rod, after, state);
     let held = control.at(grid.n_steps);
     let target = (problem.discrete)
         .final_goals()
@@ -293,4 +297,109 @@ fn keys_of_staying() {
     let stay = problem.discrete.stay.expect("the arm stays");
     assert_eq!((stay.seconds, stay.distance), (0.25, 0.002));
     assert!(matches!(problem.task.targets[0].rest, Rest::Staying(_)));
+}
+
+/// A silicone arm on a base that is moved aside before the arm arrives; only the wrench of the tip holds it there.
+const DRIVEN: &str = "\
+[rod]
+length_m = 0.5
+elements = 8
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.02
+[damping]
+viscous_1_s = 1.0
+[base]
+kind = \"driven\"
+direction = [0.0, 0.0, -1.0]
+[base.motion]
+translation_m = [[0.2, 0.0, 0.0, 0.0], [0.8, 0.3, 0.0, 0.0]]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 1.2
+[task]
+position_m = [0.4, 0.0, -0.489]
+[control]
+blocks = 16
+force_max_n = 20.0
+";
+
+/// An arm on a driven base stays where the base has come to stand; one whose base goes on is refused.
+#[test]
+fn arms_stay_where_their_base_stands() {
+    let solution = solved(&posed(DRIVEN, &[]));
+    assert!(solution.certify().unwrap().is_certified());
+    let seconds = (solution.problem.discrete.stay.as_ref()).map_or(0.0, |stay| stay.seconds);
+    let [off, _] = afterwards(&solution, seconds);
+    assert!(off < 0.01, "{off}");
+
+    let later = "base.motion.translation_m=[[0.2, 0.0, 0.0, 0.0], [1.6, 0.3, 0.0, 0.0]]".to_owned();
+    let (scene, source) = Scene::from_toml("scene.toml", DRIVEN, &[later]).unwrap();
+    let error = scene.optimal_control(&source).unwrap_err().to_string();
+    assert!(error.contains("the base still moves"), "{error}");
+}
+
+/// A silicone arm without a base that is to be moved and turned.
+const FREE: &str = "\
+[rod]
+length_m = 1.0
+elements = 6
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[base]
+kind = \"free\"
+direction = [0.0, 0.0, 1.0]
+[time]
+end_s = 2.0
+[task]
+position_m = [0.3, 0.0, 1.2]
+orientation_wxyz = [0.9659258262890683, 0.0, 0.25881904510252074, 0.0]
+stays_m = 0.03
+[control]
+blocks = 10
+force_max_n = 20.0
+moment_max_n_m = 5.0
+";
+
+/// A free arm stays with no wrench and no momentum; gravity takes it on, and without an orientation its pose at rest is open.
+#[test]
+fn free_arms_stay_without_a_wrench() {
+    let problem = posed(FREE, &[]);
+    let stay = problem.discrete.stay.clone().expect("the arm stays");
+    assert_eq!(
+        stay.wrenches[0].force.norm() + stay.wrenches[0].moment.norm(),
+        0.0
+    );
+    let solution = solved(&problem);
+    assert!(solution.certify().unwrap().is_certified());
+    let [off, _] = afterwards(&solution, stay.seconds);
+    assert!(off < 0.03, "{off}");
+    // What is left of the momentum moves the whole arm by less than it may during the stay.
+    let Arrived { rod, state, .. } = arrived(&solution, 1);
+    let momentum: Vector3<f64> = state.linear_momentum.iter().sum();
+    assert!(momentum.norm() / rod.mass() * stay.seconds < 0.015);
+
+    let weighed = format!("{FREE}[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n");
+    let (scene, source) = Scene::from_toml("scene.toml", &weighed, &[]).unwrap();
+    let error = scene.optimal_control(&source).unwrap_err().to_string();
+    assert!(error.contains("loads move the arm on"), "{error}");
+
+    // Nothing is known to hold it in one of many poses, which refuses nothing: the tip stops, and the task says so.
+    let line = FREE
+        .lines()
+        .find(|line| line.starts_with("orientation"))
+        .unwrap();
+    let problem = posed(&FREE.replace(line, "").replace("stays_m = 0.03", ""), &[]);
+    assert!(problem.discrete.stay.is_none());
+    assert_eq!(problem.task.targets[0].rest, Rest::Instant);
 }

@@ -381,7 +381,10 @@ fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
             let (verdict, held) = match &why {
                 CannotHold::AboveBounds(held) => (ABOVE, Some(&**held)),
                 CannotHold::Unstable(held) => (UNSTABLE, Some(&**held)),
-                CannotHold::NothingActuated | CannotHold::TooFewControls { .. } => (CANNOT, None),
+                CannotHold::NothingActuated
+                | CannotHold::TooFewControls { .. }
+                | CannotHold::Drifts
+                | CannotHold::BaseMoves { .. } => (CANNOT, None),
             };
             let mut out = summary(verdict, held, Some(why.to_string()));
             out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {

@@ -16,8 +16,8 @@ use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
-    ActuatedNode, Attempt, GuessError, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
-    TipDeviation, TrackingError, search_telling,
+    ActuatedNode, Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search,
+    SearchEvent, TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
@@ -62,6 +62,15 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         .map_err(|error| CliError::of_scene(error, &stop))?;
     for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {
         console.warn(&warning);
+    }
+    if scene.stays() && described.problem.stay.is_none() {
+        let why = match holding(&described.problem) {
+            Ok(Holding::NotFound { why }) => format!(": {why}"),
+            _ => String::new(),
+        };
+        console.warn(&format!(
+            "task.at_rest: nothing was found that holds the arm at its target, so that the tip only stops for an instant{why}"
+        ));
     }
     let mut previous = None;
     if let Some(directory) = arguments.from.as_deref() {

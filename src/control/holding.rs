@@ -47,7 +47,7 @@ pub struct Held {
     pub growth_rate: Option<f64>,
     /// Lowest angular frequency of the held arm without damping, rad/s; `None` where it is not stable.
     pub first_frequency: Option<f64>,
-    /// Displacement of the tip per force on it with the controls held, m/N, spatial frame.
+    /// Displacement of the tip per force on it with the controls held, m/N, spatial frame; infinite for a free arm.
     pub tip_compliance: Matrix3<f64>,
     /// Tangent stiffness with the controls held.
     pub(crate) tangent: Tangent,
@@ -60,10 +60,13 @@ impl Held {
         self.excess.iter().flatten().all(|excess| *excess == 0.0)
     }
 
-    /// Stiffness of the tip along its softest direction, N/m.
+    /// Stiffness of the tip along its softest direction, N/m; 0 of a free arm.
     #[must_use]
     pub fn least_stiffness(&self) -> f64 {
         let c = &self.tip_compliance;
+        if !c.iter().all(|c| c.is_finite()) {
+            return 0.0;
+        }
         (0.5 * (c + c.transpose()))
             .symmetric_eigenvalues()
             .max()
@@ -106,6 +109,13 @@ pub enum CannotHold {
     AboveBounds(Box<Held>),
     /// The equilibrium there is not stable.
     Unstable(Box<Held>),
+    /// Loads move a free arm on.
+    Drifts,
+    /// The base moves on while the arm should stay.
+    BaseMoves {
+        /// How long after the task it does, s.
+        after: f64,
+    },
 }
 
 impl std::fmt::Display for CannotHold {
@@ -120,6 +130,14 @@ impl std::fmt::Display for CannotHold {
                 "{controls} independent controls cannot meet the {equations} equations of this goal"
             ),
             Self::AboveBounds(_) => write!(f, "what holds it there is beyond the bounds"),
+            Self::Drifts => write!(
+                f,
+                "the base is free, and loads move the arm on where no wrench acts"
+            ),
+            Self::BaseMoves { after } => write!(
+                f,
+                "the base still moves {after:.3e} s after the task: let it stand before task.at_s"
+            ),
             Self::Unstable(held) => match held.growth_rate {
                 Some(rate) => write!(
                     f,
@@ -138,8 +156,10 @@ impl std::fmt::Display for CannotHold {
 /// Why neither a wrench that holds the target was found, nor a reason that there is none.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotFound {
-    /// A free arm rests where nothing acts on it.
-    #[error("the base is free")]
+    /// A free arm rests anywhere.
+    #[error(
+        "the base is free, so that the arm may rest in any pose: name task.position_m and task.orientation_wxyz"
+    )]
     FreeBase,
     /// The search would take long.
     #[error("the elements or actuators are too many to look at in passing")]
@@ -188,6 +208,11 @@ const AT_GOAL: f64 = 1e-6;
 const LEAST_STABILITY: f64 = 1e-2;
 /// Singular values over the largest below which controls count as dependent.
 const INDEPENDENT: f64 = 1e-6;
+/// Modes of a free arm that move it as a whole.
+const RIGID_MODES: usize = 6;
+/// How far ahead a driven base is looked at, in units of the time scale of the arm (a first period is about two), and at how many moments.
+const LOOKED_AHEAD: f64 = 4.0;
+const BASE_SAMPLES: usize = 256;
 /// Angle by which the first shapes of other branches are bent, rad.
 const BENT: f64 = 2.0;
 /// Distance between shapes, over the length, at which they are the same.
@@ -208,9 +233,6 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     let rod = &problem.rod;
     let components = problem.actuated_components();
     let not_found = |why| Ok(Holding::NotFound { why });
-    if rod.base == BaseCondition::Free {
-        return not_found(NotFound::FreeBase);
-    }
     if rod.n_elements() > MOST_ELEMENTS || components.len() > MOST_CONTROLS {
         return not_found(NotFound::TooLarge);
     }
@@ -221,6 +243,15 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         components,
         time,
     };
+    if rod.base == BaseCondition::Free {
+        return Ok(floating(&statics, target));
+    }
+    if let Some(after) = base_moves_after(rod, time) {
+        return Ok(Holding::CannotBeHeld {
+            why: CannotHold::BaseMoves { after },
+            nearest: None,
+        });
+    }
     let start = carried(rod, problem.initial.configuration.clone(), time);
     let found = Search {
         statics: &statics,
@@ -230,6 +261,67 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     .run();
     problem.stop.check()?;
     Ok(found)
+}
+
+/// A free arm in its stress-free shape at the target, where nothing acts on it.
+fn floating(statics: &Statics, target: Target) -> Holding {
+    let rod = &statics.problem.rod;
+    let (Some(place), Some(pose)) = (target.position, target.rotation) else {
+        return Holding::NotFound {
+            why: NotFound::FreeBase,
+        };
+    };
+    let tip = rod.tip();
+    let turn = pose * rod.rest.rotations[tip].transpose();
+    let shape = Configuration {
+        positions: (rod.rest.positions.iter())
+            .map(|x| place + turn * (x - rod.rest.positions[tip]))
+            .collect(),
+        rotations: rod.rest.rotations.iter().map(|r| turn * r).collect(),
+    };
+    let controls = vec![0.0; statics.components.len()];
+    let none = TipSpring::default();
+    let unbalanced = statics.size(&statics.residual(&shape, &controls, &none));
+    let drifts = Holding::CannotBeHeld {
+        why: CannotHold::Drifts,
+        nearest: None,
+    };
+    if !(unbalanced < FEASIBLE) {
+        return drifts;
+    }
+    let tangent = statics.tangent(&shape, &controls, &none);
+    let modes = tangent.lowest_modes(rod, &shape, statics.unit, RIGID_MODES + 1);
+    let Some(first) = modes.as_ref().and_then(|modes| modes.get(RIGID_MODES)) else {
+        return drifts;
+    };
+    Holding::Held(Box::new(Held {
+        wrenches: statics.wrenches(&controls),
+        excess: vec![[0.0; 2]; statics.problem.actuators.len()],
+        is_stable: true,
+        least_squared_frequency: first.squared_frequency,
+        growth_rate: None,
+        first_frequency: Some(first.squared_frequency.sqrt()),
+        tip_compliance: Matrix3::from_diagonal_element(f64::INFINITY),
+        shape,
+        tangent,
+    }))
+}
+
+/// How long after time `t` a driven base moves on by more than rounding; `None` where it stands.
+fn base_moves_after(rod: &Rod, t: f64) -> Option<f64> {
+    let BaseCondition::Driven(motion) = &rod.base else {
+        return None;
+    };
+    let at = |t: f64| motion.at(&rod.rest.positions[0], &rod.rest.rotations[0], t);
+    let arrived = at(t);
+    let lasts = LOOKED_AHEAD * rod.scales.time;
+    let moments = (1..=BASE_SAMPLES).map(|i| lasts * i as f64 / BASE_SAMPLES as f64);
+    moments.into_iter().rev().find(|after| {
+        let later = at(t + after);
+        let shift = (later.position - arrived.position).norm() / rod.scales.length;
+        let turn = (later.rotation - arrived.rotation).norm();
+        !(shift.max(turn) < AT_GOAL)
+    })
 }
 
 struct Search<'a> {

@@ -11,7 +11,7 @@ use super::holding::Held;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
 use crate::mechanics::slow_modes::{GROUP, SlowModes};
-use crate::mechanics::{Configuration, FormTerm, Rod, State, Wrench};
+use crate::mechanics::{BaseCondition, Configuration, FormTerm, Rod, State, Wrench};
 
 /// Fraction of the allowed distance that the motion after the arrival may use. The rest is for the grid: on a finer one the equilibrium of
 /// the held wrench lies elsewhere.
@@ -44,10 +44,17 @@ impl Stay {
 
     /// Staying where `held` holds the arm of this rod, for some seconds and within a distance in m, as a part of goal number `goal`. `None` where
     /// the symmetric part of the tangent stiffness is not positive.
+    ///
+    /// Nothing brings a free arm back, but it has only so many seconds `τ` to drift away: with `K + M/τ²` in the place of the stiffness a rigid motion of
+    /// velocity `v` counts as one of amplitude `v τ`.
     #[must_use]
     pub fn at(rod: &Rod, held: Held, [seconds, distance]: [f64; 2], goal: usize) -> Option<Self> {
         let unit = held.least_squared_frequency;
-        let modes = SlowModes::about(rod, &held.shape, held.tangent, unit)?;
+        let tangent = match rod.base {
+            BaseCondition::Free => (held.tangent).with_inertia(rod, &held.shape, seconds.powi(-2)),
+            BaseCondition::Clamped | BaseCondition::Driven(_) => held.tangent,
+        };
+        let modes = SlowModes::about(rod, &held.shape, tangent, unit)?;
         Some(Self {
             goal,
             compliance: modes.compliance(),

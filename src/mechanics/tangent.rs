@@ -130,6 +130,15 @@ impl Tangent {
         Self { blocks, ..*self }
     }
 
+    /// `K + σ M`, `σ` in 1/s².
+    pub fn with_inertia(mut self, rod: &Rod, at: &Configuration, sigma: f64) -> Self {
+        for (i, root) in inertia_roots(rod, at).iter().enumerate() {
+            let inertia = root.map(|r| sigma / (r * r));
+            self.add(i, i, &Matrix6::from_diagonal(&inertia));
+        }
+        self
+    }
+
     /// Adds a block.
     pub fn add(&mut self, row: usize, column: usize, block: &Matrix6<f64>) {
         *self.blocks.entry((row, column)).or_default() += block;

@@ -348,7 +348,7 @@ impl Task {
         self
     }
 
-    /// The same task at whose end a tip that should stay only stops for an instant: what a closed loop goes on from.
+    /// The same task at whose end a tip that should stay only stops for an instant.
     #[must_use]
     pub(crate) fn stopping(mut self) -> Self {
         for target in &mut self.targets {

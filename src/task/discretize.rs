@@ -125,7 +125,8 @@ impl Arm {
 }
 
 impl Task {
-    /// The discrete problem of this task for an arm.
+    /// The discrete problem of this task for an arm. Where an arm should stay and it is not known whether anything holds it at its target, the tip only
+    /// stops for an instant; the task of the problem says so.
     ///
     /// # Errors
     /// [`DiscretizeError`] where a number is out of its range, the arm makes no rod, a step cannot be taken, there is no state to start from,
@@ -227,7 +228,10 @@ impl Task {
             return Err(DiscretizeError::Duration { conflict, what });
         }
         if let Some(staying) = self.how_it_stays() {
-            discrete.stay = Some(Arc::new(stay(&discrete, staying, arm.length)?));
+            let Some(stay) = stay(&discrete, staying, arm.length)? else {
+                return (self.clone().stopping()).discretize_until(arm, discretization, stop);
+            };
+            discrete.stay = Some(Arc::new(stay));
         }
         let n_variables = discrete.n_variables();
         if discrete.n_controls() > MOST_VARIABLES {

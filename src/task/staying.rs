@@ -9,13 +9,15 @@ use crate::mechanics::equilibrium::EquilibriumError;
 
 /// Where the arm stays from the end of the horizon of `problem` on, for an arm of `length` in m.
 ///
+/// `None` where it is not known whether anything holds the target.
+///
 /// # Errors
-/// [`DiscretizeError::NotHeld`] where nothing within the bounds is known to hold the target.
+/// [`DiscretizeError::NotHeld`] where nothing within the bounds can hold the target.
 pub(super) fn stay(
     problem: &OptimalControlProblem,
     staying: Staying,
     length: f64,
-) -> Result<Stay, DiscretizeError> {
+) -> Result<Option<Stay>, DiscretizeError> {
     let refuse = |reason: String| Err(DiscretizeError::NotHeld(reason));
     let held = match holding(problem) {
         Ok(Holding::Held(held)) => *held,
@@ -27,15 +29,13 @@ pub(super) fn stay(
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {
                 let x = held.shape.positions[problem.rod.tip()];
                 format!(
-                    "; the nearest tip that can be held is [{:.4}, {:.4}, {:.4}] m, {distance:.2e} m from it",
+                    "; the nearest tip that can be held is [{:.6}, {:.6}, {:.6}] m, {distance:.2e} m from it",
                     x.x, x.y, x.z
                 )
             });
             return refuse(format!("the arm cannot stay there: {why}{nearest}"));
         }
-        Ok(Holding::NotFound { why }) => {
-            return refuse(format!("nothing was found that holds the arm there: {why}"));
-        }
+        Ok(Holding::NotFound { .. }) => return Ok(None),
         Err(HoldingError::Stopped(stop)) => {
             return Err(DiscretizeError::Start(EquilibriumError::Stopped(stop)));
         }
@@ -48,7 +48,7 @@ pub(super) fn stay(
     let seconds = seconds(&held, staying);
     let distance = staying.distance(length);
     match Stay::at(&problem.rod, held, [seconds, distance], goal) {
-        Some(stay) => Ok(stay),
+        Some(stay) => Ok(Some(stay)),
         None => refuse("the equilibrium there is hardly stable".into()),
     }
 }

@@ -164,9 +164,6 @@ impl CheckItem {
             "between_samples" => {
                 "use a shorter time.step_s, more rod.elements, or a higher rate_hz of what is limited"
             }
-            "stays_bound_m" => {
-                "the arrival sets off fast waves: use control.hold = \"linear\" or \"cubic\", more control.blocks, or a larger task.stays_m"
-            }
             "controls.csv" | "trajectory.npz" | "summary.json" | "feedback.npz" => {
                 "the file was changed, or belongs to another solution: solve again"
             }
@@ -704,13 +701,6 @@ fn items(
             stay.distance + tolerance.unwrap_or(0.0),
             "m",
             "largest distance of the tip from the target after the task, with the last wrench held, on a finer grid",
-        ));
-        items.push(item(
-            "stays_bound_m",
-            held.bound,
-            stay.distance,
-            "m",
-            "distance that the tip can reach from where the wrench holds it with the energy of the arrival, to second order",
         ));
     }
     let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));

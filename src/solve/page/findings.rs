@@ -86,6 +86,12 @@ pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
             found.eigenvalue, found.error, found.dimension, found.held
         )
     });
+    let stays = check.stays.as_ref().map(|held| {
+        format!(
+            "afterwards: no node faster than {:.2e} m/s; by the energy of the arrival the tip never goes farther than {:.2e} m",
+            held.node_speed, held.bound
+        )
+    });
     let growth = check.growth.as_ref().map(Growth::sentence);
-    rows.chain(second).chain(growth).collect()
+    rows.chain(stays).chain(second).chain(growth).collect()
 }
