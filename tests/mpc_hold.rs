@@ -95,3 +95,44 @@ fn targets_are_reached_and_held() {
     // The place rests, and the arm is stable under what holds it: that is the default.
     assert_eq!(off("auto"), held);
 }
+
+/// A hanging arm with a load at its tip that is due at a place, and stays there.
+const DUE: &str = "\
+[rod]
+length_m = 0.3
+elements = 8
+[rod.material]
+preset = \"dragon-skin-30\"
+[rod.section]
+radius_base_m = 0.015
+radius_tip_m = 0.008
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[payload]
+mass_kg = 0.04
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 2.0
+[task]
+position_m = [0.12, 0.0, -0.27]
+[control]
+force_max_n = 5.0
+[mpc]
+period_s = 0.02
+due_s = 1.0
+counted_from_s = 1.0
+";
+
+/// A loop whose task is due stays there with the wrench that holds the arm; where the tip only has to stop for an instant, it leaves by more than a
+/// tenth of the length.
+#[test]
+fn what_is_due_stays() {
+    let (stays, length) = run(DUE, &[]);
+    let (leaves, _) = run(DUE, &["task.at_rest=\"tip\""]);
+    println!("{:?} {:?}", stays.tip_error, leaves.tip_error);
+    assert!(stays.tip_error.max < 1e-2 * length);
+    assert!(leaves.tip_error.max > 0.1 * length);
+}

@@ -157,10 +157,14 @@ impl Stay {
         }
     }
 
-    /// Derivative of component `axis` of a vector along `(δx, ζ, δp, δπ)` of the nodes with these rotations.
-    #[must_use]
-    pub fn gradient(&self, vector: usize, axis: usize, r: &[Matrix3<f64>]) -> Vec<FormTerm> {
-        let terms = self.free_nodes().flat_map(|q| {
+    /// Derivative of component `axis` of a vector along `(δx, ζ)` or `(δp, δπ)` of the nodes with these rotations: six terms a free node, in order.
+    pub(crate) fn gradient<'a>(
+        &'a self,
+        vector: usize,
+        axis: usize,
+        r: &'a [Matrix3<f64>],
+    ) -> impl Iterator<Item = FormTerm> + 'a {
+        self.free_nodes().flat_map(move |q| {
             let mut along = self.covectors(vector, q)[axis];
             let first = match Half::of(vector) {
                 Half::Deviation => {
@@ -179,8 +183,7 @@ impl Stay {
                 component: first + i,
                 coefficient: along[i],
             })
-        });
-        terms.filter(|term| term.coefficient != 0.0).collect()
+        })
     }
 
     /// Covector `Σ y·r` over the logarithm `log(R*ᵀ R)` of a node of the rod.

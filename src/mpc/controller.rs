@@ -158,6 +158,8 @@ pub(super) enum Aim {
     Tip(Wrench),
     /// A part of what acts.
     Part(f64),
+    /// The wrenches that hold the arm where it stays, and what cancels the disturbance.
+    Stay,
 }
 
 /// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
@@ -239,11 +241,17 @@ impl Controller {
             // No plan tells more of them apart, and each takes a sweep.
             cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
         }
-        let mut task = task.clone().stopping();
+        let mut task = match settings.due {
+            Some(_) => task.clone(),
+            None => task.clone().stopping(),
+        };
         task.horizon = settings.horizon;
         let n_tracks = task.cost.tracks.len();
         for target in &mut task.targets {
             target.time = None;
+            // What is aimed at by a weight needs no tolerance that nobody named.
+            target.tolerances.speed.get_or_insert(0.0);
+            target.tolerances.spin.get_or_insert(0.0);
             // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
             if settings.due.is_none() {
                 target.rest = Rest::Passing;
@@ -628,6 +636,13 @@ impl Controller {
                     (part * acting, part * acting)
                 }
                 Aim::Part(part) => (acting, part * acting),
+                Aim::Stay => {
+                    let held = (horizon.problem.stay.as_ref()).map_or(0.0, |stay| {
+                        stay.wrenches[component.actuator].to_array()[component.axis] / scale
+                    });
+                    let value = held + self.cancelling[c];
+                    (value, value)
+                }
             };
         }
         (self.outlet).send(&self.horizon, self.settings.period, &mut self.command);
@@ -884,6 +899,10 @@ impl Controller {
 
     /// The command of the present plan from `start` (s) on.
     fn issue(&mut self, start: f64) {
+        if self.stays_from(start) {
+            self.steer(start, Aim::Stay);
+            return;
+        }
         self.acts = true;
         let (grid, period) = (&self.horizon.grid, self.settings.period);
         let last = grid.time(grid.n_steps);
@@ -896,6 +915,12 @@ impl Controller {
         let at_end = if is_constant { start } else { end };
         self.horizon.control(&self.plan, at_end, &mut wanted.to);
         (self.outlet).send(&self.horizon, period, &mut self.command);
+    }
+
+    /// Tells whether the task is done and the arm should stay.
+    fn stays_from(&self, start: f64) -> bool {
+        let is_over = |due: f64| start > due - 0.5 * self.in_period.step;
+        self.horizon.problem.stay.is_some() && self.settings.due.is_some_and(is_over)
     }
 
     /// The state at the end of the command.

@@ -73,6 +73,11 @@ enum Quantity {
         goal: usize,
         axis: usize,
     },
+    /// A vector of the deviation from where the arm stays once it is due, one axis, as a distance of the tip over the length.
+    Stay {
+        vector: usize,
+        axis: usize,
+    },
     /// A limit on the states, no residual but a row of the subproblem.
     Limit {
         index: usize,
@@ -340,6 +345,7 @@ impl Horizon {
         });
         let n_steps = left.min(whole);
         if n_steps == 0 {
+            self.grid.start = start;
             return false;
         }
         self.grid = TimeGrid {
@@ -622,6 +628,7 @@ impl Horizon {
             Quantity::TrackSpeed { .. }
             | Quantity::Velocity { .. }
             | Quantity::Spin { .. }
+            | Quantity::Stay { .. }
             | Quantity::Limit { .. } => 0.0,
         };
         let square: f64 = self.rows.iter().map(|row| of(row).powi(2)).sum();
@@ -705,6 +712,15 @@ impl Horizon {
                 let node = goals[goal].node;
                 self.end.angular_momentum[node][axis] / self.problem.rod.nodes[node].rotary[axis]
             }
+            Quantity::Stay { vector, axis } => (self.problem.stay.as_ref()).map_or(0.0, |stay| {
+                let r = self.trajectory.rotations_at(k);
+                for (term, new) in (form.terms.iter_mut()).zip(stay.gradient(vector, axis, r)) {
+                    term.coefficient = factor * new.coefficient;
+                }
+                let momenta = [&self.end.linear_momentum[..], &self.end.angular_momentum];
+                let vectors = [self.trajectory.positions_at(k), momenta[0], momenta[1]];
+                stay.vector(vector, vectors, r)[axis]
+            }),
             Quantity::TrackSpeed { .. } | Quantity::Limit { .. } => 0.0,
         };
         self.residuals[at] = factor * value;
@@ -792,6 +808,18 @@ fn rows(
                 let factor = root * time;
                 let terms = vec![one(node, 9 + axis, factor / inertia.rotary[axis])];
                 push(k, Quantity::Spin { goal, axis }, factor, terms);
+            }
+        }
+    }
+    if let Some(stay) = &problem.stay {
+        let k = problem.goals[stay.goal].time_node;
+        // A deviation of energy ½ |r|² moves the tip by |r| times the root of its compliance.
+        let factor = (weight * stay.compliance).sqrt() / rod.scales.length;
+        for vector in 0..stay.n_vectors() {
+            for axis in 0..3 {
+                let r = &stay.shape.rotations;
+                let terms = stay.gradient(vector, axis, r).collect();
+                push(k, Quantity::Stay { vector, axis }, factor, terms);
             }
         }
     }

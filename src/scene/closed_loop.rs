@@ -91,11 +91,11 @@ impl Scene {
                 default_horizon(&rod, &start, period)
             }
         };
-        let mut task = self
-            .posed_task_until(source, duration + horizon)?
-            .stopping();
-        task.horizon = horizon;
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
+        let mut task = self.posed_task_until(source, duration + horizon)?;
+        task.horizon = horizon;
+        // Where the arm stays is for the controller alone to find out.
+        let passing = task.clone().stopping();
         let settings = MpcSettings {
             period,
             horizon,
@@ -112,7 +112,7 @@ impl Scene {
         };
         let asked = with_long_steps(&rod, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
-        let posed = task
+        let posed = passing
             .discretize_until(&arm, &Discretization { blocks, ..asked }, stop)
             .map_err(refused)?;
         let discretization = Discretization {
@@ -122,7 +122,7 @@ impl Scene {
         let model = posed.discrete.rod;
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
-        let found = task
+        let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
             .map_err(|error| {
                 let help =
@@ -303,10 +303,11 @@ impl Scene {
         {
             out.push("mpc.computing_s plays no part: mpc.computing is not \"fixed\"".into());
         }
-        if let Some(due) = due.map(Number::get).filter(|due| *due < duration) {
+        let due = due.map(Number::get).filter(|due| *due < duration);
+        if let (Some(due), false) = (due, self.stays()) {
             out.push(format!(
-                "the loop runs for {duration} s, and its task is due at {due} s: nothing holds the arm afterwards; leave mpc.due_s and task.at_s out, \
-                 or shorten mpc.duration_s"
+                "the loop runs for {duration} s, and its task is due at {due} s: nothing holds the arm afterwards; give the task at_rest = true, \
+                 leave mpc.due_s and task.at_s out, or shorten mpc.duration_s"
             ));
         }
         out

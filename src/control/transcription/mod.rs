@@ -340,11 +340,12 @@ impl<'a> Transcription<'a> {
             GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),
             GoalPart::AngularVelocity => one(9 + row.axis, inverse / inertia.rotary[row.axis]),
             GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vec::new, |stay| {
-                let mut terms = stay.gradient(vector, row.axis, trajectory.rotations_at(k));
-                for term in &mut terms {
-                    term.coefficient *= inverse;
-                }
-                at(k, terms)
+                let terms = stay.gradient(vector, row.axis, trajectory.rotations_at(k));
+                let scaled = terms.map(|term| FormTerm {
+                    coefficient: inverse * term.coefficient,
+                    ..term
+                });
+                at(k, scaled.collect())
             }),
         }
     }
