@@ -24,8 +24,9 @@ use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     Configuration, LoadFrame, Material, Rod, RodModel, RodParameters, Section, SectionProfile,
-    StrainRule,
+    StrainRule, SweptSurface,
 };
+use softarm::stop::StopSignal;
 
 /// Tolerance, second order of both rules, and the tenth of the elements.
 fn check(benchmark: &Benchmark) {
@@ -541,5 +542,29 @@ fn elastic_work_around_a_loop_is_zero() {
             }
         }
         assert!(work.abs() < 1e-12 * size, "{rule:?}: {work:e} of {size:e}");
+    }
+}
+
+/// The surface that a tip sweeps under forces across the base's direction passes through the tips of the elastica, on every side and in any order
+/// that goes on; places beside it are as far from it as they were moved along the base.
+#[test]
+fn swept_surfaces_pass_through_the_elastica() {
+    let rod = Rod::new(&unit_rod(StrainRule::Helical, 40, 1e6)).unwrap();
+    let stop = StopSignal::default();
+    let mut surface = SweptSurface::new(&rod, &rod.rest, 0.0, &stop).unwrap();
+    assert!((surface.direction().into_inner() - Vector3::z()).norm() < 1e-12);
+    for (i, tip) in elastica().iter().filter(|tip| tip.load < 11.0).enumerate() {
+        let [x, z] = [tip.deflection, 1.0 - tip.shortening];
+        for turn in [0.0, 0.3, 0.6] {
+            let side = turn + 0.1 * i as f64;
+            for moved in [0.0, -0.02] {
+                let place = Vector3::new(x * side.cos(), x * side.sin(), z + moved);
+                let off = surface
+                    .distance(&place, &stop)
+                    .unwrap()
+                    .expect("a force across");
+                assert!((off - moved).abs() < 2e-4, "{} {off} {moved}", tip.load);
+            }
+        }
     }
 }

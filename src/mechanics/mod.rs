@@ -88,6 +88,7 @@ mod stiffness;
 pub mod strain;
 #[doc(hidden)]
 pub mod strain_coordinates;
+mod swept;
 pub(crate) mod tangent;
 mod time;
 #[doc(hidden)]
@@ -119,5 +120,6 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
 pub use strain::StrainRule;
+pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use vibration::SmallMotions;

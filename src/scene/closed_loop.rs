@@ -13,7 +13,7 @@ use super::source::SceneSource;
 use super::translate::load_profile;
 use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
-use crate::mechanics::{NodeInertia, Rod, SectionProfile, State};
+use crate::mechanics::{NodeInertia, Rod, SectionProfile, State, SweptSurface};
 use crate::mpc::{
     ActuatorDynamics, Computing, EstimatorChoice, Experiment, FallbackSettings, LoopSettings,
     MpcError, MpcSettings, Sensing, Sensor, SensorChoice, SensorSettings, Unknowns,
@@ -39,6 +39,8 @@ pub struct ClosedLoopSetup {
     pub warnings: Vec<String>,
 }
 
+/// Distance from the surface that the tip sweeps, over the length, up to which a path lies on it.
+const ON_THE_SURFACE: f64 = 0.01;
 /// A horizon is this part of the first natural period, and at least so many samples.
 const PART_OF_PERIOD: f64 = 0.5;
 const FEWEST_SAMPLES: f64 = 10.0;
@@ -120,6 +122,7 @@ impl Scene {
             ..posed.discretization
         };
         let model = posed.discrete.rod;
+        let unbent = self.off_the_surface(&model, &posed.discrete.initial, stop);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
         let found = passing
@@ -210,11 +213,13 @@ impl Scene {
                 stop: stop.clone(),
                 ..Experiment::new(arm, task, discretization, settings)
             },
-            model,
             plant: found.rod,
-            initial: found.initial,
             resolved,
-            warnings: self.concerns(due, duration),
+            warnings: (self.concerns(due, duration).into_iter())
+                .chain(unbent)
+                .collect(),
+            model,
+            initial: found.initial,
         })
     }
 
@@ -311,6 +316,34 @@ impl Scene {
             ));
         }
         out
+    }
+
+    /// How far closed paths of the tip lie from the surface that it sweeps.
+    fn off_the_surface(&self, model: &Rod, initial: &State, stop: &StopSignal) -> Vec<String> {
+        let tracks = self.objective.iter().flat_map(|objective| &objective.track);
+        let paths = tracks.filter_map(|track| Some((track, track.round()?)));
+        paths
+            .filter(|(track, _)| track.node == model::LoadNode::Tip)
+            .filter_map(|(track, round)| {
+                let start = &initial.configuration;
+                let mut surface = SweptSurface::new(model, start, 0.0, stop).ok()?;
+                let found = round.iter().map(|place| surface.distance(place, stop).ok()?);
+                let off = found.collect::<Option<Vec<f64>>>()?;
+                let least = off.iter().copied().fold(f64::INFINITY, f64::min);
+                let most = off.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                let length = model.scales.length;
+                if least.abs().max(most.abs()) < ON_THE_SURFACE * length {
+                    return None;
+                }
+                let middle = 0.5 * (least + most);
+                let center = track.center()? - surface.direction().into_inner() * middle;
+                Some(format!(
+                    "objective.track: where forces across the direction of the base bend the arm, its tip passes this path at {:.1} to {:.1} mm (positive: the \
+                     arm is too short, negative: it is pressed together); with center_m = [{:.4}, {:.4}, {:.4}] half of that remains",
+                    1e3 * least, 1e3 * most, center.x, center.y, center.z
+                ))
+            })
+            .collect()
     }
 
     /// The arm as it is.

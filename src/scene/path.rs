@@ -31,12 +31,8 @@ impl Track {
 
     /// Times in s and positions in m, up to `end` in s at least where the path turns.
     pub(super) fn path(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
-        if let Some(circle) = &self.circle {
-            let shape = |sin: f64, cos: f64| [cos, sin];
-            Turns::from(circle).points(end, shape)
-        } else if let Some(eight) = &self.figure_eight {
-            let shape = |sin: f64, cos: f64| [sin, sin * cos];
-            Turns::from(eight).points(end, shape)
+        if let Some((turns, shape)) = self.turns() {
+            turns.points(end, shape)
         } else {
             let rows = (self.path_m.iter()).map(|&[t, x, y, z]| (t, Vector3::new(x, y, z)));
             if self.switches {
@@ -47,6 +43,40 @@ impl Track {
         }
     }
 }
+
+impl Track {
+    /// A closed path, and its shape.
+    fn turns(&self) -> Option<(Turns, Shape)> {
+        let circle = (self.circle.as_ref()).map(|circle| (Turns::from(circle), circle_of as Shape));
+        circle.or_else(|| Some((Turns::from(self.figure_eight.as_ref()?), eight_of as Shape)))
+    }
+
+    /// Places of the tip along one turn of a closed path, m.
+    pub(super) fn round(&self) -> Option<Vec<Vector3<f64>>> {
+        let (turns, shape) = self.turns()?;
+        let phases = (0..ROUND).map(|i| TAU * i as f64 / ROUND as f64);
+        Some(phases.map(|phase| turns.on_path(phase, shape)).collect())
+    }
+
+    /// Center of a closed path, m.
+    pub(super) fn center(&self) -> Option<Vector3<f64>> {
+        self.turns().map(|(turns, _)| Vector3::from(turns.center))
+    }
+}
+
+/// The point of a closed path in its plane, in units of its size, from sine and cosine of the phase.
+type Shape = fn(f64, f64) -> [f64; 2];
+
+fn circle_of(sin: f64, cos: f64) -> [f64; 2] {
+    [cos, sin]
+}
+
+fn eight_of(sin: f64, cos: f64) -> [f64; 2] {
+    [sin, sin * cos]
+}
+
+/// Places that stand for a closed path.
+const ROUND: usize = 24;
 
 /// Time between the end of one place and the beginning of the next, over the time of the switch (at least 1 s): none, but for rounding.
 const SWITCH: f64 = 1e-9;
@@ -103,8 +133,7 @@ impl From<&FigureEight> for Turns {
 }
 
 impl Turns {
-    /// `shape` gives the point in the plane, in units of the size, from sine and cosine of the phase.
-    fn points(&self, end: f64, shape: fn(f64, f64) -> [f64; 2]) -> Vec<(f64, Vector3<f64>)> {
+    fn points(&self, end: f64, shape: Shape) -> Vec<(f64, Vector3<f64>)> {
         let ramp = self.ramp.unwrap_or(self.turn);
         let spacing = (self.turn.min(ramp) / POINTS).max(end / MOST_POINTS);
         let n = (end / spacing).ceil() as usize;
@@ -116,7 +145,8 @@ impl Turns {
             .collect()
     }
 
-    fn position(&self, t: f64, ramp: f64, shape: fn(f64, f64) -> [f64; 2]) -> Vector3<f64> {
+    /// The place at a phase, in rad.
+    fn on_path(&self, phase: f64, shape: Shape) -> Vector3<f64> {
         let frame = from_quaternion(
             Base {
                 direction: Some(self.normal),
@@ -124,9 +154,13 @@ impl Turns {
             }
             .unit_quaternion(),
         );
-        let (sin, cos) = (TAU * t / self.turn).sin_cos();
+        let (sin, cos) = phase.sin_cos();
         let [x, y] = shape(sin, cos);
-        let on_path = Vector3::from(self.center) + frame * Vector3::new(x, y, 0.0) * self.size;
+        Vector3::from(self.center) + frame * Vector3::new(x, y, 0.0) * self.size
+    }
+
+    fn position(&self, t: f64, ramp: f64, shape: Shape) -> Vector3<f64> {
+        let on_path = self.on_path(TAU * t / self.turn, shape);
         let Some(from) = self.from.map(Vector3::from) else {
             return on_path;
         };

@@ -1,0 +1,117 @@
+//! The surface that the tip of an arm sweeps where forces across the direction of its base bend it, and nothing pushes or pulls along it.
+//!
+//! The tip of an arm has three coordinates, and near any place on this surface the arm needs little force; off it, a force along the arm
+//! stretches it or presses it together, and an arm that is pressed buckles.
+
+use nalgebra::{Matrix2, Matrix3, Unit, Vector2, Vector3};
+
+use super::configuration::Configuration;
+use super::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use super::load::{Load, LoadFrame};
+use super::rod::Rod;
+use super::tangent::Tangent;
+use crate::stop::StopSignal;
+
+/// Steps of Newton's method on the force, and the distance over the length at which the tip is there.
+const STEPS: usize = 40;
+const THERE: f64 = 1e-6;
+/// Largest way across of the tip in one step, over the length.
+const LONGEST_WAY: f64 = 0.1;
+
+/// The surface of an arm with a held base.
+#[derive(Clone, Debug)]
+pub struct SweptSurface<'a> {
+    rod: &'a Rod,
+    /// Time of loads and of a driven base, s.
+    time: f64,
+    /// Direction of the base, and two across it.
+    axes: [Vector3<f64>; 3],
+    force: Vector2<f64>,
+    shape: Configuration,
+}
+
+impl<'a> SweptSurface<'a> {
+    /// The surface near the equilibrium of the rod under its loads at time `t` (s).
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] where that is not found; a free base has none.
+    pub fn new(
+        rod: &'a Rod,
+        start: &Configuration,
+        time: f64,
+        stop: &StopSignal,
+    ) -> Result<Self, EquilibriumError> {
+        let shape = static_equilibrium_until(rod, start, time, &TipSpring::default(), stop)?;
+        let base: Matrix3<f64> = shape.rotations[0];
+        let axis = |i: usize| base.column(i).into_owned();
+        Ok(Self {
+            rod,
+            time,
+            axes: [axis(2), axis(0), axis(1)],
+            force: Vector2::zeros(),
+            shape,
+        })
+    }
+
+    /// Direction of the base.
+    #[must_use]
+    pub fn direction(&self) -> Unit<Vector3<f64>> {
+        Unit::new_normalize(self.axes[0])
+    }
+
+    /// How far a place (m) is from the surface, along the direction of the base, m: positive beyond it, where the arm must be stretched.
+    /// Places are asked for in the order of a path, each from the shape of the one before. `None` where no force across brings the tip under or over
+    /// the place.
+    ///
+    /// # Errors
+    /// [`EquilibriumError::Stopped`].
+    pub fn distance(
+        &mut self,
+        place: &Vector3<f64>,
+        stop: &StopSignal,
+    ) -> Result<Option<f64>, EquilibriumError> {
+        let tip = self.rod.tip();
+        let length = self.rod.scales.length;
+        let [along, a, b] = self.axes;
+        for _ in 0..STEPS {
+            let way = place - self.shape.positions[tip];
+            let across = Vector2::new(a.dot(&way), b.dot(&way));
+            if across.norm() < THERE * length {
+                return Ok(Some(along.dot(&way)));
+            }
+            let loaded = self.loaded();
+            let tangent = Tangent::stiffness(&loaded, &self.shape, self.time);
+            let Some(compliance) = tangent.tip_compliance() else {
+                return Ok(None);
+            };
+            let of = |i: Vector3<f64>, j: Vector3<f64>| i.dot(&(compliance * j));
+            let small = Matrix2::new(of(a, a), of(a, b), of(b, a), of(b, b));
+            let step = across * (LONGEST_WAY * length / across.norm()).min(1.0);
+            let Some(change) = small.lu().solve(&step) else {
+                return Ok(None);
+            };
+            self.force += change;
+            let none = TipSpring::default();
+            match static_equilibrium_until(&self.loaded(), &self.shape, self.time, &none, stop) {
+                Ok(shape) => self.shape = shape,
+                Err(EquilibriumError::Stopped(stop)) => {
+                    return Err(EquilibriumError::Stopped(stop));
+                }
+                Err(_) => return Ok(None),
+            }
+        }
+        Ok(None)
+    }
+
+    fn loaded(&self) -> Rod {
+        let mut rod = self.rod.clone();
+        rod.loads.push(Load {
+            node: rod.tip(),
+            force: self.axes[1] * self.force.x + self.axes[2] * self.force.y,
+            moment: Vector3::zeros(),
+            frame: LoadFrame::Spatial,
+            profile: Vec::new(),
+        });
+        rod
+    }
+}
