@@ -605,6 +605,7 @@ fn obstacles_are_touched_and_shown() {
 fn a_free_duration_is_found_and_verified() {
     let desk = Desk::new();
     let scene = (SCENE.replace("elements = 4", "elements = 8"))
+        .replace("hold = \"constant\"", "hold = \"linear\"")
         .replace("at_rest = false", "at_rest = \"tip\"");
     let free = "[task.free_duration]\nshortest_s = 0.2\nlongest_s = 0.6\nprice = 1.0\n";
     desk.write("scene.toml", &(scene + free));

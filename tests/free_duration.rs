@@ -1,5 +1,7 @@
 //! Tasks whose duration may be chosen: bounds that grow with time, the check, limits, minimum time, and scenes that do not go with it.
 
+mod common;
+
 use std::ops::ControlFlow;
 
 use softarm::control::{LiftedPoint, Transcription, search, simulated};
@@ -89,8 +91,8 @@ fn item(check: &ForwardCheck, name: &str) -> CheckItem {
 
 #[track_caller]
 fn assert_certified(check: &ForwardCheck) {
-    let failed: Vec<_> = check.items.iter().filter(|item| !item.holds()).collect();
-    assert!(failed.is_empty(), "{failed:?}");
+    let failed = common::objections_on_its_own_grid(check);
+    assert!(failed.is_empty(), "{failed:?}: {:?}", check.items);
 }
 
 #[track_caller]

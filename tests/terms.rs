@@ -1,5 +1,7 @@
 //! Terms of one's own: what the solver, the derivative check and the certificate make of them.
 
+mod common;
+
 use nalgebra::Vector3;
 use softarm::control::{
     FreeDuration, NodeForm, PathEnforcement, SharedTerm, StateCost, StateTerm, StateView,
@@ -105,7 +107,8 @@ fn a_path_to_follow_is_a_term() {
         [built_in, own].map(|task| softarm::solve(&arm(), &task, &grid()).unwrap());
     for solution in [&theirs, &ours] {
         let check = solution.certify().unwrap();
-        assert!(check.is_certified(), "{:?}", check.items);
+        let failed = common::objections_on_its_own_grid(&check);
+        assert!(failed.is_empty(), "{failed:?}: {:?}", check.items);
     }
     let difference = ours.objective() / theirs.objective() - 1.0;
     assert!(difference.abs() < 1e-9, "{difference:e}");

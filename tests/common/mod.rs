@@ -400,3 +400,12 @@ pub fn on_its_own_grid() -> softarm::verify::CheckLimits {
         ..Default::default()
     }
 }
+
+/// What the check of a coarse arm objects to, but for how fast its tip is on finer grids.
+pub fn objections_on_its_own_grid(check: &softarm::verify::ForwardCheck) -> Vec<&'static str> {
+    let finer = ["refined_speed_m_s", "refined_spin_rad_s"];
+    (check.items.iter())
+        .filter(|item| !item.holds() && !finer.contains(&item.name))
+        .map(|item| item.name)
+        .collect()
+}
