@@ -102,7 +102,7 @@ impl Default for CheckLimits {
             duration: 1e-5,
             refined: 0.02,
             tip: 1e-4,
-            rest: [0.1, 0.5],
+            rest: [0.2, 0.5],
             energy: 0.02,
             energy_halving: 0.8,
             between: 0.01,
