@@ -1,7 +1,9 @@
 //! What `softarm tradeoff` writes: summary, table of points, picture, page.
 
+mod journal;
 mod saved;
 
+pub use self::journal::{Journal, journal_in};
 pub use self::saved::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 
 use std::fmt::Write as _;
