@@ -483,3 +483,5 @@ fn what_cannot_be_shown_is_refused() {
     }
     assert!(page == desk.read("run/report.html"));
 }
+    // What was changed comes before what follows from it.
+    assert_eq!(data["tables"][0]["title"], "Scenes");

@@ -245,7 +245,7 @@ fn pages_from_files() {
             Some(elements) => assert!(setting.starts_with(&format!("{elements} ")), "{setting}"),
             None => assert_eq!(setting, "–"),
         }
-        assert!(page.contains(&format!("<td>{setting}</td>")), "{setting}");
+        assert!(page.contains(&format!(">{setting}</td>")), "{setting}");
     }
     assert_eq!(settings[2], "–");
     assert_eq!(row(recommended, "tolerance"), ["3e-3", "1e-2", "1e-9"]);

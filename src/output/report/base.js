@@ -127,7 +127,10 @@ const clock = {
 
 // ---------------------------------------------------------------- header
 
-const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop' };
+const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop', equilibrium: 'statics' };
+
+/** Keys that the head of a comparison names. */
+const MOST_CHANGES = 4;
 
 /** Text in which no line breaks between a number and its unit. */
 const joined = (text) => text.replace(/(\d) (?=[A-Za-z%\u00b7]{1,3}\b|%)/g, '$1\u00a0');
@@ -152,6 +155,10 @@ function pageHeader() {
 
 function factsList(facts) {
   return el('dl', { class: 'facts' }, ...facts.map(([name, value]) =>
+  // What was changed comes first: everything else follows from it.
+  const changed = data.tables.find(({ title }) => title === 'Scenes');
+  if (changed) header.lastChild.prepend(el('p', { class: 'sentence' }, 'They differ in ', ...changed.rows.slice(0, MOST_CHANGES).flatMap((row, i) => [
+    i ? '; ' : '', el('b', {}, row.key), ` (${row.values.join(', ')})`]), changed.rows.length > MOST_CHANGES ? ` and ${changed.rows.length - MOST_CHANGES} more keys.` : '.'));
     el('div', {}, el('dt', {}, name), el('dd', { class: 'num' }, value))));
 }
 

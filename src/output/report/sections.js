@@ -75,8 +75,11 @@ function comparisonCharts() {
   const sizes = (part) => curves((run) => run.controls && {
     x: run.controls.t, y: run.controls[part].map(norm), hold: run.controls.hold === 'constant',
   });
-  const total = ({ energy: e }) => e && { x: e.t, y: e.t.map((_, i) => e.kinetic[i] + e.elastic[i] + e.potential[i]) };
-  const tip = (axis) => curves((run) => ({ x: run.motion.t, y: run.motion.tip.map((p) => p[axis]) }));
+  const total = ({ energy: e }) => e && { x: e.t, y: sinceStart(e.t.map((_, i) => e.kinetic[i] + e.elastic[i] + e.potential[i])) };
+  // Rounding of places is no motion: a chart of nothing else has nothing to show.
+  const length = Math.max(...runs.map((run) => run.arm.length));
+  const moves = (axis) => runs.some((run) => run.motion.tip.some((p) => isPoint(p) && Math.abs(p[axis]) > 1e-9 * length));
+  const tip = (axis) => moves(axis) ? curves((run) => ({ x: run.motion.t, y: run.motion.tip.map((p) => p[axis]) })) : [];
   const off = curves((run) => run.target && isPoint(run.target.position) && {
     x: run.motion.t, y: run.motion.tip.map((p) => isPoint(p) ? norm(sub(p, run.target.position)) : null),
   });
