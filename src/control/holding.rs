@@ -19,12 +19,12 @@ use std::ops::ControlFlow;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use self::program::{Aim, HoldingPoint, HoldingProgram, SPRING};
-use self::statics::{SLOWEST_GROWTH, Statics, Target};
-use super::guess::{SPRINGS, carried};
+use self::statics::{Statics, Target};
+use super::guess::SPRINGS;
 use super::problem::OptimalControlProblem;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::exp;
-use crate::mechanics::tangent::Tangent;
+use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::{BaseCondition, Configuration, Rod, Wrench};
 use crate::sqp::{HessianChoice, LiftedProgram, LinearizationRequest, SqpSettings, solve};
 use crate::stop::Stop;
@@ -184,15 +184,10 @@ const ITERATIONS: usize = 60;
 const FEASIBLE: f64 = 1e-5;
 /// Distance over length, and angle, at which the tip counts as at the goal.
 const AT_GOAL: f64 = 1e-6;
-/// `ω²` over that of the arm at rest above which an equilibrium is stable for certain: shapes that may turn about the base's axis have 0, and an error of
-/// discretization.
-const POSITIVE: f64 = 1e-6;
-/// The same where stability is a constraint: the held arm swings at a tenth of its own frequency at least.
+/// `ω²` over that of the arm at rest where stability is a constraint: the held arm swings at a tenth of its own frequency at least.
 const LEAST_STABILITY: f64 = 1e-2;
 /// Singular values over the largest below which controls count as dependent.
 const INDEPENDENT: f64 = 1e-6;
-/// Unsymmetric part of the stiffness, relative to its largest entry, of loads without a potential.
-const ASYMMETRIC: f64 = 1e-9;
 /// Angle by which the first shapes of other branches are bent, rad.
 const BENT: f64 = 2.0;
 /// Distance between shapes, over the length, at which they are the same.
@@ -226,7 +221,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         components,
         time,
     };
-    let start = carried(rod, problem.initial.configuration.clone(), time);
+    let start = rod.carried(problem.initial.configuration.clone(), time);
     let found = Search {
         statics: &statics,
         target,
@@ -235,20 +230,6 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     .run();
     problem.stop.check()?;
     Ok(found)
-}
-
-/// `ω²` of the slowest mode of the arm in its stress-free shape, 1/s².
-fn own_squared_frequency(rod: &Rod) -> f64 {
-    let guess = rod.scales.time.powi(-2);
-    let bare = Rod {
-        loads: Vec::new(),
-        ..rod.clone()
-    };
-    Tangent::stiffness(&bare, &rod.rest, 0.0)
-        .lowest_modes(rod, &rod.rest, guess, 1)
-        .and_then(|modes| modes.first().map(|mode| mode.squared_frequency))
-        .filter(|square| *square > 0.0)
-        .unwrap_or(guess)
 }
 
 struct Search<'a> {
@@ -554,33 +535,18 @@ impl Search<'_> {
             })
             .collect();
         let tangent = statics.tangent(&shape, &point.controls, &TipSpring::default());
-        let modes = tangent.lowest_modes(rod, &shape, statics.unit, 1)?;
-        let square = modes.first()?.squared_frequency;
-        let rounding = POSITIVE * statics.unit;
-        let growth = if tangent.asymmetry() > ASYMMETRIC || square < -rounding {
-            statics.growth(&shape, &point.controls)?
-        } else {
-            0.0
-        };
-        let growth = (growth > SLOWEST_GROWTH).then(|| growth * statics.unit.sqrt());
-        let is_stable = growth.is_none() && square > rounding;
-        let unit_force = |axis: usize| {
-            let mut force = vec![nalgebra::Vector6::zeros(); rod.n_nodes() - rod.first_free_node()];
-            if let Some(tip) = force.last_mut() {
-                tip[axis] = 1.0;
-            }
-            force
-        };
-        let answers = tangent.factor()?.solve(&[0, 1, 2].map(unit_force));
-        let tip_compliance = Matrix3::from_fn(|i, j| answers[j][answers[j].len() - 1][i]);
+        let stability = tangent.stability(rod, &shape, statics.unit)?;
+        // The energy of a stay is that of a definite stiffness, also where moments act.
+        let is_stable = stability.growth_rate.is_none() && stability.is_definite;
+        let tip_compliance = tangent.tip_compliance()?;
         Some(Held {
             wrenches,
             excess,
             shape,
             is_stable,
-            least_squared_frequency: square,
-            growth_rate: growth,
-            first_frequency: is_stable.then(|| square.sqrt()),
+            least_squared_frequency: stability.least_squared_frequency,
+            growth_rate: stability.growth_rate,
+            first_frequency: is_stable.then(|| stability.least_squared_frequency.sqrt()),
             tip_compliance,
             tangent,
         })

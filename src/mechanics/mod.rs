@@ -64,6 +64,7 @@ pub mod lanes;
 pub mod linearization;
 #[doc(hidden)]
 pub mod load;
+pub mod load_path;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
@@ -109,6 +110,7 @@ pub use integrator::{Clock, Integrator, StepError, TimeGrid, TimeNode, TimeSchem
 #[doc(hidden)]
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
+pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile,
@@ -118,4 +120,5 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
 pub use strain::StrainRule;
+pub use tangent::Stability;
 pub use vibration::SmallMotions;

@@ -12,10 +12,11 @@
 use faer::Mat;
 use nalgebra::Vector6;
 
-use super::statics::{LARGEST_TURN, SLOWEST_GROWTH, Statics, Target, largest_turn};
+use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
 use crate::control::problem::Bound;
 use crate::mechanics::Configuration;
 use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::tangent::SLOWEST_GROWTH;
 use crate::mechanics::tangent::{Mode, TangentLu, dot};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,

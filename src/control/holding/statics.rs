@@ -423,8 +423,6 @@ impl Statics<'_> {
     }
 }
 
-/// Growth rate over the frequency of the arm at rest up to which an equilibrium is stable for all purposes: an e-fold in 160 of its periods.
-pub(super) const SLOWEST_GROWTH: f64 = 1e-3;
 const NEWTON_STEPS: usize = 25;
 /// Residual, over EI/L² and EI/L, at which an equilibrium is one.
 const SETTLED: f64 = 1e-6;
