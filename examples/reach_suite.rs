@@ -391,7 +391,10 @@ fn thrown(
     };
     let shape = held.initial.configuration;
     let tip = shape.positions.len() - 1;
-    let is_stable = || Stability::of(&held.rod, &shape, 0.0).is_some_and(|found| found.is_stable);
+    let is_stable = || {
+        Stability::of(&held.rod, &shape, 0.0)
+            .is_some_and(|found| found.is_stable && found.is_definite)
+    };
     if stay && !is_stable() {
         return Ok(None);
     }

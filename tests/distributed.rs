@@ -275,6 +275,77 @@ horizon_s = 0.3
         assert_eq!(nodes, [5, 1, 2, 3, 4]);
     }
 
+    /// A tapered silicone arm that hangs with a payload and is driven by chambers, as couples along it.
+    const CHAMBERS: &str = "\
+[rod]
+length_m = 0.30
+elements = 12
+[rod.material]
+preset = \"dragon-skin-30\"
+[rod.section]
+radius_base_m = 0.015
+radius_tip_m = 0.008
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[payload]
+mass_kg = 0.04
+[damping]
+internal_s = 0.01
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 1.5
+[task]
+position_m = [0.08, 0.0, -0.285]
+at_rest = \"tip\"
+tolerance_m = 0.005
+[control]
+[control.distributed]
+points = 3
+moment_max_n_m_per_m = [0.3, 0.3, 0.0]
+";
+
+    /// `check` shows couples as what they are, no force on a node, and by which of them the target is held, within their bounds; a solve of the scene is certified.
+    #[test]
+    fn couples_are_checked_as_couples() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("chambers.toml"), CHAMBERS).unwrap();
+        let run = |arguments: &[&str]| {
+            let output = softarm(folder.path(), arguments);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}");
+            let text = String::from_utf8(output.stdout).unwrap();
+            let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+            (summary, said)
+        };
+        let (summary, said) = run(&["check", "chambers.toml", "--json"]);
+        assert!(!said.contains("nothing is actuated"), "{said}");
+        let acting: Vec<&serde_json::Value> = (summary["actuators"].as_array().unwrap().iter())
+            .filter(|actuator| actuator["controls"].is_string())
+            .collect();
+        let [couples] = &acting[..] else {
+            panic!("{summary}")
+        };
+        assert_eq!(couples["force"], "none");
+        assert_eq!(couples["moment"], "none");
+        let need = &summary["static_need"];
+        assert_eq!(need["verdict"], "within-bounds", "{need}");
+        for wrench in need["wrenches"].as_array().unwrap() {
+            assert!(wrench.as_array().unwrap().iter().all(|part| *part == 0.0));
+        }
+        let controls = need["controls"][0].as_array().unwrap();
+        let values: Vec<f64> = controls.iter().map(|u| u.as_f64().unwrap()).collect();
+        assert!(values.iter().any(|u| *u != 0.0));
+        assert!(
+            values.iter().all(|u| u.abs() <= 0.3 * (1.0 + 1e-5)),
+            "{values:?}"
+        );
+        let (summary, _) = run(&["solve", "chambers.toml", "--out", "solved", "--json"]);
+        assert_eq!(summary["check"]["verdict"], "certified");
+    }
+
     /// What cannot be is refused by its key.
     #[test]
     fn scenes_say_what_is_wrong() {

@@ -643,6 +643,57 @@ fn speeds_and_stretches_that_contradict_goals() {
     );
 }
 
+/// A hanging silicone arm whose tip should go 20 cm aside: neither a curvature of 0.5 1/m nor a speed of 0.1 m/s lets it, which its refusal says with the number that is
+/// needed at least. A speed needs the way over the time; the curvature of an arm that bends by it all along takes the tip no more than `(1 - cos κL)/κ` aside.
+#[test]
+fn hanging_arms_are_told_what_a_target_takes() {
+    const HANGING: &str = r#"
+        [rod]
+        length_m = 0.5
+        elements = 8
+        [rod.material]
+        preset = "dragon-skin-30"
+        [rod.section]
+        radius_m = 0.015
+        [base]
+        direction = [0, 0, -1]
+        [gravity]
+        acceleration_m_s2 = [0, 0, -9.81]
+        [damping]
+        viscous_1_s = 1.0
+        internal_s = 0.005
+        [initial]
+        shape = "equilibrium"
+        [time]
+        end_s = 1.5
+        [task]
+        position_m = [0.2, 0.0, -0.43]
+        [control]
+        force_max_n = 3.0
+        [[limit]]
+    "#;
+    let refused = |limit: &str| {
+        let text = format!("{HANGING}{limit}");
+        let (scene, source) = Scene::from_toml("hanging.toml", &text, &[]).unwrap();
+        let error = scene.optimal_control(&source).expect_err(limit);
+        assert_eq!(error.key(), Some("limit.0"));
+        error
+    };
+    let error = refused("curvature_max_1_m = 0.5");
+    let needed = number_before(&error, " 1/m of bending or more");
+    // What is sure is less than what the whole arm would need, and more than is allowed.
+    let aside = |curvature: f64| (1.0 - (0.5 * curvature).cos()) / curvature;
+    assert!(aside(0.5) < 0.062);
+    assert!(needed > 0.5 && aside(needed) < 0.2, "{error}");
+    assert!(error.to_string().contains("allows 0.5 1/m"), "{error}");
+    let error = refused("speed_max_m_s = 0.1");
+    let needed = number_before(&error, " m/s or more");
+    // The arm hangs straight and is stretched by its weight a little.
+    let way = (0.2_f64.powi(2) + 0.075_f64.powi(2)).sqrt();
+    assert!((needed - way / 1.5).abs() < 2e-3, "{error}");
+    assert!(error.to_string().contains("allows 0.1 m/s"), "{error}");
+}
+
 /// No shape within the limits is refused: random arms whose sections bend by up to the largest curvature, twist by up to the largest twist, and are
 /// strained by up to 0.3, at rest or moving.
 #[test]

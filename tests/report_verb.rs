@@ -151,7 +151,7 @@ fn pages_from_files_are_those_of_the_run() {
     let linear = ["--set", "control.hold=\"linear\""];
     let cubic = ["--set", "control.hold=\"cubic\""];
     let diagnostics = ["--set", "output.diagnostics=true"];
-    let runs: [(&str, &str, &str, &[&str]); 7] = [
+    let runs: [(&str, &str, &str, &[&str]); 8] = [
         ("solve", "solve.toml", "held", &[]),
         ("solve", "solve.toml", "linear", &linear),
         ("solve", "solve.toml", "cubic", &cubic),
@@ -163,7 +163,8 @@ fn pages_from_files_are_those_of_the_run() {
             "rows",
             &["--set", "output.rate_hz=50"],
         ),
-        ("mpc", "loop.toml", "loop", &[]),
+        ("mpc", "loop.toml", "loop", &["--baselines"]),
+        ("equilibrium", "sag.toml", "rests", &["--to", "2"]),
     ];
     for (verb, scene, out, more) in runs {
         desk.done(&[&[verb, scene, "--out", out, "--quiet"], more].concat());
@@ -318,6 +319,138 @@ fn images_have_the_extremes_of_the_check() {
     assert!(!names.iter().any(|name| *name == "twist"), "{names:?}");
 }
 
+/// The page of a loop has the tip beside its reference, estimates with bands, other laws as bars of their errors in the summary, the sensors, and in which figures the
+/// arm is not the controller's model.
+#[test]
+fn the_page_of_a_loop_says_what_it_knows() {
+    let desk = Desk::new();
+    let set = ["--set", "plant.actuator.delay_s=0.02"];
+    let run = ["mpc", "loop.toml", "--out", "loop", "--baselines", "--json"];
+    let run = desk.done(&[&run[..], &set].concat());
+    let summary: Value = serde_json::from_str(&run.stdout).unwrap();
+    let data = desk.data("loop/report.html");
+    let list = |key: &str| data[key].as_array().unwrap().clone();
+    let mut samples = csv::Reader::from_path(desk.path("loop/samples.csv")).unwrap();
+    let heads = samples.headers().unwrap().clone();
+    let rows: Vec<csv::StringRecord> = samples.records().map(Result::unwrap).collect();
+    let column = |name: &str| -> Vec<f64> {
+        let at = heads.iter().position(|head| head == name).unwrap();
+        rows.iter().map(|row| row[at].parse().unwrap()).collect()
+    };
+    let charts = list("charts");
+    let chart = |title: &str| charts.iter().find(|chart| chart["title"] == title).unwrap();
+    let tip = &chart("Tip beside its reference, x")["series"];
+    assert_eq!(numbers(&tip[0]["y"]), column("tip_x"));
+    assert_eq!(numbers(&tip[1]["y"]), column("reference_x"));
+    assert!(tip[1]["dashed"] == true && tip[0]["dashed"] == false);
+    let force = &chart("Estimated force on the tip")["series"];
+    assert_eq!(numbers(&force[0]["band"]), column("deviation_tip_fx"));
+    let bars = &list("bars")[0]["bars"];
+    let laws = summary["baselines"].as_object().unwrap();
+    assert_eq!(bars.as_array().unwrap().len(), 1 + laws.len());
+    for (name, law) in laws {
+        let name = name.replace('_', " ");
+        let bar = (bars.as_array().unwrap().iter()).find(|bar| bar[0] == *name);
+        let rms = law["tip_error_over_length"]["rms"].as_f64();
+        let shown = bar.unwrap_or_else(|| panic!("no {name}"))[1].as_f64();
+        assert_eq!(shown, rms.map(|part| 100.0 * part), "{name}");
+    }
+    let tables = list("tables");
+    let [sensors, plant] = &tables[..] else {
+        panic!("{tables:?}")
+    };
+    assert_eq!(sensors["rows"].as_array().unwrap().len(), 2);
+    assert!(
+        sensors["rows"][1][1]
+            .as_str()
+            .unwrap()
+            .ends_with("tip force")
+    );
+    let names: Vec<&Value> = (plant["rows"].as_array().unwrap().iter())
+        .map(|row| &row[0])
+        .collect();
+    assert_eq!(names, ["discretized by", "delay of commands"]);
+    assert_eq!(
+        list("advice").len(),
+        summary["advice"].as_array().map_or(0, Vec::len)
+    );
+}
+
+/// The page of statics: its clock is the load factor, the loads at its frames are so many times those of the scene, and its figures are those of the tables beside it;
+/// a load factor of 1 has the shape of `initial.shape = "equilibrium"`.
+#[test]
+fn the_page_of_statics_is_over_the_load_factor() {
+    let desk = Desk::new();
+    let run = ["equilibrium", "sag.toml", "--out", "rests", "--json"];
+    let run = desk.done(&[&run[..], &["--to", "2", "--points", "4"]].concat());
+    let summary: Value = serde_json::from_str(&run.stdout).unwrap();
+    let data = desk.data("rests/report.html");
+    assert_eq!(data["clock"]["name"], "load factor");
+    // 0, 2/3, 4/3 and 2, and 1 in any case.
+    let factors = [0.0, 2.0 / 3.0, 1.0, 4.0 / 3.0, 2.0];
+    assert_eq!(numbers(&data["motion"]["t"]), factors);
+    let arrows = data["arrows"].as_array().unwrap();
+    let of = |name: &str| arrows.iter().find(|arrow| arrow["name"] == name).unwrap();
+    let mass = 1000.0 * std::f64::consts::PI * 0.05_f64.powi(2);
+    for (frame, factor) in factors.into_iter().enumerate() {
+        let load = numbers(&of("load")["vectors"][frame]);
+        for (part, whole) in load.iter().zip([0.0, 3.0, 4.0]) {
+            assert!((part - factor * whole).abs() < 1e-5, "{load:?}");
+        }
+        let weight = numbers(&of("weight")["vectors"][frame])[2];
+        assert!((weight + factor * 9.81 * mass).abs() < 1e-4 * 9.81 * mass);
+    }
+    let mut sweep = csv::Reader::from_path(desk.path("rests/sweep.csv")).unwrap();
+    let rows: Vec<csv::StringRecord> = sweep.records().map(Result::unwrap).collect();
+    let tip = numbers(&summary["tip"]["position_m"]);
+    let at_one: Vec<f64> = (1..4).map(|i| rows[2][i].parse().unwrap()).collect();
+    assert_eq!(at_one, tip);
+    let mut shape = csv::Reader::from_path(desk.path("rests/shape.csv")).unwrap();
+    let last = shape.records().last().unwrap().unwrap();
+    let end: Vec<f64> = (2..5).map(|i| last[i].parse().unwrap()).collect();
+    assert_eq!(end, tip);
+    // The base carries the weight and the load.
+    let base = numbers(&summary["base"]["force_n"]);
+    assert!((base[1] + 3.0).abs() < 1e-6 && (base[2] + 4.0 - 9.81 * mass).abs() < 1e-6);
+
+    let shape = "initial.shape=\"equilibrium\"";
+    let set = ["--set", shape, "--set", "time.end_s=0.001"];
+    let simulate = ["simulate", "sag.toml", "--out", "moves", "--quiet"];
+    desk.done(&[&simulate[..], &set].concat());
+    let motion = desk.data("moves/report.html");
+    let start = numbers(&motion["motion"]["tip"][0]);
+    for (a, b) in start.iter().zip(&tip) {
+        assert!((a - b).abs() < 1e-9, "{start:?} {tip:?}");
+    }
+    // And it can be drawn and taken elsewhere like any motion.
+    desk.done(&["export", "rests", "--to", "svg"]);
+}
+
+/// What statics cannot find or do is refused, each by its name.
+#[test]
+fn statics_that_are_none_are_refused() {
+    let desk = Desk::new();
+    let refused = |more: &[&str], code: i32, words: &[&str]| {
+        desk.refused(&[&["equilibrium", "sag.toml"], more].concat(), code, words);
+        assert!(!desk.path("results/sag-equilibrium").exists());
+    };
+    refused(&["--to", "0.5"], USAGE, &["--to 0.5", "from 1"]);
+    refused(&["--to", "nan"], USAGE, &["--to NaN"]);
+    refused(&["--time", "-1"], USAGE, &["--time"]);
+    refused(&["--imperfection", "2"], USAGE, &["--imperfection 2"]);
+    refused(&["--vary", "wind"], USAGE, &["wind", "gravity"]);
+    refused(
+        &["--set", "base.kind=\"free\""],
+        USAGE,
+        &["base.kind", "free"],
+    );
+    refused(
+        &["--set", "rod.elemnts=4"],
+        USAGE,
+        &["elemnts", "did you mean"],
+    );
+}
+
 /// Several results on one page: every run with its motion, the keys of the scenes and of the summaries that differ, by how much, and the
 /// same by `--json`.
 #[test]
@@ -357,6 +490,8 @@ fn results_are_compared() {
     assert_eq!(elements["change"], "+100 %");
     row("Results", "objective");
     row("Results", "check.refined_space_m");
+    // What was changed comes before what follows from it.
+    assert_eq!(data["tables"][0]["title"], "Scenes");
     let said: Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!(said["differences"], data["tables"]);
     assert_eq!(said["report"], "comparison.html");
@@ -382,8 +517,22 @@ fn pages_work_in_a_browser() {
     desk.done(&["solve", "solve.toml", "--out", "run", "--quiet"]);
     desk.done(&["simulate", "sag.toml", "--out", "sag", "--quiet"]);
     desk.done(&["report", "sag", "sag"]);
+    desk.done(&[
+        "mpc",
+        "loop.toml",
+        "--out",
+        "loop",
+        "--baselines",
+        "--quiet",
+    ]);
+    desk.done(&["equilibrium", "sag.toml", "--out", "rests", "--quiet"]);
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/report_page.py");
-    let pages = ["run/report.html", "comparison.html"];
+    let pages = [
+        "run/report.html",
+        "comparison.html",
+        "loop/report.html",
+        "rests/report.html",
+    ];
     let started = Command::new("python3")
         .arg(script)
         .args(pages)
@@ -397,7 +546,7 @@ fn pages_work_in_a_browser() {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}{errors}");
     assert!(
-        said.contains("8 passed, 0 failed") || said.contains("skipped"),
+        said.contains("16 passed, 0 failed") || said.contains("skipped"),
         "{said}{errors}"
     );
 }

@@ -4,16 +4,19 @@ mod common;
 
 use std::f64::consts::PI;
 
-use common::published::statics::{bent_across, unit_rod};
+use common::published::statics::{bent_across, elastica, post_buckling, unit_rod};
 use common::{RULES, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
 use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
 use softarm::mechanics::{
-    BaseCondition, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile,
-    SmallMotions, StrainRule,
+    BaseCondition, Critical, Kept, Load, LoadFrame, LoadPath, Loss, Material, Rod, RodParameters,
+    Section, SectionProfile, SmallMotions, StrainRule, Varied,
 };
 use softarm::scene::Scene;
+use softarm::solve::{StaticsOptions, statics};
+use softarm::stop::StopSignal;
+use softarm::task::{Arm, Discretization, Place, PointLoad};
 
 /// Small tip load, both strain rules: the deflection approaches FL³/(3EI) + FL/(GA) at second order in l.
 #[test]
@@ -400,4 +403,224 @@ fn too_little_holds_nothing() {
             ..
         }
     ));
+}
+
+/// The path of a rod whose loads all grow together.
+fn critical_factor(rod: &Rod, varied: Varied) -> Critical {
+    let stop = StopSignal::default();
+    let path = LoadPath::new(rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
+    path.critical(&path.start().unwrap()).unwrap()
+}
+
+/// The factor at which stability is lost in this way.
+fn lost(rod: &Rod, varied: Varied, expected: Loss) -> f64 {
+    match critical_factor(rod, varied) {
+        Critical::Lost { factor, how } => {
+            assert_eq!(how, expected);
+            factor
+        }
+        kept @ Critical::Kept { .. } => panic!("{kept:?}"),
+    }
+}
+
+/// An error that falls with the square of the elements' length: by four from `n` to `2 n` elements, and to no more than `tolerance`.
+fn assert_converges(what: &str, exact: f64, n: usize, tolerance: f64, of: impl Fn(usize) -> f64) {
+    let [coarse, fine] = [n, 2 * n].map(|n| (of(n) / exact - 1.0).abs());
+    let order = (coarse / fine).log2();
+    assert!(
+        (1.8..2.2).contains(&order) && fine < tolerance,
+        "{what}: order {order}, errors {coarse:e} {fine:e}"
+    );
+}
+
+/// Critical load factors against closed forms, at second order in the elements: Euler's `π²/4 EI/L²` of a dead force on the tip, Greenhill's
+/// `7.837 EI/L³` of the own weight, Beck's `20.05 EI/L²` of a force that turns with the tip (Beck 1952), where motions of two frequencies meet and grow.
+#[test]
+fn critical_load_factors_are_the_published_ones() {
+    // Shear and stretch change the factors by about P/GA, the inertia of sections Beck's by about J/(m L²).
+    let slender = |n: usize| RodParameters {
+        section: SectionProfile::Uniform(Section {
+            linear_stiffness: Vector3::repeat(1e6),
+            angular_stiffness: Vector3::repeat(1.0),
+            mass: 1.0,
+            rotary: Vector3::repeat(1e-6),
+        }),
+        ..unit_rod(StrainRule::Helical, n, 1e6)
+    };
+    let pressed = |n: usize, frame| {
+        Rod::new(&RodParameters {
+            loads: tip_load(n, [0.0, 0.0, -1.0], [0.0; 3], frame),
+            ..slender(n)
+        })
+        .unwrap()
+    };
+    let euler = |n| lost(&pressed(n, LoadFrame::Spatial), Varied::All, Loss::Buckling);
+    assert_converges("Euler", 0.25 * PI * PI, 8, 2e-3, euler);
+    let greenhill = |n| {
+        let rod = Rod::new(&RodParameters {
+            gravity: Vector3::new(0.0, 0.0, -1.0),
+            ..slender(n)
+        })
+        .unwrap();
+        lost(&rod, Varied::All, Loss::Buckling)
+    };
+    assert_converges("Greenhill", 7.837_347, 8, 3e-3, greenhill);
+    let beck = |n| lost(&pressed(n, LoadFrame::Body), Varied::All, Loss::Flutter);
+    assert_converges("Beck", 20.05, 10, 1e-2, beck);
+}
+
+/// The factor multiplies what it is asked to: of an upright column under its weight `w` (of Greenhill's) and a force `p` (of Euler's), which loses its stability at
+/// about `w + p = 1` (Dunkerley, whose estimate is low by no more than a few parts in a hundred).
+#[test]
+fn the_factor_multiplies_what_is_asked() {
+    let n = 16;
+    let (w, p) = (0.4, 0.3);
+    let rod = Rod::new(&RodParameters {
+        gravity: Vector3::new(0.0, 0.0, -w * 7.837_347),
+        loads: tip_load(
+            n,
+            [0.0, 0.0, -p * 0.25 * PI * PI],
+            [0.0; 3],
+            LoadFrame::Spatial,
+        ),
+        ..unit_rod(StrainRule::Helical, n, 1e6)
+    })
+    .unwrap();
+    for (varied, expected) in [
+        (Varied::All, 1.0 / (w + p)),
+        (Varied::Loads, (1.0 - w) / p),
+        (Varied::Gravity, (1.0 - p) / w),
+    ] {
+        let factor = lost(&rod, varied, Loss::Buckling);
+        let over = factor / expected;
+        assert!((0.995..1.05).contains(&over), "{varied:?}: {factor}");
+        // At the factor the smallest eigenvalue vanishes: on either side of it the column sways, or topples.
+        let stop = StopSignal::default();
+        let path = LoadPath::new(&rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
+        let grows = |factor: f64| {
+            let rod = path.rod_at(factor);
+            let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+            SmallMotions::about(&rod, &shape, 0.0)
+                .growth_rate()
+                .is_some()
+        };
+        assert!(!grows(0.999 * factor) && grows(1.001 * factor));
+    }
+}
+
+/// A sweep over a load across the tip is the elastica (Bisshopp and Drucker 1945; Mattiasson 1981), to the error of its elements, which the equilibrium of twice
+/// as many elements tells; it is stable throughout.
+#[test]
+fn a_sweep_across_is_the_elastica() {
+    let rows = elastica();
+    let last = 10.0;
+    let error = |n: usize| {
+        let rod = Rod::new(&RodParameters {
+            loads: tip_load(n, [last, 0.0, 0.0], [0.0; 3], LoadFrame::Spatial),
+            ..unit_rod(StrainRule::Helical, n, 1e7)
+        })
+        .unwrap();
+        let stop = StopSignal::default();
+        let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+        let mut at = path.start().unwrap();
+        let mut worst = 0.0_f64;
+        for row in rows.iter().filter(|row| row.load <= last) {
+            at = path.at(&at, row.load / last).unwrap();
+            assert!(at.stability.unwrap().is_stable && !at.jumped);
+            worst = worst.max(row.position_error(&at.shape));
+        }
+        worst
+    };
+    let [coarse, fine] = [20, 40].map(error);
+    let order = (coarse / fine).log2();
+    assert!(
+        (1.9..2.1).contains(&order) && fine < 2e-4,
+        "order {order}, errors {coarse:e} {fine:e}"
+    );
+}
+
+/// A hanging arm is stable under any load factor until it is stretched beyond rods; the base carries its weight, and its tip sinks by `ρA g L²/(2 EA)`.
+#[test]
+fn hanging_arms_never_buckle() {
+    let arm = Arm {
+        gravity: Vector3::new(0.0, 0.0, 9.81),
+        ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
+    };
+    let discretization = Discretization::with_elements(10);
+    let options = StaticsOptions::default();
+    let found = statics(&arm, &discretization, &options, &StopSignal::default()).unwrap();
+    let rod = &found.rod;
+    let weight = rod.mass() * 9.81;
+    let sinks = 0.5 * weight / rod.elements[0].linear_stiffness.z;
+    let tip = found.own.shape.positions[rod.tip()];
+    assert!((tip.z - 1.0 - sinks).abs() < 1e-9, "{tip} {sinks}");
+    let base = rod.static_reaction(&found.own.shape, 0.0);
+    assert!((base.force - Vector3::new(0.0, 0.0, -weight)).norm() < 1e-9 * weight);
+    let Critical::Kept { factor, why } = found.critical else {
+        panic!("{:?}", found.critical)
+    };
+    // The first element carries all of the weight but half of its own.
+    let largest = 0.3 / (2.0 * sinks * (1.0 - 0.05));
+    assert_eq!(why, Kept::OutOfRange);
+    assert!(
+        factor < largest && factor > 0.5 * largest,
+        "{factor} {largest}"
+    );
+    assert!(found.refined_space.unwrap() < 1e-9);
+    assert!(found.goes_to.is_none());
+}
+
+/// A column above its Euler load: its straight equilibrium is unstable, and pushed a little it goes to the tip of the published table of post-buckling.
+#[test]
+fn a_buckled_column_goes_to_its_published_shape() {
+    let row = *post_buckling().iter().find(|row| row.load > 2.9).unwrap();
+    let (n, ei) = (40, 1e6 * PI * 0.01_f64.powi(4) / 4.0);
+    let mut arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.01);
+    arm.loads.push(PointLoad {
+        force: Vector3::new(0.0, 0.0, -row.load * ei),
+        at: Place::Tip,
+        ..PointLoad::default()
+    });
+    let discretization = Discretization::with_elements(n);
+    let options = StaticsOptions::default();
+    let found = statics(&arm, &discretization, &options, &StopSignal::default()).unwrap();
+    assert!(found.own.stability.unwrap().growth_rate.is_some());
+    let there = found.goes_to.expect("a stable shape");
+    let tip = there.shape.positions[n];
+    let apart = (tip.xy().norm() - row.deflection).abs() + (tip.z - 1.0 + row.shortening).abs();
+    // The error of elements, as in `axial_post_buckling`, and the stretch of this thicker rod.
+    let euler = 0.25 * PI * PI;
+    let allowed = row.load / (row.load - euler) * (5e-4 + 0.75 * row.load * 1e-4);
+    assert!(apart < allowed, "{apart:e} {allowed:e}");
+}
+
+/// An arm that bends in a plane alone, leans to one side under more than its critical weight and is pulled to the other one snaps through: at the factor found the equilibrium it leans
+/// in vanishes, and beyond it the sweep goes on from another one, on the other side.
+#[test]
+fn leaning_arms_snap_through() {
+    let n = 12;
+    let lean: f64 = 0.05;
+    let rod = Rod::new(&RodParameters {
+        base_rotation: nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), -lean).into_inner(),
+        gravity: Vector3::new(0.0, 0.0, -1.3 * 7.837_347),
+        loads: tip_load(n, [1.0, 0.0, 0.0], [0.0; 3], LoadFrame::Spatial),
+        section: SectionProfile::Uniform(Section {
+            linear_stiffness: Vector3::repeat(1e5),
+            angular_stiffness: Vector3::new(100.0, 1.0, 100.0),
+            mass: 1.0,
+            rotary: Vector3::repeat(1e-3),
+        }),
+        ..unit_rod(StrainRule::Helical, n, 1e5)
+    })
+    .unwrap();
+    let factor = lost(&rod, Varied::Loads, Loss::Snapping);
+    let stop = StopSignal::default();
+    let path = LoadPath::new(&rod, Varied::Loads, 0.0, Vector3::zeros(), &stop).unwrap();
+    let start = path.start().unwrap();
+    assert!(start.shape.positions[n].x < -0.3);
+    let before = path.at(&start, 0.999 * factor).unwrap();
+    let after = path.at(&before, 1.001 * factor).unwrap();
+    assert!(!before.jumped && before.shape.positions[n].x < 0.0);
+    assert!(after.jumped && after.shape.positions[n].x > 0.3);
+    assert!(after.stability.unwrap().is_stable);
 }

@@ -245,7 +245,7 @@ fn pages_from_files() {
             Some(elements) => assert!(setting.starts_with(&format!("{elements} ")), "{setting}"),
             None => assert_eq!(setting, "–"),
         }
-        assert!(page.contains(&format!("<td>{setting}</td>")), "{setting}");
+        assert!(page.contains(&format!(">{setting}</td>")), "{setting}");
     }
     assert_eq!(settings[2], "–");
     assert_eq!(row(recommended, "tolerance"), ["3e-3", "1e-2", "1e-9"]);
@@ -630,4 +630,48 @@ fn interrupted_sweeps_go_on() {
         "{talk}"
     );
     assert!(points(&again).len() >= ran);
+}
+
+/// What a sweep has run is not lost when it is killed: the next one with `--resume` has its points, one without begins anew, and nothing is left beside the result.
+#[cfg(unix)]
+#[test]
+fn killed_sweeps_go_on() {
+    let desk = Desk::with(SWING);
+    let verb = ["tradeoff", "scene.toml", "--out", "run", "--budget", LONG];
+    let killed = || {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(verb)
+            .args(["--tolerance", "1e-6"])
+            .current_dir(desk.0.path())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        let pipe = std::io::BufReader::new(child.stderr.take().unwrap());
+        let seen: Vec<String> = std::io::BufRead::lines(pipe)
+            .map_while(Result::ok)
+            .filter(|line| line.contains("elements,") || line.ends_with("elements"))
+            .take(5)
+            .collect();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(seen.len(), 5, "{seen:?}");
+        seen.iter().filter(|line| !line.contains("failed")).count()
+    };
+    let seen = killed();
+    assert!(seen > 0 && !desk.path("run/summary.json").exists());
+    let resumed = [&verb[..], &["--tolerance", "3e-3", "--resume"]].concat();
+    let (code, summary, talk) = desk.run(&resumed);
+    assert_eq!(code, DONE, "{talk}");
+    let there = talk
+        .lines()
+        .find_map(|line| line.strip_suffix(" points are there already"));
+    let there: usize = there.expect(&talk).parse().unwrap();
+    assert!(there >= seen, "{there} of {seen}");
+    assert!(points(&summary).len() >= there);
+    assert!(!desk.path(".run.running").exists());
+
+    killed();
+    let (code, _, talk) = desk.run(&[&verb[..], &["--tolerance", "3e-3"]].concat());
+    assert_eq!(code, DONE, "{talk}");
+    assert!(!talk.contains("there already"), "{talk}");
 }

@@ -30,8 +30,9 @@ use crate::scene::{
     TimeScheme as TimeSchemeKey,
 };
 use crate::solve::stands_by_symmetry;
-use crate::task::Discretization;
 use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
+use crate::task::staying::holding_over;
+use crate::task::{Discretization, Staying};
 use crate::tradeoff::Subject;
 
 /// Beyond this the trapezoidal rule bends visibly too stiffly.
@@ -73,7 +74,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         concerns.extend(shorter(&setup, &time));
         plan = Some(Plan {
             actuators: actuators(&setup.problem),
-            need: need(&setup.problem),
+            need: need(&setup.problem, scene.staying(), setup.arm.length),
             cost: SolveCost {
                 iteration_s: time.iteration,
                 iterations: TYPICAL_ITERATIONS,
@@ -105,11 +106,14 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     if let (Some(need), true) = (need, scene.stays())
         && need.verdict != WITHIN
     {
-        concerns.push(
-            "task.at_rest: the arm should stay at its target, which nothing is known to hold; a solve refuses that: move the target, raise the \
-             bounds, allow a moment, or set at_rest = \"tip\""
-                .into(),
-        );
+        let then = match need.verdict {
+            NOT_FOUND => "nothing is known to hold; in a solve the tip only stops for an instant",
+            _ => "nothing within the bounds holds; a solve refuses that",
+        };
+        concerns.push(format!(
+            "task.at_rest: the arm should stay at its target, which {then}: move the target, raise the bounds, allow a moment, or set \
+             at_rest = \"tip\""
+        ));
     }
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
     let at_rest = at_rest(&rod);
@@ -358,8 +362,12 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         .collect()
 }
 
-/// Says whether and by what the tip can be held at its goal; `None` where it has none, or the search was stopped.
-fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
+/// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search was stopped.
+fn need(
+    problem: &OptimalControlProblem,
+    staying: Option<Staying>,
+    length: f64,
+) -> Option<StaticNeedSummary> {
     let summary = |verdict, held: Option<&Held>, reason| StaticNeedSummary {
         verdict,
         wrenches: held.map_or_else(Vec::new, |held| wrenches(problem, held)),
@@ -374,7 +382,11 @@ fn need(problem: &OptimalControlProblem) -> Option<StaticNeedSummary> {
         growth_rate_1_s: held.and_then(|held| held.growth_rate),
         nearest: None,
     };
-    match holding(problem).ok()? {
+    let found = match staying {
+        Some(staying) => holding_over(problem, staying, length),
+        None => holding(problem),
+    };
+    match found.ok()? {
         Holding::Held(held) => Some(summary(WITHIN, Some(&held), None)),
         Holding::NotFound { why } => Some(summary(NOT_FOUND, None, Some(why.to_string()))),
         Holding::CannotBeHeld { why, nearest } => {
@@ -767,7 +779,13 @@ fn held_by(need: &StaticNeedSummary, units: &[&str]) -> String {
                 .map_or_else(String::new, |frequency| {
                     format!(", and the held arm sways at {}", quantity(frequency, "Hz"))
                 });
-            format!("held there by {parts}: within the bounds{stiffness}{swings}")
+            let grows = need.growth_rate_1_s.map_or_else(String::new, |rate| {
+                format!(
+                    "; deviations grow e-fold in {}, too slowly to matter while the arm stays",
+                    quantity(rate.recip(), "s")
+                )
+            });
+            format!("held there by {parts}: within the bounds{stiffness}{swings}{grows}")
         }
         ABOVE => format!("what holds it there, {parts}, is ABOVE THE BOUNDS{nearest}"),
         UNSTABLE => {

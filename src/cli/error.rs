@@ -5,6 +5,7 @@ use crate::control::GuessError;
 use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
+use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::paper::PaperError;
@@ -29,6 +30,11 @@ pub(super) enum CliError {
     /// A simulation broke down.
     #[error("error: {0}")]
     Step(#[from] StepError),
+    /// No equilibrium.
+    #[error(
+        "error: {0}; look at the loads with `softarm check`, and take smaller ones or more elements"
+    )]
+    Statics(EquilibriumError),
     /// No first point.
     #[error("error: no start for the solver: {0}")]
     Guess(#[from] GuessError),
@@ -97,6 +103,7 @@ impl CliError {
             ) => exit::USAGE,
             Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
+            | Self::Statics(_)
             | Self::Guess(_)
             | Self::Mpc(_)
             | Self::Sweep(_)

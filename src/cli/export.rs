@@ -14,7 +14,7 @@ use crate::scene::Scene;
 
 #[derive(Debug, Args)]
 pub(super) struct ExportArguments {
-    /// Result directory of `simulate`, `solve` or `mpc`
+    /// Result directory of `simulate`, `solve`, `mpc` or `equilibrium`
     directory: PathBuf,
     /// Format
     #[arg(long, value_enum)]
@@ -67,7 +67,7 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
     let path = place.join("scene.toml");
     if !path.is_file() {
         return Err(CliError::Directory(format!(
-            "{}: holds no result of simulate, solve or mpc",
+            "{}: holds no result of simulate, solve, mpc or equilibrium",
             place.display()
         )));
     }

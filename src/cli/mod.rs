@@ -5,6 +5,7 @@ mod check;
 mod clearance;
 mod console;
 mod derivatives;
+mod equilibrium;
 mod error;
 mod example;
 mod export;
@@ -107,6 +108,8 @@ enum Command {
         #[arg(long)]
         resume: bool,
     },
+    /// Statics: shape, forces, stability, load factor to buckling, and a sweep over the load factor
+    Equilibrium(equilibrium::EquilibriumArguments),
     /// Optimal control: force and moment sequences, checked by forward simulation
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
@@ -215,6 +218,7 @@ pub fn run() -> ExitCode {
         Command::Simulate { arguments, resume } => {
             simulate::run(arguments, *resume, &cli.global, &console)
         }
+        Command::Equilibrium(arguments) => equilibrium::run(arguments, &cli.global, &console),
         Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
         Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
         Command::Tradeoff(arguments) => tradeoff::run(arguments, &cli.global, &console),

@@ -11,7 +11,9 @@ use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::tradeoff::{TradeoffSummary, page, picture, sentence, write_points};
+use crate::output::tradeoff::{
+    Journal, TradeoffSummary, journal_in, page, picture, sentence, write_points,
+};
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
@@ -79,11 +81,13 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     if let Some(place) = &applied {
         writer.permit(&place.path, place.own)?;
     }
-    let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
     let earlier = match arguments.resume {
         true => Earlier::read(&target, &scene, console)?,
         false => Earlier::default(),
     };
+    let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
+    let mut journal = Journal::begin(directory.path(), &scene.to_toml(), &earlier.points)?;
+    let known = earlier.points.clone();
 
     console.say(&format!(
         "{}: at most {:e} of the length, within {:.0} s",
@@ -100,6 +104,9 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     let mut tell = |news: News| match news {
         News::Words(words) => bar.suspend(|| console.say(&words)),
         News::Point(point, own) => {
+            if !known.iter().any(|known| known.setting == point.setting) {
+                journal.note(point);
+            }
             bar.suspend(|| {
                 usual.get_or_insert_with(|| {
                     console.say("      time     error  setting");
@@ -258,21 +265,44 @@ struct Earlier {
 }
 
 impl Earlier {
-    /// What a sweep of this scene left in a directory; nothing where one was ended before its first point.
+    /// What sweeps of this scene left: in the result directory, and in the folder of a run that was killed; nothing where one was ended before its first
+    /// point.
     fn read(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
+        let journal = journal_in(&RunDirectory::folder_of(target)?);
+        let mut out = if target.join("summary.json").exists() {
+            Self::of_result(target, scene, console)?
+        } else {
+            if journal.is_none() {
+                console.warn(&format!(
+                    "{}: holds no sweep to go on with, so that one begins",
+                    target.display()
+                ));
+            }
+            Self::default()
+        };
+        let Some((text, saved)) = journal else {
+            return Ok(out);
+        };
+        let (earlier, _) = Scene::from_toml("the scene of the killed sweep", &text, &[])?;
+        if earlier != *scene {
+            console.warn("a sweep that was killed was of another scene: its points are left out");
+            return Ok(out);
+        }
+        for point in believed(saved, "the points of the killed sweep", console) {
+            let is_new = !(out.points.iter()).any(|known| known.setting == point.setting);
+            out.points.extend(is_new.then_some(point));
+        }
+        Ok(out)
+    }
+
+    /// What a sweep of this scene left in its result directory.
+    fn of_result(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
         let refuse = |why: &str| {
             CliError::Directory(format!(
                 "cannot resume: {}: {why}; run without --resume",
                 target.display()
             ))
         };
-        if !target.join("summary.json").exists() {
-            console.warn(&format!(
-                "{}: holds no sweep to go on with, so that one begins",
-                target.display()
-            ));
-            return Ok(Self::default());
-        }
         let text = read_text(&target.join("scene.toml"), LARGEST)?;
         let (earlier, _) = Scene::from_toml("the scene of the sweep", &text, &[])?;
         if earlier != *scene {
@@ -281,32 +311,37 @@ impl Earlier {
         let text = read_text(&target.join("summary.json"), LARGEST)?;
         let mut summary: serde_json::Value =
             serde_json::from_str(&text).map_err(|_| refuse("summary.json is not one"))?;
-        let mut points = Vec::new();
         let saved = summary["points"].as_array().cloned().unwrap_or_default();
-        for (at, saved) in saved.into_iter().enumerate() {
-            let fault = match serde_json::from_value::<Point>(saved) {
-                Err(error) => Some(error.to_string()),
-                Ok(point) => match point.fault() {
-                    // What failed is tried again.
-                    None => {
-                        points.extend((point.status == Fate::Done).then_some(point));
-                        None
-                    }
-                    fault => fault,
-                },
-            };
-            if let Some(fault) = fault {
-                console.warn(&format!(
-                    "summary.json: points.{at}: {fault}; it is run again if the sweep comes to it"
-                ));
-            }
-        }
+        let points = believed(saved, "summary.json: points", console);
         let reference = serde_json::from_value::<Reference>(summary["reference"].take()).ok();
         Ok(Self {
             points,
             reference: reference.filter(|reference| reference.fault().is_none()),
         })
     }
+}
+
+/// The points of a file that a sweep has written, and that have an error and a time: what failed is tried again.
+fn believed(saved: Vec<serde_json::Value>, place: &str, console: &Console) -> Vec<Point> {
+    let mut points = Vec::new();
+    for (at, saved) in saved.into_iter().enumerate() {
+        let fault = match serde_json::from_value::<Point>(saved) {
+            Err(error) => Some(error.to_string()),
+            Ok(point) => match point.fault() {
+                None => {
+                    points.extend((point.status == Fate::Done).then_some(point));
+                    None
+                }
+                fault => fault,
+            },
+        };
+        if let Some(fault) = fault {
+            console.warn(&format!(
+                "{place}.{at}: {fault}; it is run again if the sweep comes to it"
+            ));
+        }
+    }
+    points
 }
 
 /// Bytes of the largest file of a sweep that is read.

@@ -7,7 +7,7 @@ use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
 use super::transcription::{LiftedPoint, simulate};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
-use crate::mechanics::{Configuration, Rod, StepError, Trajectory, Wrench};
+use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
 use crate::stop::{Stop, StopSignal};
 
 /// How the first point is made.
@@ -137,22 +137,6 @@ fn smooth(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
-/// The shape, moved as a whole to where a driven base is at time `t`.
-pub(super) fn carried(rod: &Rod, shape: Configuration, t: f64) -> Configuration {
-    let Some(base) = rod.driven_base(t) else {
-        return shape;
-    };
-    let turn = base.rotation * shape.rotations[0].transpose();
-    let from = shape.positions[0];
-    let moved = |x: &Vector3<f64>| base.position + turn * (x - from);
-    let mut out = Configuration {
-        positions: shape.positions.iter().map(moved).collect(),
-        rotations: shape.rotations.iter().map(|r| turn * r).collect(),
-    };
-    out.rotations[0] = base.rotation;
-    out
-}
-
 impl StaticPath {
     /// From the start, by a detour, through the tip's goals, with the base where it is at the end of the horizon.
     /// Where the arm stays, the last shape is that of its equilibrium.
@@ -196,7 +180,7 @@ impl StaticPath {
             );
         }
         let scales = &rod.scales;
-        let mut shape = carried(rod, problem.initial.configuration.clone(), horizon);
+        let mut shape = rod.carried(problem.initial.configuration.clone(), horizon);
         let nothing = vec![Wrench::default(); problem.actuators.len()];
         let mut path = Self {
             waypoints: vec![Waypoint {
@@ -251,7 +235,7 @@ impl StaticPath {
         for k in 0..=grid.n_steps {
             problem.stop.check_at(k)?;
             let shape = self.shape(k as f64 / end);
-            trajectory.push(&carried(&problem.rod, shape, grid.time(k)));
+            trajectory.push(&problem.rod.carried(shape, grid.time(k)));
         }
         Ok(LiftedPoint {
             variables: problem.variables(&self.holds(problem)),

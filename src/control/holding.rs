@@ -20,7 +20,7 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use self::program::{Aim, HoldingPoint, HoldingProgram, SPRING};
 use self::statics::{Statics, Target};
-use super::guess::{SPRINGS, carried};
+use super::guess::SPRINGS;
 use super::problem::OptimalControlProblem;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::exp;
@@ -252,7 +252,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
             nearest: None,
         });
     }
-    let start = carried(rod, problem.initial.configuration.clone(), time);
+    let start = rod.carried(problem.initial.configuration.clone(), time);
     let found = Search {
         statics: &statics,
         target,
@@ -628,15 +628,17 @@ impl Search<'_> {
             .collect();
         let tangent = statics.tangent(&shape, &point.controls, &TipSpring::default());
         let stability = tangent.stability(rod, &shape, statics.unit)?;
+        // The energy of a stay is that of a definite stiffness, also where moments act.
+        let is_stable = stability.growth_rate.is_none() && stability.is_definite;
         let tip_compliance = tangent.tip_compliance()?;
         Some(Held {
             wrenches,
             excess,
             shape,
-            is_stable: stability.is_stable,
+            is_stable,
             least_squared_frequency: stability.least_squared_frequency,
             growth_rate: stability.growth_rate,
-            first_frequency: stability.first_frequency(),
+            first_frequency: is_stable.then(|| stability.least_squared_frequency.sqrt()),
             tip_compliance,
             tangent,
         })

@@ -220,23 +220,69 @@ fn continued(
         }
         rod
     };
-    let mut shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
-    let (mut part, mut stride) = (0.0, FIRST_STRIDE);
-    while part < 1.0 {
+    let shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
+    let strides = [FIRST_STRIDE, LEAST_STRIDE];
+    let each = &mut |_, _: &Configuration, _| Passage::On;
+    let (part, shape) = followed(&under, (0.0, shape), 1.0, strides, t, spring, stop, each)?;
+    Ok((part == 1.0).then_some(shape))
+}
+
+/// What becomes of an equilibrium that was found on a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Passage {
+    /// The path goes on from it.
+    On,
+    /// It is the last one.
+    End,
+    /// It is not on the path: a shorter stride is taken.
+    Refused,
+}
+
+/// Follows the equilibrium of a family of rods from a factor and its shape to another factor by Newton's method. The first stride of the factor is the first
+/// of `strides`; a stride that fails is halved down to the second one, of factors above 1 to that part of them. `each` is told every equilibrium that is found, and whether its stride is the least;
+/// returned is the last one that it did not refuse.
+///
+/// # Errors
+/// [`EquilibriumError::Stopped`].
+#[expect(
+    clippy::too_many_arguments,
+    reason = "a rod, its time and springs, and a path"
+)]
+pub(crate) fn followed(
+    under: &dyn Fn(f64) -> Rod,
+    start: (f64, Configuration),
+    to: f64,
+    strides: [f64; 2],
+    t: f64,
+    spring: &TipSpring,
+    stop: &StopSignal,
+    each: &mut dyn FnMut(f64, &Configuration, bool) -> Passage,
+) -> Result<(f64, Configuration), EquilibriumError> {
+    let (mut factor, mut shape) = start;
+    let [mut stride, least] = strides;
+    while factor < to {
         stop.check()?;
-        let next = f64::min(part + stride, 1.0);
+        let next = f64::min(factor + stride, to);
         let loaded = under(next);
-        match Statics::new(&loaded, t, *spring).solved(&shape) {
-            Some(found) => {
-                shape = found;
-                part = next;
+        let is_least = stride <= least * factor.max(1.0);
+        let found = Statics::new(&loaded, t, *spring).solved(&shape);
+        let passage = match &found {
+            Some(found) => each(next, found, is_least),
+            None => Passage::Refused,
+        };
+        match (passage, found) {
+            (Passage::On | Passage::End, Some(found)) => {
+                (factor, shape) = (next, found);
                 stride *= 1.5;
+                if passage == Passage::End {
+                    break;
+                }
             }
-            None if stride > LEAST_STRIDE => stride *= 0.5,
-            None => return Ok(None),
+            _ if is_least => break,
+            _ => stride *= 0.5,
         }
     }
-    Ok(Some(shape))
+    Ok((factor, shape))
 }
 
 /// Whether the work of a load has a potential: a force fixed in space, no moment.

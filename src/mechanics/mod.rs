@@ -64,6 +64,7 @@ pub mod lanes;
 pub mod linearization;
 #[doc(hidden)]
 pub mod load;
+pub mod load_path;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
@@ -111,6 +112,7 @@ pub use integrator::{Clock, Integrator, StepError, TimeGrid, TimeNode, TimeSchem
 #[doc(hidden)]
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
+pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile,

@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
+use super::forces::NodalForces;
 use super::integrator::TimeScheme;
-use super::load::{DistributedLoad, Load};
+use super::load::{DistributedLoad, Load, Wrench};
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
 use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
 
@@ -526,6 +527,33 @@ impl Rod {
                 Some(motion.at(position, rotation, t))
             }
             BaseCondition::Clamped | BaseCondition::Free => None,
+        }
+    }
+
+    /// The shape, moved as a whole to where a driven base is at time `t`.
+    pub(crate) fn carried(&self, shape: Configuration, t: f64) -> Configuration {
+        let Some(base) = self.driven_base(t) else {
+            return shape;
+        };
+        let turn = base.rotation * shape.rotations[0].transpose();
+        let from = shape.positions[0];
+        let moved = |x: &Vector3<f64>| base.position + turn * (x - from);
+        let mut out = Configuration {
+            positions: shape.positions.iter().map(moved).collect(),
+            rotations: shape.rotations.iter().map(|r| turn * r).collect(),
+        };
+        out.rotations[0] = base.rotation;
+        out
+    }
+
+    /// What the base exerts on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the frame of the base.
+    #[must_use]
+    pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
+        let mut net = NodalForces::zeros(self.n_nodes());
+        net.evaluate(self, &at.positions, &at.rotations, t);
+        Wrench {
+            force: -net.forces[0],
+            moment: -net.moments[0],
         }
     }
 

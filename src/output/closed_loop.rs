@@ -211,6 +211,8 @@ pub struct SampleRow {
     pub t: f64,
     /// When its command began to act, s.
     pub acts_from: f64,
+    /// Where the tip was, m.
+    pub tip: [f64; 3],
     /// Where the tip should have been, m.
     pub reference: Option<[f64; 3]>,
     /// Distance of the tip from there, m; NaN without a reference.
@@ -245,6 +247,7 @@ impl SampleRow {
         Self {
             t: sample.t,
             acts_from: sample.acts_from,
+            tip: sample.tip,
             reference: sample.reference,
             error: sample.tip_error(),
             turn: sample.turn.unwrap_or(f64::NAN),
@@ -295,6 +298,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
     let [
         t,
         acts_from,
+        tip,
         reference,
         error,
         turn,
@@ -305,6 +309,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
     ] = [
         "t",
         "acts_from",
+        "tip_x",
         "reference_x",
         "error",
         "turn",
@@ -314,7 +319,8 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         "estimate_ms",
     ]
     .map(column);
-    let (t, acts_from, reference, error, turn) = (t?, acts_from?, reference?, error?, turn?);
+    let (t, acts_from, tip) = (t?, acts_from?, tip?);
+    let (reference, error, turn) = (reference?, error?, turn?);
     let (force, estimated, deviation, times) = (force?, estimated?, deviation?, times?);
     let mut rows = Vec::new();
     for record in reader.records() {
@@ -339,6 +345,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         let mut row = SampleRow {
             t: number(t)?,
             acts_from: number(acts_from)?,
+            tip: three(tip)?,
             reference: has_reference.then(|| three(reference)).transpose()?,
             error: known(error)?,
             turn: known(turn)?,

@@ -28,11 +28,19 @@ pub enum ResultKind {
     Mpc,
     /// `softarm tradeoff`
     Tradeoff,
+    /// `softarm equilibrium`
+    Equilibrium,
 }
 
 impl ResultKind {
     /// Every kind.
-    pub const ALL: [Self; 4] = [Self::Simulate, Self::Solve, Self::Mpc, Self::Tradeoff];
+    pub const ALL: [Self; 5] = [
+        Self::Simulate,
+        Self::Solve,
+        Self::Mpc,
+        Self::Tradeoff,
+        Self::Equilibrium,
+    ];
 
     /// The word of the command line.
     #[must_use]
@@ -42,6 +50,7 @@ impl ResultKind {
             Self::Solve => "solve",
             Self::Mpc => "mpc",
             Self::Tradeoff => "tradeoff",
+            Self::Equilibrium => "equilibrium",
         }
     }
 
@@ -85,6 +94,15 @@ impl ResultKind {
                 "report.html",
                 SUMMARY,
             ],
+            Self::Equilibrium => &[
+                "scene.toml",
+                "trajectory.npz",
+                "shape.csv",
+                "elements.csv",
+                "sweep.csv",
+                "report.html",
+                SUMMARY,
+            ],
         }
     }
 
@@ -94,7 +112,7 @@ impl ResultKind {
             Self::Simulate => &["node_steps_per_s", "strain", "directory"],
             Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
             // All of them name their tool.
-            Self::Mpc | Self::Tradeoff => &["tool"],
+            Self::Mpc | Self::Tradeoff | Self::Equilibrium => &["tool"],
         }
     }
 
@@ -119,7 +137,7 @@ impl ResultKind {
         if !directory.is_dir() {
             return Err(OutputError::refused(
                 directory,
-                "no such directory; name the result directory of a simulate, solve or mpc",
+                "no such directory; name the result directory of a simulate, solve, mpc or equilibrium",
             ));
         }
         let path = directory.join(SUMMARY);
@@ -139,7 +157,7 @@ impl ResultKind {
         let Some(kind) = Self::of_summary(&summary) else {
             return Err(OutputError::malformed(
                 &path,
-                "not the summary of a simulate, solve or mpc of softarm",
+                "not the summary of a simulate, solve, mpc, tradeoff or equilibrium of softarm",
             ));
         };
         if summary["status"] == UNFINISHED {

@@ -6,6 +6,9 @@ pub mod closed_loop;
 mod controls;
 mod diagnostics;
 mod directory;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod equilibrium;
 mod error;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -43,10 +46,11 @@ pub use reading::read_text;
 pub(crate) use reading::{Unreadable, open_regular, read_regular};
 #[doc(hidden)]
 pub use report::{
-    ArrowKind, Bound, Hold, ReportArm, ReportArrow, ReportAttempt, ReportChart, ReportCheck,
-    ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy, ReportField,
-    ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles, ReportPath,
-    ReportSensitivity, ReportShape, ReportTarget, ReportVerdict, ReportVia, figure, render_report,
+    ArrowKind, Bound, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
+    ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
+    ReportField, ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
+    ReportPath, ReportSensitivity, ReportShape, ReportTable, ReportTarget, ReportVerdict,
+    ReportVia, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]

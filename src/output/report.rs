@@ -46,6 +46,8 @@ pub struct ReportData {
     pub arm: ReportArm,
     /// Its motion, thin enough to draw.
     pub motion: ReportMotion,
+    /// What the times of the motion are.
+    pub clock: ReportClock,
     /// The target of the tip.
     pub target: Option<ReportTarget>,
     /// Points that nodes should be at on the way.
@@ -66,6 +68,12 @@ pub struct ReportData {
     pub sensitivity: Option<ReportSensitivity>,
     /// More charts.
     pub charts: Vec<ReportChart>,
+    /// Sizes beside each other.
+    pub bars: Vec<ReportBars>,
+    /// More tables.
+    pub tables: Vec<ReportTable>,
+    /// Advice, in sentences.
+    pub advice: Vec<String>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
     /// The solves that the iterations belong to.
@@ -86,6 +94,43 @@ pub enum ReportCommand {
     Solve,
     /// Closed loop in simulation.
     Mpc,
+    /// Statics over a load factor.
+    Equilibrium,
+}
+
+/// The quantity over which a motion is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct ReportClock {
+    /// Its name on axes.
+    pub name: &'static str,
+    /// The same after "over".
+    pub words: &'static str,
+    /// Its letter.
+    pub symbol: &'static str,
+    /// Its unit; may be empty.
+    pub unit: &'static str,
+}
+
+impl ReportClock {
+    /// The time, s.
+    pub fn time() -> Self {
+        Self {
+            name: "time",
+            words: "time",
+            symbol: "t",
+            unit: "s",
+        }
+    }
+
+    /// The load factor of statics.
+    pub fn load_factor() -> Self {
+        Self {
+            name: "load factor",
+            words: "the load factor",
+            symbol: "\u{3bb}",
+            unit: "",
+        }
+    }
 }
 
 /// The outcome in a few words.
@@ -416,8 +461,34 @@ pub struct ReportCurve {
     pub y: Vec<f64>,
     /// Whether it consists of steps.
     pub hold: bool,
-    /// Whether it is a thin line without a name.
-    pub thin: bool,
+    /// Half the width of a band around it, at every value; empty: none.
+    pub band: Vec<f64>,
+    /// Whether it is dashed: what should be, beside what is.
+    pub dashed: bool,
+}
+
+/// Sizes beside each other, as bars.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportBars {
+    /// Heading of the section that they are in.
+    pub section: String,
+    /// What they show.
+    pub title: String,
+    /// Name, size (at least zero; what is not finite has no bar), and the size in words.
+    pub bars: Vec<(String, f64, String)>,
+    /// What has to be known to read them; may be empty.
+    pub note: String,
+}
+
+/// A table.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportTable {
+    /// Heading.
+    pub title: String,
+    /// Names of the columns.
+    pub heads: Vec<String>,
+    /// The rows, the first column being their names.
+    pub rows: Vec<Vec<String>>,
 }
 
 /// Largest growth of a perturbation of the initial state, in the norm of its energy.

@@ -21,6 +21,8 @@ const MANIFEST: &str = "manifest";
 const PLACEHOLDER: &str = "unfinished.json";
 /// Folders of the rows of a simulation.
 const ROW_FOLDERS: [&str; 2] = ["trajectory", "diagnostics"];
+/// Points of a trade-off on its way.
+pub(super) const JOURNAL_FILE: &str = "points.jsonl";
 /// The ending of files of rows.
 const ROW_ENDING: &str = "f64";
 /// A directory that another run removes at the same moment is made anew at most so many times.
@@ -395,6 +397,7 @@ fn is_own(entry: &DirEntry) -> io::Result<bool> {
         PLACEHOLDER,
         CHECKPOINT_FILE,
         FRESH_CHECKPOINT_FILE,
+        JOURNAL_FILE,
     ];
     Ok((kind.is_file() && is_one_of(&files))
         || (kind.is_dir() && (is_one_of(&ROW_FOLDERS) || is_one_of(&[DRAFT, READY]))))

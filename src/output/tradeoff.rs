@@ -1,7 +1,9 @@
 //! What `softarm tradeoff` writes: summary, table of points, picture, page.
 
+mod journal;
 mod saved;
 
+pub use self::journal::{Journal, journal_in};
 pub use self::saved::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 
 use std::fmt::Write as _;
@@ -133,6 +135,8 @@ mod erased {
 
 /// Size of the picture, in its own units.
 const SIZE: (u32, u32) = (960, 600);
+/// The same for a narrow screen, on which its words keep their size.
+const NARROW: (u32, u32) = (420, 470);
 /// Colors that are told apart by most eyes, on light and dark ground.
 const COLORS: [RGBColor; 11] = [
     RGBColor(0x1f, 0x77, 0xb4),
@@ -168,6 +172,11 @@ fn family(setting: &Setting, usual: &Setting) -> String {
 /// # Errors
 /// A sentence where the picture cannot be drawn.
 pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
+    sized(found, usual, SIZE)
+}
+
+/// The picture in a size; a narrow one has no legend, for which [`legend`] stands below it.
+fn sized(found: &Tradeoff, usual: &Setting, size: (u32, u32)) -> Result<String, String> {
     let done: Vec<&Point> = (found.points.iter())
         .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
         .filter(|point| point.time() > 0.0)
@@ -177,7 +186,7 @@ pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
     }
     let (errors, times) = errors_and_times(&done, &[found.tolerance]);
     let mut svg = String::new();
-    draw(&mut svg, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
+    draw(&mut svg, size, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
     Ok(svg)
 }
 
@@ -212,15 +221,51 @@ fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     }
 }
 
+/// Families of points that differ in their elements alone, in the order of the points.
+fn families(done: &[&Point], usual: &Setting) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for point in done {
+        let name = family(&point.setting, usual);
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names
+}
+
+/// The color of a family.
+fn color_of(index: usize) -> RGBColor {
+    COLORS[index.min(COLORS.len() - 1)]
+}
+
+/// The families and their colors, for a picture without a legend of its own.
+fn legend(found: &Tradeoff, usual: &Setting) -> String {
+    let done: Vec<&Point> = (found.points.iter())
+        .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
+        .filter(|point| point.time() > 0.0)
+        .collect();
+    let mut out = String::from("<ul class=\"legend narrow\">\n");
+    for (index, name) in families(&done, usual).iter().enumerate() {
+        let RGBColor(r, g, b) = color_of(index);
+        let _ = writeln!(
+            out,
+            "<li><span class=\"swatch solid\" style=\"background: rgb({r} {g} {b})\"></span>{}</li>",
+            escaped(name)
+        );
+    }
+    out + "</ul>\n"
+}
+
 fn draw(
     svg: &mut String,
+    size: (u32, u32),
     found: &Tradeoff,
     usual: &Setting,
     done: &[&Point],
     errors: Range<f64>,
     times: Range<f64>,
 ) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let root = SVGBackend::with_string(svg, size).into_drawing_area();
     let [x_name, y_name] = names_of_axes(found.subject);
     let (right, top) = (errors.end, times.end);
     let mut chart = ChartBuilder::on(&root)
@@ -249,15 +294,8 @@ fn draw(
         INK.stroke_width(2),
     ))?;
 
-    let mut names: Vec<String> = Vec::new();
-    for point in done {
-        let name = family(&point.setting, usual);
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    for (index, name) in names.iter().enumerate() {
-        let color = COLORS[index.min(COLORS.len() - 1)];
+    for (index, name) in families(done, usual).iter().enumerate() {
+        let color = color_of(index);
         let mut own: Vec<&&Point> = (done.iter())
             .filter(|point| family(&point.setting, usual) == *name)
             .collect();
@@ -305,12 +343,14 @@ fn draw(
             RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
         )])?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .label_font(text)
-        .border_style(INK.mix(0.4))
-        .draw()?;
+    if size == SIZE {
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .label_font(text)
+            .border_style(INK.mix(0.4))
+            .draw()?;
+    }
     root.present()?;
     Ok(())
 }
@@ -397,14 +437,15 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     if let Some(first) = found.features.first() {
         let _ = writeln!(
             features,
-            "<h2>What features of the model cost, {}</h2>\n<div class=\"table\"><table>\n<thead><tr><th>feature</th><th>with</th><th>without</th>\
-             <th>ratio</th></tr></thead>\n<tbody>",
+            "<h2>What features of the model cost, {}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th>feature</th><th>with</th>\
+             <th>without</th><th>ratio</th></tr></thead>\n<tbody>",
             first.unit
         );
         for cost in &found.features {
             let _ = writeln!(
                 features,
-                "<tr{}><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{}</td></tr>",
+                "<tr{}><th scope=\"row\">{}</th><td class=\"value\" data-head=\"with\">{:.2}</td><td class=\"value\" data-head=\"without\">{:.2}</td>\
+                 <td class=\"value\" data-head=\"ratio\">{}</td></tr>",
                 if cost.in_scene {
                     " class=\"marked\""
                 } else {
@@ -416,14 +457,19 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
                 cost.ratio_in_words()
             );
         }
-        features.push_str("</tbody>\n</table></div>\n<p>The scene has those in bold.</p>\n");
+        features.push_str(
+            "</tbody>\n</table></div>\n<p class=\"note\">The scene has those in bold.</p>\n",
+        );
     }
     let findings: String = (found.findings.iter())
         .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
         .collect();
     let keys = recommended.map_or(String::new(), |recommended| {
         let lines = recommended.point.assignments(usual).join("\n");
-        format!("<p>In the scene:</p>\n<pre>{}</pre>", escaped(&lines))
+        format!(
+            "<p>In the scene, or after <code>--set</code>:</p>\n<pre>{}</pre>",
+            escaped(&lines)
+        )
     });
     let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
         measured_against(found.subject, reference)
@@ -438,8 +484,17 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         .replace("{{features}}", &features)
         .replace("{{front}}", &front)
         .replace("{{all}}", &all)
+        .replace(
+            "{{narrow}}",
+            &sized(found, usual, NARROW).unwrap_or_default(),
+        )
+        .replace("{{legend}}", &legend(found, usual))
         .replace("{{svg}}", svg)
+        .replace("{{style}}", STYLE)
 }
+
+/// The style sheet of all pages.
+const STYLE: &str = include_str!("report/style.css");
 
 /// What errors are measured against, in a paragraph.
 fn measured_against(subject: Subject, reference: &Reference) -> String {
@@ -475,7 +530,7 @@ fn settings<'a>(
         ""
     };
     let mut out = format!(
-        "<table>\n<thead><tr><th>setting</th><th>time</th><th>error</th>{objective}</tr></thead>\n<tbody>\n"
+        "<table class=\"stack\">\n<thead><tr><th>setting, and the keys to type for it</th><th>time</th><th>error</th>{objective}</tr></thead>\n<tbody>\n"
     );
     for point in points {
         let class = if is_marked(point) {
@@ -490,14 +545,16 @@ fn settings<'a>(
         };
         let objective = if has_objectives {
             let value = (point.objective).map_or(String::new(), |value| format!("{value:.6}"));
-            format!("<td>{value}</td>")
+            format!("<td class=\"value\" data-head=\"objective\">{value}</td>")
         } else {
             String::new()
         };
         let _ = writeln!(
             out,
-            "<tr{class}><td>{}</td><td>{}</td><td>{error}</td>{objective}</tr>",
+            "<tr{class}><th scope=\"row\">{}<code>{}</code></th><td class=\"value\" data-head=\"time\">{}</td>\
+             <td class=\"value\" data-head=\"error\">{error}</td>{objective}</tr>",
             escaped(&point.setting.differences(usual)),
+            escaped(&point.assignments(usual).join("\n")),
             milliseconds(point.time()),
         );
     }

@@ -143,7 +143,7 @@ impl Scene {
     /// Tells whether the arm should stay at its target.
     #[cfg(feature = "cli")]
     pub(crate) fn stays(&self) -> bool {
-        (self.task.as_ref()).is_some_and(|task| task.at_rest == model::AtRest::Staying)
+        self.staying().is_some()
     }
 
     /// The scene as text, with every default written out; it reads back as an equal scene.

@@ -566,7 +566,7 @@ impl Scene {
     }
 
     /// This scene with material, integrator, rotary inertia and time step as they are.
-    pub(super) fn resolved(&self, discretization: &Discretization) -> Scene {
+    pub(crate) fn resolved(&self, discretization: &Discretization) -> Scene {
         let mut resolved = self.with_material_resolved();
         resolved.rod.accuracy = None;
         if let Some(step) = discretization.step {
@@ -617,6 +617,16 @@ impl model::Task {
             angle: self.tolerance_rad.map(Number::get),
             speed: self.tolerance_m_s.map(Number::get),
             spin: self.tolerance_rad_s.map(Number::get),
+        }
+    }
+}
+
+impl Scene {
+    /// How long and how near the arm stays at its target; `None` where it need not.
+    pub(crate) fn staying(&self) -> Option<Staying> {
+        match self.task.as_ref()?.rest() {
+            Rest::Staying(staying) => Some(staying),
+            Rest::Passing | Rest::Instant => None,
         }
     }
 }

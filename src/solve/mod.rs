@@ -10,6 +10,7 @@ mod files;
 mod page;
 mod soft_goals;
 mod solution;
+mod statics;
 mod step_kind;
 mod summary;
 
@@ -20,13 +21,17 @@ pub(crate) use self::{
     diagnostics::diagnostics,
     examined::Examined,
     files::{IterationRow, iteration_row, write},
-    page::{SavedError, SavedPage, closed_loop_page, findings, saved_page, simulation_page},
+    page::{
+        SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page,
+        simulation_page,
+    },
     step_kind::{help, legend, step_kind},
     summary::{check_outcome, status_words, summarize},
 };
 
 pub use files::SaveError;
 pub use solution::Solution;
+pub use statics::{Statics, StaticsError, StaticsOptions, statics};
 
 use std::ops::ControlFlow;
 

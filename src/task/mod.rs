@@ -28,7 +28,7 @@ mod error;
 mod own;
 #[doc(hidden)]
 pub mod prediction;
-mod staying;
+pub(crate) mod staying;
 mod tracking;
 
 pub use arm::{Arm, Place, PointLoad, Start, StartShape};

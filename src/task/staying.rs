@@ -19,12 +19,8 @@ pub(super) fn stay(
     length: f64,
 ) -> Result<Option<Stay>, DiscretizeError> {
     let refuse = |reason: String| Err(DiscretizeError::NotHeld(reason));
-    let held = match holding(problem) {
+    let held = match holding_over(problem, staying, length) {
         Ok(Holding::Held(held)) => *held,
-        Ok(Holding::CannotBeHeld {
-            why: CannotHold::Unstable(held),
-            ..
-        }) if grows_little(&held, staying) => *held,
         Ok(Holding::CannotBeHeld { why, nearest }) => {
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {
                 let x = held.shape.positions[problem.rod.tip()];
@@ -41,16 +37,64 @@ pub(super) fn stay(
         }
         Err(error) => return refuse(error.to_string()),
     };
+    match stay_at(problem, held, staying, length) {
+        Some(stay) => Ok(Some(stay)),
+        None => refuse("the equilibrium there is hardly stable".into()),
+    }
+}
+
+/// Verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`: that of [`holding`], but an equilibrium whose deviations
+/// grow too little over the stay to matter is held, and one without a positive stiffness is not.
+///
+/// # Errors
+/// Those of [`holding`].
+pub(crate) fn holding_over(
+    problem: &OptimalControlProblem,
+    staying: Staying,
+    length: f64,
+) -> Result<Holding, HoldingError> {
+    Ok(judged(holding(problem)?, problem, staying, length))
+}
+
+/// The verdict over a stay, from the one without regard to time.
+fn judged(
+    found: Holding,
+    problem: &OptimalControlProblem,
+    staying: Staying,
+    length: f64,
+) -> Holding {
+    let found = match found {
+        Holding::CannotBeHeld {
+            why: CannotHold::Unstable(held),
+            ..
+        } if grows_little(&held, staying) => Holding::Held(held),
+        found => found,
+    };
+    match found {
+        Holding::Held(held) if stay_at(problem, (*held).clone(), staying, length).is_none() => {
+            Holding::CannotBeHeld {
+                why: CannotHold::Unstable(held),
+                nearest: None,
+            }
+        }
+        found => found,
+    }
+}
+
+/// The stay at an equilibrium; `None` where its stiffness is not positive.
+fn stay_at(
+    problem: &OptimalControlProblem,
+    held: Held,
+    staying: Staying,
+    length: f64,
+) -> Option<Stay> {
     let (tip, last) = (problem.rod.tip(), problem.grid.n_steps);
     let goal = (problem.goals.iter())
         .position(|goal| goal.node == tip && goal.time_node == last)
         .unwrap_or(0);
     let seconds = seconds(&held, staying);
     let distance = staying.distance(length);
-    match Stay::at(&problem.rod, held, [seconds, distance], goal) {
-        Some(stay) => Ok(Some(stay)),
-        None => refuse("the equilibrium there is hardly stable".into()),
-    }
+    Stay::at(&problem.rod, held, [seconds, distance], goal)
 }
 
 /// How long the arm stays, s: one first period of the held arm, where nothing else is asked.
@@ -63,4 +107,58 @@ fn seconds(held: &Held, staying: Staying) -> f64 {
 fn grows_little(held: &Held, staying: Staying) -> bool {
     let growth = held.growth_rate.unwrap_or(f64::INFINITY);
     held.least_squared_frequency > 0.0 && growth * seconds(held, staying) < Stay::ROOM.ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::task::{Arm, Discretization, Task};
+    use nalgebra::Vector3;
+
+    /// What only a body moment makes unstable is held where a deviation grows by no more than the stay leaves room for, a factor of two, and not where it grows by
+    /// more; what has no positive stiffness is not held, however slowly it leaves.
+    #[test]
+    fn slow_growth_is_held_over_a_short_stay() {
+        let silicone = crate::mechanics::Material::isotropic(1e6, 0.5, 1000.0);
+        let arm = Arm::cylinder(&silicone, 1.0, 0.05);
+        let task = Task::reach(Vector3::new(0.05, 0.0, 0.99), 1.0, 40.0);
+        let problem = task
+            .discretize(&arm, &Discretization::with_elements(4))
+            .unwrap();
+        let problem = problem.discrete;
+        // A force alone holds no tip but on a surface: the nearest one that it holds.
+        let held = match holding(&problem).unwrap() {
+            Holding::Held(held) => held,
+            Holding::CannotBeHeld {
+                nearest: Some((held, _)),
+                ..
+            } => held,
+            other => panic!("{other:?}"),
+        };
+        let seconds = 0.5;
+        let staying = Staying {
+            seconds: Some(seconds),
+            distance: None,
+        };
+        let verdict = |rate: f64, square: f64| {
+            let unstable = Held {
+                is_stable: false,
+                growth_rate: Some(rate),
+                least_squared_frequency: square,
+                ..(*held).clone()
+            };
+            let found = Holding::CannotBeHeld {
+                why: CannotHold::Unstable(Box::new(unstable)),
+                nearest: None,
+            };
+            matches!(
+                judged(found, &problem, staying, arm.length),
+                Holding::Held(_)
+            )
+        };
+        let square = held.least_squared_frequency;
+        let doubles = 2.0_f64.ln() / seconds;
+        assert!(verdict(0.99 * doubles, square) && !verdict(1.01 * doubles, square));
+        assert!(!verdict(0.01 * doubles, -square));
+    }
 }

@@ -86,6 +86,10 @@ const runs = COMPARING
   ? data.runs.map((run, i) => ({ ...run.data, name: run.name, color: RUN_COLORS[i % RUN_COLORS.length] }))
   : [{ ...data, name: data.title, color: 'arm' }];
 
+/** What the times of the motions are: the time, or the load factor of statics. */
+const CLOCK = runs[0].clock;
+const clockText = (t, text = format(t)) => `${CLOCK.symbol} = ${text}${CLOCK.unit ? ' ' + CLOCK.unit : ''}`;
+
 /** Position of a run's tip at a time. */
 function tipAt({ motion }, t) {
   const [i, j, s] = between(motion.t, t);
@@ -127,7 +131,10 @@ const clock = {
 
 // ---------------------------------------------------------------- header
 
-const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop' };
+const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop', equilibrium: 'statics' };
+
+/** Keys that the head of a comparison names. */
+const MOST_CHANGES = 4;
 
 /** Text in which no line breaks between a number and its unit. */
 const joined = (text) => text.replace(/(\d) (?=[A-Za-z%\u00b7]{1,3}\b|%)/g, '$1\u00a0');
@@ -148,6 +155,10 @@ function pageHeader() {
   }
   header.append(el('div', { class: 'lead' }, ...runs.map((run) => el('p', { class: 'run' },
     el('span', { class: 'swatch solid', style: `background: rgb(var(--${run.color}))` }), el('b', {}, run.name), ' ', badge(run.verdict), ' ', joined(run.lead)))));
+  // What was changed comes first: everything else follows from it.
+  const changed = data.tables.find(({ title }) => title === 'Scenes');
+  if (changed) header.lastChild.prepend(el('p', { class: 'sentence' }, 'They differ in ', ...changed.rows.slice(0, MOST_CHANGES).flatMap((row, i) => [
+    i ? '; ' : '', el('b', {}, row.key), ` (${row.values.join(', ')})`]), changed.rows.length > MOST_CHANGES ? ` and ${changed.rows.length - MOST_CHANGES} more keys.` : '.'));
 }
 
 function factsList(facts) {

@@ -44,7 +44,8 @@ function lineChart(spec) {
   const shownValue = (v) => spec.log || spec.exact ? format(v) : formatBeside(v, overall);
   const bounds = spec.bounds || [];
   const everyX = series.flatMap((s) => s.x).filter(isNumber);
-  const everyY = series.flatMap((s) => s.y).filter(isNumber);
+  const banded = (s) => s.band && s.band.length ? s.y.flatMap((v, i) => [v - s.band[i], v + s.band[i]]) : s.y;
+  const everyY = series.flatMap(banded).filter(isNumber);
   const xRange = everyX.reduce((m, v) => [Math.min(m[0], v), Math.max(m[1], v)], [Infinity, -Infinity]);
   const [x0, x1] = xRange[1] > xRange[0] ? xRange : [xRange[0] - 0.5, xRange[0] + 0.5];
   const largest = everyY.reduce((m, v) => Math.max(m, Math.abs(v)), 0);
@@ -57,7 +58,7 @@ function lineChart(spec) {
   const legend = el('ul', { class: 'legend' });
   const values = series.map((s) => {
     const value = el('b', { class: 'num' });
-    if (!s.thin) legend.append(el('li', {}, el('span', { class: 'swatch', style: `border-color: ${s.color}` }), s.name, value));
+    if (!s.thin) legend.append(el('li', {}, el('span', { class: s.dashed ? 'swatch dashed' : 'swatch', style: `border-color: ${s.color}` }), s.name, value));
     return value;
   });
   for (const b of bounds) legend.append(el('li', {},
@@ -166,7 +167,14 @@ function lineChart(spec) {
       if (marked && !s.hold || alone || (clipped && spec.x.whole))
         marks += `<circle cx="${column}" cy="${row}" r="${clipped ? 3.4 : 2.6}" fill="${clipped ? 'var(--card)' : s.color}" stroke="${s.color}"/>`;
     });
-    return `<path d="${path}" fill="none" stroke="${s.color}" stroke-width="${s.wide ? 2.4 : s.thin ? 0.7 : 1.7}" stroke-linejoin="round"/>${marks}`;
+    let band = '';
+    if (s.band && s.band.length) {
+      const edge = (side) => s.y.map((v, i) => [s.x[i], v + side * s.band[i]]).filter(([x, v]) => isNumber(x) && isNumber(v));
+      const around = [...edge(1), ...edge(-1).reverse()].map(([x, v]) => `${f(px(x))},${f(py(v))}`);
+      band = `<polygon points="${around.join(' ')}" fill="${s.color}" fill-opacity="0.2"/>`;
+    }
+    const dashes = s.dashed ? ' stroke-dasharray="7 5"' : '';
+    return `${band}<path d="${path}" fill="none" stroke="${s.color}" stroke-width="${s.wide ? 2.4 : s.thin ? 0.7 : 1.7}"${dashes} stroke-linejoin="round"/>${marks}`;
   }
 
   /** Cursor, hover line and the numbers in the legend. */
@@ -187,8 +195,8 @@ function lineChart(spec) {
       overlay.dots[i].setAttribute('visibility', visible ? 'visible' : 'hidden');
       if (visible) { overlay.dots[i].setAttribute('cx', scale.px(x)); overlay.dots[i].setAttribute('cy', scale.py(v)); }
     });
-    if (spec.x.name !== 'time' && !spec.x.whole) at.textContent = `${spec.x.name} ${format(x)} ${spec.x.unit}`;
-    else at.textContent = spec.x.whole ? `${spec.x.name} ${x}${spec.remark ? spec.remark(x) : ''}` : `t = ${format(x)} s`;
+    if (spec.x.name !== CLOCK.name && !spec.x.whole) at.textContent = `${spec.x.name} ${format(x)} ${spec.x.unit}`;
+    else at.textContent = spec.x.whole ? `${spec.x.name} ${x}${spec.remark ? spec.remark(x) : ''}` : clockText(x);
   }
 
   const pointerX = (event) => {
@@ -221,7 +229,10 @@ function chartSection(title, specs) {
   if (cards.length) section(title, el('div', { class: 'charts' }, ...cards));
 }
 
-const TIME = { name: 'time', unit: 's' };
+const TIME = { name: CLOCK.name, unit: CLOCK.unit };
+
+/** Values beyond the first one: the zero of a potential energy is anywhere, and what changes is small beside it. */
+const sinceStart = (values) => values.map((v) => isNumber(v) && isNumber(values[0]) ? v - values[0] : null);
 
 /** Components and norm of a control, with its bounds. */
 function controlChart(title, unitName, letter, names, values, bound) {
@@ -264,11 +275,12 @@ function timeCharts() {
     specs.push(controlChart('Tip moment, body frame', 'N\u00b7m', 'm', ['\u2081', '\u2082', '\u2083'], moment, moment_bound));
   }
   if (data.energy) {
-    const { t, kinetic, elastic, potential } = data.energy;
+    const t = data.energy.t;
+    const [kinetic, elastic, potential] = [data.energy.kinetic, data.energy.elastic, data.energy.potential].map(sinceStart);
     const total = t.map((_, i) => [kinetic, elastic, potential].every((e) => isNumber(e[i])) ? kinetic[i] + elastic[i] + potential[i] : null);
     const rows = [['total', 'var(--norm)', total, true], ['kinetic', 'var(--x)', kinetic], ['elastic', 'var(--z)', elastic], ['potential', 'var(--y)', potential]];
     specs.push({
-      title: 'Energy', unit: 'J', x: TIME, synchronized: true,
+      title: 'Energy beyond that at the start', unit: 'J', x: TIME, synchronized: true,
       series: rows.map(([name, color, y, wide]) => ({ name, color, x: t, y, wide })),
     });
   }
@@ -313,14 +325,14 @@ function timeCharts() {
       series: [{ name: 'open loop', color: 'var(--x)', x: t, y: open }, { name: 'with feedback', color: 'var(--z)', x: t, y: closed }],
     });
   }
-  chartSection('Over time', specs);
+  chartSection(`Over ${CLOCK.words}`, specs);
 }
 
 function moreCharts() {
   for (const title of new Set(data.charts.map((chart) => chart.section)))
     chartSection(title, data.charts.filter((chart) => chart.section === title).map((chart) => ({
-      title: chart.title, unit: chart.unit, x: { name: chart.x_name, unit: chart.x_unit }, synchronized: chart.x_name === 'time',
-      zero: chart.x_name !== 'time', exact: chart.x_name !== 'time',
+      title: chart.title, unit: chart.unit, x: { name: chart.x_name, unit: chart.x_unit }, synchronized: chart.x_name === CLOCK.name,
+      zero: chart.x_name !== CLOCK.name, exact: chart.x_name !== CLOCK.name,
       series: chart.series.map((s) => ({ ...s, color: `var(--${s.color})`, wide: s.color === 'norm' })),
     })));
 }

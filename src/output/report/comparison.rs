@@ -117,13 +117,16 @@ pub fn compare(command: ReportCommand, results: Vec<Compared>) -> ComparisonData
     let scenes: Vec<&str> = (results.iter())
         .map(|result| result.scene.as_str())
         .collect();
-    let shared = differences(&summaries, false);
+    let length = (results.iter())
+        .map(|result| result.data.arm.length)
+        .fold(0.0, f64::max);
+    let shared = differences(&summaries, false, length);
     let (mut first, others): (Vec<_>, Vec<_>) =
         (shared.into_iter()).partition(|row| FIRST.contains(&row.key.as_str()));
     first.sort_by_key(|row| FIRST.iter().position(|key| *key == row.key));
     let tables = [
-        ("Results", first),
         ("Scenes", scene_differences(&scenes)),
+        ("Results", first),
         ("Other fields of the summaries", others),
     ];
     let names: Vec<&str> = results.iter().map(|result| result.name.as_str()).collect();
@@ -158,7 +161,7 @@ pub(crate) fn scene_differences(scenes: &[&str]) -> Vec<ComparisonRow> {
             leaves(&serde_json::to_value(table).unwrap_or_default())
         })
         .collect();
-    differences(&scenes, true)
+    differences(&scenes, true, 0.0)
 }
 
 /// Values by their dotted paths, in the order of the file.
@@ -190,8 +193,9 @@ fn leaves(value: &Value) -> Leaves {
     out
 }
 
-/// The keys whose values differ; with `partial` also those that only some results have.
-fn differences(results: &[Leaves], partial: bool) -> Vec<ComparisonRow> {
+/// The keys whose values differ by more than rounding, that of lengths (m) by more than rounding of `length`; with `partial` also those that only some
+/// results have.
+fn differences(results: &[Leaves], partial: bool, length: f64) -> Vec<ComparisonRow> {
     let mut keys: Vec<&str> = Vec::new();
     for (key, _) in results.iter().flatten() {
         if !keys.contains(&key.as_str()) {
@@ -207,7 +211,10 @@ fn differences(results: &[Leaves], partial: bool) -> Vec<ComparisonRow> {
         .filter(|key| !NOWHERE.contains(key) && !is_detail(key))
         .map(|key| (key, of(key)))
         .filter(|(_, values)| partial || values.iter().all(Option::is_some))
-        .filter(|(_, values)| values.windows(2).any(|pair| !are_alike(pair[0], pair[1])))
+        .filter(|(key, values)| {
+            let least = ROUNDING * scale(key, results, length);
+            (values.windows(2)).any(|pair| !are_alike(pair[0], pair[1], least))
+        })
         .map(|(key, values)| ComparisonRow {
             key: key.into(),
             change: match values[..] {
@@ -256,10 +263,40 @@ fn shown(value: Option<&Value>) -> String {
 /// Relative difference of numbers that are the same but for rounding.
 const ROUNDING: f64 = 1e-9;
 
-fn are_alike(a: Option<&Value>, b: Option<&Value>) -> bool {
-    let numbers = |v: Option<&Value>| v.and_then(Value::as_f64);
-    match (numbers(a), numbers(b)) {
-        (Some(a), Some(b)) => a == b || (a - b).abs() <= ROUNDING * a.abs().max(b.abs()),
+/// The size beside which a number is rounding: of a length that of the arm, of an energy the largest of its kind.
+fn scale(key: &str, results: &[Leaves], length: f64) -> f64 {
+    if key.ends_with("_m") {
+        return length;
+    }
+    let Some((kind, _)) = key
+        .rsplit_once('.')
+        .filter(|(kind, _)| kind.ends_with("_J"))
+    else {
+        return 0.0;
+    };
+    (results.iter().flatten())
+        .filter(|(other, _)| other.starts_with(kind))
+        .filter_map(|(_, value)| value.as_f64())
+        .fold(0.0, |most, value| value.abs().max(most))
+}
+
+/// Tells whether values are the same but for rounding: differences of `least`, or small beside the largest number of a list, are none.
+fn are_alike(a: Option<&Value>, b: Option<&Value>, least: f64) -> bool {
+    let close = |a: f64, b: f64, size: f64| a == b || (a - b).abs() <= least.max(ROUNDING * size);
+    let list = |value: Option<&Value>| -> Option<Vec<f64>> {
+        (value?.as_array()?.iter()).map(Value::as_f64).collect()
+    };
+    if let (Some(a), Some(b)) = (a.and_then(Value::as_f64), b.and_then(Value::as_f64)) {
+        return close(a, b, a.abs().max(b.abs()));
+    }
+    match (list(a), list(b)) {
+        (Some(a), Some(b)) if a.len() == b.len() => {
+            let size = a
+                .iter()
+                .chain(&b)
+                .fold(0.0, |most: f64, v| v.abs().max(most));
+            a.iter().zip(&b).all(|(a, b)| close(*a, *b, size))
+        }
         _ => a == b,
     }
 }
@@ -319,23 +356,38 @@ mod tests {
         let of = |value: Value| leaves(&value);
         let a = of(json!({"a": 1.0, "b": {"c": 10, "d": [1, 2]}, "directory": "x", "only": true}));
         let b = of(json!({"a": 1.1, "b": {"c": 10, "d": [1, 3]}, "directory": "y"}));
-        let rows = differences(&[a.clone(), b.clone()], true);
+        let rows = differences(&[a.clone(), b.clone()], true, 1.0);
         let keys: Vec<_> = rows.iter().map(|row| row.key.as_str()).collect();
         assert_eq!(keys, ["a", "b.d", "only"]);
         assert_eq!(rows[0].change.as_deref(), Some("+10 %"));
         assert_eq!(rows[1].values, ["[1, 2]", "[1, 3]"]);
         assert_eq!(rows[2].values, ["true", "–"]);
-        assert_eq!(differences(&[a, b], false).len(), 2);
+        assert_eq!(differences(&[a, b], false, 1.0).len(), 2);
         assert_eq!(change(&json!(2.0), &json!(0.5)).as_deref(), Some("× 0.25"));
         assert_eq!(change(&json!(0.0), &json!(0.5)), None);
         assert_eq!(
             change(&json!(1.0), &json!(1.00001)).as_deref(),
             Some("below 0.01 %")
         );
-        assert!(are_alike(
-            Some(&json!(4.9)),
-            Some(&json!(4.9 * (1.0 + 1e-14)))
-        ));
-        assert!(!are_alike(Some(&json!(4.9)), Some(&json!(4.9001))));
+        let alike = |a: Value, b: Value| are_alike(Some(&a), Some(&b), 0.0);
+        assert!(alike(json!(4.9), json!(4.9 * (1.0 + 1e-14))));
+        assert!(!alike(json!(4.9), json!(4.9001)));
+    }
+
+    /// What is rounding of the arm's length, of the largest energy, or of the largest number of a list has no row.
+    #[test]
+    fn rounding_is_no_difference() {
+        let of = |noise: f64| {
+            leaves(&json!({
+                "tip": {"position_m": [0.5, noise, 0.8]},
+                "same_grid_m": noise,
+                "energy_J": {"initial": noise, "max": 2.0},
+            }))
+        };
+        assert_eq!(differences(&[of(3e-15), of(7e-16)], false, 1.0), []);
+        let keys: Vec<String> = (differences(&[of(3e-6), of(7e-6)], false, 1.0).into_iter())
+            .map(|row| row.key)
+            .collect();
+        assert_eq!(keys, ["tip.position_m", "same_grid_m", "energy_J.initial"]);
     }
 }

@@ -67,7 +67,7 @@ function fieldImages() {
         }
       }
       picture.getContext('2d').putImageData(pixels, 0, 0);
-      canvas.setAttribute('aria-label', `${field.name} over arc length and time, from ${format(low)} to ${format(high)} ${field.unit}`);
+      canvas.setAttribute('aria-label', `${field.name} over arc length and ${CLOCK.words}, from ${format(low)} to ${format(high)} ${field.unit}`);
     }
 
     function draw() {
@@ -92,7 +92,7 @@ function fieldImages() {
       context.textAlign = 'center';
       for (const v of timesOf.values) context.fillText(timesOf.text(v), x(v), margin.top + height + 10);
       context.textAlign = 'right';
-      context.fillText('time (s)', margin.left + width, margin.top + height + 26);
+      context.fillText(CLOCK.unit ? `${CLOCK.name} (${CLOCK.unit})` : CLOCK.name, margin.left + width, margin.top + height + 26);
       context.textAlign = 'left';
       context.fillText('arc length (m): 0 is the base', 6, margin.top + height + 26);
       const here = x(clock.now);
@@ -122,7 +122,7 @@ function fieldImages() {
       if (hover) {
         const codes = field.codes[indexAt(t, hover.t)], n = codes.length;
         const i = field.at_nodes ? Math.round(hover.s * (n - 1)) : Math.min(Math.floor(hover.s * n), n - 1);
-        at.textContent = `${digitsOf(field, valueOf(field, codes[i]))}${unit} at ${(hover.s * length).toPrecision(2)} m, t = ${format(hover.t)} s`;
+        at.textContent = `${digitsOf(field, valueOf(field, codes[i]))}${unit} at ${(hover.s * length).toPrecision(2)} m, ${clockText(hover.t)}`;
         return;
       }
       const codes = field.codes[indexAt(t, clock.now)], far = (code) => Math.abs(valueOf(field, code) - (field.neutral ?? 0));

@@ -9,9 +9,12 @@ if (COMPARING) {
   imageSection();
   comparisonCharts();
 } else {
+  adviceSection();
+  barsSections();
   imageSection();
   timeCharts();
   moreCharts();
+  moreTables();
   iterationCharts();
   checksTable();
   factsTable();

@@ -132,6 +132,7 @@ mod tests {
                 payload: 0.0,
             },
             motion: ReportMotion::thinned(&motion, 240),
+            clock: ReportClock::time(),
             target: Some(ReportTarget {
                 position: Some([0.3, 0.0, 0.1]),
                 directions: None,
@@ -144,6 +145,9 @@ mod tests {
             controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
             sensitivity: None,
+            bars: Vec::new(),
+            tables: Vec::new(),
+            advice: Vec::new(),
             charts: Vec::new(),
             iterations: vec![],
             attempts: vec![],

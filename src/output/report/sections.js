@@ -36,6 +36,28 @@ function rawSummary() {
     el('pre', { tabIndex: 0 }, JSON.stringify(data.summary, null, 2))));
 }
 
+/** Advice of the run, where there is any. */
+function adviceSection() {
+  if (data.advice.length) section('Advice', el('ul', { class: 'card advice' }, ...data.advice.map((sentence) => el('li', {}, sentence))));
+}
+
+/** Tables that a page brings with it. */
+function moreTables() {
+  for (const { title, heads, rows } of data.tables)
+    section(title, stackedTable(heads, rows.map((row) => row.map((text, i) => i ? { text, kind: 'value text' } : { text, tag: 'th' }))));
+}
+
+/** Sizes beside each other. */
+function barsSections() {
+  for (const { section: heading, title, bars, note } of data.bars) {
+    const most = Math.max(...bars.map(([, size]) => size).filter(isNumber));
+    section(heading, el('div', { class: 'card chart bars' }, el('h3', {}, title), ...bars.map(([name, size, words], i) =>
+      el('div', { class: i ? 'bar-row' : 'bar-row own' }, el('span', { class: 'name' }, name),
+        el('span', { class: 'track' }, el('span', { class: 'fill', style: `width: ${isNumber(size) && most > 0 ? Math.max(100 * size / most, 0.4) : 0}%` })),
+        el('span', { class: 'num' }, words))), note ? el('p', { class: 'note' }, note) : ''));
+  }
+}
+
 /** The picture with what there is to know about the arm beside it. */
 function motionSection() {
   const view = armView();
@@ -50,7 +72,7 @@ function motionSection() {
 
 function imageSection() {
   const card = fieldImages();
-  if (card) section('Along the arm, over time', card);
+  if (card) section(`Along the arm, over ${CLOCK.words}`, card);
 }
 
 // ---------------------------------------------------------------- several runs
@@ -75,20 +97,23 @@ function comparisonCharts() {
   const sizes = (part) => curves((run) => run.controls && {
     x: run.controls.t, y: run.controls[part].map(norm), hold: run.controls.hold === 'constant',
   });
-  const total = ({ energy: e }) => e && { x: e.t, y: e.t.map((_, i) => e.kinetic[i] + e.elastic[i] + e.potential[i]) };
-  const tip = (axis) => curves((run) => ({ x: run.motion.t, y: run.motion.tip.map((p) => p[axis]) }));
+  const total = ({ energy: e }) => e && { x: e.t, y: sinceStart(e.t.map((_, i) => e.kinetic[i] + e.elastic[i] + e.potential[i])) };
+  // Rounding of places is no motion: a chart of nothing else has nothing to show.
+  const length = Math.max(...runs.map((run) => run.arm.length));
+  const moves = (axis) => runs.some((run) => run.motion.tip.some((p) => isPoint(p) && Math.abs(p[axis]) > 1e-9 * length));
+  const tip = (axis) => moves(axis) ? curves((run) => ({ x: run.motion.t, y: run.motion.tip.map((p) => p[axis]) })) : [];
   const off = curves((run) => run.target && isPoint(run.target.position) && {
     x: run.motion.t, y: run.motion.tip.map((p) => isPoint(p) ? norm(sub(p, run.target.position)) : null),
   });
   const missed = curves((run) => run.paths.length && { x: run.motion.t, y: run.paths[0].off });
   const time = { x: TIME, synchronized: true };
-  chartSection('Over time', [
+  chartSection(`Over ${CLOCK.words}`, [
     ...['x', 'y', 'z'].map((name, axis) => ({ title: `Tip, ${name}`, unit: 'm', ...time, series: tip(axis) })),
     { title: 'Distance of the tip from the target', unit: 'm', ...time, zero: true, exact: true, logChoice: true, series: off },
     { title: 'Distance from the path to follow', unit: 'm', ...time, zero: true, exact: true, logChoice: true, series: missed },
     { title: 'Size of the force on the tip', unit: 'N', ...time, zero: true, series: sizes('force') },
     { title: 'Size of the moment on the tip', unit: 'N\u00b7m', ...time, zero: true, series: sizes('moment') },
-    { title: 'Total energy', unit: 'J', ...time, series: curves(total) },
+    { title: 'Total energy beyond that at the start', unit: 'J', ...time, series: curves(total) },
   ]);
   // Titles of charts that every run has, such as reactions of the base: of each the curve of the magnitude.
   const shared = runs[0].charts.filter((chart) => chart.section === 'Forces in the arm');

@@ -160,7 +160,7 @@ function armView() {
   const duration = clock.last - clock.first;
   const moves = duration > 0;
   const play = el('button', { type: 'button', id: 'play' }, '\u25b6 Play');
-  const slider = el('input', { type: 'range', min: 0, max: 1000, step: 'any', value: 1000, 'aria-label': 'Time' });
+  const slider = el('input', { type: 'range', min: 0, max: 1000, step: 'any', value: 1000, 'aria-label': CLOCK.name });
   const readout = el('output', { class: 'num' });
   const speeds = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
   const usual = duration >= 1.5 && duration <= 20 ? 1
@@ -213,8 +213,8 @@ function armView() {
   const digits = clamp(Math.ceil(-Math.log10(duration / 1000 || 1)), 0, 9);
   clock.listeners.push((t) => {
     slider.value = duration > 0 ? (t - clock.first) / duration * 1000 : 0;
-    slider.setAttribute('aria-valuetext', `${format(t)} s`);
-    readout.textContent = `t = ${minus(t.toFixed(digits))} s`;
+    slider.setAttribute('aria-valuetext', clockText(t));
+    readout.textContent = clockText(t, minus(t.toFixed(digits)));
     redraw();
   });
 

@@ -9,8 +9,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    COLORS, INK, SIZE, decades, errors_and_times, escaped, milliseconds, names_of_axes, page,
-    picture, sentence,
+    COLORS, INK, SIZE, STYLE, decades, errors_and_times, escaped, milliseconds, names_of_axes,
+    page, picture, sentence,
 };
 use crate::output::report::scene_differences;
 use crate::output::{ComparisonRow, ComparisonTable, OutputError, read_text};
@@ -133,12 +133,18 @@ pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String 
             .collect();
         let _ = writeln!(
             tables,
-            "<h2>{}</h2>\n<div class=\"table\"><table>\n<thead><tr><th></th>{heads}</tr></thead>\n<tbody>",
+            "<h2>{}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th></th>{heads}</tr></thead>\n<tbody>",
             escaped(&table.title)
         );
         for row in &table.rows {
-            let cells: String = (row.values.iter())
-                .map(|value| format!("<td>{}</td>", escaped(value)))
+            let cells: String = (row.values.iter().zip(names))
+                .map(|(value, name)| {
+                    let head = escaped(name).replace('"', "&quot;");
+                    format!(
+                        "<td class=\"value\" data-head=\"{head}\">{}</td>",
+                        escaped(value)
+                    )
+                })
                 .collect();
             let _ = writeln!(tables, "<tr><th>{}</th>{cells}</tr>", escaped(&row.key));
         }
@@ -149,6 +155,7 @@ pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String 
         .replace("{{title}}", &escaped(&names.join(" · ")))
         .replace("{{tables}}", &tables)
         .replace("{{svg}}", &svg)
+        .replace("{{style}}", STYLE)
 }
 
 /// The fronts of several trade-offs; a sentence where there is none to draw.

@@ -6,12 +6,13 @@ use super::obstacles::obstacles;
 use super::solve::drawn_bound;
 use super::summary::{Fields, counted, measure, vector};
 use super::words::{acting_facts, arm_facts, at_most, cost, in_numbers};
-use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, over_time, reaction};
+use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, loop_tables, over_time, reaction};
 use crate::control::Hold;
 use crate::output::closed_loop::SampleRow;
 use crate::output::{
-    self, MotionRecord, ReportChart, ReportCommand, ReportControls, ReportCurve, ReportData,
-    ReportEnergy, ReportMotion, ReportPath, ReportTarget, ReportVerdict, ReportVia, figure,
+    self, MotionRecord, ReportChart, ReportClock, ReportCommand, ReportControls, ReportCurve,
+    ReportData, ReportEnergy, ReportMotion, ReportPath, ReportTarget, ReportVerdict, ReportVia,
+    figure,
 };
 use crate::scene::translate::directors;
 use crate::scene::{ClosedLoopSetup, LoadNode};
@@ -45,6 +46,7 @@ pub(crate) fn closed_loop_page(
         let title = "Angle of the tip from how it should be turned, at every sample";
         charts.push(tip_chart(title, "rad", &thin, |sample| sample.turn));
     }
+    charts.extend(tip_beside_reference(&thin));
     charts.extend([histogram(samples, period), times_chart(&thin, period)]);
     charts.extend(disturbance_charts(&thin));
     charts.extend(reaction::nearest_to_base(&setup.plant, record));
@@ -74,6 +76,7 @@ pub(crate) fn closed_loop_page(
         summary: summary.clone(),
         arm: drawn_arm(&setup.experiment.plant, &setup.plant),
         motion: ReportMotion::thinned(record, FRAMES),
+        clock: ReportClock::time(),
         target: last.map(|target| ReportTarget {
             position: target.position.map(Into::into),
             directions: target.rotation.as_ref().map(directors),
@@ -109,6 +112,11 @@ pub(crate) fn closed_loop_page(
         controls: Some(controls(setup, &thin)),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: None,
+        bars: loop_tables::baselines(found),
+        tables: loop_tables::tables(setup),
+        advice: (found.get("advice").as_array().into_iter().flatten())
+            .filter_map(|sentence| Some(sentence.as_str()?.to_string()))
+            .collect(),
         charts,
         iterations: Vec::new(),
         attempts: Vec::new(),
@@ -332,12 +340,6 @@ fn facts(summary: Fields) -> Vec<(String, String)> {
         fact("wall time", summary.measure("wall_s", "s")),
         fact("seed", summary.count("seed")),
     ];
-    for (name, baseline) in summary.get("baselines").as_object().into_iter().flatten() {
-        let baseline = Fields(baseline);
-        let rms = percent(baseline.number("tip_error_over_length.rms"));
-        let said = format!("{rms} rms, {}", baseline.text("status"));
-        facts.push(fact(&format!("baseline {name}"), said));
-    }
     if !summary.get("innovations").is_null() {
         let number = |key: &str| summary.number(&format!("innovations.{key}"));
         let verdict = if summary.get("innovations.is_off") == &serde_json::Value::Bool(true) {
@@ -352,9 +354,6 @@ fn facts(summary: Fields) -> Vec<(String, String)> {
         );
         facts.push(fact("squared innovations over their variance", said));
         facts.push(fact("signals refused", summary.get("innovations.refused")));
-    }
-    for sentence in summary.get("advice").as_array().into_iter().flatten() {
-        facts.push(fact("advice", sentence.as_str().unwrap_or_default()));
     }
     for (cause, n) in summary.get("fallbacks").as_object().into_iter().flatten() {
         facts.push(fact(&format!("fall-back, {cause}"), n));
@@ -390,8 +389,9 @@ fn controls(setup: &ClosedLoopSetup, samples: &[&SampleRow]) -> ReportControls {
 }
 
 /// Sections of the page.
+const TIP: &str = "Tip and reference";
 const LOOP: &str = "Loop";
-const ESTIMATES: &str = "Estimated disturbances, with one standard deviation";
+const ESTIMATES: &str = "Estimated disturbances, with a band of one standard deviation";
 
 fn curve(
     name: &str,
@@ -415,6 +415,33 @@ fn tip_chart(
     of: impl Fn(&SampleRow) -> f64,
 ) -> ReportChart {
     over_time(LOOP, title, unit, vec![curve("tip", "target", samples, of)])
+}
+
+/// The tip and where it should be, along every axis along which either moves.
+fn tip_beside_reference(samples: &[&SampleRow]) -> Vec<ReportChart> {
+    if samples.iter().any(|sample| sample.reference.is_none()) {
+        return Vec::new();
+    }
+    let reference = |sample: &SampleRow, axis: usize| {
+        sample
+            .reference
+            .map_or(f64::NAN, |reference| reference[axis])
+    };
+    (["x", "y", "z"].into_iter().enumerate())
+        .map(|(axis, name)| {
+            let should = ReportCurve {
+                dashed: true,
+                ..curve("reference", "target", samples, |s| reference(s, axis))
+            };
+            let is = curve("tip", "norm", samples, |sample| sample.tip[axis]);
+            over_time(
+                TIP,
+                &format!("Tip beside its reference, {name}"),
+                "m",
+                vec![is, should],
+            )
+        })
+        .collect()
 }
 
 /// Index of the time of the whole sample.
@@ -499,7 +526,7 @@ fn disturbance_charts(samples: &[&SampleRow]) -> Vec<ReportChart> {
             continue;
         }
         let series = (names.iter().enumerate())
-            .flat_map(|(i, name)| with_deviation(name, COLORS[i], samples, first + i))
+            .map(|(i, name)| with_deviation(name, COLORS[i], samples, first + i))
             .collect();
         out.push(over_time(ESTIMATES, title, unit, series));
     }
@@ -527,7 +554,7 @@ fn disturbance_charts(samples: &[&SampleRow]) -> Vec<ReportChart> {
     ]) {
         if samples.iter().any(|s| s.disturbance[part] != known) {
             let series = with_deviation(name, "norm", samples, part);
-            out.push(over_time(ESTIMATES, title, unit, series.into()));
+            out.push(over_time(ESTIMATES, title, unit, vec![series]));
         }
     }
     out
@@ -536,21 +563,15 @@ fn disturbance_charts(samples: &[&SampleRow]) -> Vec<ReportChart> {
 /// Index of the first parameter of the model among the disturbances.
 const PARAMETERS: usize = 9;
 
+/// An estimate with one standard deviation on both sides.
 fn with_deviation(
     name: &str,
     color: &'static str,
     samples: &[&SampleRow],
     part: usize,
-) -> [ReportCurve; 3] {
-    let beside = |side: f64| ReportCurve {
-        thin: true,
-        ..curve("", color, samples, |s| {
-            s.disturbance[part] + side * s.deviation[part]
-        })
-    };
-    [
-        curve(name, color, samples, |s| s.disturbance[part]),
-        beside(1.0),
-        beside(-1.0),
-    ]
+) -> ReportCurve {
+    ReportCurve {
+        band: samples.iter().map(|s| s.deviation[part]).collect(),
+        ..curve(name, color, samples, |s| s.disturbance[part])
+    }
 }

@@ -3,8 +3,12 @@
 mod arrows;
 #[cfg(feature = "cli")]
 mod closed_loop;
+#[cfg(feature = "cli")]
+mod equilibrium;
 mod fields;
 mod findings;
+#[cfg(feature = "cli")]
+mod loop_tables;
 mod obstacles;
 mod reaction;
 #[cfg(feature = "cli")]
@@ -19,6 +23,7 @@ pub(super) use self::solve::{SolvePage, iteration, sensitivity, solve_page};
 #[cfg(feature = "cli")]
 pub(crate) use self::{
     closed_loop::closed_loop_page,
+    equilibrium::equilibrium_page,
     findings::findings,
     saved::{SavedError, SavedPage, saved_page},
     simulation::simulation_page,
@@ -67,6 +72,7 @@ fn curve(name: &str, color: &'static str, x: Vec<f64>, y: Vec<f64>) -> ReportCur
         x,
         y,
         hold: false,
-        thin: false,
+        band: Vec::new(),
+        dashed: false,
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{closed_loop_page, sensitivity, simulation_page, solve};
+use super::{closed_loop_page, equilibrium_page, sensitivity, simulation_page, solve};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::Wrench;
 use crate::output::closed_loop::read_samples;
@@ -60,6 +60,7 @@ pub(crate) fn saved_page(directory: &Path, stop: &StopSignal) -> Result<SavedPag
         ResultKind::Solve => files.solve(),
         ResultKind::Simulate => files.simulation(),
         ResultKind::Mpc => files.closed_loop(),
+        ResultKind::Equilibrium => files.equilibrium(),
         ResultKind::Tradeoff => Err(SavedError::Output(OutputError::Refused {
             path: directory.to_path_buf(),
             reason: "a tradeoff, whose page shows no motion".into(),
@@ -138,6 +139,21 @@ impl Files<'_> {
         let record = self.motion(n_samples + 1, nodes, ThinnedMotion::rows_of)?;
         let samples = read_samples(&self.directory.join("samples.csv"), n_samples)?;
         Ok(closed_loop_page(&setup, &samples, &record, self.summary))
+    }
+
+    fn equilibrium(&self) -> Result<ReportData, SavedError> {
+        let arm = self.scene.arm(self.source)?;
+        let rod = (arm.rod(&self.scene.discretization()))
+            .map_err(|error| self.scene.discretize_error(self.source, error.into()))?;
+        let most = (self.summary["sweep"].as_array()).map_or(0, Vec::len);
+        let record = self.motion(most, rod.n_nodes(), |n| (0..n).collect())?;
+        Ok(equilibrium_page(
+            self.scene,
+            &arm,
+            &rod,
+            &record,
+            self.summary,
+        ))
     }
 
     /// Some of at most so many rows of the motion of an arm of so many nodes.

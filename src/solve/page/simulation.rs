@@ -8,7 +8,7 @@ use super::words::{acting_facts, arm_facts, cost, in_numbers};
 use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, reaction};
 use crate::mechanics::BaseCondition;
 use crate::output::{
-    BaseReaction, MotionRecord, ReportCommand, ReportData, ReportEnergy, ReportMotion,
+    BaseReaction, MotionRecord, ReportClock, ReportCommand, ReportData, ReportEnergy, ReportMotion,
     ReportVerdict, figure,
 };
 use crate::scene::{Scene, Simulation};
@@ -76,6 +76,7 @@ pub(crate) fn simulation_page(
         summary: summary.clone(),
         arm: drawn_arm(&setup.arm, rod),
         motion: ReportMotion::thinned(record, FRAMES),
+        clock: ReportClock::time(),
         target: None,
         via: Vec::new(),
         paths: Vec::new(),
@@ -90,6 +91,9 @@ pub(crate) fn simulation_page(
         controls: None,
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: None,
+        bars: Vec::new(),
+        tables: Vec::new(),
+        advice: Vec::new(),
         charts: match base {
             Some(base) if rod.base != BaseCondition::Free => {
                 reaction::charts(&base.t, &base.force, &base.moment)

@@ -10,9 +10,9 @@ use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, reaction};
 use crate::control::{Bound, Hold, OptimalControlProblem, Tracking};
 use crate::mechanics::Wrench;
 use crate::output::{
-    self, MotionRecord, ReportAttempt, ReportCheck, ReportCommand, ReportControls, ReportData,
-    ReportEnergy, ReportIteration, ReportMotion, ReportPath, ReportSensitivity, ReportTarget,
-    ReportVerdict, ReportVia, figure,
+    self, MotionRecord, ReportAttempt, ReportCheck, ReportClock, ReportCommand, ReportControls,
+    ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportPath, ReportSensitivity,
+    ReportTarget, ReportVerdict, ReportVia, figure,
 };
 use crate::scene::translate::directors;
 use crate::solve::step_kind::{MEANINGS, step_kind};
@@ -85,6 +85,9 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         controls: Some(controls(discrete, page.coefficients)),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: page.sensitivity,
+        bars: Vec::new(),
+        tables: Vec::new(),
+        advice: Vec::new(),
         charts: if crate::verify::files::summary::was_checked(page.summary) {
             reaction::optimized(discrete, page.coefficients)
         } else {
@@ -99,6 +102,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         checks: summary.list("check.criteria").map(check_row).collect(),
         summary: page.summary.clone(),
         motion,
+        clock: ReportClock::time(),
     }
 }
 

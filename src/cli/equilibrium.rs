@@ -1,0 +1,262 @@
+//! `softarm equilibrium SCENE [--out DIR]`: statics, stability, the load factor at which it is lost, and a sweep over the load factor.
+
+use std::time::Instant;
+
+use clap::Args;
+
+use super::check::warnings;
+use super::console::{Console, stop_signal};
+use super::error::CliError;
+use super::quantity::{digits, entry, quantity};
+use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::{Kept, LoadPath, Loss, Varied};
+use crate::output::equilibrium::{EquilibriumSummary, sweep_record, write_tables};
+use crate::output::{ResultKind, RunDirectory, render_report};
+use crate::scene::{MOST_ELEMENTS, Scene, SceneSource};
+use crate::solve::{Statics, StaticsError, StaticsOptions, equilibrium_page, statics};
+use crate::stop::StopSignal;
+use crate::task::{Arm, Discretization};
+
+#[derive(Debug, Args)]
+pub(super) struct EquilibriumArguments {
+    #[command(flatten)]
+    scene: SceneAndOut,
+    /// The sweep ends at this load factor, 1 at least
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    to: f64,
+    /// Load factors of the sweep, evenly spread from 0 to its end; 1 is always among them
+    #[arg(long, value_name = "N", default_value_t = 21, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    points: u32,
+    /// Loads that the load factor multiplies
+    #[arg(long, value_enum, default_value = "all")]
+    vary: Varied,
+    /// Time at which loads with a profile and a driven base are looked at, s
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    time: f64,
+    /// Force across the tip, over EI/L², that stays as it is: a symmetric arm then buckles gradually, to its side
+    #[arg(long, value_name = "PART", default_value_t = 0.0)]
+    imperfection: f64,
+}
+
+impl EquilibriumArguments {
+    fn options(&self) -> Result<StaticsOptions, CliError> {
+        let refuse = |words: String| Err(CliError::Directory(words));
+        if !(self.to >= 1.0 && self.to <= crate::mechanics::load_path::LARGEST_FACTOR) {
+            return refuse(format!(
+                "--to {}: the sweep ends at a load factor from 1 to {:e}; 1 are the loads of the scene",
+                self.to,
+                crate::mechanics::load_path::LARGEST_FACTOR
+            ));
+        }
+        if !(self.time.is_finite() && self.time >= 0.0) {
+            return refuse(format!("--time {}: a time from 0 s on", self.time));
+        }
+        if !(self.imperfection.is_finite() && self.imperfection.abs() <= 1.0) {
+            return refuse(format!(
+                "--imperfection {}: a part of EI/L\u{b2} from -1 to 1; 1e-3 is a small one",
+                self.imperfection
+            ));
+        }
+        Ok(StaticsOptions {
+            varied: self.vary,
+            to: self.to,
+            points: self.points as usize,
+            time: self.time,
+            imperfection: self.imperfection,
+        })
+    }
+}
+
+pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &Console) -> Outcome {
+    let began = Instant::now();
+    console.catch_interrupts();
+    let options = arguments.options()?;
+    let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
+    let stop = stop_signal(scene.deadline(began));
+    let target = arguments.scene.directory("equilibrium");
+    let arm = scene.arm(&source)?;
+    let directory = RunDirectory::open(&target, ResultKind::Equilibrium)?;
+    let found = accurate(&scene, &source, &arm, &options, &stop);
+    let (scene, found) = match found {
+        Ok(found) => found,
+        Err(error) => {
+            directory.remove()?;
+            return Err(error);
+        }
+    };
+    for warning in warnings(&scene, &found.rod, f64::NAN) {
+        console.warn(&warning);
+    }
+    if scene.task.is_some() || scene.control.is_some() {
+        console.warn("[task] and [control] play no part in statics: `softarm check` says what holds a target, and a [[load]] is a wrench of your choice");
+    }
+    if arm.loads.iter().any(|load| !load.profile.is_empty()) {
+        console.warn(&format!(
+            "load: loads with a profile are those at t = {} s; --time names another instant",
+            options.time
+        ));
+    }
+    let wall = began.elapsed().as_secs_f64();
+    let names = [
+        scene_name(&arguments.scene.scene),
+        target.display().to_string(),
+    ];
+    let summary = EquilibriumSummary::of(&found, &options, names, wall);
+    let path = LoadPath::new(&found.rod, options.varied, options.time, found.aside, &stop)
+        .map_err(|error| refused(&scene, &source, error.into()))?;
+    let record = sweep_record(&found, |factor| path.rod_at(factor), options.time);
+    let written = directory.publish(|result| {
+        result.write_text("scene.toml", &scene.to_toml())?;
+        record.write_npz(&result.path().join("trajectory.npz"))?;
+        write_tables(result, &found.rod, &found.own.shape, &summary)?;
+        result.write_json("summary.json", &summary)?;
+        let value = serde_json::to_value(&summary).unwrap_or_default();
+        let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value);
+        result.write_text("report.html", &render_report(&page))
+    })?;
+    tell(&summary, &found, &options, console);
+    console.say(&format!(
+        "report: {}",
+        written.join("report.html").display()
+    ));
+    console.summary(&summary);
+    Ok(exit::DONE)
+}
+
+/// The statics of a scene, and the scene with the elements that they are of: with an accuracy, twice as many until the tip is that accurate.
+fn accurate(
+    scene: &Scene,
+    source: &SceneSource,
+    arm: &Arm,
+    options: &StaticsOptions,
+    stop: &StopSignal,
+) -> Result<(Scene, Statics), CliError> {
+    let mut discretization = scene.discretization();
+    loop {
+        let found = statics(arm, &discretization, options, stop)
+            .map_err(|error| refused(scene, source, error))?;
+        let Some(accuracy) = scene.accuracy() else {
+            return Ok((scene.resolved(&discretization), found));
+        };
+        let elements = 2 * discretization.elements;
+        let allowed = accuracy * arm.length;
+        if found.refined_space.is_some_and(|error| error <= allowed) || elements > MOST_ELEMENTS {
+            let scene = scene.with_grid(&Discretization {
+                step: None,
+                ..discretization
+            });
+            return Ok((scene.resolved(&discretization), found));
+        }
+        discretization.elements = elements;
+    }
+}
+
+fn refused(scene: &Scene, source: &SceneSource, error: StaticsError) -> CliError {
+    match error {
+        StaticsError::Rod(error) => CliError::Scene(scene.discretize_error(source, error.into())),
+        StaticsError::Equilibrium(EquilibriumError::Stopped(stop)) => CliError::Stopped(stop),
+        StaticsError::Equilibrium(EquilibriumError::FreeBase) => CliError::Scene(source.error_at(
+            "base.kind",
+            EquilibriumError::FreeBase.to_string(),
+            None,
+        )),
+        StaticsError::Equilibrium(error) => CliError::Statics(error),
+    }
+}
+
+/// The findings in a few lines.
+fn tell(
+    summary: &EquilibriumSummary,
+    found: &Statics,
+    options: &StaticsOptions,
+    console: &Console,
+) {
+    let say = |word: &str, text: &str| console.say(&entry(word, text));
+    let point = |x: [f64; 3]| {
+        let [x, y, z] = x.map(digits);
+        format!("[{x}, {y}, {z}] m")
+    };
+    let error = summary.refined_space_m.map_or_else(
+        || "twice the elements have another equilibrium or none".to_string(),
+        |error| format!("elements put it {} off", quantity(error, "m")),
+    );
+    say(
+        "tip",
+        &format!(
+            "{}, {} from where it is unloaded; {error}",
+            point(summary.tip.position_m),
+            quantity(summary.tip_displacement_m, "m")
+        ),
+    );
+    let norm = |v: [f64; 3]| nalgebra::Vector3::from(v).norm();
+    say(
+        "base",
+        &format!(
+            "holds the arm with {} and {}",
+            quantity(norm(summary.base.force_n), "N"),
+            quantity(norm(summary.base.moment_n_m), "N m")
+        ),
+    );
+    let stability = &summary.stability;
+    let words = match (stability.growth_rate_1_s, stability.first_frequency_hz) {
+        (Some(rate), _) => format!(
+            "UNSTABLE: deviations grow e-fold in {}",
+            quantity(rate.recip(), "s")
+        ),
+        (None, Some(frequency)) => format!(
+            "stable: sways at {}{}",
+            quantity(frequency, "Hz"),
+            stability
+                .tip_stiffness_n_m
+                .map_or_else(String::new, |stiffness| format!(
+                    ", and the tip gives way by {} per newton at most",
+                    quantity(stiffness.recip(), "m")
+                ))
+        ),
+        (None, None) => "neutral: nothing brings the arm back, and nothing grows".to_string(),
+    };
+    say("rests", &words);
+    if let Some(place) = summary.goes_to_m {
+        say(
+            "",
+            &format!("pushed a little, its tip goes to {}", point(place)),
+        );
+    }
+    let buckling = &summary.buckling;
+    let words = match (buckling.factor, buckling.how, buckling.why) {
+        (Some(factor), how, _) => format!(
+            "at load factor {} it {} ({} vary)",
+            digits(factor),
+            match how {
+                Some(Loss::Snapping) => "snaps through",
+                Some(Loss::Flutter) => "flutters",
+                Some(Loss::Buckling) | None => "buckles",
+            },
+            options.varied.words()
+        ),
+        (None, _, Some(Kept::Unloaded)) => "nothing loads the arm".to_string(),
+        (None, _, why) => format!(
+            "stable up to load factor {}{}",
+            digits(buckling.stable_up_to.unwrap_or(0.0)),
+            match why {
+                Some(Kept::OutOfRange) => ", where elements leave the range of rod models",
+                Some(Kept::NotFollowed) => ", beyond which no equilibrium was found",
+                _ => "",
+            }
+        ),
+    };
+    say("loads", &words);
+    if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
+        console.warn(&format!(
+            "at load factor {} the sweep goes on from another equilibrium: the one before ends at a smaller factor",
+            digits(jump.factor)
+        ));
+    }
+    if let Some(cut) = &summary.sweep_cut {
+        console.warn(&format!(
+            "the sweep ends at load factor {}: {cut}",
+            digits(summary.sweep.last().map_or(0.0, |point| point.factor))
+        ));
+    }
+}

@@ -1,0 +1,404 @@
+//! Equilibria of a held arm while a factor multiplies its loads: the path from the unloaded shape, the stability along it, and the factor at which
+//! it is lost.
+//!
+//! The path is followed by Newton's method from factor to factor. It passes branching points, where a straight column may go on straight, and ends where
+//! it turns back (a limit point, from which the arm snaps through). Along a path the smallest eigenvalue of the stiffness changes its sign only at a
+//! singular point; a stride across which it does is shortened to the least one, so that Newton's method does not jump from one path to another.
+
+use std::ops::ControlFlow;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::configuration::Configuration;
+use super::equilibrium::{
+    EquilibriumError, Passage, TipSpring, followed, static_equilibrium_until,
+};
+use super::load::{Load, LoadFrame};
+use super::rod::{BaseCondition, Rod};
+use super::tangent::{POSITIVE, Stability, Tangent, own_squared_frequency};
+use crate::stop::StopSignal;
+
+/// Loads that the factor multiplies; the others stay as they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum Varied {
+    /// Gravity and all loads.
+    #[default]
+    All,
+    /// The loads of the scene, under constant gravity.
+    Loads,
+    /// Gravity, under constant loads.
+    Gravity,
+}
+
+impl Varied {
+    /// The loads in words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::All => "gravity and all loads",
+            Self::Loads => "the loads, under constant gravity",
+            Self::Gravity => "gravity, under constant loads",
+        }
+    }
+}
+
+/// An equilibrium at a load factor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadedShape {
+    /// Load factor.
+    pub factor: f64,
+    /// The shape.
+    pub shape: Configuration,
+    /// Its stability with the loads held; `None` where the stiffness is no number.
+    pub stability: Option<Stability>,
+    /// True where the path broke off before this factor, so that the arm jumped to another equilibrium.
+    pub jumped: bool,
+}
+
+/// How stability is lost along a load path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Loss {
+    /// The stiffness becomes singular and the path goes on: the arm buckles to a side.
+    Buckling,
+    /// The stiffness becomes singular where the path turns back: the arm snaps through.
+    Snapping,
+    /// Motions swing and grow, as they may under loads without a potential, such as forces that turn with the arm.
+    Flutter,
+}
+
+/// Why no loss of stability was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kept {
+    /// The path was followed to the largest factor.
+    ToTheEnd,
+    /// An element is compressed or stretched beyond what rod models describe.
+    OutOfRange,
+    /// Newton's method could not follow the path.
+    NotFollowed,
+    /// Nothing acts that the factor multiplies.
+    Unloaded,
+}
+
+/// The factor at which an arm that is loaded from zero loses its stability.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Critical {
+    /// It does at this factor.
+    Lost {
+        /// Load factor.
+        factor: f64,
+        /// Kind of loss.
+        how: Loss,
+    },
+    /// It does not up to this factor.
+    Kept {
+        /// Load factor.
+        factor: f64,
+        /// Why it was not followed farther.
+        why: Kept,
+    },
+}
+
+/// Largest load factor that is looked at.
+pub const LARGEST_FACTOR: f64 = 1e4;
+/// First stride of the load factor, and the least one as a part of the factor.
+const FIRST_STRIDE: f64 = 0.05;
+const LEAST_STRIDE: f64 = 1e-6;
+/// Relative error of a critical factor.
+const PRECISION: f64 = 1e-7;
+/// Distance beyond a critical factor, relative to it, to which a path is followed to see that it goes on.
+const PAST: f64 = 1e-3;
+/// Dilatation of elements beyond which a linear elastic law is no model any more.
+const CREDIBLE_DILATATION: [f64; 2] = [0.7, 1.3];
+
+/// The equilibria of a rod while a factor multiplies its loads.
+pub struct LoadPath<'a> {
+    rod: &'a Rod,
+    varied: Varied,
+    /// Time at which profiles of loads and the motion of a driven base are looked at, s.
+    time: f64,
+    /// Dead force on the tip that the factor does not multiply, N: an imperfection, by which a symmetric arm chooses a side.
+    aside: Vector3<f64>,
+    /// `ω²` of the unloaded arm, 1/s².
+    unit: f64,
+    stop: &'a StopSignal,
+}
+
+impl<'a> LoadPath<'a> {
+    /// The path of a rod whose loads have their values at `time` (s), with a dead force `aside` (N, spatial frame) on the tip at every factor.
+    ///
+    /// # Errors
+    /// [`EquilibriumError::FreeBase`].
+    pub fn new(
+        rod: &'a Rod,
+        varied: Varied,
+        time: f64,
+        aside: Vector3<f64>,
+        stop: &'a StopSignal,
+    ) -> Result<Self, EquilibriumError> {
+        if rod.base == BaseCondition::Free {
+            return Err(EquilibriumError::FreeBase);
+        }
+        Ok(Self {
+            unit: own_squared_frequency(rod),
+            rod,
+            varied,
+            time,
+            aside,
+            stop,
+        })
+    }
+
+    /// The rod under the loads at a factor.
+    #[must_use]
+    pub fn rod_at(&self, factor: f64) -> Rod {
+        let mut out = self.rod.clone();
+        if self.varied != Varied::Loads {
+            out.gravity *= factor;
+        }
+        if self.varied != Varied::Gravity {
+            for load in &mut out.loads {
+                load.force *= factor;
+                load.moment *= factor;
+            }
+        }
+        if self.aside != Vector3::zeros() {
+            out.loads.push(Load {
+                node: out.tip(),
+                force: self.aside,
+                moment: Vector3::zeros(),
+                frame: LoadFrame::Spatial,
+                profile: Vec::new(),
+            });
+        }
+        out
+    }
+
+    /// Tells whether the factor multiplies anything that acts.
+    #[must_use]
+    pub fn is_loaded(&self) -> bool {
+        let weighs = self.varied != Varied::Loads && self.rod.gravity != Vector3::zeros();
+        let loads = self.varied != Varied::Gravity;
+        let mut acting = (self.rod.loads.iter())
+            .filter(|load| load.force != Vector3::zeros() || load.moment != Vector3::zeros());
+        weighs || (loads && acting.next().is_some())
+    }
+
+    /// The tangent stiffness of an equilibrium at a factor.
+    pub(crate) fn tangent(&self, at: &LoadedShape) -> Tangent {
+        Tangent::stiffness(&self.rod_at(at.factor), &at.shape, self.time)
+    }
+
+    /// Displacement of the tip per dead force on it, m/N, spatial frame; `None` where the stiffness is singular.
+    #[must_use]
+    pub fn tip_compliance(&self, at: &LoadedShape) -> Option<Matrix3<f64>> {
+        self.tangent(at).tip_compliance()
+    }
+
+    /// The equilibrium at factor 0: the stress-free shape, bent by what the factor does not multiply.
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] where there is none.
+    pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
+        let rest = self.rod.carried(self.rod.rest.clone(), self.time);
+        self.settled(0.0, &rest, false)
+    }
+
+    /// The equilibrium that the arm settles in from a shape, at a factor.
+    fn settled(
+        &self,
+        factor: f64,
+        from: &Configuration,
+        jumped: bool,
+    ) -> Result<LoadedShape, EquilibriumError> {
+        let rod = self.rod_at(factor);
+        let none = TipSpring::default();
+        let shape = static_equilibrium_until(&rod, from, self.time, &none, self.stop)?;
+        Ok(self.looked_at(factor, shape, jumped))
+    }
+
+    /// The equilibrium near one of another path at the same factor.
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] where there is none.
+    pub fn released(&self, from: &LoadedShape) -> Result<LoadedShape, EquilibriumError> {
+        self.settled(from.factor, &from.shape, from.jumped)
+    }
+
+    fn looked_at(&self, factor: f64, shape: Configuration, jumped: bool) -> LoadedShape {
+        let rod = self.rod_at(factor);
+        let tangent = Tangent::stiffness(&rod, &shape, self.time);
+        LoadedShape {
+            factor,
+            stability: tangent.stability(&rod, &shape, self.unit),
+            shape,
+            jumped,
+        }
+    }
+
+    /// Follows the path from an equilibrium to a factor, and hands what it passes to `each`, which may end it; the last equilibrium that was reached.
+    fn follow(
+        &self,
+        from: &LoadedShape,
+        to: f64,
+        each: &mut dyn FnMut(&LoadedShape) -> ControlFlow<()>,
+    ) -> Result<LoadedShape, EquilibriumError> {
+        let under = |factor: f64| self.rod_at(factor);
+        let strides = [FIRST_STRIDE, LEAST_STRIDE];
+        let mut last = from.clone();
+        followed(
+            &under,
+            (from.factor, from.shape.clone()),
+            to,
+            strides,
+            self.time,
+            &TipSpring::default(),
+            self.stop,
+            &mut |factor, shape, is_least| {
+                let next = self.looked_at(factor, shape.clone(), from.jumped);
+                let turns = self.sign(&last) * self.sign(&next) < 0;
+                if turns && !is_least {
+                    return Passage::Refused;
+                }
+                last = next;
+                match each(&last) {
+                    ControlFlow::Continue(()) => Passage::On,
+                    ControlFlow::Break(()) => Passage::End,
+                }
+            },
+        )?;
+        Ok(last)
+    }
+
+    /// Sign of the smallest `ω²`, 0 within rounding; also 0 under loads without a potential, where it is not that of the determinant.
+    fn sign(&self, at: &LoadedShape) -> i32 {
+        if !at.stability.is_some_and(|found| found.has_potential) {
+            return 0;
+        }
+        match squared(at) / self.unit {
+            over if over > POSITIVE => 1,
+            over if over < -POSITIVE => -1,
+            _ => 0,
+        }
+    }
+
+    /// The equilibrium at a factor that the path leads to from another; where it breaks off before, the one in which the arm settles from there.
+    ///
+    /// # Errors
+    /// [`EquilibriumError`] where there is none.
+    pub fn at(&self, from: &LoadedShape, factor: f64) -> Result<LoadedShape, EquilibriumError> {
+        let reached = self.follow(from, factor, &mut |_| ControlFlow::Continue(()))?;
+        if reached.factor == factor {
+            Ok(reached)
+        } else {
+            self.settled(factor, &reached.shape, true)
+        }
+    }
+
+    /// The factor at which an arm that is loaded from `start` on loses its stability.
+    ///
+    /// # Errors
+    /// [`EquilibriumError::Stopped`].
+    pub fn critical(&self, start: &LoadedShape) -> Result<Critical, EquilibriumError> {
+        let kept = |factor, why| Ok(Critical::Kept { factor, why });
+        let is_stable = |at: &LoadedShape| at.stability.is_some_and(|found| found.is_stable);
+        if !is_stable(start) {
+            let how = how(start);
+            return Ok(Critical::Lost { factor: 0.0, how });
+        }
+        if !self.is_loaded() {
+            return kept(0.0, Kept::Unloaded);
+        }
+        let mut last = start.clone();
+        let mut squares = vec![(start.factor, squared(start))];
+        let mut beyond = None;
+        let mut is_credible = true;
+        let reached = self.follow(start, LARGEST_FACTOR, &mut |at| {
+            let [least, most] = CREDIBLE_DILATATION;
+            let dilatation = self.rod.dilatation(&at.shape.positions);
+            if !dilatation.iter().all(|e| (least..=most).contains(e)) {
+                is_credible = false;
+                return ControlFlow::Break(());
+            }
+            if !is_stable(at) {
+                beyond = Some(at.clone());
+                return ControlFlow::Break(());
+            }
+            squares.push((at.factor, squared(at)));
+            last = at.clone();
+            ControlFlow::Continue(())
+        })?;
+        if let Some(beyond) = beyond {
+            return self.bisected(last, beyond);
+        }
+        if !is_credible {
+            return kept(last.factor, Kept::OutOfRange);
+        }
+        if reached.factor >= LARGEST_FACTOR {
+            return kept(reached.factor, Kept::ToTheEnd);
+        }
+        match fold(&squares) {
+            Some(factor) => Ok(Critical::Lost {
+                factor,
+                how: Loss::Snapping,
+            }),
+            None => kept(reached.factor, Kept::NotFollowed),
+        }
+    }
+
+    /// The factor between a stable and an unstable equilibrium of the path.
+    fn bisected(
+        &self,
+        mut stable: LoadedShape,
+        mut unstable: LoadedShape,
+    ) -> Result<Critical, EquilibriumError> {
+        while unstable.factor - stable.factor > PRECISION * unstable.factor {
+            self.stop.check().map_err(EquilibriumError::Stopped)?;
+            let middle = 0.5 * (stable.factor + unstable.factor);
+            let at = self.at(&stable, middle)?;
+            if at.stability.is_some_and(|found| found.is_stable) {
+                stable = at;
+            } else {
+                unstable = at;
+            }
+        }
+        let factor = 0.5 * (stable.factor + unstable.factor);
+        let mut how = how(&unstable);
+        if how == Loss::Buckling {
+            let past = (1.0 + PAST) * unstable.factor;
+            let reached = self.follow(&unstable, past, &mut |_| ControlFlow::Continue(()))?;
+            if reached.factor < past {
+                how = Loss::Snapping;
+            }
+        }
+        Ok(Critical::Lost { factor, how })
+    }
+}
+
+/// The kind of instability of an equilibrium.
+fn how(at: &LoadedShape) -> Loss {
+    match at.stability.and_then(|found| found.growth_frequency) {
+        Some(omega) if omega > 0.0 => Loss::Flutter,
+        _ => Loss::Buckling,
+    }
+}
+
+/// 1/s²
+fn squared(at: &LoadedShape) -> f64 {
+    at.stability
+        .map_or(f64::NAN, |found| found.least_squared_frequency)
+}
+
+/// The factor at which a path turns back, from the factors and `ω²` of its last two equilibria. There `ω²` falls as the square root of what is left of the
+/// factor, so that its square is linear; `None` where it does not reach zero within the distance of the two.
+fn fold(path: &[(f64, f64)]) -> Option<f64> {
+    let [.., (before, first), (last, second)] = path else {
+        return None;
+    };
+    let (first, second) = (first * first, second * second);
+    let left = (last - before) * second / (first - second);
+    (left > 0.0 && left <= last - before).then_some(last + left)
+}

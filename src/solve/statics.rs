@@ -1,0 +1,209 @@
+//! Statics of an arm: its equilibrium, its stability, the load factor at which that is lost, and a sweep over the load factor.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::{Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
+use crate::stop::StopSignal;
+use crate::task::{Arm, Discretization};
+
+/// What is asked about the statics of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StaticsOptions {
+    /// Loads that the load factor multiplies.
+    pub varied: Varied,
+    /// The sweep ends at this load factor.
+    pub to: f64,
+    /// Load factors of the sweep, evenly spread from 0 to the end, at least two.
+    pub points: usize,
+    /// Time at which loads with a profile and a driven base are looked at, s.
+    pub time: f64,
+    /// Dead force across the tip along the arm's softest direction, over EI/L²: an imperfection, with which a symmetric arm buckles gradually.
+    pub imperfection: f64,
+}
+
+impl Default for StaticsOptions {
+    fn default() -> Self {
+        Self {
+            varied: Varied::All,
+            to: 1.0,
+            points: 21,
+            time: 0.0,
+            imperfection: 0.0,
+        }
+    }
+}
+
+impl StaticsOptions {
+    /// The load factors of the sweep above 0, in their order, with 1 among them.
+    fn factors(&self) -> Vec<f64> {
+        let n = self.points.max(2) - 1;
+        let mut out: Vec<f64> = (1..=n).map(|i| self.to * i as f64 / n as f64).collect();
+        if !out.contains(&1.0) {
+            out.push(1.0);
+            out.sort_by(f64::total_cmp);
+        }
+        out
+    }
+}
+
+/// Statics of an arm.
+#[derive(Clone, Debug)]
+pub struct Statics {
+    /// The rod, under the loads at factor 1.
+    pub rod: Rod,
+    /// Dead force on the tip that the load factor does not multiply, N, spatial frame.
+    pub aside: Vector3<f64>,
+    /// The equilibrium at load factor 1.
+    pub own: LoadedShape,
+    /// Displacement of its tip per dead force on it, m/N, spatial frame.
+    pub tip_compliance: Option<Matrix3<f64>>,
+    /// Where the arm goes that is pushed a little, if the equilibrium is not stable and another one is found.
+    pub goes_to: Option<LoadedShape>,
+    /// The load factor at which stability is lost.
+    pub critical: Critical,
+    /// Equilibria at load factors from 0 on.
+    pub sweep: Vec<LoadedShape>,
+    /// Why the sweep ends before its end.
+    pub cut: Option<EquilibriumError>,
+    /// Estimated error of the tip of `own` that the elements make, m, from an arm with twice as many; `None` where that has another equilibrium or none.
+    pub refined_space: Option<f64>,
+}
+
+/// Why there are no statics.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StaticsError {
+    /// The arm cannot be discretized so.
+    #[error(transparent)]
+    Rod(#[from] RodError),
+    /// There is no equilibrium.
+    #[error(transparent)]
+    Equilibrium(#[from] EquilibriumError),
+}
+
+/// Part of EI/L² that pushes an arm aside to see where it goes.
+const PUSH: f64 = 1e-3;
+/// Rate by which the distance from an equilibrium of twice the elements, whose own error is a quarter, counts as the error (Richardson).
+const RICHARDSON: f64 = 4.0 / 3.0;
+
+/// Statics of an arm with the elements of a discretization.
+///
+/// # Errors
+/// [`StaticsError`] where the arm has no equilibrium that is found, or the work was stopped.
+pub fn statics(
+    arm: &Arm,
+    discretization: &Discretization,
+    options: &StaticsOptions,
+    stop: &StopSignal,
+) -> Result<Statics, StaticsError> {
+    let rod = arm.rod(discretization)?;
+    let aside = match options.imperfection {
+        0.0 => Vector3::zeros(),
+        part => part * rod.scales.force * softest(&rod, options, stop)?,
+    };
+    let path = LoadPath::new(&rod, options.varied, options.time, aside, stop)?;
+    let start = path.start()?;
+    let own = path.at(&start, 1.0)?;
+    let critical = path.critical(&start)?;
+    let is_stable = own.stability.is_some_and(|found| found.is_stable);
+    let goes_to = match is_stable {
+        true => None,
+        false => pushed(&rod, &own, options, stop)?,
+    };
+    let mut sweep = vec![start];
+    let mut cut = None;
+    for factor in options.factors() {
+        let last = &sweep[sweep.len() - 1];
+        let next = if factor == 1.0 {
+            Ok(own.clone())
+        } else {
+            path.at(last, factor)
+        };
+        match next {
+            Ok(next) => sweep.push(next),
+            Err(EquilibriumError::Stopped(stop)) => {
+                return Err(EquilibriumError::Stopped(stop).into());
+            }
+            Err(error) => {
+                cut = Some(error);
+                break;
+            }
+        }
+    }
+    let finer = Discretization {
+        elements: 2 * discretization.elements,
+        ..*discretization
+    };
+    let finer = arm.rod(&finer)?;
+    let refined_space = tip_at_one(&finer, options, aside, stop)?
+        .map(|tip| RICHARDSON * (tip - own.shape.positions[rod.tip()]).norm());
+    Ok(Statics {
+        aside,
+        tip_compliance: path.tip_compliance(&own),
+        own,
+        goes_to,
+        critical,
+        sweep,
+        cut,
+        refined_space,
+        rod,
+    })
+}
+
+/// The tip of an equilibrium at factor 1; `None` where there is none.
+fn tip_at_one(
+    rod: &Rod,
+    options: &StaticsOptions,
+    aside: Vector3<f64>,
+    stop: &StopSignal,
+) -> Result<Option<Vector3<f64>>, StaticsError> {
+    let path = LoadPath::new(rod, options.varied, options.time, aside, stop)?;
+    match path.start().and_then(|start| path.at(&start, 1.0)) {
+        Ok(own) => Ok(Some(own.shape.positions[rod.tip()])),
+        Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),
+        Err(_) => Ok(None),
+    }
+}
+
+/// Unit vector along which the tip of the unloaded arm gives way most; of a straight arm the first axis of its section.
+fn softest(
+    rod: &Rod,
+    options: &StaticsOptions,
+    stop: &StopSignal,
+) -> Result<Vector3<f64>, StaticsError> {
+    let path = LoadPath::new(rod, options.varied, options.time, Vector3::zeros(), stop)?;
+    let start = path.start()?;
+    let first = start.shape.rotations[0].column(0).into_owned();
+    let Some(compliance) = path.tip_compliance(&start) else {
+        return Ok(first);
+    };
+    let compliance = 0.5 * (compliance + compliance.transpose());
+    // Of directions that are equally soft, the one nearest to the first axis.
+    let softest = compliance * compliance * compliance * first;
+    Ok(softest.try_normalize(0.0).unwrap_or(first))
+}
+
+/// The stable equilibrium that an arm comes to whose loads grow from zero while a small force pushes its tip aside, without that force.
+fn pushed(
+    rod: &Rod,
+    own: &LoadedShape,
+    options: &StaticsOptions,
+    stop: &StopSignal,
+) -> Result<Option<LoadedShape>, StaticsError> {
+    let aside = PUSH * rod.scales.force * softest(rod, options, stop)?;
+    let path = LoadPath::new(rod, options.varied, options.time, aside, stop)?;
+    let free = LoadPath::new(rod, options.varied, options.time, Vector3::zeros(), stop)?;
+    let found = (path.start())
+        .and_then(|start| path.at(&start, 1.0))
+        .and_then(|leaning| free.released(&leaning));
+    match found {
+        Ok(found) => {
+            let grows = (found.stability).is_none_or(|found| found.growth_rate.is_some());
+            let tip = rod.tip();
+            let away = (found.shape.positions[tip] - own.shape.positions[tip]).norm();
+            Ok((!grows && away > PUSH * rod.scales.length).then_some(found))
+        }
+        Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),
+        Err(_) => Ok(None),
+    }
+}
