@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo bench --bench mpc > benches/mpc.md
-//! cargo bench --bench mpc -- --seconds 10 circle times
+//! cargo bench --bench mpc -- --seconds 10 known times
 //! ```
 //!
 //! The scene is one arm and one task: 1 m of silicone (E = 1 MPa, 5 cm radius, viscous damping 1/s), whose tip turns on a circle of 0.2 m once
@@ -12,6 +12,9 @@
 
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
+
+#[path = "support/plants.rs"]
+mod plants;
 
 use nalgebra::Vector3;
 use softarm::control::Bound;
@@ -203,30 +206,6 @@ fn percent(error: f64) -> String {
     format!("{:.3}", 100.0 * error)
 }
 
-/// Gains of the law at the tip that are tried, and how long.
-const STIFFNESSES: [f64; 6] = [1.0, 3.0, 10.0, 30.0, 60.0, 100.0];
-const DAMPINGS: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
-const TUNING: f64 = 6.0;
-
-/// The gains with the least error on a scene, as an engineer finds them on the arm.
-fn tuned(scene: &Experiment) -> Result<TipGains, MpcError> {
-    let mut best = (f64::INFINITY, TipGains::default());
-    for stiffness in STIFFNESSES {
-        for damping in DAMPINGS {
-            let gains = TipGains { stiffness, damping };
-            let mut tried = scene.clone();
-            tried.settings.law = Law::Tip(gains);
-            tried.duration = TUNING;
-            let found = run(&tried, Contender::TipPd)?;
-            let error = found.tip_error.rms;
-            if found.broke_down.is_none() && error < best.0 {
-                best = (error, gains);
-            }
-        }
-    }
-    Ok(best.1)
-}
-
 /// Root mean square and largest error, in percent; a run that broke down says so.
 fn errors(found: &Outcome) -> String {
     if found.broke_down.is_some() {
@@ -285,34 +264,36 @@ fn table(columns: &[Column], turns: bool) -> Result<(), MpcError> {
     Ok(())
 }
 
-fn circle(seconds: f64) -> Result<(), MpcError> {
-    let known = scene(seconds, 10);
-    let with_law = |mut scene: Experiment, law: Law| {
-        scene.settings.law = law;
-        scene
-    };
-    let held = |mut scene: Experiment| {
-        scene.mpc.effort = EffortFrom::Holding;
-        scene
-    };
-    println!("## The circle, on arms that are not the model\n");
-    println!(
-        "Distance of the tip from its reference after the first turn, in % of the length, over {seconds} s: root mean square / largest. One tuning \
-         serves all rows.\n"
-    );
-    let gains = tuned(&known)?;
-    println!(
-        "### The true state at once\n\nThe law at the tip has the best of {} gains on the first arm over {TUNING} s: {} times the stiffness of the tip, \
-         a damping ratio of {}. Open loop and controller count effort from zero along the path (the default), and from what holds the tip there.\n",
-        STIFFNESSES.len() * DAMPINGS.len(),
-        gains.stiffness,
-        gains.damping
-    );
-    let column = |heading, contender, scene: &Experiment| Column {
+fn with_law(mut scene: Experiment, law: Law) -> Experiment {
+    scene.settings.law = law;
+    scene
+}
+
+fn held(mut scene: Experiment) -> Experiment {
+    scene.mpc.effort = EffortFrom::Holding;
+    scene
+}
+
+fn column(heading: &'static str, contender: Contender, scene: &Experiment) -> Column {
+    Column {
         heading,
         contender,
         scene: scene.clone(),
-    };
+    }
+}
+
+fn known(seconds: f64) -> Result<(), MpcError> {
+    let known = scene(seconds, 10);
+    let gains = known.tuned_tip_gains()?;
+    println!("## The circle, on arms that are not the model: the true state at once\n");
+    println!(
+        "Distance of the tip from its reference after the first turn, in % of the length, over {seconds} s: root mean square / largest. One tuning \
+         serves all rows. The law at the tip has the best of {} pairs of gains on the first arm: {} times the stiffness of the tip, a damping ratio of \
+         {}. Open loop and controller count effort from zero along the path (the default), and from what holds the tip there.\n",
+        TipGains::TRIED.0.len() * TipGains::TRIED.1.len(),
+        gains.stiffness,
+        gains.damping
+    );
     let pd = with_law(known.clone(), Law::Tip(gains));
     table(
         &[
@@ -332,11 +313,16 @@ fn circle(seconds: f64) -> Result<(), MpcError> {
             ),
         ],
         false,
-    )?;
+    )
+}
+
+fn sensed(seconds: f64) -> Result<(), MpcError> {
+    let known = scene(seconds, 10);
     let sensed = noisy(known.clone(), FILTER, SensorPreset::Mocap);
-    let gains = tuned(&sensed)?;
+    let gains = sensed.tuned_tip_gains()?;
+    println!("## The circle, on arms that are not the model: sensors and a period of delay\n");
     println!(
-        "### Sensors and a period of delay\n\nPoses at three places with 0.2 mm and 0.2 degrees of noise and no velocities, 200 Hz, 5 ms old, and commands \
+        "As before, over {seconds} s, with poses at three places with 0.2 mm and 0.2 degrees of noise and no velocities, 200 Hz, 5 ms old, and commands \
          one period late, which all laws predict over but where it is said: by a Kalman filter with all unknowns, by one of the state alone, and \
          counted from what holds the tip. The law at the tip has the best gains in these conditions: {} and {}.\n",
         gains.stiffness, gains.damping
@@ -596,10 +582,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = value("--seconds").unwrap_or(60.0);
     let count = value("--arms").unwrap_or(200.0) as usize;
     let parts = [
-        "circle",
+        "known",
+        "sensed",
         "conditions",
         "disturbances",
         "robustness",
+        "long",
+        "seeds",
         "times",
     ];
     let asked = |part: &str| {
@@ -617,8 +606,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         format!(" -- {}", given.join(" "))
     };
     println!("# Closed loops\n\nPrinted by `cargo bench --bench mpc{given}`.\n");
-    if asked("circle") {
-        circle(seconds)?;
+    if asked("known") {
+        known(seconds)?;
+    }
+    if asked("sensed") {
+        sensed(seconds)?;
     }
     if asked("conditions") {
         conditions(seconds.min(20.0))?;
@@ -628,6 +620,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if asked("robustness") {
         robustness(count)?;
+    }
+    if asked("long") {
+        plants::long(seconds.max(20.0))?;
+    }
+    if asked("seeds") {
+        plants::seeds(value("--seeds").unwrap_or(50.0) as usize, seconds.min(6.0))?;
     }
     if asked("times") {
         times()?;

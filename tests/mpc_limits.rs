@@ -146,9 +146,6 @@ struct Slow {
     change: fn(&mut Experiment),
 }
 
-/// Samples of each of these loops.
-const SAMPLES: usize = 150;
-
 fn axes(x: f64, y: f64, z: f64) -> Option<Bound> {
     Some(Bound::PerAxis(Vector3::new(x, y, z)))
 }
@@ -192,6 +189,18 @@ fn is_nearly_blind(scene: &mut Experiment) {
 /// within and from the command that acts, and none is a fall-back where nothing is missing.
 #[test]
 fn rates_are_kept() {
+    keep_rates(150);
+}
+
+/// The same over twenty thousand commands: `cargo test --release --test mpc_limits -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes"]
+fn rates_are_kept_for_twenty_thousand_commands() {
+    keep_rates(910);
+}
+
+/// Runs every loop for so many samples.
+fn keep_rates(samples: usize) {
     use Hold::{Constant, Linear};
     const FREE: [Option<Bound>; 2] = [Some(Bound::Norm(0.0)), None];
     let bend = axes(5.0, 5.0, 0.0);
@@ -403,7 +412,7 @@ fn rates_are_kept() {
             };
         }
         (slow.change)(&mut own);
-        own.duration = own.mpc.period * SAMPLES as f64;
+        own.duration = own.mpc.period * samples as f64;
         let (period, actuator) = (own.mpc.period, own.task.actuators[0]);
         let mut watch = Watch::new(slow.hold, period, actuator.force, actuator.moment);
         let found = own

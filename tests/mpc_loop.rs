@@ -7,7 +7,8 @@ mod tracking;
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
-use softarm::mechanics::Rod;
+use softarm::control::Hold;
+use softarm::mechanics::{Rod, TimeScheme};
 use softarm::mpc::{
     Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, EstimatorChoice, Experiment,
     FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
@@ -88,6 +89,63 @@ fn disturbances_are_estimated() {
         off.abs() < 4.0 * last.deviation.stiffness.max(0.03),
         "{off}"
     );
+}
+
+/// A course that is constant in its blocks changes by jumps alone, whose price is that of the rate between blocks: it follows as near as a linear one,
+/// within half as much again, on an arm of a fifth less stiffness. At the price of a jump of a linear course it would lag behind without end.
+#[test]
+fn constant_courses_follow_as_well() {
+    let error = |hold: Hold| {
+        let mut own = scene();
+        own.plant = tracking::arm(0.8e6);
+        own.task.cost.effort = 0.1;
+        own.task.cost.rate = 0.003;
+        own.discretization.hold = hold;
+        own.duration = 3.0;
+        own.counted_from = 1.0;
+        run(&own, Contender::Mpc).tip_error.rms
+    };
+    let [linear, constant] = [Hold::Linear, Hold::Constant].map(error);
+    println!("{linear} {constant}");
+    assert!(constant < 1.5 * linear, "{constant} {linear}");
+}
+
+/// An arm with internal damping and a curved rest shape: a filter that does not look for internal damping has innovations larger than it expects, which
+/// the run says; one that looks for it is consistent, and finds it to a fifth.
+#[test]
+fn filters_say_that_something_is_missing() {
+    let mut curved = scene();
+    curved.discretization.scheme = Some(TimeScheme::Implicit);
+    curved.discretization.step = Some(0.025);
+    curved.plant.internal_damping = 0.03;
+    curved.plant.rest_curvature.x = 0.2;
+    curved.duration = 4.0;
+    curved.counted_from = 2.0;
+    let all = Unknowns {
+        delay: false,
+        ..Unknowns::ALL
+    };
+    let few = Unknowns {
+        internal: false,
+        ..all
+    };
+    assert_eq!(few.missing(), ["internal", "delay"]);
+    let [few, all] = [few, all].map(|list| {
+        run(
+            &estimated(curved.clone(), EstimatorChoice::Kalman(list)),
+            Contender::Mpc,
+        )
+    });
+    let [doubted, found] = [&few, &all].map(|run| run.tally.innovations.unwrap());
+    println!(
+        "{doubted:?} {} {found:?} {}",
+        few.tip_error.rms, all.tip_error.rms
+    );
+    assert!(doubted.is_off && !found.is_off, "{doubted:?} {found:?}");
+    assert!(all.tip_error.rms < 5e-3);
+    let last = all.samples.last().unwrap();
+    let off = last.disturbance.internal - 0.03;
+    assert!(off.abs() < 0.2 * 0.03, "{off}");
 }
 
 /// A filter on half of the model's elements keeps the tip of the same arm as near to its path, within a tenth.

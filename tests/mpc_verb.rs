@@ -233,6 +233,35 @@ fn resolved_scenes_repeat() {
     assert_ne!(first, other);
 }
 
+/// `check` tells of a loop its horizon, its sensors, what a sample takes, and the force that holds the tip along its path; where the bounds do not allow it,
+/// a warning says when and how much.
+#[test]
+fn check_tells_of_the_loop() {
+    let desk = Desk::new();
+    let check = |force: &str| {
+        let bound = format!("control.force_max_n={force}");
+        let run = desk.run(&["check", "loop.toml", "--json", "--set", &bound]);
+        assert_eq!(run.code, DONE, "{}", run.stderr);
+        let summary: Value = serde_json::from_str(&run.stdout).unwrap();
+        (summary["closed_loop"].clone(), run.stderr)
+    };
+    let (wide, said) = check("1000.0");
+    assert!(!said.contains("above the bounds"), "{said}");
+    assert!(wide["sample_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(wide["sensors"].as_array().unwrap().len(), 1);
+    let force = |found: &Value| {
+        let all = found["reference"]["force_n"].as_array().unwrap().clone();
+        let squares: f64 = all.iter().map(|f| f.as_f64().unwrap().powi(2)).sum();
+        squares.sqrt()
+    };
+    assert_eq!(wide["reference"]["force_excess_n"], 0.0);
+    let half = 0.5 * force(&wide);
+    let (narrow, said) = check(&half.to_string());
+    assert!(said.contains("above the bounds"), "{said}");
+    let excess = narrow["reference"]["force_excess_n"].as_f64().unwrap();
+    assert!((excess - half).abs() < 1e-6 * half, "{excess} {half}");
+}
+
 /// With `--baselines` the summary has the other laws, the controller is nearer to its reference than its plan alone on an arm that is softer,
 /// and nearest where the arm is its model; one table says so.
 #[test]

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
+use super::check_loop;
 use super::console::Console;
 use super::hardly_meant::hardly_meant;
 use super::quantity::{digits, entry, mass, quantity};
@@ -116,6 +117,10 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         ));
     }
     concerns.splice(0..0, warnings(&scene, &rod, grid.step));
+    let closed_loop = check_loop::summarize(&scene, &source)?.map(|(summary, more)| {
+        concerns.extend(more);
+        summary
+    });
     let at_rest = at_rest(&rod);
     concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
     let distance = plan.as_ref().and_then(|plan| plan.distance);
@@ -165,7 +170,8 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         at_rest,
         actuators,
         static_need,
-        solve_cost,
+        solve_cost: solve_cost.filter(|_| closed_loop.is_none()),
+        closed_loop,
         integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
         warnings: concerns,
     };
@@ -697,6 +703,9 @@ fn answer(
             check: cost.check_s,
         };
         say("solve", &time_in_words(&time, summary.memory_bytes as f64));
+    }
+    if let Some(closed_loop) = &summary.closed_loop {
+        check_loop::say(closed_loop, console);
     }
 }
 

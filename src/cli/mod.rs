@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod check;
+mod check_loop;
 mod clearance;
 mod console;
 mod derivatives;

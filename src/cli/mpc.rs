@@ -16,8 +16,8 @@ use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::control::{Hold, PathLimit, RodView};
 use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{
-    Cause, ClosedLoop, Contender, EstimatorChoice, FallbackSettings, MpcError, Outcome as Run,
-    Percentiles, Sample, Sensing, TipError, Unknowns,
+    Cause, ClosedLoop, Contender, EstimatorChoice, FallbackSettings, Law, MpcError, Outcome as Run,
+    Percentiles, Sample, Sensing, TipError, TipGains, Unknowns,
 };
 use crate::output::closed_loop::{
     BaselineSummary, LimitPeak, MpcSummary, SampleRow, write_samples,
@@ -35,8 +35,8 @@ use crate::stop::{Stop, StopSignal};
 pub(super) struct MpcArguments {
     #[command(flatten)]
     scene: SceneAndOut,
-    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip, the controller on an arm that is
-    /// its model, and on an arm that waits for it; print one table
+    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip with the best of 24 pairs of gains, the
+    /// controller on an arm that is its model, and on an arm that waits for it; print one table
     #[arg(long)]
     baselines: bool,
     /// Drive a plant in another process: lines of JSON on standard input and output (docs/serving.md); writes no files
@@ -177,7 +177,21 @@ fn computed(
             break;
         }
         console.say(&format!("running {}", label(contender)));
-        let other = setup.experiment.run(contender, &mut |_, _| or_stop(stop));
+        let mut own = setup.experiment.clone();
+        let tuned = if contender == Contender::TipPd {
+            own.tuned_tip_gains().map(|gains| {
+                console.say(&format!(
+                    "  the best of {} pairs of gains: {} times the stiffness of the tip, a damping ratio of {}",
+                    TipGains::TRIED.0.len() * TipGains::TRIED.1.len(),
+                    gains.stiffness,
+                    gains.damping
+                ));
+                own.settings.law = Law::Tip(gains);
+            })
+        } else {
+            Ok(())
+        };
+        let other = tuned.and_then(|()| own.run(contender, &mut |_, _| or_stop(stop)));
         if matches!(other, Err(MpcError::Stopped(_))) {
             break;
         }
@@ -585,9 +599,28 @@ const CERTAIN: f64 = 3.0;
 fn estimate_advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
     let mut out = Vec::new();
     if let Some(found) = (run.tally.innovations).filter(|found| found.is_off) {
+        let missing = match &setup.experiment.sensing {
+            Sensing::Estimated {
+                estimator: EstimatorChoice::Kalman(unknowns),
+                ..
+            } => unknowns.missing(),
+            _ => Vec::new(),
+        };
+        let cause = if missing.is_empty() {
+            format!(
+                "something is wrong that no unknown describes, such as waves that {} elements do not have (rod.elements), a step of the command from \
+                 rest (a bound on its rate takes it away), or a sensor that is noisier than [[sensor]] says",
+                setup.model.n_elements()
+            )
+        } else {
+            format!(
+                "something is wrong that is not among estimator.disturbances, which lacks {}, or a sensor is noisier than [[sensor]] says",
+                missing.join(", ")
+            )
+        };
         out.push(format!(
             "the estimate is in doubt: the squares of what is measured otherwise than expected are {:.2} times as large as the filter expects \
-             (consistent: at most {:.2}); something is wrong that is not among estimator.disturbances, such as a \"delay\" of the commands, or a sensor is noisier than [[sensor]] says",
+             (consistent: at most {:.2}); {cause}",
             found.per_number, found.at_most
         ));
     }
@@ -595,12 +628,17 @@ fn estimate_advice(setup: &ClosedLoopSetup, run: &Run) -> Vec<String> {
         .map(|last| (last.disturbance.delay, last.deviation.delay))
         .filter(|(delay, deviation)| *deviation > 0.0 && delay.abs() > CERTAIN * deviation);
     if let Some((delay, deviation)) = late {
+        let said = setup.experiment.settings.actuator_delay + delay;
+        let when = if delay > 0.0 { "later" } else { "earlier" };
+        let what = if said >= 0.0 {
+            format!("mpc.actuator_delay_s = {said:.4} says so")
+        } else {
+            "no command acts before it is sent, so that this stands for what the model has wrong about damping or its time steps".into()
+        };
         out.push(format!(
-            "commands act {:.1} +- {:.1} ms {} than they are said to, which the loop predicts over: mpc.actuator_delay_s = {:.4} says so",
+            "commands act {:.1} +- {:.1} ms {when} than they are said to, which the loop predicts over: {what}",
             1e3 * delay.abs(),
             1e3 * deviation,
-            if delay > 0.0 { "later" } else { "earlier" },
-            (setup.experiment.settings.actuator_delay + delay).max(0.0)
         ));
     }
     out

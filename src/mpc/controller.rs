@@ -11,6 +11,7 @@ use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector3};
 
+pub use self::effort::ReferenceNeed;
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
@@ -839,9 +840,18 @@ impl Controller {
         out
     }
 
-    /// Weight of the jump from the control that acts.
+    /// Weight of the jump from the control that acts. A constant course changes by jumps alone, so that the first one costs no more than the rate between
+    /// coefficients that are as far apart: a dearer one would be put off at every sample.
     fn jump(&self) -> f64 {
-        if self.acts { self.settings.jump } else { 0.0 }
+        if !self.acts {
+            return 0.0;
+        }
+        let knots = &self.horizon.knots;
+        if knots.hold() != Hold::Constant {
+            return self.settings.jump;
+        }
+        let gap = knots.time(0) - self.horizon.grid.start + 0.5 * self.settings.period;
+        self.settings.jump.min(self.weights[1] / gap)
     }
 
     /// Solves the subproblem at the present deviation and takes the full step.

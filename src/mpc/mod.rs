@@ -74,7 +74,7 @@ pub use closed_loop::{
     Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
 pub(crate) use controller::with_long_steps;
-pub use controller::{Command, Controller, EffortFrom, MpcSettings, SampleRecord};
+pub use controller::{Command, Controller, EffortFrom, MpcSettings, ReferenceNeed, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

@@ -11,6 +11,52 @@ use super::OutputError;
 use super::reading::read_text;
 use crate::mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
 
+/// A closed loop before it runs, of which `check` tells.
+#[derive(Clone, Debug, Serialize)]
+pub struct LoopSummary {
+    /// Samples that a run has.
+    pub samples: usize,
+    /// Sample period, s.
+    pub period_s: f64,
+    /// Length of the horizon, s.
+    pub horizon_s: f64,
+    /// Length of a block of the plan, s.
+    pub block_s: f64,
+    /// Sensors that an estimator uses; empty where the true state is known.
+    pub sensors: Vec<LoopSensor>,
+    /// Median time of a sample on this machine, s; absent where the first samples took too long.
+    pub sample_s: Option<f64>,
+    /// What holds the tip at its reference where that takes most; absent without a reference of at most ten minutes and where no force acts on the
+    /// tip.
+    pub reference: Option<ReferenceSummary>,
+}
+
+/// A sensor of a loop.
+#[derive(Clone, Debug, Serialize)]
+pub struct LoopSensor {
+    /// Places over the length; empty for one on the clamp.
+    pub places: Vec<f64>,
+    /// Measurements a second, Hz.
+    pub rate_hz: f64,
+    /// Time until a measurement is known, s.
+    pub age_s: f64,
+}
+
+/// The wrench on the tip that holds the model at its reference and moves its mass along.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReferenceSummary {
+    /// Time at which it takes most, s.
+    pub at_s: f64,
+    /// Force in space, N.
+    pub force_n: [f64; 3],
+    /// Moment in the body frame, N m.
+    pub moment_n_m: [f64; 3],
+    /// By how much the force exceeds its bound, N; 0 within.
+    pub force_excess_n: f64,
+    /// By how much the moment exceeds its bound, N m; 0 within.
+    pub moment_excess_n_m: f64,
+}
+
 /// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
 #[derive(Clone, Debug, Serialize)]
 pub struct MpcSummary {

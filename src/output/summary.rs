@@ -1,5 +1,6 @@
 //! The summary objects: `summary.json`, and what `--json` prints.
 
+use super::closed_loop::LoopSummary;
 use crate::control::{Abandoned, ModelMismatch, TrackingError};
 use serde::{Deserialize, Serialize};
 
@@ -63,8 +64,10 @@ pub struct CheckSummary {
     pub actuators: Vec<ActuatorSummary>,
     /// The wrench that holds the tip at its target.
     pub static_need: Option<StaticNeedSummary>,
-    /// The predicted time of a solve; absent for a simulation.
+    /// The predicted time of a solve; absent for a simulation and for a closed loop.
     pub solve_cost: Option<SolveCost>,
+    /// The closed loop; absent for a scene without `[mpc]`.
+    pub closed_loop: Option<LoopSummary>,
     /// Whether the scene left the integrator open.
     pub integrator_is_chosen: bool,
     /// Things a user should know before running.

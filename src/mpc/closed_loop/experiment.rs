@@ -190,6 +190,24 @@ const UNKNOWN_FORCES: f64 = 0.005;
 const OBSERVER_INTEGRAL: f64 = 1.0;
 
 impl Unknowns {
+    /// Names, as in scenes, of those that are not looked for.
+    #[must_use]
+    pub fn missing(&self) -> Vec<&'static str> {
+        let all = [
+            ("tip_force", self.tip_force),
+            ("tip_moment", self.tip_moment),
+            ("distributed", self.distributed),
+            ("stiffness", self.stiffness),
+            ("payload", self.payload),
+            ("viscous", self.viscous),
+            ("internal", self.internal),
+            ("delay", self.delay),
+        ];
+        (all.into_iter())
+            .filter_map(|(name, is_there)| (!is_there).then_some(name))
+            .collect()
+    }
+
     /// Settings of a filter for this model.
     #[must_use]
     pub fn settings(self, model: &Rod) -> KalmanSettings {

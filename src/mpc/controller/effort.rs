@@ -3,9 +3,21 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
-use crate::control::{OptimalControlProblem, Tracking};
+use crate::control::{Channel, OptimalControlProblem, Tracking};
+use crate::mechanics::Wrench;
 use crate::mechanics::rotation::log;
 use crate::mpc::holding::{Along, Holding, TipPose};
+
+/// What holds the tip of the model at its reference, and moves the mass of the arm along, at the time at which that takes most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceNeed {
+    /// When, s.
+    pub t: f64,
+    /// Spatial force (N) and moment in the body frame (N m) on the tip.
+    pub wrench: Wrench,
+    /// By how much force (N) and moment (N m) exceed their bounds; 0 within.
+    pub excess: [f64; 2],
+}
 
 /// Statics along the reference are computed once in so many samples.
 const SAMPLES_A_HOLD: f64 = 5.0;
@@ -82,6 +94,40 @@ impl Controller {
         let start = &self.horizon.problem.initial.configuration;
         let (times, stop) = ([spacing, self.reference_end()], &self.horizon.stop);
         Holding::along(self.rod(), start, reference, times, along, stop)
+    }
+
+    /// The [need](ReferenceNeed) that exceeds the bounds by most, or, within the bounds, the largest; `None` without a reference of at most ten minutes,
+    /// and where no force acts on the tip.
+    #[must_use]
+    pub fn reference_need(&self) -> Option<ReferenceNeed> {
+        let problem = &self.horizon.problem;
+        let tip = problem.rod.tip();
+        let acts = (problem.wrench_actuators().iter())
+            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])?;
+        let holding = self.holding(Along::All)?;
+        let spacing = SAMPLES_A_HOLD * self.settings.period;
+        let units = [problem.rod.scales.force, problem.rod.scales.moment];
+        let size = |of: [f64; 2]| of[0] / units[0] + of[1] / units[1];
+        let key = |need: &ReferenceNeed| {
+            let norms = [need.wrench.force.norm(), need.wrench.moment.norm()];
+            (size(need.excess), size(norms))
+        };
+        (0..=(self.reference_end() / spacing).ceil() as usize)
+            .map(|i| {
+                let t = i as f64 * spacing;
+                let wrench = holding.wrench(t, 1.0);
+                let over =
+                    |channel: &Channel, u| channel.bound.map_or(0.0, |bound| bound.violation(u));
+                let excess = [
+                    over(&acts.force, &wrench.force),
+                    over(&acts.moment, &wrench.moment),
+                ];
+                ReferenceNeed { t, wrench, excess }
+            })
+            .max_by(|a, b| {
+                let ((over_a, size_a), (over_b, size_b)) = (key(a), key(b));
+                over_a.total_cmp(&over_b).then(size_a.total_cmp(&size_b))
+            })
     }
 
     /// Whether the tip is to be at one place and turned in one way for ever.
