@@ -381,7 +381,8 @@ fn need(
         reason,
         stiffness_n_m: held
             .filter(|held| held.is_stable)
-            .map(Held::least_stiffness),
+            .map(Held::least_stiffness)
+            .filter(|stiffness| *stiffness > 0.0),
         first_frequency_hz: held
             .and_then(|held| held.first_frequency)
             .map(|omega| omega / TAU),
