@@ -206,11 +206,12 @@ fn limits_of_the_duration_hold_it() {
     assert!(!item(&found.checked(0.999), "duration").holds());
 }
 
-/// The scene of a result, read again, describes the grid of the solution.
+/// The scene of a result, read again, describes the grid of the solution. Its solves take more iterations together than a scene allows by itself.
 #[test]
 fn resolved_scene_has_the_duration_that_was_found() {
     let found = solved(&setup(&[
         "task.via=[{ at_s = 0.2, position_m = [0.05, 0.0, 0.99], hard = false }]",
+        "solver.max_iterations=3000",
     ]));
     let text = found.setup.resolved.to_toml();
     let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
@@ -305,8 +306,8 @@ fn minimum_time_needs_no_effort() {
 
 /// A free stick of 1 kg is pushed along its axis by 2 cm and stops to within a speed v. With |f| <= 1 N the shortest time is 2 sqrt(m d/F) by a
 /// switch at half of it, less what stopping to within v saves, which is at most v m/F; linear controls on 20 blocks go over from one bound to
-/// the other within two blocks, which costs a part 1 - (1 - 1/300)^(-1/2). All solves together take few of the iterations that a solve may
-/// take, although the bound is a ten-thousandth of the force scale.
+/// the other within two blocks, which costs a part 1 - (1 - 1/300)^(-1/2). All solves together take few of the iterations that they may take,
+/// although the bound is a ten-thousandth of the force scale; and where they may take few, no more than these.
 #[test]
 fn minimum_time_is_bang_bang_under_a_small_bound() {
     const STICK: &str = r#"
@@ -341,8 +342,11 @@ fn minimum_time_is_bang_bang_under_a_small_bound() {
         effort = 0.0
         rate = 0.0
     "#;
-    let solved_in = |hold: &str| {
-        let overrides = [format!("control.hold=\"{hold}\"")];
+    let solved_in = |hold: &str, most: usize| {
+        let overrides = [
+            format!("control.hold=\"{hold}\""),
+            format!("solver.max_iterations={most}"),
+        ];
         let (scene, source) = Scene::from_toml("scene.toml", STICK, &overrides).unwrap();
         let setup = scene.optimal_control(&source).unwrap();
         let on = |_: usize, _: &IterationRecord| ControlFlow::Continue(());
@@ -358,7 +362,7 @@ fn minimum_time_is_bang_bang_under_a_small_bound() {
     let switched = 2.0 * (1.0f64 * 0.02 / 1.0).sqrt();
     let ramped = switched / (1.0f64 - 1.0 / 300.0).sqrt();
     for (hold, exact) in [("constant", switched), ("linear", ramped)] {
-        let (status, iterations, duration) = solved_in(hold);
+        let (status, iterations, duration) = solved_in(hold, 600);
         assert_eq!(status, SqpStatus::Converged, "{hold}");
         assert!(iterations <= 200, "{hold}: {iterations}");
         let saved = exact - duration;
@@ -366,5 +370,10 @@ fn minimum_time_is_bang_bang_under_a_small_bound() {
             (0.0..=1e-4).contains(&saved),
             "{hold}: {duration} s, {exact} s"
         );
+        for most in [8, iterations / 2] {
+            let (status, iterations, _) = solved_in(hold, most);
+            assert_eq!(status, SqpStatus::IterationLimit, "{hold}");
+            assert!(iterations <= most, "{hold}: {iterations} of {most}");
+        }
     }
 }

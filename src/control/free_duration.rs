@@ -81,6 +81,8 @@ pub(super) struct DurationSearch<'a> {
     posed: OptimalControlProblem,
     free: FreeDuration,
     settings: SqpSettings,
+    /// Iterations of the journal's solves at which the search ends.
+    last_iteration: usize,
     n_threads: usize,
     journal: &'a Journal<'a>,
     /// In the order of their durations.
@@ -107,6 +109,7 @@ impl<'a> DurationSearch<'a> {
                 max_iterations: settings.max_iterations.min(PATIENCE),
                 ..settings.clone()
             },
+            last_iteration: journal.iterations() + settings.max_iterations,
             n_threads,
             journal,
             samples: Vec::new(),
@@ -141,11 +144,29 @@ impl<'a> DurationSearch<'a> {
         (self.held(&self.posed, time_scale), self.price(time_scale))
     }
 
+    /// Iterations that are left to all solves together.
+    pub(super) fn iterations_left(&self) -> usize {
+        (self.last_iteration).saturating_sub(self.journal.iterations())
+    }
+
+    /// The settings of a solve beside others, within the iterations that are left.
+    fn settings_left(&self) -> SqpSettings {
+        SqpSettings {
+            max_iterations: self.settings.max_iterations.min(self.iterations_left()),
+            ..self.settings.clone()
+        }
+    }
+
     /// Where a solve that knows nothing of the others may find a better solution.
-    pub(super) fn doubtful(&self) -> Option<(f64, &SqpSettings)> {
+    pub(super) fn doubtful(&self) -> Option<(f64, SqpSettings)> {
         let found = self.found.as_ref()?;
-        let is_open = self.stopped.is_none() && !is_minimum_time(self.problem);
-        is_open.then_some((found.time_scale, &self.settings))
+        let is_open = self.may_go_on() && !is_minimum_time(self.problem);
+        is_open.then(|| (found.time_scale, self.settings_left()))
+    }
+
+    /// Tells whether nothing has stopped the search and iterations are left.
+    fn may_go_on(&self) -> bool {
+        self.stopped.is_none() && self.iterations_left() > 0
     }
 
     /// Looks for the best duration from the outcome of the problem held at `time_scale`; in the valley of that, or with `scans` also at
@@ -184,7 +205,10 @@ impl<'a> DurationSearch<'a> {
         let (mut outcome, time_scale) = match self.found.take() {
             Some(mut found) => {
                 if !self.is_flat(&found) {
-                    found.outcome.status = SqpStatus::StepTooSmall;
+                    found.outcome.status = match self.iterations_left() {
+                        0 => SqpStatus::IterationLimit,
+                        _ => SqpStatus::StepTooSmall,
+                    };
                 }
                 (found.outcome, found.time_scale)
             }
@@ -215,7 +239,7 @@ impl<'a> DurationSearch<'a> {
         }
         for [from, to] in self.valleys() {
             let found = self.descend(from, to);
-            if found.is_some() || self.stopped.is_some() {
+            if found.is_some() || !self.may_go_on() {
                 return found;
             }
         }
@@ -226,7 +250,7 @@ impl<'a> DurationSearch<'a> {
     fn walk(&mut self, from: f64, limit: f64, patience: usize) {
         let rungs = ((limit / from).ln().abs() / RUNG.ln()).ceil();
         let (mut at, mut rung, mut rising) = (from, 0.0, 0);
-        while let (None, Some(here)) = (self.stopped, self.at(at)) {
+        while let (true, Some(here)) = (self.may_go_on(), self.at(at)) {
             let rises = here.slope * (limit - from) > 0.0;
             rising = if rises { rising + 1 } else { 0 };
             rung += 1.0;
@@ -292,7 +316,7 @@ impl<'a> DurationSearch<'a> {
                     Some(found.clone())
                 };
             }
-            if from == to || self.stopped.is_some() {
+            if from == to || !self.may_go_on() {
                 break;
             }
             if let [None, Some(near)] = &ends
@@ -381,6 +405,9 @@ impl<'a> DurationSearch<'a> {
                 inequalities: directions.inequalities.clone(),
             };
             let relaxed = Transcription::relaxed(&problem, self.n_threads, relaxation);
+            if !self.may_go_on() {
+                return None;
+            }
             let outcome = self.solve_warm(&relaxed, at[0], &point, &multipliers)?;
             if outcome.status != SqpStatus::Converged {
                 return None;
@@ -480,7 +507,8 @@ impl<'a> DurationSearch<'a> {
         let price = self.price(time_scale);
         let journal = self.journal;
         journal.begin(format!("duration held at {duration:.4} s"));
-        let outcome = solve_warm(program, start, &self.settings, &mut |row| {
+        let settings = self.settings_left();
+        let outcome = solve_warm(program, start, &settings, &mut |row| {
             journal.row(&IterationRecord {
                 objective: row.objective + price,
                 ..*row

@@ -20,6 +20,13 @@ pub struct SolveLog {
     pub ended: String,
 }
 
+impl SolveLog {
+    /// Iterations of the solve: its rows without that of the first point.
+    pub(super) fn iterations(&self) -> usize {
+        self.rows.len().saturating_sub(1)
+    }
+}
+
 /// An event of a search.
 #[derive(Clone, Copy, Debug)]
 pub enum SearchEvent<'a> {
@@ -99,6 +106,11 @@ impl<'a> Journal<'a> {
             start: self.start,
             row,
         })
+    }
+
+    /// Iterations of all solves so far.
+    pub(super) fn iterations(&self) -> usize {
+        self.solves.borrow().iter().map(SolveLog::iterations).sum()
     }
 
     /// How the present solve ended.

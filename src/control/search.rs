@@ -97,8 +97,7 @@ impl Attempt {
     #[must_use]
     pub fn iterations(&self) -> usize {
         if !self.solves.is_empty() {
-            let of = |solve: &SolveLog| solve.rows.len().saturating_sub(1);
-            return self.solves.iter().map(of).sum();
+            return self.solves.iter().map(SolveLog::iterations).sum();
         }
         let before: usize = self.abandoned.iter().map(|tried| tried.iterations).sum();
         before + iterations(&self.outcome)
@@ -287,9 +286,8 @@ fn attempted(
             break;
         }
         // All first points together have as many iterations as one may take.
-        let used = best.as_ref().map_or(0, Attempt::iterations);
         let settings = SqpSettings {
-            max_iterations: settings.max_iterations.saturating_sub(used),
+            max_iterations: (settings.max_iterations).saturating_sub(journal.iterations()),
             ..settings.clone()
         };
         if i > 0 && settings.max_iterations == 0 {
@@ -422,6 +420,7 @@ fn staged(
         First::Guess(_) | First::Detour(_) => None,
     };
     let mut from = "previous";
+    let mut settings = settings.clone();
     for stage in 1..=stages {
         let easier;
         let here = match search.continuation {
@@ -473,9 +472,9 @@ fn staged(
             name += &format!(", duration held at {:.4} s", here.grid.duration());
         }
         journal.begin(name);
-        let outcome = solve(&program, point, settings, &mut |row| observer(row));
+        let mut outcome = solve(&program, point, &settings, &mut |row| observer(row));
         journal.end_as(&outcome.status);
-        let mut outcome = outcome;
+        settings.max_iterations = (settings.max_iterations).saturating_sub(iterations(&outcome));
         let mut stopped = matches!(outcome.status, SqpStatus::Stopped(_));
         if let (true, Some(stop)) = (stage < stages, problem.stop.raised()) {
             outcome.status = SqpStatus::Stopped(stop);
@@ -530,7 +529,14 @@ fn timed(
     };
     let mut earliest = None;
     for time_scale in durations.beginnings(first, !is_previous) {
-        let Some(found) = solve_at(&durations, settings, time_scale)? else {
+        let settings = SqpSettings {
+            max_iterations: durations.iterations_left(),
+            ..settings.clone()
+        };
+        if earliest.is_some() && settings.max_iterations == 0 {
+            break;
+        }
+        let Some(found) = solve_at(&durations, &settings, time_scale)? else {
             return Ok(None);
         };
         let is_begun = durations.search(time_scale, found.outcome.clone(), scans);
@@ -541,7 +547,7 @@ fn timed(
     }
     // The solutions of the scan lead from one to the next, and may all be worse than one that the first point leads to.
     if let (true, Some((time_scale, settings))) = (scans, durations.doubtful())
-        && let Ok(Some(found)) = solve_at(&durations, settings, time_scale)
+        && let Ok(Some(found)) = solve_at(&durations, &settings, time_scale)
     {
         durations.search(time_scale, found.outcome, false);
     }

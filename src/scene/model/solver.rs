@@ -146,7 +146,8 @@ pub struct FigureEight {
 pub struct Solver {
     /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
     pub tolerance: Positive<values::Tolerance>,
-    /// Iterations after which to give up, at least 1, default 600.
+    /// Iterations after which to give up, those of all solves of a start together: its first points, the stages of a continuation, and the solves
+    /// that hold a free duration; at least 1, default 600.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
     /// Part of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
