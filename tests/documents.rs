@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use nalgebra::Vector3;
 use softarm::mechanics::Material;
@@ -309,4 +310,127 @@ fn every_criterion_is_explained() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     Ok(())
+}
+
+/// Runs the program in a folder of its own; what it prints.
+fn softarm(arguments: &[&str]) -> (Option<i32>, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(arguments)
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let printed =
+        [run.stdout, run.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    (run.status.code(), printed.concat())
+}
+
+fn files(folder: &str, ending: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(root().join(folder)).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|own| own == ending));
+    paths.sort();
+    paths
+}
+
+/// The problems of the comparison with peers are solved as their table says: to the same objective, in about as many iterations. Rounding
+/// differs from one processor to another, and with it the path of a solve: half as many more are within it, twice as many are not.
+#[cfg(feature = "cli")]
+#[test]
+fn problems_of_peers_are_solved_as_their_table_says() {
+    let page = read("benches/peers/README.md");
+    let mut solved = 0;
+    for line in page.lines() {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        if cells.len() < 10 || cells[1].is_empty() || cells[2] != "softarm" {
+            continue;
+        }
+        let scene = root().join(format!("benches/peers/scenes/{}.toml", cells[1]));
+        let arguments = ["solve", scene.to_str().unwrap(), "--json", "--quiet"];
+        let (_, printed) = softarm(&arguments);
+        let end = printed.rfind('}').unwrap_or_else(|| panic!("{printed}")) + 1;
+        let summary: serde_json::Value = serde_json::from_str(&printed[..end]).unwrap();
+        assert_eq!(summary["status"], "converged", "{}", cells[1]);
+        let [iterations, objective] =
+            ["iterations", "objective"].map(|key| summary[key].as_f64().unwrap());
+        let [expected, same] = [3, 8].map(|at| cells[at].parse::<f64>().unwrap());
+        let within = 1.5 * expected;
+        assert!(
+            iterations <= within,
+            "{}: {iterations}, not {expected}",
+            cells[1]
+        );
+        let apart = (objective / same - 1.0).abs();
+        assert!(apart < 1e-5, "{}: {objective}, not {same}", cells[1]);
+        solved += 1;
+    }
+    let scenes = files("benches/peers/scenes", "toml");
+    let problems = (scenes.iter()).filter(|path| path.file_stem().unwrap() != "forward");
+    assert_eq!(solved, problems.count());
+}
+
+/// What the Python files give the program is accepted: scenes of their own, and built-in ones with the keys that they set.
+#[cfg(feature = "cli")]
+#[test]
+fn scenes_of_python_files_are_valid() {
+    let forward = root().join("benches/peers/scenes/forward.toml");
+    let arguments = [
+        "simulate",
+        forward.to_str().unwrap(),
+        "--json",
+        "--quiet",
+        "--set",
+        "rod.elements=4",
+    ];
+    let (code, printed) = softarm(&arguments);
+    assert_eq!(code, Some(0), "{printed}");
+    for key in ["steps", "step_s", "node_steps_per_s"] {
+        assert!(
+            printed.contains(&format!("\"{key}\"")),
+            "forward.py reads {key}"
+        );
+    }
+    let mut commands = 0;
+    for path in ["benches", "benches/peers", "examples"]
+        .iter()
+        .flat_map(|folder| files(folder, "py"))
+    {
+        let text = fs::read_to_string(&path).unwrap();
+        for line in text.lines().filter(|line| line.contains("\"mpc\", ")) {
+            let words: Vec<&str> = line.split('"').skip(1).step_by(2).collect();
+            let mut arguments = vec!["check", words[1], "--quiet"];
+            for pair in words.windows(2).filter(|pair| pair[0] == "--set") {
+                arguments.extend(pair);
+            }
+            let (code, printed) = softarm(&arguments);
+            assert_eq!(code, Some(0), "{}: {printed}", path.display());
+            commands += 1;
+        }
+    }
+    assert!(commands >= 2, "only {commands} commands were found");
+}
+
+/// Python files compile, where there is a Python.
+#[test]
+fn python_files_compile() {
+    const COMPILE: &str =
+        "import sys\nfor f in sys.argv[1:]: compile(open(f, encoding='utf-8').read(), f, 'exec')";
+    let folders = ["benches", "benches/peers", "examples"];
+    let scripts: Vec<PathBuf> = folders
+        .iter()
+        .flat_map(|folder| files(folder, "py"))
+        .collect();
+    assert!(scripts.len() > 10);
+    match Command::new("python3")
+        .arg("-c")
+        .arg(COMPILE)
+        .args(scripts)
+        .output()
+    {
+        Ok(run) => {
+            let errors = String::from_utf8_lossy(&run.stderr);
+            assert!(run.status.success(), "{errors}");
+        }
+        Err(_) => println!("skipped: no python3"),
+    }
 }

@@ -710,9 +710,40 @@ fn waves_are_cancelled_far_away() {
     }
 }
 
+/// A bowl that bends 3 to 100 times as much as the cost. On its tangent Gauss-Newton's steps are too long by that factor and never contract;
+/// the second derivative of the Lagrangian is used as soon as there are multipliers, which takes as many iterations as using it always.
+#[test]
+fn constraints_that_bend_more_than_the_cost() {
+    let choices = [
+        HessianChoice::GaussNewton,
+        HessianChoice::Auto,
+        HessianChoice::Exact,
+    ];
+    for bend in [3.0, 10.0, 30.0, 100.0] {
+        let bowl = Program {
+            n_variables: 5,
+            residuals: Box::new(|x| x.to_vec()),
+            constraints: Box::new(move |x| {
+                let squares = x[1..].iter().map(|y| (y.clone() - 1.0).square());
+                vec![squares.fold(x[0].clone() - 1.0, |c, square| c - square * (0.5 * bend))]
+            }),
+            ..Program::default()
+        };
+        let [first_order, auto, exact] =
+            choices.map(|choice| go(&bowl, &[0.0; 5], &settings(choice)));
+        assert_eq!(first_order.status, SqpStatus::IterationLimit, "{bend}");
+        assert_eq!(auto.status, SqpStatus::Converged, "{bend}");
+        let [auto, exact] = [auto, exact].map(|outcome| outcome.history.len());
+        assert!(
+            auto <= exact + 1,
+            "{bend}: {auto} iterations, {exact} with the exact Hessian"
+        );
+    }
+}
+
 /// A linkage of six joints with the least turns whose end is within a distance of a point, as residual = s with s in a ball. Every ball
 /// contains its center, so that reaching into it is no harder than reaching that: whatever its radius, it takes about as many iterations.
-/// The same distance as one inequality, whose direction turns within a radius, takes more than five times as many.
+/// The same distance as one inequality, whose direction turns within a radius, takes more, within a hundredth more than four times as many.
 #[test]
 fn small_balls_are_no_harder_than_their_center() {
     const JOINTS: usize = 6;
@@ -771,13 +802,11 @@ fn small_balls_are_no_harder_than_their_center() {
         assert_eq!(status, SqpStatus::Converged, "{radius:e}");
         assert!(2 * iterations <= 3 * center, "{radius:e}: {iterations}");
         assert!(objective < highest, "{radius:e}: {objective}");
-        let (status, iterations, same) = solved(&as_row(radius));
-        assert!(iterations > 5 * center, "{radius:e}: {iterations}");
-        // Residuals of 1e-8, and radii that the row has not yet reached.
+        let (status, as_row, same) = solved(&as_row(radius));
+        assert_eq!(status, SqpStatus::Converged, "row, {radius:e}");
+        assert!(as_row > iterations, "{radius:e}: {as_row}");
+        assert!(radius > 0.05 || as_row > 4 * center, "{radius:e}: {as_row}");
         let apart = (same - objective).abs();
-        assert!(
-            apart < 1e-8 || status != SqpStatus::Converged,
-            "{radius:e}: {apart:e}"
-        );
+        assert!(apart < 1e-8, "{radius:e}: {apart:e}");
     }
 }

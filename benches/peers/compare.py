@@ -67,9 +67,9 @@ def softarm(problem, binary, variant, limit):
     """One run of the program, timed from outside."""
     guess, threads = variant
     with tempfile.TemporaryDirectory() as folder:
-        scene, out = Path(folder) / "scene.toml", Path(folder) / "out"
-        scene.write_text(problem.scene(guess))
-        command = [binary, "solve", str(scene), "--json", "--quiet", "--threads", str(threads), "--out", str(out)]
+        out = Path(folder) / "out"
+        command = [binary, "solve", str(problem.scene), "--set", f"solver.guess={guess}"]
+        command += ["--json", "--quiet", "--threads", str(threads), "--out", str(out)]
         before, wall = os.times(), time.perf_counter()
         try:
             run = subprocess.run(command, capture_output=True, text=True, timeout=limit)

@@ -25,6 +25,7 @@ import os
 import subprocess
 import tempfile
 import time
+import tomllib
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,37 +33,22 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numpy as np
 
-LENGTH, RADIUS, DENSITY, YOUNGS, POISSON, SHEAR = 1.0, 0.05, 1000.0, 1e6, 0.5, 27.0 / 28.0
-FORCE, DURATION, TIMES = 5.0, 1.0, 50
+SCENE = Path(__file__).parent / "scenes" / "forward.toml"
+READ = tomllib.loads(SCENE.read_text())
+ROD, MATERIAL = READ["rod"], READ["rod"]["material"]
+LENGTH, RADIUS = ROD["length_m"], ROD["section"]["radius_m"]
+YOUNGS, POISSON, DENSITY, SHEAR = (MATERIAL[key] for key in ("youngs_modulus_pa", "poisson_ratio", "density_kg_m3", "shear_factor"))
+FORCE, DURATION = READ["load"][0]["force_n"][0], READ["time"]["end_s"]
+TIMES = round(DURATION * READ["output"]["rate_hz"])
 AREA = np.pi * RADIUS**2
 INERTIA = 0.25 * np.pi * RADIUS**4
 SHEAR_MODULUS = YOUNGS / (2.0 * (1.0 + POISSON))
 
-SCENE = f"""
-[rod]
-length_m = {LENGTH}
-elements = 10
-[rod.material]
-youngs_modulus_pa = {YOUNGS}
-poisson_ratio = {POISSON}
-density_kg_m3 = {DENSITY}
-shear_factor = {SHEAR}
-[rod.section]
-radius_m = {RADIUS}
-[[load]]
-node = "tip"
-force_n = [{FORCE}, 0.0, 0.0]
-[time]
-end_s = {DURATION}
-[output]
-rate_hz = {TIMES / DURATION}
-"""
 
-
-def softarm(program, elements, scene):
+def softarm(program, elements):
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        command = [program, "simulate", scene, "--out", str(out), "--set", f"rod.elements={elements}", "--threads", "1", "--json", "--quiet"]
+        command = [program, "simulate", str(SCENE), "--out", str(out), "--set", f"rod.elements={elements}", "--threads", "1", "--json", "--quiet"]
         begun = time.perf_counter()
         summary = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
         whole = time.perf_counter() - begun
@@ -198,35 +184,32 @@ def main():
     options = parser.parse_args()
     wanted = options.only.split(",")
     rows = []
-    with tempfile.NamedTemporaryFile("w", suffix=".toml") as scene:
-        scene.write(SCENE)
-        scene.flush()
-        reference = softarm(options.softarm, 160, scene.name)[0]
-        deflection = np.linalg.norm(reference - reference[0], axis=1).max()
+    reference = softarm(options.softarm, 160)[0]
+    deflection = np.linalg.norm(reference - reference[0], axis=1).max()
 
-        def add(name, elements, run):
-            tip, seconds, whole, step = least(run, options.repeat)
-            if len(tip) != TIMES + 1:
-                print(f"{name} with {elements} elements: {len(tip)} times, not {TIMES + 1}")
-                return
-            error = np.linalg.norm(tip - reference, axis=1).max() / deflection
-            rows.append((name, elements, step, error, seconds, whole))
-            whole_words = f"  {1e3 * whole:9.1f} ms the process" if whole else ""
-            print(f"{name:11} {elements:4} elements  step {1e3 * step:8.4f} ms  error {100 * error:8.4f} %  {1e3 * seconds:10.2f} ms{whole_words}", flush=True)
+    def add(name, elements, run):
+        tip, seconds, whole, step = least(run, options.repeat)
+        if len(tip) != TIMES + 1:
+            print(f"{name} with {elements} elements: {len(tip)} times, not {TIMES + 1}")
+            return
+        error = np.linalg.norm(tip - reference, axis=1).max() / deflection
+        rows.append((name, elements, step, error, seconds, whole))
+        whole_words = f"  {1e3 * whole:9.1f} ms the process" if whole else ""
+        print(f"{name:11} {elements:4} elements  step {1e3 * step:8.4f} ms  error {100 * error:8.4f} %  {1e3 * seconds:10.2f} ms{whole_words}", flush=True)
 
-        if "softarm" in wanted:
-            for elements in [3, 4, 6, 8, 10, 14, 20, 28, 40, 60]:
-                add("softarm", elements, lambda: softarm(options.softarm, elements, scene.name))
-        if "exudyn" in wanted:
-            for elements, step in [(4, 0.02), (6, 0.01), (10, 0.01), (16, 0.004), (24, 0.002), (40, 0.001), (64, 0.0005)]:
-                add("Exudyn", elements, lambda: exudyn(elements, step))
-        if "mujoco" in wanted:
-            for elements in [4, 6, 10, 14, 20, 30, 40]:
-                add("MuJoCo", elements, lambda: mujoco(elements))
-        if "pyelastica" in wanted:
-            pyelastica(10)  # compiles
-            for elements in [10, 20, 40, 80, 160, 320]:
-                add("PyElastica", elements, lambda: pyelastica(elements))
+    if "softarm" in wanted:
+        for elements in [3, 4, 6, 8, 10, 14, 20, 28, 40, 60]:
+            add("softarm", elements, lambda: softarm(options.softarm, elements))
+    if "exudyn" in wanted:
+        for elements, step in [(4, 0.02), (6, 0.01), (10, 0.01), (16, 0.004), (24, 0.002), (40, 0.001), (64, 0.0005)]:
+            add("Exudyn", elements, lambda: exudyn(elements, step))
+    if "mujoco" in wanted:
+        for elements in [4, 6, 10, 14, 20, 30, 40]:
+            add("MuJoCo", elements, lambda: mujoco(elements))
+    if "pyelastica" in wanted:
+        pyelastica(10)  # compiles
+        for elements in [10, 20, 40, 80, 160, 320]:
+            add("PyElastica", elements, lambda: pyelastica(elements))
 
     print("\n| largest error, % of the deflection | program | elements | time, ms | times that of softarm |\n|---|---|---|---|---|")
     for bound in (0.05, 0.01, 0.001):

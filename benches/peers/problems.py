@@ -1,6 +1,8 @@
-"""The problems that are compared, and their scene files for `softarm`."""
+"""The problems that are compared: the scene files of `softarm` in `scenes`, read for its peers."""
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -16,8 +18,8 @@ class Problem:
 
     name: str
     rod: Rod
-    scene_rod: str
-    """The rod's sections in the scene file."""
+    scene: Path
+    """What `softarm solve` is given."""
     end: float
     n_steps: int
     n_blocks: int
@@ -58,78 +60,43 @@ class Problem:
         """Of an array [n_blocks, 6] in N and N m."""
         return self.end / self.n_blocks / 2 * float(((controls / self.scales) ** 2).sum())
 
-    def scene(self, guess):
-        """TOML for `softarm solve`; `guess`: "static" or "rest"."""
-        lines = [self.scene_rod, f"[time]\nend_s = {self.end!r}\nstep_s = {self.step * (1 + 1e-12)!r}\n", "[task]"]
-        lines.append(f"position_m = {list(self.position)}")
-        if self.orientation is not None:
-            lines.append(f"orientation_wxyz = {list(self.orientation)}")
-        # The same problem as the peers solve: rest of the tip and no tolerance, constant controls, and a wrench without bounds where none is given.
-        lines.append("at_rest = 'tip'\ntolerance_m_s = 0\ntolerance_rad_s = 0")
-        lines.append(f"\n[control]\nblocks = {self.n_blocks}\nhold = 'constant'")
-        lines.append(f"force_max_n = {'inf' if self.force_max is None else repr(self.force_max)}")
-        lines.append(f"moment_max_n_m = {'inf' if self.moment_max is None else repr(self.moment_max)}")
-        lines.append(f"\n[objective]\nforce_scale_n = {self.force_scale!r}\nmoment_scale_n_m = {self.moment_scale!r}")
-        lines.append(f'\n[solver]\nguess = "{guess}"\nmax_iterations = 300\n')
-        return "\n".join(lines)
+
+def _rod(scene):
+    section, n_elements, strain = scene.get("section"), scene["elements"], scene["strain"]
+    if section:
+        material = scene["material"]
+        modulus, ratio, density = (material[key] for key in ("youngs_modulus_pa", "poisson_ratio", "density_kg_m3"))
+        return Rod.circle(scene["length_m"], section["radius_m"], modulus, ratio, density, n_elements, strain)
+    stiffness = [scene["stiffness"][key] for key in ("ea_n", "ga_n", "ei_n_m2", "gj_n_m2")]
+    inertia = scene["inertia"]
+    return Rod(scene["length_m"], n_elements, *stiffness, inertia["mass_kg_m"], tuple(inertia["rotary_kg_m"]), strain)
 
 
-def soft(name, n_elements, n_steps, end=1.0, strain="trapezoidal", **goal):
-    """Silicone-like: L = 1 m, r = 0.05 m, E = 1 MPa."""
-    rod = Rod.circle(1.0, 0.05, 1e6, 0.5, 1000.0, n_elements, strain)
-    text = f"""[rod]
-length_m = 1.0
-elements = {n_elements}
-strain = "{strain}"
-model = "standard"
-
-[rod.material]
-youngs_modulus_pa = 1e6
-poisson_ratio = 0.5
-density_kg_m3 = 1000.0
-
-[rod.section]
-radius_m = 0.05
-"""
-    goal = {"position": (0.3, 0.1, 0.9), "force_scale": 5.0, "moment_scale": 5.0} | goal
-    return Problem(name, rod, text, end, n_steps, 20, **goal)
-
-
-def paper(name, n_elements, n_steps, end=5.0, strain="trapezoidal", **goal):
-    """The rod of the source paper's third experiment."""
-    rod = Rod(10.0, n_elements, 1e4, 1e4, 500.0, 500.0, 1.0, (10.0, 10.0, 10.0), strain)
-    text = f"""[rod]
-length_m = 10.0
-elements = {n_elements}
-strain = "{strain}"
-model = "standard"
-
-[rod.stiffness]
-ea_n = 1e4
-ga_n = 1e4
-ei_n_m2 = 500.0
-gj_n_m2 = 500.0
-
-[rod.inertia]
-mass_kg_m = 1.0
-rotary_kg_m = [10.0, 10.0, 10.0]
-"""
-    goal = {"position": (4.0, 1.0, 8.5), "force_scale": 5.0, "moment_scale": 50.0} | goal
-    return Problem(name, rod, text, end, n_steps, 20, **goal)
+def _read(path):
+    scene = tomllib.loads(path.read_text())
+    time, task, control, objective = (scene[key] for key in ("time", "task", "control", "objective"))
+    assert control["hold"] == "constant" and task["at_rest"] == "tip" and task["tolerance_m_s"] == task["tolerance_rad_s"] == 0
+    orientation = task.get("orientation_wxyz")
+    force_max, moment_max = (None if np.isinf(control[key]) else control[key] for key in ("force_max_n", "moment_max_n_m"))
+    return Problem(
+        path.stem,
+        _rod(scene["rod"]),
+        path,
+        time["end_s"],
+        round(time["end_s"] / time["step_s"]),
+        control["blocks"],
+        tuple(task["position_m"]),
+        orientation and tuple(orientation),
+        force_max,
+        moment_max,
+        objective["force_scale_n"],
+        objective["moment_scale_n_m"],
+    )
 
 
-def _all():
-    bent = {"position": (0.5, 0.2, 0.7), "strain": "helical"}
-    pose = {"orientation": (0.95, -0.1, 0.3, 0.0)}
-    bounded = {"force_max": 1.8, "moment_max": 3.5}
-    yield soft("soft-reach-2", 2, 100, end=0.2, position=(0.2, 0.05, 0.95))
-    yield soft("soft-reach-4", 4, 200, end=0.4)
-    yield soft("soft-reach-8", 8, 500)
-    yield soft("soft-reach-12", 12, 500, end=0.9)
-    yield soft("soft-pose-8", 8, 500, **pose)
-    yield soft("soft-bound-8", 8, 500, **bounded)
-    yield soft("soft-bent-12", 12, 500, end=0.9, **bent)
-    yield paper("paper-reach-8", 8, 500)
+def _family_and_size(path):
+    family, size = path.stem.rsplit("-", 1)
+    return family, int(size)
 
 
-PROBLEMS = {problem.name: problem for problem in _all()}
+PROBLEMS = {path.stem: _read(path) for path in sorted((Path(__file__).parent / "scenes").glob("*-*.toml"), key=_family_and_size)}

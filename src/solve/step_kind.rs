@@ -81,7 +81,6 @@ mod tests {
             objective: 0.0,
             residual: KktResidual {
                 stationarity: 0.0,
-                along_controls: 0.0,
                 feasibility: 0.0,
                 complementarity: 0.0,
             },

@@ -16,7 +16,6 @@ pub(super) struct Best<Point> {
 
 const UNKNOWN_RESIDUAL: KktResidual = KktResidual {
     stationarity: f64::INFINITY,
-    along_controls: f64::INFINITY,
     feasibility: f64::INFINITY,
     complementarity: f64::INFINITY,
 };

@@ -15,7 +15,7 @@ use super::settings::NEGLIGIBLE;
 #[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianChoice {
-    /// Gauss-Newton far from the solution, exact near it.
+    /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
     #[default]
     Auto,
     /// Of the objective alone.

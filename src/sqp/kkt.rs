@@ -98,10 +98,6 @@ pub struct KktResidual {
     /// ([`own_gradient`](LiftedProgram::own_gradient), all of `∇J` where a program does not say), what comes through the states, and the
     /// pull of every set. The terms are those of the check in [`verify`](crate::verify), so that neither is stricter than the other.
     pub stationarity: f64,
-    /// The same along the controls alone. Of a constraint `c = s` with `s` in a small ball, `s` turns with whatever is left of `c`, and the
-    /// pull of the ball with it, long before that says anything about the controls.
-    #[serde(skip)]
-    pub along_controls: f64,
     /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
     /// Largest product of a slack and its multiplier, relative like the stationarity; covers wrong signs as well. A soft
@@ -206,7 +202,6 @@ impl KktResidual {
         let scale = sum.largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
             stationarity: infinity_norm(&sum.gradient) / scale,
-            along_controls: infinity_norm(&sum.gradient[..n_controls]) / scale,
             feasibility,
             complementarity: complementarity / scale,
         }

@@ -151,7 +151,6 @@ impl<P> SqpOutcome<P> {
             multipliers: Multipliers::default(),
             residual: KktResidual {
                 stationarity: f64::INFINITY,
-                along_controls: f64::INFINITY,
                 feasibility: f64::INFINITY,
                 complementarity: f64::INFINITY,
             },

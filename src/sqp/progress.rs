@@ -91,7 +91,6 @@ mod tests {
             objective: 0.0,
             residual: KktResidual {
                 stationarity,
-                along_controls: stationarity,
                 feasibility: infeasibility,
                 complementarity: 0.0,
             },

@@ -30,9 +30,7 @@ use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop};
 
-/// `Auto` uses the exact Hessian below this stationarity along the controls and this infeasibility.
-const EXACT_BELOW: f64 = 0.3;
-/// A solve that began with the multipliers of another uses it below this infeasibility.
+/// A solve that began with the multipliers of another uses the exact Hessian below this infeasibility.
 const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
 /// Subproblems that promise less than this part of the infeasibility make no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
@@ -207,8 +205,9 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             HessianChoice::Auto if self.iterate.has_multipliers => {
                 self.infeasibility() < EXACT_BELOW_WHEN_WARM
             }
-            HessianChoice::Auto => self.trace.history.last().is_some_and(|last| {
-                last.residual.along_controls < EXACT_BELOW && self.infeasibility() < EXACT_BELOW
+            // What a subproblem with slack returns is limited by the elastic weight, and no estimate of the multipliers.
+            HessianChoice::Auto => (self.trace.history.last()).is_some_and(|last| {
+                last.slack <= NEGLIGIBLE && last.hessian != HessianKind::Proximal
             }),
         }
     }

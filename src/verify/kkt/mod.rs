@@ -103,7 +103,6 @@ pub fn recompute(
         * (spline.largest_curvature(problem.objective.effort, 0.0)
             + spline.largest_curvature(0.0, problem.objective.rate));
     let scale = controls.largest.max(unit).max(f64::MIN_POSITIVE);
-    let along_controls = controls.stationarity.scaled / scale;
     let stationarity = (controls.stationarity)
         .or(on_path.stationarity)
         .or(balls.stationarity)
@@ -117,7 +116,6 @@ pub fn recompute(
     RecomputedKkt {
         residual: KktResidual {
             stationarity: stationarity.scaled,
-            along_controls,
             feasibility: worse(equalities.scaled, inequalities.scaled),
             complementarity: worse(signs.scaled, complementarity.scaled),
         },
