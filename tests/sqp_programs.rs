@@ -741,6 +741,31 @@ fn constraints_that_bend_more_than_the_cost() {
     }
 }
 
+/// `-x - c y²/2` in the unit disk, `c < 1`: on the circle, at the angle θ, `-cos θ - c/2 sin² θ`, whose only minimum is at 0 with the curvature `1 - c`,
+/// the ball's multiplier less what the objective bends downward. Steps along the tangent return to the ball and hold it, so that Newton's method goes
+/// there in some steps; where the ball counted as left, its curvature and the reversed one made `1 + c` of that, and each step shortened the way by a
+/// part `(1 - c)/(1 + c)` alone.
+#[test]
+fn curvature_of_a_held_ball_counts_once() {
+    for c in [0.5, 0.9, 0.99] {
+        let program = Program {
+            n_variables: 2,
+            plain: Some(Box::new(move |x| {
+                vec![x[0].clone() * -1.0 + x[1].square() * (-0.5 * c)]
+            })),
+            identity: 1.0,
+            sets: vec![ConvexSet::ball(0..2, 1.0)],
+            ..Program::default()
+        };
+        let start = [0.5_f64.cos(), 0.5_f64.sin()];
+        let outcome = go(&program, &start, &settings(HessianChoice::Exact));
+        assert_eq!(outcome.status, SqpStatus::Converged, "{c}");
+        let iterations = outcome.history.len() - 1;
+        assert!(iterations <= 15, "{c}: {iterations} iterations");
+        assert!((outcome.objective + 1.0).abs() < 1e-12, "{c}");
+    }
+}
+
 /// A linkage of six joints with the least turns whose end is within a distance of a point, as residual = s with s in a ball. Every ball
 /// contains its center, so that reaching into it is no harder than reaching that: whatever its radius, it takes about as many iterations.
 /// The same distance as one inequality, whose direction turns within a radius, takes more, within a hundredth more than four times as many.

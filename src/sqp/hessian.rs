@@ -393,14 +393,16 @@ impl ActiveSet {
         }
     }
 
-    /// What of this a step leaves behind: linearized inequalities and sets, whose slack after the step is more than a part of the multiplier that
-    /// goes with it, in units of the cost's curvature.
+    /// Returns what a step leaves behind: linearized inequalities and sets, whose slack after the step is more than a part of the multiplier that
+    /// goes with it, in units of the cost's curvature. A step along the tangent of a ball returns to the ball, and leaves that only by its own slack: its
+    /// normal falls short of the tangent by the square of the step, `|δ|²/2r`, however well it holds.
     #[must_use]
     pub fn left_by(
         &self,
         linearization: &Linearization,
         change: &[f64],
         multipliers: &Multipliers,
+        tangents: &Tangents,
     ) -> Self {
         let unit = linearization.least_curvature();
         let is_left = |slack: f64, multiplier: f64| slack > TIGHT * multiplier / unit;
@@ -410,13 +412,36 @@ impl ActiveSet {
             is_left(-values[at], multiplier)
         };
         let normal = |held: &&ActiveNormal| {
-            let gap = held.gap - along(&held.direction, change);
+            let gap = (tangents.slack(held.set, change))
+                .unwrap_or_else(|| held.gap - along(&held.direction, change));
             is_left(gap, norm(&multipliers.normals[held.set]))
         };
         Self {
             rows: self.rows.iter().filter(row).copied().collect(),
             normals: self.normals.iter().filter(normal).cloned().collect(),
         }
+    }
+}
+
+/// Balls that a subproblem held by their tangents, and the variables that its step leaves.
+#[derive(Clone, Copy, Debug)]
+pub struct Tangents<'a> {
+    /// The balls' normals.
+    pub held: &'a [ActiveNormal],
+    /// All sets.
+    pub sets: &'a [ConvexSet],
+    /// `v`
+    pub variables: &'a [f64],
+}
+
+impl Tangents<'_> {
+    /// Slack of a set after a step that has returned to the balls; `None` where the set was not held by a tangent.
+    fn slack(&self, set: usize, change: &[f64]) -> Option<f64> {
+        self.held.iter().find(|held| held.set == set)?;
+        let there: Vec<f64> = (self.variables.iter().zip(change))
+            .map(|(v, d)| v + d)
+            .collect();
+        Some(-self.sets[set].violation(&there))
     }
 }
 

@@ -14,7 +14,7 @@ use self::restoration::Restoration;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
 use super::filter::Filter;
-use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian};
+use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, Tangents};
 use super::kept_states::{QpRoute, StateLinearization};
 use super::kkt::{KktResidual, Multipliers, norm};
 use super::outcome::{Convergence, IterationRecord, SqpOutcome, SqpStatus};
@@ -436,7 +436,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             return false;
         }
         let active = self.active_set(linearization);
-        let left = active.left_by(linearization, &solution.change, &solution.multipliers);
+        let tangents = Tangents {
+            held: &model.tangents,
+            sets: self.program.sets(),
+            variables: self.variables(),
+        };
+        let (change, multipliers) = (&solution.change, &solution.multipliers);
+        let left = active.left_by(linearization, change, multipliers, &tangents);
         let any = !(left.rows.is_empty() && left.normals.is_empty());
         let rows = left.rows.iter().map(|&at| linearization.rows[at]);
         self.hessian.left_rows.extend(rows);
