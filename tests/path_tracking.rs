@@ -1,4 +1,5 @@
-//! Paths to follow: without a task, with the weight that the scene does not name, to the end, and certified only where it is one.
+//! Paths to follow: without a task, with the weight that the scene does not name, to the end, and certified only where it is one; and turns of half a
+//! turn and more.
 
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
@@ -124,6 +125,95 @@ fn circle_is_followed_to_a_millimeter() {
     assert!(outcome.history.len() < 40, "{}", outcome.history.len());
     let errors = tracking_errors(&setup.problem, &outcome.point.trajectory);
     assert!(errors[0].rms_m.unwrap() <= 1e-3, "{}", errors[0]);
+}
+
+/// The arm's axis is turned once round at the tip within four seconds, by rows of quarter turns: the tip follows them through the half turn, where a rotation
+/// has two rotation vectors, and the arm ends twisted by a whole turn, to the part that the weights of moment and orientation leave.
+#[test]
+fn rows_of_a_full_turn_are_followed() {
+    let row = |quarter: u32| {
+        let half = 0.25 * std::f64::consts::PI * f64::from(quarter);
+        format!("[{quarter}, {}, 0.0, 0.0, {}]", half.cos(), half.sin())
+    };
+    let rows: Vec<String> = (0..=4).map(row).collect();
+    let text = format!(
+        "\
+[rod]
+length_m = 0.5
+elements = 10
+[rod.material]
+youngs_modulus_pa = 1e5
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.01
+[damping]
+viscous_1_s = 1.0
+internal_s = 0.01
+[time]
+end_s = 4.0
+[control]
+blocks = 24
+force_max_n = 0.2
+moment_max_n_m = 0.05
+[[objective.track]]
+orientations_wxyz = [{}]
+",
+        rows.join(", ")
+    );
+    let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
+    let setup = scene.optimal_control(&source).unwrap();
+    let outcome = solved(&setup);
+    assert_eq!(outcome.status, SqpStatus::Converged);
+    let trajectory = &outcome.point.trajectory;
+    let last = trajectory.rotations_at(setup.problem.grid.n_steps);
+    let turns = last.windows(2).map(|r| log(&r[0].tr_mul(&r[1])).z);
+    let twist: f64 = turns.sum();
+    assert!((twist - TAU).abs() < 0.05 * TAU, "{twist} rad");
+}
+
+/// The tip of an upright arm is brought to its side and turned over, by somewhat less than half a turn, by half a turn, and by more. All go the same way round,
+/// although of the last the shorter way is the other: the turns of the elements about the axis of the goal's turn add up to all of it.
+#[test]
+fn half_a_turn_is_nothing_special() {
+    for degrees in [179.0_f64, 180.0, 181.0] {
+        let half = 0.5 * degrees.to_radians();
+        let text = format!(
+            "\
+[rod]
+length_m = 0.5
+elements = 10
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.02
+[damping]
+viscous_1_s = 1.0
+[time]
+end_s = 2.0
+[task]
+position_m = [0.3, 0.0, 0.05]
+orientation_wxyz = [{}, 0.0, {}, 0.0]
+at_rest = \"tip\"
+[control]
+blocks = 12
+force_max_n = 5.0
+moment_max_n_m = 1.0
+",
+            half.cos(),
+            half.sin()
+        );
+        let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
+        let setup = scene.optimal_control(&source).unwrap();
+        let outcome = solved(&setup);
+        assert_eq!(outcome.status, SqpStatus::Converged, "{degrees} degrees");
+        let last = (outcome.point.trajectory).rotations_at(setup.problem.grid.n_steps);
+        let turns = last.windows(2).map(|r| log(&r[0].tr_mul(&r[1])).y);
+        let bend = turns.sum::<f64>().to_degrees();
+        assert!((bend - degrees).abs() < 10.0, "{degrees} degrees: {bend}");
+    }
 }
 
 /// The solver's stationarity and the check's are relative to the same terms, so that they agree to what is left of both at a point that

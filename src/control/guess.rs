@@ -4,7 +4,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
+use super::tracking::Tracking;
 use super::transcription::{LiftedPoint, simulate};
+use super::turns::{long_turns, longer_ways, quarter_turns};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
@@ -121,7 +123,29 @@ struct Leg {
     end: f64,
     position: Option<Vector3<f64>>,
     rotation: Option<Matrix3<f64>>,
+    /// By more than half a turn.
+    longer: bool,
     springs: usize,
+}
+
+/// To the rows of a track of orientations within the horizon, and between rows that are further apart than a quarter turn.
+fn turning_legs(track: &Tracking, horizon: f64) -> Vec<Leg> {
+    let mut times: Vec<f64> = track.rotations.iter().map(|row| row.0).collect();
+    for pair in track.rotations.windows(2) {
+        let n = quarter_turns(&pair[0].1, &pair[1].1, false).len();
+        times.extend((1..n).map(|i| pair[0].0 + (pair[1].0 - pair[0].0) * (i as f64 / n as f64)));
+    }
+    times.sort_by(f64::total_cmp);
+    let leg = |t: f64| Leg {
+        end: t / horizon,
+        position: track.position(t),
+        rotation: track.rotation(t),
+        longer: false,
+        springs: SPRINGS.len(),
+    };
+    (times.into_iter().map(leg))
+        .filter(|leg| leg.end > 0.0 && leg.end <= 1.0)
+        .collect()
 }
 
 /// Shapes at the ends of the legs, the one at the start first. Between two of them strains go over into each other: the arm bends, and
@@ -138,8 +162,8 @@ fn smooth(s: f64) -> f64 {
 }
 
 impl StaticPath {
-    /// From the start, by a detour, through the tip's goals, with the base where it is at the end of the horizon.
-    /// Where the arm stays, the last shape is that of its equilibrium.
+    /// From the start, by a detour, through the tip's goals and the rows of its turns of half a turn and more, with the base where it is at the end of the
+    /// horizon. Where the arm stays, the last shape is that of its equilibrium.
     fn through_goals(
         problem: &OptimalControlProblem,
         detour: Option<&Vector3<f64>>,
@@ -149,11 +173,14 @@ impl StaticPath {
         let horizon = problem.grid.duration();
         let last = problem.grid.n_steps as f64;
         let mut legs: Vec<Leg> = Vec::new();
-        let mut goals: Vec<&Goal> = (problem.goals.iter())
-            .filter(|goal| goal.node == tip && (goal.position.is_some() || goal.rotation.is_some()))
+        let longer = longer_ways(problem);
+        let mut goals: Vec<(&Goal, bool)> = (problem.goals.iter().zip(longer))
+            .filter(|(goal, _)| {
+                goal.node == tip && (goal.position.is_some() || goal.rotation.is_some())
+            })
             .collect();
-        goals.sort_by_key(|goal| goal.time_node);
-        for goal in goals {
+        goals.sort_by_key(|(goal, _)| goal.time_node);
+        for (goal, longer) in goals {
             let end = goal.time_node as f64 / last;
             if legs.last().is_none_or(|leg| leg.end < end) {
                 legs.push(Leg {
@@ -164,8 +191,20 @@ impl StaticPath {
             }
             if let Some(leg) = legs.last_mut() {
                 leg.position = leg.position.or(goal.position);
-                leg.rotation = leg.rotation.or(goal.rotation);
+                if leg.rotation.is_none() {
+                    (leg.rotation, leg.longer) = (goal.rotation, longer);
+                }
             }
+        }
+        for track in long_turns(problem) {
+            legs.extend(turning_legs(track, horizon));
+        }
+        legs.sort_by(|a, b| a.end.total_cmp(&b.end));
+        legs.dedup_by(|later, earlier| later.end == earlier.end);
+        // After other orientations, the way is the shorter one from them.
+        let first = legs.iter().position(|leg| leg.rotation.is_some());
+        for leg in legs.iter_mut().skip(first.map_or(0, |first| first + 1)) {
+            leg.longer = false;
         }
         if let (Some(position), Some(first)) = (detour, legs.first()) {
             let end = 0.5 * first.end;
@@ -175,6 +214,7 @@ impl StaticPath {
                     end,
                     position: Some(*position),
                     rotation: None,
+                    longer: false,
                     springs: DETOUR_SPRINGS,
                 },
             );
@@ -199,11 +239,23 @@ impl StaticPath {
                 continue;
             }
             let mut spring = TipSpring::default();
-            for &stiffness in &SPRINGS[..leg.springs] {
+            let mut turns: Vec<_> = leg.rotation.map_or_else(
+                || vec![None],
+                |to| {
+                    let way = quarter_turns(&shape.rotations[tip], &to, leg.longer);
+                    way.into_iter().map(Some).collect()
+                },
+            );
+            let last = turns.pop().flatten();
+            let soft = (turns.into_iter())
+                .flat_map(|to| SPRINGS[..DETOUR_SPRINGS].iter().map(move |k| (to, *k)));
+            for (rotation, stiffness) in
+                soft.chain(SPRINGS[..leg.springs].iter().map(|k| (last, *k)))
+            {
                 spring = TipSpring {
                     position: (leg.position)
                         .map(|to| (to, stiffness * scales.force / scales.length)),
-                    rotation: leg.rotation.map(|to| (to, stiffness * scales.moment)),
+                    rotation: rotation.map(|to| (to, stiffness * scales.moment)),
                 };
                 shape = static_equilibrium_until(rod, &shape, 0.0, &spring, &problem.stop)?;
             }

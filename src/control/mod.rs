@@ -51,6 +51,7 @@ mod tracking;
 mod tracking_error;
 #[doc(hidden)]
 pub mod transcription;
+mod turns;
 
 pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};

@@ -11,6 +11,7 @@ use super::journal::{Journal, Listener, SearchEvent, SolveLog};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
 use super::transcription::{LiftedPoint, Transcription};
+use super::turns::long_turns;
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
 use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
@@ -228,8 +229,9 @@ fn first_points<'a>(
         firsts.push(First::Guess(guess));
         return firsts;
     }
-    // Where the arm stays, its last shape and wrench are known, and the way there through static shapes ends in them.
-    if problem.stay.is_some() {
+    // Where the arm stays, its last shape and wrench are known, and the way there through static shapes ends in them. Of a path that turns by half a turn
+    // and more, the end seems to lie the other way round from rest.
+    if problem.stay.is_some() || long_turns(problem).next().is_some() {
         firsts.push(First::Guess(Guess::StaticPath));
     }
     // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.

@@ -125,11 +125,35 @@ pub fn log(rotation: &Matrix3<f64>) -> Vector3<f64> {
         }
         return skew * (sine.atan2(cosine) / sine);
     }
-    let q = quaternion(rotation);
-    let q = if q.w < 0.0 { -q } else { q };
+    let q = shorter_way(rotation);
     let imaginary = q.imag();
     let sine_half = imaginary.norm();
     imaginary * (2.0 * sine_half.atan2(q.w) / sine_half)
+}
+
+/// The unit quaternion of a rotation whose scalar part is not negative: that of at most half a turn.
+fn shorter_way(rotation: &Matrix3<f64>) -> Quaternion<f64> {
+    let q = quaternion(rotation);
+    if q.w < 0.0 { -q } else { q }
+}
+
+/// Tells whether a logarithm that is followed along some rotations, each less than half a turn from the one before, ends as the one beyond half
+/// a turn, `ψ (1 - 2π/|ψ|)` with `ψ` of [`log`]; `begins` tells it of the first. The sign of a unit quaternion, which has half of the angle, is
+/// continuous there.
+pub fn is_followed_beyond_half_turn(
+    rotations: impl Iterator<Item = Matrix3<f64>>,
+    begins: bool,
+) -> bool {
+    let mut is_beyond = begins;
+    let mut before: Option<Quaternion<f64>> = None;
+    for rotation in rotations {
+        let q = shorter_way(&rotation);
+        if before.is_some_and(|before| before.dot(&q) < 0.0) {
+            is_beyond = !is_beyond;
+        }
+        before = Some(q);
+    }
+    is_beyond
 }
 
 /// Unit quaternion (w, i, j, k) of a rotation matrix, with a non-negative scalar part where that is meaningful.

@@ -14,6 +14,7 @@ use crate::control::path::{
     turn_curvature,
 };
 use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
+use crate::control::turns::{longer_ways, rotation_error};
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
@@ -31,7 +32,7 @@ mod simulation;
 mod slacks;
 
 pub(super) use self::rows::describe;
-use self::rows::{Columns, WrenchColumn, goal_vector, rotation_error};
+use self::rows::{Columns, WrenchColumn, goal_vector};
 use self::sets::convex_sets;
 pub use self::simulation::simulate;
 
@@ -93,6 +94,8 @@ pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
     goal_rows: Vec<GoalRow>,
+    /// Of every goal, whether its orientation is approached by more than half a turn.
+    longer_ways: Vec<bool>,
     /// Variable of every goal row whose residual has one.
     slack_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
@@ -165,6 +168,7 @@ impl<'a> Transcription<'a> {
             ),
             relaxation,
             samples: sample_times(problem),
+            longer_ways: longer_ways(problem),
             problem,
             components,
             goal_rows,
@@ -305,10 +309,20 @@ impl<'a> Transcription<'a> {
         self.goal_rows
             .iter()
             .map(|row| {
-                let vector = goal_vector(self.problem, trajectory, end, row);
+                let longer = self.longer_ways[row.goal];
+                let vector = goal_vector(self.problem, trajectory, end, row, longer);
                 vector[row.axis] / self.problem.goal_scale(row.part)
             })
             .collect()
+    }
+
+    /// The rotation vector of a goal's orientation; 0 where it has none.
+    fn rotation_error(&self, trajectory: &Trajectory, row: &GoalRow) -> Vector3<f64> {
+        let goal = &self.problem.goals[row.goal];
+        let longer = self.longer_ways[row.goal];
+        (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
+            rotation_error(goal, to, trajectory, longer)
+        })
     }
 
     /// Derivative of one scaled residual.
@@ -331,7 +345,7 @@ impl<'a> Transcription<'a> {
         match row.part {
             GoalPart::Position => one(row.axis, inverse),
             GoalPart::Orientation => {
-                let psi = rotation_error(problem, trajectory, row);
+                let psi = self.rotation_error(trajectory, row);
                 let c = InverseTangentCoefficients::at(psi.norm_squared());
                 // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
                 let direction = log_tangent(&psi, &c).column(row.axis) * inverse;
@@ -358,7 +372,7 @@ impl<'a> Transcription<'a> {
             .filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
             .map(|(first, row)| {
                 let goal = &self.problem.goals[row.goal];
-                let psi = rotation_error(self.problem, trajectory, row);
+                let psi = self.rotation_error(trajectory, row);
                 turn_curvature(goal.time_node, goal.node, &psi, &of(first))
             })
             .collect();

@@ -6,18 +6,19 @@ use nalgebra::Vector3;
 use crate::control::acting::{ActingAlong, own_controls};
 use crate::control::path::RowGradient;
 use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
+use crate::control::turns::rotation_error;
 use crate::mechanics::linearization::Defects;
-use crate::mechanics::rotation::log;
 use crate::mechanics::sensitivity::ControlColumns;
 use crate::mechanics::{StateForm, StepError, Trajectory};
 use crate::sqp::Failure;
 
-/// A goal's vector before scaling.
+/// A goal's vector before scaling; `longer` tells by which way its orientation is approached.
 pub(super) fn goal_vector(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
     end: &Defects,
     row: &GoalRow,
+    longer: bool,
 ) -> Vector3<f64> {
     let goal = &problem.goals[row.goal];
     let (k, node) = (goal.time_node, goal.node);
@@ -25,7 +26,9 @@ pub(super) fn goal_vector(
     let x = trajectory.positions_at(k)[node];
     match row.part {
         GoalPart::Position => x - goal.position.unwrap_or(x),
-        GoalPart::Orientation => rotation_error(problem, trajectory, row),
+        GoalPart::Orientation => (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
+            rotation_error(goal, to, trajectory, longer)
+        }),
         GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
         GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
         GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vector3::zeros, |stay| {
@@ -34,17 +37,6 @@ pub(super) fn goal_vector(
             stay.vector(vector, vectors, trajectory.rotations_at(k))
         }),
     }
-}
-
-/// `log(R*ᵀ R)` of a goal.
-pub(super) fn rotation_error(
-    problem: &OptimalControlProblem,
-    trajectory: &Trajectory,
-    row: &GoalRow,
-) -> Vector3<f64> {
-    let goal = &problem.goals[row.goal];
-    let r = trajectory.rotations_at(goal.time_node)[goal.node];
-    log(&(goal.rotation.unwrap_or(r).transpose() * r))
 }
 
 pub(in crate::control) fn describe(error: StepError) -> Failure {
