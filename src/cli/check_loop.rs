@@ -36,15 +36,12 @@ pub(super) fn summarize(
     let mut need = None;
     let mut seconds = Vec::new();
     let run = own.run(Contender::Mpc, &mut |sample, closed| {
-        if seconds.is_empty() {
-            need = closed.controller().reference_need();
-        }
         seconds.push(sample.sample_s);
         if seconds.len() < SAMPLES && !stop.is_raised() {
-            ControlFlow::Continue(())
-        } else {
-            ControlFlow::Break(())
+            return ControlFlow::Continue(());
         }
+        need = closed.controller().reference_need();
+        ControlFlow::Break(())
     });
     let mut concerns = setup.warnings.clone();
     match run {

@@ -33,8 +33,8 @@ pub struct Mpc {
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of `objective.force_scale_n` and
     /// `moment_scale_n_m`; not negative, default 100.
     pub jump: NonNegative<values::Weight>,
-    /// Where effort counts from while the horizon recedes: `"holding"`, the force at the tip that holds the model at its reference at rest, so
-    /// that the tip is not kept off it (default), or `"zero"`.
+    /// Where effort counts from while the horizon recedes: `"auto"` (default), from what holds the model's tip where its reference rests, if the arm is
+    /// stable under it, and from zero where it moves; `"holding"`, everywhere from what holds it there; or `"zero"`.
     pub effort_from: EffortFrom,
     /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop. Where the horizon recedes,
     /// the target's place is a track with ten times the default weight instead, and rest comes by itself.
