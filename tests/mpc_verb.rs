@@ -515,6 +515,56 @@ fn what_is_not_meant_is_said() {
     assert!(run.stderr.contains(words), "{}", run.stderr);
 }
 
+/// A camera that sees the arm twice a second, later than any fall-back waits by default: the patience of a loop follows its slowest sensor, so that nothing falls back
+/// and a softer arm stays at its target, which it left by half of its length when the loop did not wait.
+#[test]
+fn slow_cameras_are_waited_for() {
+    const CAMERA: &str = "\
+[rod]
+length_m = 0.5
+elements = 10
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.02
+[damping]
+viscous_1_s = 1.0
+internal_s = 0.005
+[time]
+end_s = 5.0
+[task]
+position_m = [0.15, 0.0, 0.472]
+[control]
+force_max_n = 3.0
+moment_max_n_m = 0.0
+[objective]
+rate = 0.003
+[mpc]
+counted_from_s = 1.0
+computing = \"fixed\"
+[plant]
+stiffness_factor = 0.85
+[[sensor]]
+preset = \"camera\"
+rate_hz = 2
+[estimator]
+kind = \"kalman\"
+disturbances = [\"tip_force\", \"stiffness\"]
+";
+    let desk = Desk::new();
+    fs::write(desk.path("camera.toml"), CAMERA).unwrap();
+    let run = desk.run(&["mpc", "camera.toml", "--out", "run"]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    let summary = desk.summary("run");
+    assert_eq!(summary["fallbacks"], serde_json::json!({}));
+    // The motion between two pictures is that of the model until its stiffness is found.
+    let off = &summary["tip_error_over_length"];
+    let [rms, last] = ["rms", "final"].map(|key| off[key].as_f64().unwrap());
+    assert!(rms < 0.015 && last < 0.005, "{off}");
+}
+
 /// A circle is a path of points: on the circle to four parts in 100 000 of its radius, and from its beginning on to the end of the loop and
 /// of its last horizon.
 #[test]

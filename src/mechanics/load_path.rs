@@ -3,7 +3,8 @@
 //!
 //! The path is followed by Newton's method from factor to factor. It passes branching points, where a straight column may go on straight, and ends where
 //! it turns back (a limit point, from which the arm snaps through). Along a path the smallest eigenvalue of the stiffness changes its sign only at a
-//! singular point; a stride across which it does is shortened to the least one, so that Newton's method does not jump from one path to another.
+//! singular point; a stride across which it does is shortened to the least one, and no stride moves a node far, so that Newton's method does not jump from one path
+//! to another.
 
 use std::ops::ControlFlow;
 
@@ -109,6 +110,9 @@ const FIRST_STRIDE: f64 = 0.05;
 const LEAST_STRIDE: f64 = 1e-6;
 /// Relative error of a critical factor.
 const PRECISION: f64 = 1e-7;
+/// No node moves farther in one stride, over the length of the arm: at a limit point the way of the least stride is about its square root, 1e-3, and another
+/// equilibrium lies a part of the length away.
+const NEAR: f64 = 0.1;
 /// Distance beyond a critical factor, relative to it, to which a path is followed to see that it goes on.
 const PAST: f64 = 1e-3;
 /// Dilatation of elements beyond which a linear elastic law is no model any more.
@@ -198,13 +202,25 @@ impl<'a> LoadPath<'a> {
         self.tangent(at).tip_compliance()
     }
 
-    /// The equilibrium at factor 0: the stress-free shape, bent by what the factor does not multiply.
+    /// The equilibrium at factor 0: the one that the stress-free shape comes to while what the factor does not multiply grows from zero.
     ///
     /// # Errors
     /// [`EquilibriumError`] where there is none.
     pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
         let rest = self.rod.carried(self.rod.rest.clone(), self.time);
-        self.settled(0.0, &rest, false)
+        let constant = self.rod_at(0.0);
+        let growing = LoadPath {
+            rod: &constant,
+            varied: Varied::All,
+            aside: Vector3::zeros(),
+            ..*self
+        };
+        let unloaded = growing.settled(0.0, &rest, false)?;
+        if !growing.is_loaded() {
+            return Ok(unloaded);
+        }
+        let found = growing.at(&unloaded, 1.0)?;
+        Ok(self.looked_at(0.0, found.shape, found.jumped))
     }
 
     /// The equilibrium that the arm settles in from a shape, at a factor.
@@ -260,7 +276,9 @@ impl<'a> LoadPath<'a> {
             &mut |factor, shape, is_least| {
                 let next = self.looked_at(factor, shape.clone(), from.jumped);
                 let turns = self.sign(&last) * self.sign(&next) < 0;
-                if turns && !is_least {
+                let nodes = last.shape.positions.iter().zip(&next.shape.positions);
+                let way = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+                if (turns && !is_least) || way > NEAR * self.rod.scales.length {
                     return Passage::Refused;
                 }
                 last = next;
@@ -392,12 +410,12 @@ fn squared(at: &LoadedShape) -> f64 {
         .map_or(f64::NAN, |found| found.least_squared_frequency)
 }
 
-/// The factor at which a path turns back, from the factors and `ω²` of its last two equilibria. There `ω²` falls as the square root of what is left of the
-/// factor, so that its square is linear; `None` where it does not reach zero within the distance of the two.
+/// The factor at which a path turns back, from the factors and `ω²` of its equilibria. There `ω²` falls as the square root of what is left of the factor, so that
+/// its square is linear; `None` where, from the last equilibrium and one [`PAST`] before it, it does not reach zero within the distance of the two.
 fn fold(path: &[(f64, f64)]) -> Option<f64> {
-    let [.., (before, first), (last, second)] = path else {
-        return None;
-    };
+    let &(last, second) = path.last()?;
+    let far = PAST * last.max(1.0);
+    let &(before, first) = path.iter().rev().find(|(factor, _)| last - factor >= far)?;
     let (first, second) = (first * first, second * second);
     let left = (last - before) * second / (first - second);
     (left > 0.0 && left <= last - before).then_some(last + left)
