@@ -23,7 +23,12 @@ pub(super) struct EquilibriumArguments {
     #[command(flatten)]
     scene: SceneAndOut,
     /// The sweep ends at this load factor, 1 at least
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 1.0,
+        allow_negative_numbers = true
+    )]
     to: f64,
     /// Load factors of the sweep, evenly spread from 0 to its end; 1 is always among them
     #[arg(long, value_name = "N", default_value_t = 21, value_parser = clap::value_parser!(u32).range(2..=10_000))]
@@ -32,10 +37,20 @@ pub(super) struct EquilibriumArguments {
     #[arg(long, value_enum, default_value = "all")]
     vary: Varied,
     /// Time at which loads with a profile and a driven base are looked at, s
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[arg(
+        long,
+        value_name = "S",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
     time: f64,
     /// Force across the tip, over EI/L², that stays as it is: a symmetric arm then buckles gradually, to its side
-    #[arg(long, value_name = "PART", default_value_t = 0.0)]
+    #[arg(
+        long,
+        value_name = "PART",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
     imperfection: f64,
 }
 

@@ -158,8 +158,10 @@ impl ModelHessian {
         sets: &[ConvexSet],
         active: &ActiveSet,
     ) -> Option<Self> {
+        // What bends more would drown the curvature that decides in its own rounding.
+        let most = CURVATURE_FLOOR * linearization.least_curvature() / f64::EPSILON;
         let tangents: Vec<ActiveNormal> = (active.normals.iter())
-            .filter(|normal| normal.curvature > 0.0)
+            .filter(|normal| normal.curvature > 0.0 && normal.curvature < most)
             .cloned()
             .collect();
         if tangents.is_empty() {
