@@ -166,7 +166,7 @@ fn arms_stay_where_they_arrive() {
 /// A tip that should stop is judged on the finest grid of the check: on few elements it stops on its own grid alone, and the certificate says so.
 #[test]
 fn tips_stop_on_finer_grids() {
-    for (elements, stops) in [(3, false), (16, true)] {
+    for (elements, stops) in [(2, false), (16, true)] {
         let overrides = [
             "task.at_rest=\"tip\"".to_owned(),
             format!("rod.elements={elements}"),

@@ -141,7 +141,6 @@ impl Scene {
     }
 
     /// Tells whether the arm should stay at its target.
-    #[cfg(feature = "cli")]
     pub(crate) fn stays(&self) -> bool {
         self.staying().is_some()
     }
