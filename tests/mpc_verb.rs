@@ -620,6 +620,8 @@ fn built_in_loops_are_loops() {
             .closed_loop(&source, 3, &StopSignal::default())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(setup.warnings.is_empty(), "{name}: {:?}", setup.warnings);
+        let paths = &setup.unbent_paths;
+        assert!(paths.is_empty(), "{name}: {paths:?}");
         let text = setup.resolved.to_toml();
         let (again, source) = Scene::from_toml(name, &text, &[]).unwrap();
         assert_eq!(again, setup.resolved, "{name}");
@@ -632,4 +634,64 @@ fn built_in_loops_are_loops() {
         assert_eq!(again.plant.nodes, setup.plant.nodes, "{name}");
         assert_eq!(again.plant.loads, setup.plant.loads, "{name}");
     }
+}
+
+/// A figure eight in a plane, below a hanging arm: in its middle the tip must be pushed up, which the loop says before it runs; moved to where it says, half of
+/// that remains.
+#[test]
+fn paths_off_the_swept_surface_are_named() {
+    const EIGHT: &str = "\
+[rod]
+length_m = 0.30
+elements = 8
+[rod.material]
+preset = \"dragon-skin-30\"
+[rod.section]
+radius_base_m = 0.015
+radius_tip_m = 0.008
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[payload]
+mass_kg = 0.04
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 8.0
+[control]
+force_max_n = 2.0
+[[objective.track]]
+figure_eight = { center_m = [0.0, 0.0, -0.29], half_length_m = 0.08, turn_s = 3.0 }
+[mpc]
+";
+    let of = |height: f64| {
+        let text = EIGHT.replace("-0.29]", &format!("{height}]"));
+        let (scene, source) = Scene::from_toml("eight", &text, &[]).unwrap();
+        let setup = scene.closed_loop(&source, 0, &StopSignal::default());
+        setup.unwrap().unbent_paths
+    };
+    let off = of(-0.29);
+    assert!(
+        off.len() == 1 && off[0].contains("it is pressed together"),
+        "{off:?}"
+    );
+    let (_, after) = off[0].split_once("center_m = [0.0000, 0.0000, ").unwrap();
+    let height: f64 = after.split_once(']').unwrap().0.parse().unwrap();
+    // The hanging arm ends at -0.301 m, and the ends of the figure are higher.
+    assert!((-0.301..-0.29).contains(&height), "{height}");
+    let range = |sentence: &str| -> [f64; 2] {
+        let (_, rest) = sentence.split_once("passes this path at ").unwrap();
+        let (range, _) = rest.split_once(" mm").unwrap();
+        let (least, most) = range.split_once(" to ").unwrap();
+        [least.parse().unwrap(), most.parse().unwrap()]
+    };
+    let [least, most] = range(&off[0]);
+    let moved = of(height);
+    let [nearer, farther] = range(&moved[0]);
+    let half = 0.5 * (most - least);
+    assert!(
+        (nearer + half).abs() < 0.1 && (farther - half).abs() < 0.1,
+        "{moved:?}"
+    );
 }

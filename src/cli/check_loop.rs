@@ -43,7 +43,7 @@ pub(super) fn summarize(
         need = closed.controller().reference_need();
         ControlFlow::Break(())
     });
-    let mut concerns = setup.warnings.clone();
+    let mut concerns = [&setup.warnings[..], &setup.unbent_paths].concat();
     match run {
         Ok(run) => concerns.extend(run.broke_down.map(|error| {
             format!("the arm's motion breaks down within the first {SAMPLES} samples: {error}")

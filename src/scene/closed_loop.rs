@@ -37,6 +37,8 @@ pub struct ClosedLoopSetup {
     pub resolved: Scene,
     /// Keys that play no part.
     pub warnings: Vec<String>,
+    /// How far closed paths of the tip lie from the surface that it sweeps, in sentences: only those that lie off it.
+    pub unbent_paths: Vec<String>,
 }
 
 /// Distance from the surface that the tip sweeps, over the length, up to which a path lies on it.
@@ -218,9 +220,8 @@ impl Scene {
             },
             plant: found.rod,
             resolved,
-            warnings: (self.concerns(due, duration).into_iter())
-                .chain(unbent)
-                .collect(),
+            warnings: self.concerns(due, duration),
+            unbent_paths: unbent,
             model,
             initial: found.initial,
         })
