@@ -113,7 +113,7 @@ pub enum CannotHold {
     Drifts,
     /// The base moves on while the arm should stay.
     BaseMoves {
-        /// How long after the task it does, s.
+        /// Last time after the task at which it does, s.
         after: f64,
     },
 }
@@ -210,7 +210,7 @@ const LEAST_STABILITY: f64 = 1e-2;
 const INDEPENDENT: f64 = 1e-6;
 /// Modes of a free arm that move it as a whole.
 const RIGID_MODES: usize = 6;
-/// How far ahead a driven base is looked at, in units of the time scale of the arm (a first period is about two), and at how many moments.
+/// Time for which a driven base is looked at, in units of the time scale of the arm (a first period is about two), and number of moments.
 const LOOKED_AHEAD: f64 = 4.0;
 const BASE_SAMPLES: usize = 256;
 /// Angle by which the first shapes of other branches are bent, rad.
@@ -307,7 +307,7 @@ fn floating(statics: &Statics, target: Target) -> Holding {
     }))
 }
 
-/// How long after time `t` a driven base moves on by more than rounding; `None` where it stands.
+/// Last time after `t`, s, at which a driven base is elsewhere by more than rounding; `None` where it stands.
 fn base_moves_after(rod: &Rod, t: f64) -> Option<f64> {
     let BaseCondition::Driven(motion) = &rod.base else {
         return None;

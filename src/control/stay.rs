@@ -87,7 +87,7 @@ impl Stay {
         self.modes.energy(&deviation, &momenta)
     }
 
-    /// How far the tip can go from its place at the equilibrium with the energy that a state's deviation has in each of its modes, m, to second
+    /// Largest distance of the tip from its place at the equilibrium with the energy that a state's deviation has in each of its modes, m, to second
     /// order: at most `sqrt(2 E C)`.
     #[must_use]
     pub fn reach(&self, state: &State) -> f64 {
@@ -131,7 +131,7 @@ impl Stay {
             .sum()
     }
 
-    /// What one node of the rod adds to a vector of `r`, which is a sum over the free nodes.
+    /// Part of one node of the rod in a vector of `r`, which is a sum over the free nodes.
     #[must_use]
     pub fn part_of_node(
         &self,
@@ -211,7 +211,7 @@ impl Stay {
     }
 }
 
-/// What a vector of `r` looks at.
+/// The part of the state that a vector of `r` depends on.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Half {
     Deviation,

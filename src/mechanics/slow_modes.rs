@@ -25,7 +25,7 @@ const FIRST_MODES: usize = 4 * GROUP;
 pub(crate) struct SlowModes {
     /// Ascending; a multiple of [`GROUP`].
     modes: Vec<Mode>,
-    /// How many of them are the slow ones.
+    /// Number of the slow ones, which come first.
     n_slow: usize,
     tangent: Tangent,
     /// The diagonal of the inertia of every free node.
@@ -88,7 +88,7 @@ impl SlowModes {
         self.compliance
     }
 
-    /// What of a node's deviation (of the free ones, 0 is the first) goes into the `ω φᵀ M d` of a group's modes: a row of covectors each.
+    /// Covectors of a node's deviation (of the free ones, 0 is the first) in the `ω φᵀ M d` of a group's modes.
     pub fn along_deviation(&self, group: usize, free: usize) -> [Vector6<f64>; GROUP] {
         std::array::from_fn(|i| {
             let mode = &self.modes[GROUP * group + i];
@@ -96,7 +96,7 @@ impl SlowModes {
         })
     }
 
-    /// What of a node's momenta goes into the `φᵀ P` of a group's modes.
+    /// Covectors of a node's momenta in the `φᵀ P` of a group's modes.
     pub fn along_momenta(&self, group: usize, free: usize) -> [Vector6<f64>; GROUP] {
         std::array::from_fn(|i| self.modes[GROUP * group + i].shape[free])
     }
@@ -110,7 +110,7 @@ impl SlowModes {
         0.5 * (elastic + kinetic)
     }
 
-    /// How far the tip can go from the equilibrium with the energy that a deviation has in each of its modes, m.
+    /// Largest distance of the tip from the equilibrium with the energy that a deviation has in each of its modes, m.
     ///
     /// Modes of energy `E` together move it by at most `sqrt(2 E C)` (Cauchy and Schwarz), one mode by `sqrt(2 E_k) |φ_tip,k|/ω_k`, and all beyond
     /// those that are known by `sqrt(2 E C_r)` with their part `C_r` of the compliance. The first modes count together, the others one by

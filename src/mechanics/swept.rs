@@ -59,7 +59,7 @@ impl<'a> SweptSurface<'a> {
         Unit::new_normalize(self.axes[0])
     }
 
-    /// How far a place (m) is from the surface, along the direction of the base, m: positive beyond it, where the arm must be stretched.
+    /// Distance of a place (m) from the surface along the direction of the base, m: positive beyond it, where the arm must be stretched.
     /// Places are asked for in the order of a path, each from the shape of the one before. `None` where no force across brings the tip under or over
     /// the place.
     ///

@@ -37,7 +37,7 @@ pub struct ClosedLoopSetup {
     pub resolved: Scene,
     /// Keys that play no part.
     pub warnings: Vec<String>,
-    /// How far closed paths of the tip lie from the surface that it sweeps, in sentences: only those that lie off it.
+    /// Closed paths of the tip that lie off the surface that it sweeps, a sentence each with their distances from it.
     pub unbent_paths: Vec<String>,
 }
 
@@ -322,7 +322,7 @@ impl Scene {
         out
     }
 
-    /// How far closed paths of the tip lie from the surface that it sweeps.
+    /// Sentences on closed paths of the tip that lie off the surface that it sweeps.
     fn off_the_surface(&self, model: &Rod, initial: &State, stop: &StopSignal) -> Vec<String> {
         let tracks = self.objective.iter().flat_map(|objective| &objective.track);
         let paths = tracks.filter_map(|track| Some((track, track.round()?)));

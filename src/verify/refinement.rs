@@ -51,7 +51,7 @@ pub struct Between {
     pub time: f64,
 }
 
-/// How the tip of the finest rod moves at the end of the horizon, and at most before.
+/// Speed of the tip of the finest rod at the end of the horizon, and the highest one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TipMotion {
     /// Speed at the end, m/s.

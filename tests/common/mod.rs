@@ -401,7 +401,7 @@ pub fn on_its_own_grid() -> softarm::verify::CheckLimits {
     }
 }
 
-/// What the check of a coarse arm objects to, but for how fast its tip is on finer grids.
+/// Criteria that the check of a coarse arm does not meet, but for the speed of its tip on finer grids.
 pub fn objections_on_its_own_grid(check: &softarm::verify::ForwardCheck) -> Vec<&'static str> {
     let finer = ["refined_speed_m_s", "refined_spin_rad_s"];
     (check.items.iter())
