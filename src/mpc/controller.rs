@@ -269,7 +269,10 @@ impl Controller {
         (task.targets).retain(|target| {
             target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
         });
-        let chosen = task.discretize_until(arm, &cut, stop)?.discrete;
+        // Only its steps are of interest, not what holds the arm.
+        let chosen = (task.clone().stopping())
+            .discretize_until(arm, &cut, stop)?
+            .discrete;
         let [in_period, in_horizon] =
             period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
         cut.step = Some(in_horizon.step);

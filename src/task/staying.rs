@@ -19,9 +19,11 @@ pub(super) fn stay(
     length: f64,
 ) -> Result<Option<Stay>, DiscretizeError> {
     let refuse = |reason: String| Err(DiscretizeError::NotHeld(reason));
-    let held = match holding_over(problem, staying, length) {
-        Ok(Holding::Held(held)) => *held,
-        Ok(Holding::CannotBeHeld { why, nearest }) => {
+    let found = holding(problem).map(|found| judged(found, problem, staying, length));
+    match found {
+        Ok(Ok((_, stay))) => Ok(Some(stay)),
+        Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
+        Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {
                 let x = held.shape.positions[problem.rod.tip()];
                 format!(
@@ -29,17 +31,12 @@ pub(super) fn stay(
                     x.x, x.y, x.z
                 )
             });
-            return refuse(format!("the arm cannot stay there: {why}{nearest}"));
+            refuse(format!("the arm cannot stay there: {why}{nearest}"))
         }
-        Ok(Holding::NotFound { .. }) => return Ok(None),
         Err(HoldingError::Stopped(stop)) => {
-            return Err(DiscretizeError::Start(EquilibriumError::Stopped(stop)));
+            Err(DiscretizeError::Start(EquilibriumError::Stopped(stop)))
         }
-        Err(error) => return refuse(error.to_string()),
-    };
-    match stay_at(problem, held, staying, length) {
-        Some(stay) => Ok(Some(stay)),
-        None => refuse("the equilibrium there is hardly stable".into()),
+        Err(error) => refuse(error.to_string()),
     }
 }
 
@@ -53,31 +50,31 @@ pub(crate) fn holding_over(
     staying: Staying,
     length: f64,
 ) -> Result<Holding, HoldingError> {
-    Ok(judged(holding(problem)?, problem, staying, length))
+    let verdict = judged(holding(problem)?, problem, staying, length);
+    Ok(verdict.map_or_else(|other| other, |(held, _)| Holding::Held(held)))
 }
 
-/// The verdict over a stay, from the one without regard to time.
+/// What holds the goal over a stay, with the stay there, from the verdict without regard to time; or the verdict that nothing is known to hold it.
 fn judged(
     found: Holding,
     problem: &OptimalControlProblem,
     staying: Staying,
     length: f64,
-) -> Holding {
-    let found = match found {
+) -> Result<(Box<Held>, Stay), Holding> {
+    let held = match found {
+        Holding::Held(held) => held,
         Holding::CannotBeHeld {
             why: CannotHold::Unstable(held),
             ..
-        } if grows_little(&held, staying) => Holding::Held(held),
-        found => found,
+        } if grows_little(&held, staying) => held,
+        found => return Err(found),
     };
-    match found {
-        Holding::Held(held) if stay_at(problem, (*held).clone(), staying, length).is_none() => {
-            Holding::CannotBeHeld {
-                why: CannotHold::Unstable(held),
-                nearest: None,
-            }
-        }
-        found => found,
+    match stay_at(problem, (*held).clone(), staying, length) {
+        Some(stay) => Ok((held, stay)),
+        None => Err(Holding::CannotBeHeld {
+            why: CannotHold::Unstable(held),
+            nearest: None,
+        }),
     }
 }
 
@@ -151,10 +148,7 @@ mod tests {
                 why: CannotHold::Unstable(Box::new(unstable)),
                 nearest: None,
             };
-            matches!(
-                judged(found, &problem, staying, arm.length),
-                Holding::Held(_)
-            )
+            judged(found, &problem, staying, arm.length).is_ok()
         };
         let square = held.least_squared_frequency;
         let doubles = 2.0_f64.ln() / seconds;
