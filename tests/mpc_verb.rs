@@ -620,7 +620,7 @@ fn built_in_loops_are_loops() {
             .closed_loop(&source, 3, &StopSignal::default())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(setup.warnings.is_empty(), "{name}: {:?}", setup.warnings);
-        let paths = &setup.unbent_paths;
+        let paths = setup.unbent_paths(&StopSignal::default());
         assert!(paths.is_empty(), "{name}: {paths:?}");
         let text = setup.resolved.to_toml();
         let (again, source) = Scene::from_toml(name, &text, &[]).unwrap();
@@ -669,7 +669,7 @@ figure_eight = { center_m = [0.0, 0.0, -0.29], half_length_m = 0.08, turn_s = 3.
         let text = EIGHT.replace("-0.29]", &format!("{height}]"));
         let (scene, source) = Scene::from_toml("eight", &text, &[]).unwrap();
         let setup = scene.closed_loop(&source, 0, &StopSignal::default());
-        setup.unwrap().unbent_paths
+        setup.unwrap().unbent_paths(&StopSignal::default())
     };
     let off = of(-0.29);
     assert!(

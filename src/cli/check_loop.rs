@@ -8,6 +8,7 @@ use super::quantity::{digits, entry, quantity};
 use crate::mpc::{Contender, MpcError, Percentiles, SensorSettings};
 use crate::output::closed_loop::{LoopSensor, LoopSummary, ReferenceSummary};
 use crate::scene::{ClosedLoopSetup, Scene, SceneError, SceneSource};
+use crate::stop::StopSignal;
 
 /// Samples that are run to see how long one takes; the first is not counted.
 const SAMPLES: usize = 6;
@@ -43,7 +44,11 @@ pub(super) fn summarize(
         need = closed.controller().reference_need();
         ControlFlow::Break(())
     });
-    let mut concerns = [&setup.warnings[..], &setup.unbent_paths].concat();
+    let mut concerns = [
+        &setup.warnings[..],
+        &setup.unbent_paths(&StopSignal::default()),
+    ]
+    .concat();
     match run {
         Ok(run) => concerns.extend(run.broke_down.map(|error| {
             format!("the arm's motion breaks down within the first {SAMPLES} samples: {error}")

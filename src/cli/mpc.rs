@@ -70,7 +70,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     let setup = (scene.closed_loop(&source, seed, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
     if arguments.serve {
-        for warning in setup.warnings.iter().chain(&setup.unbent_paths) {
+        for warning in setup.warnings.iter().chain(&setup.unbent_paths(&stop)) {
             console.warn(warning);
         }
         let name = scene_name(&arguments.scene.scene);
@@ -78,7 +78,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     }
     let target = arguments.scene.directory("mpc");
     let directory = RunDirectory::open(&target, ResultKind::Mpc)?;
-    for warning in setup.warnings.iter().chain(&setup.unbent_paths) {
+    for warning in setup.warnings.iter().chain(&setup.unbent_paths(&stop)) {
         console.warn(warning);
     }
     announce(&setup, console);
@@ -562,7 +562,7 @@ fn causes(setup: &ClosedLoopSetup, run: &Run, others: &[Run]) -> Vec<String> {
     let rms = |run: &Run| run.tip_error.rms / length;
     let of = |contender: Contender| others.iter().find(|other| other.contender == contender);
     if rms(run) > FAR {
-        out.extend(setup.unbent_paths.iter().cloned());
+        out.extend(setup.unbent_paths(&StopSignal::default()));
     }
     if rms(run) > FAR
         && let (Some(model), Some(waits)) = (of(Contender::PlantIsModel), of(Contender::PlantWaits))

@@ -37,8 +37,6 @@ pub struct ClosedLoopSetup {
     pub resolved: Scene,
     /// Keys that play no part.
     pub warnings: Vec<String>,
-    /// Closed paths of the tip that lie off the surface that it sweeps, a sentence each with their distances from it.
-    pub unbent_paths: Vec<String>,
 }
 
 /// Distance from the surface that the tip sweeps, over the length, up to which a path lies on it.
@@ -59,6 +57,39 @@ impl ClosedLoopSetup {
             SensorChoice::Own(settings) => Some(settings),
             SensorChoice::Preset(_) => None,
         })
+    }
+
+    /// Closed paths of the tip that lie off the surface that it sweeps, a sentence each with their distances from it; none where `stop` is raised.
+    #[must_use]
+    pub fn unbent_paths(&self, stop: &StopSignal) -> Vec<String> {
+        let model = &*self.model;
+        let tracks = self
+            .resolved
+            .objective
+            .iter()
+            .flat_map(|objective| &objective.track);
+        let paths = tracks.filter_map(|track| Some((track, track.round()?)));
+        paths
+            .filter(|(track, _)| track.node == model::LoadNode::Tip)
+            .filter_map(|(track, round)| {
+                let mut surface = SweptSurface::new(model, &model.rest, 0.0, stop).ok()?;
+                let found = round.iter().map(|place| surface.distance(place, stop).ok()?);
+                let off = found.collect::<Option<Vec<f64>>>()?;
+                let least = off.iter().copied().fold(f64::INFINITY, f64::min);
+                let most = off.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                let length = model.scales.length;
+                if least.abs().max(most.abs()) < ON_THE_SURFACE * length {
+                    return None;
+                }
+                let middle = 0.5 * (least + most);
+                let center = track.center()? - surface.direction().into_inner() * middle;
+                Some(format!(
+                    "objective.track: where forces across the direction of the base bend the arm, its tip passes this path at {:.1} to {:.1} mm (positive: the \
+                     arm is too short, negative: it is pressed together); with center_m = [{:.4}, {:.4}, {:.4}] half of that remains",
+                    1e3 * least, 1e3 * most, center.x, center.y, center.z
+                ))
+            })
+            .collect()
     }
 }
 
@@ -127,7 +158,6 @@ impl Scene {
             ..posed.discretization
         };
         let model = posed.discrete.rod;
-        let unbent = self.off_the_surface(&model, &posed.discrete.initial, stop);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
         let found = passing
@@ -221,7 +251,6 @@ impl Scene {
             plant: found.rod,
             resolved,
             warnings: self.concerns(due, duration),
-            unbent_paths: unbent,
             model,
             initial: found.initial,
         })
@@ -320,34 +349,6 @@ impl Scene {
             ));
         }
         out
-    }
-
-    /// Sentences on closed paths of the tip that lie off the surface that it sweeps.
-    fn off_the_surface(&self, model: &Rod, initial: &State, stop: &StopSignal) -> Vec<String> {
-        let tracks = self.objective.iter().flat_map(|objective| &objective.track);
-        let paths = tracks.filter_map(|track| Some((track, track.round()?)));
-        paths
-            .filter(|(track, _)| track.node == model::LoadNode::Tip)
-            .filter_map(|(track, round)| {
-                let start = &initial.configuration;
-                let mut surface = SweptSurface::new(model, start, 0.0, stop).ok()?;
-                let found = round.iter().map(|place| surface.distance(place, stop).ok()?);
-                let off = found.collect::<Option<Vec<f64>>>()?;
-                let least = off.iter().copied().fold(f64::INFINITY, f64::min);
-                let most = off.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                let length = model.scales.length;
-                if least.abs().max(most.abs()) < ON_THE_SURFACE * length {
-                    return None;
-                }
-                let middle = 0.5 * (least + most);
-                let center = track.center()? - surface.direction().into_inner() * middle;
-                Some(format!(
-                    "objective.track: where forces across the direction of the base bend the arm, its tip passes this path at {:.1} to {:.1} mm (positive: the \
-                     arm is too short, negative: it is pressed together); with center_m = [{:.4}, {:.4}, {:.4}] half of that remains",
-                    1e3 * least, 1e3 * most, center.x, center.y, center.z
-                ))
-            })
-            .collect()
     }
 
     /// The arm as it is.
