@@ -45,6 +45,7 @@ pub(super) fn stay(
 ///
 /// # Errors
 /// Those of [`holding`].
+#[cfg(feature = "cli")]
 pub(crate) fn holding_over(
     problem: &OptimalControlProblem,
     staying: Staying,
