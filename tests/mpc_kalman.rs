@@ -73,9 +73,8 @@ fn repeated_sweeps_are_transitions() {
     }
 }
 
-/// Of a change of the state its slow part: `(M + θ K)⁻¹ M` of the poses and `M (M + θ K)⁻¹` of the momenta in the frames of the nodes, with `θ`
-/// of the fifth bending mode, and `K` by differences of the elastic forces about the shape at rest.
-fn slow_part(model: &Rod, shape: &Configuration, change: &[f64]) -> Vec<f64> {
+/// Stiffness and inertia of the free nodes at rest, in their frames: by differences of the elastic forces about the shape at rest.
+fn stiffness_and_inertia(model: &Rod) -> [DMatrix<f64>; 2] {
     const STEP: f64 = 1e-6;
     let first = model.first_free_node();
     let n = 6 * (model.n_nodes() - first);
@@ -101,33 +100,45 @@ fn slow_part(model: &Rod, shape: &Configuration, change: &[f64]) -> Vec<f64> {
     let columns: Vec<_> = (0..n)
         .map(|j| (forces(j, -STEP) - forces(j, STEP)) / (2.0 * STEP))
         .collect();
-    let stiffness = DMatrix::from_columns(&columns);
     let inertia = DMatrix::from_diagonal(&DVector::from_fn(n, |i, _| {
         let node = &model.nodes[first + i / 6];
         [node.mass, node.rotary[i % 3]][i % 6 / 3]
     }));
+    [DMatrix::from_columns(&columns), inertia]
+}
+
+/// Poses or momenta of the free nodes, in the frames of the nodes of a shape or back: the first three of six components are spatial.
+fn turned(model: &Rod, shape: &Configuration, of: &DVector<f64>, back: bool) -> DVector<f64> {
+    DVector::from_fn(of.len(), |i, _| {
+        if i % 6 >= 3 {
+            return of[i];
+        }
+        let rotation = &shape.rotations[model.first_free_node() + i / 6];
+        let at = 6 * (i / 6);
+        let own = Vector3::new(of[at], of[at + 1], of[at + 2]);
+        let own = if back {
+            rotation * own
+        } else {
+            rotation.tr_mul(&own)
+        };
+        own[i % 6]
+    })
+}
+
+/// Of a change of the state its slow part: `(M + θ K)⁻¹ M` of the poses and `M (M + θ K)⁻¹` of the momenta in the frames of the nodes, with `θ`
+/// of the fifth bending mode.
+fn slow_part(model: &Rod, shape: &Configuration, change: &[f64]) -> Vec<f64> {
+    let [stiffness, inertia] = stiffness_and_inertia(model);
+    let n = inertia.nrows();
     let theta = (model.scales.time / 199.859_530).powi(2);
     let both = (&inertia + stiffness * theta).lu();
-    let turned = |of: &DVector<f64>, back: bool| {
-        DVector::from_fn(n, |i, _| {
-            if i % 6 >= 3 {
-                return of[i];
-            }
-            let rotation = &shape.rotations[first + i / 6];
-            let at = 6 * (i / 6);
-            let own = Vector3::new(of[at], of[at + 1], of[at + 2]);
-            let own = if back {
-                rotation * own
-            } else {
-                rotation.tr_mul(&own)
-            };
-            own[i % 6]
-        })
+    let part = |part: usize| {
+        let own = DVector::from_fn(n, |i, _| change[12 * (i / 6) + 6 * part + i % 6]);
+        turned(model, shape, &own, false)
     };
-    let part = |part: usize| DVector::from_fn(n, |i, _| change[12 * (i / 6) + 6 * part + i % 6]);
-    let poses = both.solve(&(&inertia * turned(&part(0), false))).unwrap();
-    let momenta = &inertia * both.solve(&turned(&part(1), false)).unwrap();
-    let both = [turned(&poses, true), turned(&momenta, true)];
+    let poses = both.solve(&(&inertia * part(0))).unwrap();
+    let momenta = &inertia * both.solve(&part(1)).unwrap();
+    let both = [poses, momenta].map(|own| turned(model, shape, &own, true));
     (0..2 * n)
         .map(|i| both[i % 12 / 6][6 * (i / 12) + i % 6])
         .collect()
@@ -261,8 +272,10 @@ fn predictions_are_the_linearized_motion() {
         whole
             .view_mut((0, n_state), (n_state, n - n_state))
             .copy_from(&dense(&along_disturbance));
-        let noise = noise(&model, &settings, n) * PERIOD;
-        let expected = &whole * &before * whole.transpose() + DMatrix::from_diagonal(&noise);
+        let end = &filter.estimate().state.configuration;
+        let root = noise_root(&model, &settings, end) * PERIOD.sqrt();
+        let noise = &root * root.transpose();
+        let expected = &whole * &before * whole.transpose() + noise;
         let found = dense(filter.covariance());
         for i in 0..n {
             for j in 0..n {
@@ -293,9 +306,17 @@ fn dense(m: &faer::Mat<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)])
 }
 
-/// Variance that every component gains within a second, from the definitions: momenta gain twice `3 EI/L³ σ²` times their inertia.
-fn noise(model: &Rod, settings: &KalmanSettings, n: usize) -> DVector<f64> {
+/// Covariance that the components of the error gain within a second, at a shape, as `S Sᵀ`, from the definitions: the momenta
+/// `2 e (ω₁² M K⁻¹ M + M / 10)`, `e = 3 EI/L³ σ²`, in the frames of the nodes.
+fn noise_root(model: &Rod, settings: &KalmanSettings, shape: &Configuration) -> DMatrix<f64> {
+    let [stiffness, inertia] = stiffness_and_inertia(model);
     let energy = 3.0 * model.scales.force / model.scales.length * settings.change.powi(2);
+    let frequency = 3.516_015 / model.scales.time;
+    let stiffness = (&stiffness + stiffness.transpose()) * 0.5;
+    let compliance = stiffness.cholesky().unwrap().inverse();
+    let smooth = &inertia * compliance * &inertia * frequency.powi(2);
+    let all = (smooth + inertia * 0.1) * (2.0 * energy);
+    let momenta = all.cholesky().unwrap().unpack();
     let walks = [
         (settings.tip_force, 3),
         (settings.tip_moment, 3),
@@ -304,22 +325,23 @@ fn noise(model: &Rod, settings: &KalmanSettings, n: usize) -> DVector<f64> {
         (settings.payload, 1),
         (settings.viscous, 1),
     ];
-    let disturbances = (walks.into_iter())
-        .filter_map(|(walk, size)| walk.map(|walk| (walk.change.powi(2), size)))
-        .flat_map(|(variance, size)| std::iter::repeat_n(variance, size));
-    let state = model.nodes[model.first_free_node()..]
-        .iter()
-        .flat_map(|node| {
-            let mut out = [0.0; NODE_COMPONENTS];
-            for axis in 0..3 {
-                out[6 + axis] = 2.0 * energy * node.mass;
-                out[9 + axis] = 2.0 * energy * node.rotary[axis];
-            }
-            out
-        });
-    let all: Vec<f64> = state.chain(disturbances).collect();
-    assert_eq!(all.len(), n);
-    DVector::from_vec(all)
+    let disturbances: Vec<f64> = (walks.into_iter())
+        .filter_map(|(walk, size)| walk.map(|walk| (walk.change, size)))
+        .flat_map(|(deviation, size)| std::iter::repeat_n(deviation, size))
+        .collect();
+    let n_state = 2 * momenta.nrows();
+    let n = n_state + disturbances.len();
+    let mut root = DMatrix::zeros(n, n);
+    for (j, column) in momenta.column_iter().enumerate() {
+        let column = turned(model, shape, &column.into_owned(), true);
+        for (i, value) in column.iter().enumerate() {
+            root[(12 * (i / 6) + 6 + i % 6, j)] = *value;
+        }
+    }
+    for (i, deviation) in disturbances.into_iter().enumerate() {
+        root[(n_state + i, n_state + i)] = deviation;
+    }
+    root
 }
 
 /// A tangent and a change of the disturbances from all components of an error.
@@ -492,7 +514,6 @@ fn monte_carlo(
         let mut seeds = dice.fork();
         let covariance = dense(filter.covariance());
         let n = covariance.nrows();
-        let spread = noise(&model, settings, n) * PERIOD;
         let root = covariance.diagonal().map(|v| v.sqrt().max(1e-300));
         let scaled = DMatrix::from_fn(n, n, |i, j| covariance[(i, j)] / (root[i] * root[j]));
         let factor = scaled.cholesky().unwrap().l();
@@ -509,7 +530,8 @@ fn monte_carlo(
             let (start, end) = (k as f64 * PERIOD, (k + 1) as f64 * PERIOD);
             let act = command(&model, start, PERIOD);
             truth.advance(&act, end);
-            let shock = draw().component_mul(&spread.map(f64::sqrt));
+            let shape = &truth.state.configuration;
+            let shock = noise_root(&model, settings, shape) * PERIOD.sqrt() * draw();
             let (tangent, disturbance) = split(&model, settings, &shock);
             truth.state = along_strains(&truth.state, &tangent);
             truth.disturbance = added(&truth.disturbance, &disturbance);
@@ -589,13 +611,17 @@ fn errors_are_as_large_as_the_filter_says() {
         let sensor = SensorPreset::Mocap.settings(&model);
         let (_, (innovations, n)) = monte_carlo(&arm, &all, &sensor, [0.9, 1.0]);
         assert!(deviation(innovations, n) > 10.0);
-        let (errors, _) = monte_carlo(&arm, &all, &sensor, [1.0, 0.5]);
+        let louder = KalmanSettings {
+            change: 0.005 * length,
+            ..all
+        };
+        let (errors, _) = monte_carlo(&arm, &louder, &sensor, [1.0, 0.2]);
         let (sum, n) = errors[3];
         assert!(deviation(sum, n) > 10.0);
     }
 }
 
-/// A run of a filter against a plant of other elements that is disturbed: the filter, and the estimates of the disturbance on the way.
+/// A run of a filter against a plant that is disturbed and whose commands are late, by what the filter does not know of: the filter at the end.
 fn follow(
     plant: &Rod,
     model: &Rod,
@@ -608,10 +634,17 @@ fn follow(
     let mut truth = Truth::new(plant, at_rest(plant), disturbance);
     let mut sensor = Sensor::new(sensor, plant).unwrap();
     let mut measurement = Measurement::default();
+    let late = |start: f64, delay: f64| Command {
+        start,
+        end: start + PERIOD,
+        ..command(model, start - delay, PERIOD)
+    };
     for k in 0..(duration / PERIOD) as usize {
-        let act = command(model, k as f64 * PERIOD, PERIOD);
+        let start = k as f64 * PERIOD;
+        let act = late(start, disturbance.delay);
         truth.advance(&act, act.end);
-        filter.advance(&act, act.end).unwrap();
+        let said = late(start, filter.estimate().disturbance.delay);
+        filter.advance(&said, said.end).unwrap();
         if sensor.is_due(act.end) {
             sensor
                 .measure(act.end, &truth.state, &mut measurement)
@@ -776,28 +809,11 @@ fn delays_and_internal_damping_are_found() {
     for (delay, internal) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.015), (0.012, 0.015)] {
         let disturbance = Disturbance {
             internal,
+            delay,
             ..Disturbance::NONE
         };
-        let late = |start: f64, delay: f64| Command {
-            start,
-            end: start + PERIOD,
-            ..command(&model, start - delay, PERIOD)
-        };
-        let mut filter = KalmanFilter::new(&model, 0.0, &at_rest(&model), &settings).unwrap();
-        let mut truth = Truth::new(&model, at_rest(&model), disturbance);
-        let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
-        let mut measurement = Measurement::default();
-        for k in 0..600 {
-            let start = PERIOD * f64::from(k);
-            let act = late(start, delay);
-            truth.advance(&act, act.end);
-            let said = late(start, filter.estimate().disturbance.delay);
-            filter.advance(&said, said.end).unwrap();
-            sensor
-                .measure(act.end, &truth.state, &mut measurement)
-                .unwrap();
-            filter.correct(&measurement).unwrap();
-        }
+        let sensor = SensorPreset::Mocap.settings(&model);
+        let filter = follow(&model, &model, disturbance, &settings, &sensor, 6.0);
         let (found, sigma) = (filter.estimate().disturbance, filter.estimate().deviation);
         for (off, sigma) in [
             (found.delay - delay, sigma.delay),
@@ -811,66 +827,46 @@ fn delays_and_internal_damping_are_found() {
     }
 }
 
-/// Normalized errors of the parameters over seeds, with the settings of a loop and all unknowns but the delay, of six plants of the model's own elements: the mean
-/// of `eᵀ P⁻¹ e` is not above chi-square's (four standard deviations of a mean of `RUNS`). It is below, because the filter expects parameters
-/// to change and forces that nobody knows, and these plants have neither.
+/// Normalized errors of the parameters over seeds, with the settings of a loop and all unknowns, of plants of the model's own elements: the means of
+/// `eᵀ P⁻¹ e` and of each normalized square are not above those of chi-square (four standard deviations of a mean of `RUNS`). They are below, because the
+/// filter expects parameters to change and forces that nobody knows, and these plants have neither. Forces that are as strong in fast motions as in slow ones
+/// take the noise of the sensors for such motions: then the internal damping of a plant without any is found three deviations too high.
 #[test]
 fn parameters_are_not_surer_than_the_filter_says() {
     const RUNS: u64 = 6;
-    let model = rod(&upright(), 6);
-    // The commands are those that act.
-    let usual = Unknowns {
-        delay: false,
-        ..Unknowns::ALL
-    };
-    let settings = usual.settings(&model);
+    const N: usize = 5;
+    let mut model = rod(&upright(), 6);
+    model.scheme = TimeScheme::Implicit;
+    let settings = Unknowns::ALL.settings(&model);
     let mass = model.mass();
-    let nothing = Disturbance::NONE;
+    let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| Disturbance {
+        stiffness,
+        payload: payload * mass,
+        viscous,
+        internal,
+        ..Disturbance::NONE
+    };
+    let pushed = Disturbance {
+        tip: Wrench::from_array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ..wrong(0.9, 0.0, 0.0, 0.0)
+    };
+    let late = Disturbance {
+        delay: 0.01,
+        ..wrong(0.8, 0.0, 0.0, 0.0)
+    };
     let plants = [
-        ("nothing wrong", nothing),
-        (
-            "soft",
-            Disturbance {
-                stiffness: 0.8,
-                ..nothing
-            },
-        ),
-        (
-            "loaded",
-            Disturbance {
-                payload: 0.15 * mass,
-                ..nothing
-            },
-        ),
-        (
-            "damped",
-            Disturbance {
-                viscous: 2.0,
-                ..nothing
-            },
-        ),
-        (
-            "stiff and loaded",
-            Disturbance {
-                stiffness: 1.2,
-                payload: 0.1 * mass,
-                ..nothing
-            },
-        ),
-        (
-            "pushed and soft",
-            Disturbance {
-                stiffness: 0.9,
-                tip: Wrench {
-                    force: Vector3::new(1.0, 0.0, 0.0),
-                    moment: Vector3::zeros(),
-                },
-                ..nothing
-            },
-        ),
+        ("nothing wrong", wrong(1.0, 0.0, 0.0, 0.0)),
+        ("soft", wrong(0.8, 0.0, 0.0, 0.0)),
+        ("loaded", wrong(1.0, 0.15, 0.0, 0.0)),
+        ("damped", wrong(1.0, 0.0, 2.0, 0.0)),
+        ("damped inside", wrong(1.0, 0.0, 0.0, 0.015)),
+        ("stiff and loaded", wrong(1.2, 0.1, 0.0, 0.0)),
+        ("pushed and soft", pushed),
+        ("late and soft", late),
     ];
+    let above = |n: usize| n as f64 + 4.0 * (2.0 * n as f64 / RUNS as f64).sqrt();
     for (name, truth) in plants {
-        let (mut sum, mut each) = (0.0, [0.0; 3]);
+        let (mut sum, mut squares) = (0.0, [0.0; N]);
         for seed in 0..RUNS {
             let sensor = SensorSettings {
                 seed,
@@ -882,20 +878,22 @@ fn parameters_are_not_surer_than_the_filter_says() {
                 found.stiffness - truth.stiffness,
                 found.payload - truth.payload,
                 found.viscous - truth.viscous,
+                found.internal - truth.internal,
+                found.delay - truth.delay,
             ]);
             let at = NODE_COMPONENTS * (model.n_nodes() - 1) + 9;
             let covariance = dense(filter.covariance())
-                .view((at, at), (3, 3))
+                .view((at, at), (N, N))
                 .into_owned();
-            sum += normalized(&error, &covariance);
-            for (i, each) in each.iter_mut().enumerate() {
-                *each += error[i] / covariance[(i, i)].sqrt() / RUNS as f64;
+            sum += normalized(&error, &covariance) / RUNS as f64;
+            for (i, square) in squares.iter_mut().enumerate() {
+                *square += error[i].powi(2) / covariance[(i, i)] / RUNS as f64;
             }
         }
-        let mean = sum / RUNS as f64;
-        let most = 3.0 + 4.0 * (6.0 / RUNS as f64).sqrt();
-        println!("{name}: {mean:.2} of 3, each {each:.2?}");
-        assert!(mean < most, "{name}: {mean}, {each:?}");
+        println!("{name}: {sum:.2} of {N}, each {squares:.2?}");
+        assert!(sum < above(N), "{name}: {sum}");
+        let largest = squares.into_iter().fold(0.0, f64::max);
+        assert!(largest < above(1), "{name}: {squares:?}");
     }
 }
 

@@ -181,7 +181,7 @@ const EXPECTED_INTERNAL: f64 = 0.01;
 const EXPECTED_DELAY: f64 = 0.01;
 /// What a parameter of the arm changes by within one second, over what is expected of it, which it so changes by within most of an hour. One
 /// that may change faster takes for its own what the model has wrong otherwise.
-const PARAMETER_WALK: f64 = 0.02;
+const PARAMETER_WALK: f64 = 0.05;
 /// Deflection over the length by what forces that nobody knows add within one second. More of it makes the filter take what it corrects for motions
 /// of the arm, from which parameters are learned wrong (Ljung 1979, on the bias of extended Kalman filters with a wrong noise); less of it
 /// leaves innovations of arms outside of the family unexplained.

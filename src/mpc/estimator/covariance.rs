@@ -185,11 +185,9 @@ impl Covariance {
         mirror(&mut self.next);
     }
 
-    /// Adds noise to the next matrix: a variance for every component.
-    pub fn add_noise(&mut self, variance: impl Fn(usize) -> f64) {
-        for i in 0..self.next.nrows() {
-            self.next[(i, i)] += variance(i);
-        }
+    /// The matrix that a motion leads to, for noise to be added to.
+    pub fn next_mut(&mut self) -> &mut Mat<f64> {
+        &mut self.next
     }
 
     /// A correction starts from the present matrix, and from no error.

@@ -16,10 +16,12 @@ use crate::mpc::signal::{Measurement, Reading, Signal};
 
 use super::comparison::Comparison;
 use super::covariance::Covariance;
+use super::node_frames::NodeFrames;
 use super::parameter::N_PARAMETERS;
 use super::prediction::{Predictor, Steps};
 use super::readings::{self, Kind, Layout};
 use super::slow::SlowPart;
+use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
 use super::{check_start, check_time, setting};
 
@@ -38,7 +40,8 @@ pub struct KalmanSettings {
     /// Deviation of the state at the start, as a standard deviation of the tip's position, m. Every motion has the same energy, that of a
     /// cantilever whose tip is off by as much: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
     pub initial: f64,
-    /// The same for what forces that nobody knows add within one second, m: white noise on all momenta, in proportion to mass and inertia.
+    /// What forces that nobody knows add within one second, as a standard deviation of the tip's position, m: white noise in time on the momenta,
+    /// mostly smooth along the arm. A motion of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, `ω₁` that of the first bending mode.
     pub change: f64,
     /// Force at the tip, N.
     pub tip_force: Option<RandomWalk>,
@@ -173,6 +176,7 @@ pub struct KalmanFilter {
     comparison: Comparison,
     transport: ShapeTransport,
     slow: SlowPart,
+    unknown_forces: UnknownForces,
     /// Where the measurement is linearized, and where the next state is made.
     point: Estimate,
     next: State,
@@ -228,6 +232,7 @@ impl KalmanFilter {
         let at_rest = equal_energies(model, &model.rest, &layout).ok_or(MpcError::Unsupported(
             "the model's elastic energy is not positive definite at rest",
         ))?;
+        let frames = NodeFrames::new(model, &at_rest);
         let estimate = Estimate {
             time,
             state: state.clone(),
@@ -237,7 +242,8 @@ impl KalmanFilter {
         let mut filter = Self {
             settings: *settings,
             covariance: Covariance::new(layout.n, layout.n_state),
-            slow: SlowPart::new(model, &at_rest),
+            slow: SlowPart::new(model, &frames),
+            unknown_forces: UnknownForces::new(model, &frames),
             at_rest,
             predictor: Predictor::new(model, settings.longest_step),
             sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
@@ -334,12 +340,22 @@ impl KalmanFilter {
         self.derive_parameters(steps, command)?;
         let [along_state, along_disturbance] = &self.transition;
         self.covariance.predict(along_state, along_disturbance);
-        let duration = steps.step * steps.n as f64;
-        let (settings, model) = (&self.settings, self.predictor.model());
-        (self.covariance).add_noise(|i| noise(settings, &layout, model, i) * duration);
+        self.add_noise(steps.step * steps.n as f64);
         self.covariance.commit();
         std::mem::swap(&mut self.estimate.state, &mut self.next);
         Ok(())
+    }
+
+    /// Adds to the next covariance what unknown forces and the walks of the disturbances add within `duration` (s), at the state there.
+    fn add_noise(&mut self, duration: f64) {
+        let energy = energy(self.predictor.model(), self.settings.change) * duration;
+        let covariance = self.covariance.next_mut();
+        (self.unknown_forces).add(energy, &self.next.configuration, covariance);
+        for i in self.layout.n_state..self.layout.n {
+            if let Some(walk) = walk_of(&self.settings, &self.layout, i) {
+                covariance[(i, i)] += walk.change * walk.change * duration;
+            }
+        }
     }
 
     /// The columns of the parameters, by the difference of two motions, of which the slow part is left. For a payload `m` these are motions with the
@@ -662,13 +678,13 @@ impl Estimator for KalmanFilter {
         self.estimate.disturbance = Disturbance::NONE;
         let shape = equal_energies(model, &state.configuration, &self.layout);
         let shape = shape.as_ref().unwrap_or(&self.at_rest);
-        let temperature = temperature(model, self.settings.initial);
+        let energy = energy(model, self.settings.initial);
         let n_state = self.layout.n_state;
         let matrix = &mut self.covariance.matrix;
         matrix.fill(0.0);
         for j in 0..n_state {
             for i in 0..n_state {
-                matrix[(i, j)] = temperature * shape[(i, j)];
+                matrix[(i, j)] = energy * shape[(i, j)];
             }
         }
         for i in n_state..self.layout.n {
@@ -808,8 +824,8 @@ fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, u
     }
 }
 
-/// Twice the energy of every motion of a cantilever whose tip is off by a standard deviation: `3 EI/L³ σ²`, J.
-fn temperature(model: &Rod, deviation: f64) -> f64 {
+/// The mean energy of a motion of a cantilever whose tip is off by a standard deviation: `3 EI/L³ σ²`, J, half of it in its bending.
+fn energy(model: &Rod, deviation: f64) -> f64 {
     3.0 * model.scales.force / model.scales.length * deviation * deviation
 }
 
@@ -829,19 +845,4 @@ fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<Rando
     (starts.zip(walks))
         .find(|((at, size), _)| at.is_some_and(|at| (at..at + size).contains(&i)))
         .and_then(|(_, walk)| walk)
-}
-
-/// Variance that a component of the error gains within a second. Momenta gain twice the energy that motions do: half of it goes to the
-/// elements.
-fn noise(settings: &KalmanSettings, layout: &Layout, model: &Rod, i: usize) -> f64 {
-    if let Some(walk) = walk_of(settings, layout, i) {
-        return walk.change * walk.change;
-    }
-    let inertia = &model.nodes[layout.first_free_node + i / NODE_COMPONENTS];
-    let gain = 2.0 * temperature(model, settings.change);
-    match i % NODE_COMPONENTS {
-        0..6 => 0.0,
-        6..9 => gain * inertia.mass,
-        component => gain * inertia.rotary[component - 9],
-    }
 }

@@ -27,12 +27,14 @@ mod comparison;
 mod covariance;
 mod inbox;
 mod kalman;
+mod node_frames;
 mod observer;
 mod parameter;
 mod prediction;
 mod readings;
 mod regridded;
 mod slow;
+mod unknown_forces;
 
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};

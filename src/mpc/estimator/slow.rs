@@ -18,10 +18,10 @@ use nalgebra::Vector3;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
+use super::node_frames::{NodeFrames, POSE};
+
 /// `(β₅ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
 const FIFTH_BENDING_MODE: f64 = 199.859_530;
-/// Components of a pose.
-const POSE: usize = 6;
 
 /// Leaves the slow part of changes of a rod's state.
 #[derive(Debug)]
@@ -33,39 +33,17 @@ pub(super) struct SlowPart {
 }
 
 impl SlowPart {
-    /// `at_rest` is the inverse of the Hessian of the energy over the components of the state, about the stress-free shape.
-    pub fn new(model: &Rod, at_rest: &Mat<f64>) -> Self {
-        let first = model.first_free_node();
-        let n = POSE * (model.n_nodes() - first);
-        let to_frames = Mat::from_fn(n, n, |i, j| {
-            let (node, a, b) = (i / POSE, i % POSE, j % POSE);
-            if node != j / POSE {
-                0.0
-            } else if a < 3 && b < 3 {
-                model.rest.rotations[first + node][(b, a)]
-            } else {
-                f64::from(u8::from(a == b))
-            }
-        });
-        let place = |i: usize| NODE_COMPONENTS * (i / POSE) + i % POSE;
-        let compliance = Mat::from_fn(n, n, |i, j| at_rest[(place(i), place(j))]);
-        let compliance = &to_frames * compliance * to_frames.transpose();
-        let inertia = |i: usize| {
-            let node = &model.nodes[first + i / POSE];
-            match i % POSE {
-                axis @ 0..3 => [node.mass; 3][axis],
-                axis => node.rotary[axis - 3],
-            }
-        };
+    pub fn new(model: &Rod, frames: &NodeFrames) -> Self {
+        let n = frames.inertia.len();
+        let moved = &frames.compliance_times_inertia;
         // (M + θ K)⁻¹ M = (K⁻¹ M + θ)⁻¹ K⁻¹ M
-        let moved = Mat::from_fn(n, n, |i, j| compliance[(i, j)] * inertia(j));
         let theta = (model.scales.time / FIFTH_BENDING_MODE).powi(2);
         let sum = Mat::from_fn(n, n, |i, j| {
             moved[(i, j)] + if i == j { theta } else { 0.0 }
         });
-        let poses = sum.partial_piv_lu().solve(&moved);
+        let poses = sum.partial_piv_lu().solve(moved);
         Self {
-            first_free_node: first,
+            first_free_node: frames.first_free_node,
             maps: [poses.transpose().to_owned(), poses],
             room: vec![0.0; n],
         }

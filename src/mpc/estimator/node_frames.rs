@@ -1,0 +1,51 @@
+//! Compliance and inertia of an arm at rest in the frames of its nodes, in which they turn with the arm.
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use crate::mechanics::Rod;
+use crate::mechanics::forms::NODE_COMPONENTS;
+
+/// Components of a pose, and of the momenta of a node.
+pub(super) const POSE: usize = 6;
+
+/// The compliance `K⁻¹` of the free nodes about the stress-free shape, and their inertia `M`, both over position and rotation of each node in its own frame.
+#[derive(Debug)]
+pub(super) struct NodeFrames {
+    pub first_free_node: usize,
+    /// `K⁻¹ M`.
+    pub compliance_times_inertia: Mat<f64>,
+    /// The diagonal of `M`: of every node three times its mass, kg, and its rotary inertia, kg m².
+    pub inertia: Vec<f64>,
+}
+
+impl NodeFrames {
+    /// `at_rest` is the inverse of the Hessian of the energy over the components of the state, about the stress-free shape.
+    pub fn new(model: &Rod, at_rest: &Mat<f64>) -> Self {
+        let first_free_node = model.first_free_node();
+        let n = POSE * (model.n_nodes() - first_free_node);
+        let to_frames = Mat::from_fn(n, n, |i, j| {
+            let (node, a, b) = (i / POSE, i % POSE, j % POSE);
+            if node != j / POSE {
+                0.0
+            } else if a < 3 && b < 3 {
+                model.rest.rotations[first_free_node + node][(b, a)]
+            } else {
+                f64::from(u8::from(a == b))
+            }
+        });
+        let place = |i: usize| NODE_COMPONENTS * (i / POSE) + i % POSE;
+        let compliance = Mat::from_fn(n, n, |i, j| at_rest[(place(i), place(j))]);
+        let compliance = &to_frames * compliance * to_frames.transpose();
+        let inertia: Vec<f64> = (model.nodes[first_free_node..].iter())
+            .flat_map(|node| [Vector3::repeat(node.mass), node.rotary])
+            .flat_map(|part| [part.x, part.y, part.z])
+            .collect();
+        let compliance_times_inertia = Mat::from_fn(n, n, |i, j| compliance[(i, j)] * inertia[j]);
+        Self {
+            first_free_node,
+            compliance_times_inertia,
+            inertia,
+        }
+    }
+}
