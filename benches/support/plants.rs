@@ -1,20 +1,17 @@
 //! Arms that differ from the model in two ways, loops over a minute, and normalized errors of what a filter finds.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use nalgebra::Vector3;
 use softarm::mechanics::{Material, NodeInertia, Rod};
 use softarm::mpc::{
     Computing, Contender, Disturbance, EstimatorChoice, Experiment, Innovations, MpcError, Sample,
-    Sensing, SensorChoice, SensorPreset, TipError, Unknowns,
+    Sensing, SensorChoice, SensorPreset, TipError,
 };
 use softarm::task::{Arm, PointLoad};
 
 use super::{FILTER, SOFT_ELEMENT, arm, arms, noisy, percent, run, scene, soften};
 
-/// The unknowns of a scene that names none.
-const USUAL: EstimatorChoice = EstimatorChoice::Kalman(Unknowns {
-    delay: false,
-    ..Unknowns::ALL
-});
 /// Mass of the arm, kg.
 const MASS: f64 = 1000.0 * std::f64::consts::PI * 0.05 * 0.05;
 
@@ -115,47 +112,66 @@ fn rms(samples: &[Sample], from: f64, seconds: f64) -> f64 {
 pub fn long(seconds: f64) -> Result<(), MpcError> {
     println!("## A minute on eighteen arms\n");
     println!(
-        "Sensors and delay as above, {seconds} s. In % of the length, root mean square: after the first turn / in the second ten seconds / in the last \
-         ten. Chi-square is that of the innovations over its numbers and, in brackets, what a consistent filter stays below; the loop says so where it \
-         is larger. Once with the unknowns that a scene has by default, once with the delay of the commands as well, which is then given as it is \
-         found at the end.\n"
+        "Sensors and delay as above, {seconds} s, with the unknowns that a scene has by default. In % of the length, root mean square: after the \
+         first turn / in the second ten seconds / in the last ten. Chi-square is that of the innovations over its numbers and, in brackets, that which a \
+         consistent filter stays below; the loop says so where it is larger. Then the delay as it is found at the end.\n"
     );
-    println!("| arm | default | chi-square | with the delay | chi-square | delay found, ms |");
-    println!("|---|---|---|---|---|---|");
-    for ((name, usual), (_, more)) in
-        (loops(seconds, USUAL).into_iter()).zip(loops(seconds, FILTER))
-    {
-        let mut row = format!("| {name} ");
-        let mut last = None;
-        for own in [usual, more] {
-            let found = run(&own, Contender::Mpc)?;
-            let samples = &found.samples;
-            if found.broke_down.is_some() {
-                row += "| broke down | ";
-                continue;
-            }
-            let parts = [
-                found.tip_error.rms,
-                rms(samples, 10.0, 10.0),
-                rms(samples, seconds - 10.0, 10.0),
-            ];
-            let chi = (found.tally.innovations).map_or(String::new(), |found: Innovations| {
-                format!("{:.2} ({:.2})", found.per_number, found.at_most)
-            });
-            row += &format!("| {} | {chi} ", parts.map(percent).join(" / "));
-            last = samples.last().cloned();
-        }
-        let delay = last.map_or(String::new(), |sample| {
-            format!(
-                "{:.1} ± {:.1}",
-                1e3 * sample.disturbance.delay,
-                1e3 * sample.deviation.delay
-            )
-        });
-        println!("{row}| {delay} |");
+    println!("| arm | error | chi-square | delay found, ms |");
+    println!("|---|---|---|---|");
+    let rows = in_parallel(&loops(seconds, FILTER), |(name, own)| {
+        long_run(name, own, seconds)
+    });
+    for row in rows {
+        println!("{}", row?);
     }
     println!();
     Ok(())
+}
+
+/// A row of the table of [`long`].
+fn long_run(name: &str, own: &Experiment, seconds: f64) -> Result<String, MpcError> {
+    let found = run(own, Contender::Mpc)?;
+    let (None, Some(last)) = (&found.broke_down, found.samples.last()) else {
+        return Ok(format!("| {name} | broke down | | |"));
+    };
+    let parts = [
+        found.tip_error.rms,
+        rms(&found.samples, 10.0, 10.0),
+        rms(&found.samples, seconds - 10.0, 10.0),
+    ];
+    let chi = (found.tally.innovations).map_or(String::new(), |found: Innovations| {
+        format!("{:.2} ({:.2})", found.per_number, found.at_most)
+    });
+    Ok(format!(
+        "| {name} | {} | {chi} | {:.1} ± {:.1} |",
+        parts.map(percent).join(" / "),
+        1e3 * last.disturbance.delay,
+        1e3 * last.deviation.delay
+    ))
+}
+
+/// The values of a function, by a thread for each of the machine.
+fn in_parallel<T: Sync, R: Send>(items: &[T], value: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let work = || {
+        let mut own = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(index) else {
+                return own;
+            };
+            own.push((index, value(item)));
+        }
+    };
+    let mut found: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..n_threads).map(|_| scope.spawn(work)).collect();
+        (threads.into_iter())
+            .flat_map(|thread| thread.join().unwrap())
+            .collect()
+    });
+    found.sort_by_key(|(index, _)| *index);
+    found.into_iter().map(|(_, value)| value).collect()
 }
 
 /// A plant, what is wrong with the model of it, and whether it has the model's own elements and steps.
@@ -273,49 +289,50 @@ pub fn seeds(count: usize, seconds: f64) -> Result<(), MpcError> {
     );
     println!("| arm | stiffness | payload | viscous | internal | delay | tip | innovations |");
     println!("|---|---|---|---|---|---|---|---|");
-    for known in known() {
-        let mut own = noisy(scene(seconds, 10), FILTER, SensorPreset::Mocap);
-        own.plant = known.plant;
-        if known.is_model {
-            own.plant_discretization = own.discretization;
-        }
-        let (mut squares, mut means) = ([0.0; 5], [0.0; 5]);
-        let (mut worst, mut chi) = (0.0f64, 0.0f64);
-        for number in 0..count {
-            if let Sensing::Estimated { seed, .. } = &mut own.sensing {
-                *seed = 1 + number as u64;
-            }
-            let found = run(&own, Contender::Mpc)?;
-            let Some(last) = found.samples.last() else {
-                continue;
-            };
-            let of = |d: &Disturbance| [d.stiffness, d.payload, d.viscous, d.internal, d.delay];
-            let numbers = (of(&last.disturbance).into_iter())
-                .zip(of(&known.truth))
-                .zip(of(&last.deviation));
-            for (i, ((found, truth), sigma)) in numbers.enumerate() {
-                let off = (found - truth) / sigma;
-                squares[i] += off * off / count as f64;
-                means[i] += off / count as f64;
-            }
-            worst = worst.max(found.tip_error.rms);
-            chi = chi.max(
-                found
-                    .tally
-                    .innovations
-                    .map_or(0.0, |found| found.per_number),
-            );
-        }
-        let cells: Vec<_> = (squares.iter().zip(means))
-            .map(|(square, mean)| format!("{square:.2} ({mean:.1})"))
-            .collect();
-        println!(
-            "| {} | {} | {} | {chi:.2} |",
-            known.name,
-            cells.join(" | "),
-            percent(worst)
-        );
+    let rows = in_parallel(&known(), |known| normalized_errors(known, count, seconds));
+    for row in rows {
+        println!("{}", row?);
     }
     println!();
     Ok(())
+}
+
+/// A row of the table of [`seeds`].
+fn normalized_errors(known: &Known, count: usize, seconds: f64) -> Result<String, MpcError> {
+    let mut own = noisy(scene(seconds, 10), FILTER, SensorPreset::Mocap);
+    own.plant = known.plant.clone();
+    if known.is_model {
+        own.plant_discretization = own.discretization;
+    }
+    let (mut squares, mut means) = ([0.0; 5], [0.0; 5]);
+    let (mut worst, mut chi) = (0.0f64, 0.0f64);
+    for number in 0..count {
+        if let Sensing::Estimated { seed, .. } = &mut own.sensing {
+            *seed = 1 + number as u64;
+        }
+        let found = run(&own, Contender::Mpc)?;
+        let Some(last) = found.samples.last() else {
+            continue;
+        };
+        let of = |d: &Disturbance| [d.stiffness, d.payload, d.viscous, d.internal, d.delay];
+        let numbers = (of(&last.disturbance).into_iter())
+            .zip(of(&known.truth))
+            .zip(of(&last.deviation));
+        for (i, ((found, truth), sigma)) in numbers.enumerate() {
+            let off = (found - truth) / sigma;
+            squares[i] += off * off / count as f64;
+            means[i] += off / count as f64;
+        }
+        worst = worst.max(found.tip_error.rms);
+        chi = chi.max((found.tally.innovations).map_or(0.0, |found| found.per_number));
+    }
+    let cells: Vec<_> = (squares.iter().zip(means))
+        .map(|(square, mean)| format!("{square:.2} ({mean:.1})"))
+        .collect();
+    Ok(format!(
+        "| {} | {} | {} | {chi:.2} |",
+        known.name,
+        cells.join(" | "),
+        percent(worst)
+    ))
 }

@@ -177,10 +177,10 @@ const EXPECTED_PAYLOAD: f64 = 0.1;
 const EXPECTED_DAMPING: f64 = 0.7;
 /// Expected time of internal damping over the time scale of the arm: a cantilever's first motion is damped by a fiftieth of the critical damping.
 const EXPECTED_INTERNAL: f64 = 0.01;
-/// Expected delay over the time scale of the arm.
-const EXPECTED_DELAY: f64 = 0.01;
-/// What a parameter of the arm changes by within one second, over what is expected of it, which it so changes by within most of an hour. One
-/// that may change faster takes for its own what the model has wrong otherwise.
+/// Expected delay over the time scale of the arm. With three times as much, a light arm that starts with a step of the force takes a payload for a delay.
+const EXPECTED_DELAY: f64 = 0.003;
+/// What a parameter of the arm changes by within one second, over what is expected of it. One that may change faster takes for its own what the
+/// model has wrong otherwise; one that may change more slowly is given too small a standard deviation.
 const PARAMETER_WALK: f64 = 0.05;
 /// Deflection over the length by what forces that nobody knows add within one second. More of it makes the filter take what it corrects for motions
 /// of the arm, from which parameters are learned wrong (Ljung 1979, on the bias of extended Kalman filters with a wrong noise); less of it

@@ -218,7 +218,7 @@ pub struct Estimator {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
     /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Absent: for a Kalman filter all
-    /// of them but `"delay"`, for an observer nothing.
+    /// of them, for an observer nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
     /// How fast the unknown wrenches of a Kalman filter change: the deflection over the length that they cause more or less within a second;
@@ -268,15 +268,15 @@ impl Estimator {
     pub(crate) fn unknowns(&self) -> &[Unknown] {
         match (&self.disturbances, self.kind) {
             (Some(named), _) => named,
-            (None, EstimatorKind::Kalman) => &Unknown::USUAL,
+            (None, EstimatorKind::Kalman) => &Unknown::ALL,
             (None, EstimatorKind::None | EstimatorKind::Observer) => &[],
         }
     }
 }
 
 impl Unknown {
-    /// All but the delay, which is to be asked for: beside a payload, a step of the force from rest tells both apart too late on light arms.
-    pub(crate) const USUAL: [Self; 7] = [
+    /// All of them.
+    pub(crate) const ALL: [Self; 8] = [
         Self::TipForce,
         Self::TipMoment,
         Self::Distributed,
@@ -284,6 +284,7 @@ impl Unknown {
         Self::Payload,
         Self::Viscous,
         Self::Internal,
+        Self::Delay,
     ];
 }
 
