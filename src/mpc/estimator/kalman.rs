@@ -16,10 +16,11 @@ use crate::mpc::signal::{Measurement, Reading, Signal};
 
 use super::comparison::Comparison;
 use super::covariance::Covariance;
+use super::gate::Gate;
 use super::node_frames::NodeFrames;
 use super::parameter::N_PARAMETERS;
 use super::prediction::{Predictor, Steps};
-use super::readings::{self, Kind, Layout};
+use super::readings::{self, Layout};
 use super::slow::SlowPart;
 use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
@@ -60,9 +61,10 @@ pub struct KalmanSettings {
     pub internal: Option<RandomWalk>,
     /// Time by which commands act later than they say, s. It stays below a tenth of the time scale of the arm.
     pub delay: Option<RandomWalk>,
-    /// Whether signals are refused that cannot be true: of whose innovation a square, over the covariance that the filter expects of it, is larger
-    /// than of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). What is refused three
-    /// times in a row is believed: then it is the estimate that is wrong.
+    /// Tells whether signals are refused that cannot be true: whose innovation has a square, over the covariance that the filter expects of it, that is
+    /// larger than of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). Where the last
+    /// signals are all farther off than expected, by their median (Hampel 1974), it is the model that is wrong, and the threshold is larger by as much.
+    /// A signal that is refused three times in a row is believed: then it is the estimate that is wrong.
     pub refuses: bool,
     /// Longest time step of the model, s.
     pub longest_step: f64,
@@ -142,10 +144,6 @@ const MOST_ITERATIONS: usize = 10;
 const LINEAR: f64 = 0.5;
 /// Angle by which an element is bent or twisted by one linearization of a measurement, rad, at most.
 const FARTHEST_TURN: f64 = 0.5;
-/// What the sum of three squares of independent standard normal numbers exceeds once in 10⁹ times.
-const LARGEST_SQUARE: f64 = 44.841_275;
-/// Refusals of a signal in a row after which it is believed.
-const MOST_REFUSALS: usize = 3;
 /// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
 const MOST_STEPS: usize = 15;
 
@@ -294,7 +292,7 @@ impl KalmanFilter {
             }],
         };
         self.point.clone_from(&self.estimate);
-        self.gate.refused.clear();
+        self.gate.clear();
         self.compare(&measurement)?;
         let mut out = Mat::zeros(3, self.layout.n);
         for (i, slope) in &self.comparison.rows.terms {
@@ -426,7 +424,7 @@ impl KalmanFilter {
         let rod = (self.predictor).changed(&self.point.disturbance);
         let layout = Some(&self.layout);
         (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)?;
-        self.comparison.rows.retain(&self.gate.refused);
+        self.comparison.rows.retain(self.gate.refused());
         Ok(())
     }
 
@@ -630,14 +628,14 @@ impl Estimator for KalmanFilter {
         self.point.time = self.estimate.time;
         self.point.state.clone_from(&self.estimate.state);
         self.point.disturbance = self.estimate.disturbance;
-        self.gate.refused.clear();
+        self.gate.clear();
         self.compare(measurement)?;
         self.covariance.begin_correction();
         let mut refused = 0;
         if self.settings.refuses {
             let squares = self.covariance.squares(&self.comparison.rows);
             refused = self.gate.judge(measurement, squares);
-            self.comparison.rows.retain(&self.gate.refused);
+            self.comparison.rows.retain(self.gate.refused());
         }
         let mut innovation = self.comparison.innovation();
         innovation.normalized = Some(0.0);
@@ -756,39 +754,6 @@ impl Acting {
             }
         }
         out
-    }
-}
-
-/// Refuses signals that cannot be true.
-#[derive(Debug, Default)]
-struct Gate {
-    /// Of every signal of the last measurement, whether it is refused; none where all are used.
-    refused: Vec<bool>,
-    /// Signals that were refused, and how many times in a row.
-    in_a_row: Vec<(Kind, f64, usize)>,
-}
-
-impl Gate {
-    /// Judges the signals of a measurement by the normalized squares of their innovations; returns how many are refused.
-    fn judge(&mut self, measurement: &Measurement, squares: impl Iterator<Item = f64>) -> usize {
-        self.refused.clear();
-        for (signal, square) in measurement.signals.iter().zip(squares) {
-            let (kind, place) = (Kind::of(&signal.reading), signal.place);
-            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (kind, place));
-            let is_refused = square > LARGEST_SQUARE && {
-                let at = at.unwrap_or_else(|| {
-                    self.in_a_row.push((kind, place, 0));
-                    self.in_a_row.len() - 1
-                });
-                self.in_a_row[at].2 += 1;
-                self.in_a_row[at].2 <= MOST_REFUSALS
-            };
-            if let (Some(at), true) = (at, square <= LARGEST_SQUARE) {
-                self.in_a_row[at].2 = 0;
-            }
-            self.refused.push(is_refused);
-        }
-        self.refused.iter().filter(|refused| **refused).count()
     }
 }
 

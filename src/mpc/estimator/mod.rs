@@ -25,6 +25,7 @@ use crate::mechanics::{Rod, State, StepError, Wrench};
 
 mod comparison;
 mod covariance;
+mod gate;
 mod inbox;
 mod kalman;
 mod node_frames;

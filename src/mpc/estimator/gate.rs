@@ -1,0 +1,133 @@
+//! Signals that cannot be true.
+
+use crate::mpc::signal::Measurement;
+
+use super::readings::Kind;
+
+/// The sum of three squares of independent standard normal numbers is larger once in 10⁹ times.
+const LARGEST_SQUARE: f64 = 44.841_275;
+/// The median of such sums.
+const MEDIAN: f64 = 2.365_974;
+/// Signals whose squares tell whether the model is wrong.
+const RECENT: usize = 30;
+/// Refusals of a signal in a row after which it is believed.
+const MOST_REFUSALS: usize = 3;
+
+/// Refuses signals that cannot be true: farther off than chi-square allows, by as much more as the median of the last signals is.
+///
+/// A signal that is wrong by itself is an outlier among its neighbors. Where most signals are off, as after a jump of the command that excites waves a
+/// coarse model does not have, they say that the model is wrong, and refusing them would leave it wrong. The median stays that of the right signals
+/// as long as fewer than half are wrong (the identifier of Hampel 1974).
+#[derive(Debug, Default)]
+pub(super) struct Gate {
+    /// Tells of every signal of the last measurement whether it is refused; empty where all are used.
+    refused: Vec<bool>,
+    /// Signals that were refused, and how many times in a row.
+    in_a_row: Vec<(Kind, f64, usize)>,
+    /// Squares of the last [`RECENT`] signals; the oldest is at `oldest` once there are so many.
+    recent: Vec<f64>,
+    oldest: usize,
+    sorted: Vec<f64>,
+}
+
+impl Gate {
+    /// Uses all signals of the next measurement.
+    pub fn clear(&mut self) {
+        self.refused.clear();
+    }
+
+    /// Tells of every signal of the last measurement whether it is refused; empty where all are used.
+    pub fn refused(&self) -> &[bool] {
+        &self.refused
+    }
+
+    /// Judges the signals of a measurement by the normalized squares of their innovations; returns the number of those that are refused.
+    pub fn judge(
+        &mut self,
+        measurement: &Measurement,
+        squares: impl Iterator<Item = f64>,
+    ) -> usize {
+        self.refused.clear();
+        let largest = LARGEST_SQUARE * self.excess();
+        for (signal, square) in measurement.signals.iter().zip(squares) {
+            self.note(square);
+            let (kind, place) = (Kind::of(&signal.reading), signal.place);
+            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (kind, place));
+            let is_refused = square > largest && {
+                let at = at.unwrap_or_else(|| {
+                    self.in_a_row.push((kind, place, 0));
+                    self.in_a_row.len() - 1
+                });
+                self.in_a_row[at].2 += 1;
+                self.in_a_row[at].2 <= MOST_REFUSALS
+            };
+            if let (Some(at), true) = (at, square <= largest) {
+                self.in_a_row[at].2 = 0;
+            }
+            self.refused.push(is_refused);
+        }
+        self.refused.iter().filter(|refused| **refused).count()
+    }
+
+    /// Factor by which the squares of the last signals are larger than expected, at least 1; 1 until there are enough of them.
+    fn excess(&mut self) -> f64 {
+        if self.recent.len() < RECENT {
+            return 1.0;
+        }
+        self.sorted.clone_from(&self.recent);
+        self.sorted.sort_unstable_by(f64::total_cmp);
+        (self.sorted[RECENT / 2] / MEDIAN).max(1.0)
+    }
+
+    fn note(&mut self, square: f64) {
+        if self.recent.len() < RECENT {
+            self.recent.push(square);
+        } else {
+            self.recent[self.oldest] = square;
+            self.oldest = (self.oldest + 1) % RECENT;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mpc::signal::{Reading, Signal};
+    use nalgebra::Vector3;
+
+    /// Numbers refused of measurements of five signals with these squares, one after the other.
+    fn judged(squares: &[[f64; 5]]) -> Vec<usize> {
+        let measurement = Measurement {
+            time: 0.0,
+            signals: (1..=5)
+                .map(|place| Signal {
+                    place: f64::from(place) / 5.0,
+                    reading: Reading::Position(Vector3::zeros()),
+                    sigma: 1e-3,
+                })
+                .collect(),
+        };
+        let mut gate = Gate::default();
+        (squares.iter())
+            .map(|squares| gate.judge(&measurement, squares.iter().copied()))
+            .collect()
+    }
+
+    /// One signal that is off is refused three times; where most of them are off, those that are as far off as the others are used.
+    #[test]
+    fn outliers_are_refused_and_wrong_models_are_not() {
+        let right = [3.0; 5];
+        let one = [3.0, 3.0, 3.0, 3.0, 1e4];
+        let mut squares = vec![right; 10];
+        squares.extend([one, one, one, one, right, one]);
+        assert_eq!(judged(&squares)[10..], [1, 1, 1, 0, 0, 1]);
+        // Ten times farther off than expected, and one of them a hundred times more than that.
+        let off = [240.0; 5];
+        let mut squares = vec![off; 10];
+        let one = [240.0, 240.0, 240.0, 240.0, 1e5];
+        squares.extend([one, off]);
+        let found = judged(&squares);
+        assert_eq!(found[..4], [5, 5, 5, 0]);
+        assert_eq!(found[6..], [0, 0, 0, 0, 1, 0]);
+    }
+}
