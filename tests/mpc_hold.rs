@@ -1,5 +1,6 @@
 //! A target that a loop without an end reaches and holds, by scenes as a newcomer types them.
 
+use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 
 use softarm::mpc::{Contender, Outcome};
@@ -113,6 +114,39 @@ fn targets_are_reached_and_held() {
     assert!(pulled > 5e-3 && held < 0.5 * pulled, "{held} {pulled}");
     // The place rests, and the arm is stable under what holds it: that is the default.
     assert_eq!(off("auto"), held);
+}
+
+/// A slow arm whose tip turns once about the axis of the arm, along rows of 90 degrees, by a loop with the default horizon: half of the arm's first period
+/// is longer than the motion.
+#[test]
+fn a_full_turn_is_followed() {
+    let scene = "\
+[rod]
+length_m = 0.5
+elements = 6
+material = { youngs_modulus_pa = 1e5, poisson_ratio = 0.5, density_kg_m3 = 1000.0 }
+section = { radius_m = 0.01 }
+[damping]
+viscous_1_s = 1.0
+internal_s = 0.01
+[time]
+end_s = 2.0
+[control]
+force_max_n = 0.2
+moment_max_n_m = 0.05
+[[objective.track]]
+orientations_wxyz = [[0.0, 1.0, 0.0, 0.0, 0.0], [0.5, 0.7071067811865476, 0.0, 0.0, 0.7071067811865476], [1.0, 0.0, 0.0, 0.0, 1.0], \
+    [1.5, -0.7071067811865476, 0.0, 0.0, 0.7071067811865476], [2.0, -1.0, 0.0, 0.0, 0.0]]
+[mpc]
+";
+    let (outcome, _) = run(scene, &[]);
+    let turn = outcome.tip_turn.unwrap();
+    println!("{turn:?}");
+    assert!(turn.rms < 0.03 && turn.max < 0.1, "{turn:?}");
+    // An orientation says nothing of the whole turn, but the moment that twists the arm does: 2π GJ/L.
+    let held = outcome.samples.last().unwrap().wrench.moment.z;
+    let twisting = TAU * 1e5 / 3.0 * 0.5 * PI * 0.01_f64.powi(4) / 0.5;
+    assert!((held / twisting - 1.0).abs() < 0.05, "{held} {twisting}");
 }
 
 /// A hanging arm with a load at its tip that is due at a place, and stays there.
