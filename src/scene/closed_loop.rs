@@ -41,7 +41,7 @@ pub struct ClosedLoopSetup {
 
 /// Distance from the surface that the tip sweeps, over the length, up to which a path lies on it.
 const ON_THE_SURFACE: f64 = 0.01;
-/// A horizon is this part of the first natural period, at most this part of the time of the scene, and at least so many samples.
+/// A horizon is this part of the first natural period, along a path at most this part of the scene's time, and at least so many samples.
 const PART_OF_PERIOD: f64 = 0.5;
 const PART_OF_TIME: f64 = 0.25;
 const FEWEST_SAMPLES: f64 = 10.0;
@@ -95,6 +95,17 @@ impl ClosedLoopSetup {
 }
 
 impl Scene {
+    /// Longest horizon that is chosen where the scene names none, s: blocks are to be short beside the paths that the arm follows.
+    fn longest_horizon(&self) -> f64 {
+        let follows =
+            (self.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
+        if follows {
+            PART_OF_TIME * self.time.end_s.get()
+        } else {
+            f64::INFINITY
+        }
+    }
+
     /// The closed loop that the scene describes; `seed` is that of the noise where the scene has none, and `stop` ends the search for an
     /// initial state.
     ///
@@ -124,7 +135,7 @@ impl Scene {
             Some(horizon) => horizon.get(),
             None => {
                 let start = (self.start().state(&rod, stop)).map_err(|e| refused(e.into()))?;
-                default_horizon(&rod, &start, period, self.time.end_s.get())
+                default_horizon(&rod, &start, period, self.longest_horizon())
             }
         };
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
@@ -481,12 +492,11 @@ impl Scene {
     }
 }
 
-/// Half of the first natural period about the start, s, at most a quarter of the time of the scene, so that blocks are short beside its paths, and at least
-/// ten samples; a whole number of samples.
-fn default_horizon(rod: &Rod, start: &State, period: f64, time: f64) -> f64 {
+/// Half of the first natural period about the start, s, at most `longest` and at least ten samples; a whole number of samples.
+fn default_horizon(rod: &Rod, start: &State, period: f64, longest: f64) -> f64 {
     let frequency = SmallMotions::about(rod, &start.configuration, 0.0).first_frequency();
     let natural = frequency.map_or(rod.scales.time, |omega| TAU / omega);
-    ((PART_OF_PERIOD * natural).min(PART_OF_TIME * time) / period)
+    ((PART_OF_PERIOD * natural).min(longest) / period)
         .round()
         .max(FEWEST_SAMPLES)
         * period

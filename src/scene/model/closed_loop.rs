@@ -16,8 +16,8 @@ use crate::mpc::{EffortFrom, FallbackSettings, MpcSettings, SensorPreset};
 pub struct Mpc {
     /// Time between two samples in s, positive, default 0.01.
     pub period_s: Positive<values::Duration>,
-    /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, at most a quarter of
-    /// `time.end_s`, and at least ten periods.
+    /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, along a path at most a
+    /// quarter of `time.end_s`, and at least ten periods.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<Positive<values::Duration>>,
     /// When the task is due in s, positive: the horizon does not go beyond, and shrinks before. Absent: `task.at_s`; without that the horizon
