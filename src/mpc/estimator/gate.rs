@@ -18,7 +18,7 @@ const MOST_REFUSALS: usize = 3;
 /// A signal that is wrong by itself is an outlier among its neighbors. Where most signals are off, as after a jump of the command that excites waves a
 /// coarse model does not have, they say that the model is wrong, and refusing them would leave it wrong. The median stays that of the right signals
 /// as long as fewer than half are wrong (the identifier of Hampel 1974).
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Gate {
     /// Tells of every signal of the last measurement whether it is refused; empty where all are used.
     refused: Vec<bool>,
@@ -31,6 +31,16 @@ pub(super) struct Gate {
 }
 
 impl Gate {
+    pub fn new() -> Self {
+        Self {
+            refused: Vec::new(),
+            in_a_row: Vec::new(),
+            recent: Vec::with_capacity(RECENT),
+            oldest: 0,
+            sorted: Vec::with_capacity(RECENT),
+        }
+    }
+
     /// Uses all signals of the next measurement.
     pub fn clear(&mut self) {
         self.refused.clear();
@@ -107,7 +117,7 @@ mod tests {
                 })
                 .collect(),
         };
-        let mut gate = Gate::default();
+        let mut gate = Gate::new();
         (squares.iter())
             .map(|squares| gate.judge(&measurement, squares.iter().copied()))
             .collect()

@@ -253,7 +253,7 @@ impl KalmanFilter {
             point: estimate.clone(),
             next: state.clone(),
             acting: Acting::default(),
-            gate: Gate::default(),
+            gate: Gate::new(),
             expected: Vec::new(),
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),

@@ -43,7 +43,7 @@ impl UnknownForces {
         let smooth = |i: usize, j: usize| {
             squared * frames.inertia[i] * frames.compliance_times_inertia[(i, j)]
         };
-        // One triangle counts: rounding makes the other one differ.
+        // Rounding makes the triangles differ: the lower one counts.
         let covariance = Mat::from_fn(n, n, |i, j| {
             let rough = if i == j {
                 ROUGH * frames.inertia[i]
@@ -58,13 +58,16 @@ impl UnknownForces {
         }
     }
 
-    /// Adds `2 e` times the covariance to one of all components, at a shape.
+    /// Adds `2 e` times the covariance to one of all components, at a shape; the sum is symmetric to the last bit if that one is.
     pub fn add(&self, energy: f64, shape: &Configuration, covariance: &mut Mat<f64>) {
         let rotations = &shape.rotations[self.first_free_node..];
         for (a, left) in rotations.iter().enumerate() {
             for (b, right) in rotations.iter().enumerate() {
                 for (p, q) in [(0, 0), (0, 3), (3, 0), (3, 3)] {
                     let [row, column] = [POSE * a + p, POSE * b + q];
+                    if row < column {
+                        continue;
+                    }
                     let block = Matrix3::from_fn(|i, j| {
                         2.0 * energy * self.covariance[(row + i, column + j)]
                     });
@@ -78,7 +81,13 @@ impl UnknownForces {
                     let column = NODE_COMPONENTS * b + POSE + q;
                     for j in 0..3 {
                         for i in 0..3 {
-                            covariance[(row + i, column + j)] += block[(i, j)];
+                            let (i_all, j_all) = (row + i, column + j);
+                            if i_all > j_all {
+                                covariance[(j_all, i_all)] += block[(i, j)];
+                            }
+                            if i_all >= j_all {
+                                covariance[(i_all, j_all)] += block[(i, j)];
+                            }
                         }
                     }
                 }
