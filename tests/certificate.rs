@@ -284,16 +284,11 @@ fn rest_within_a_tolerance() {
         assert!(check.is_certified(), "{:?}", check.items);
         let second = check.second_order.as_ref().unwrap();
         assert_eq!(second.extremum(), Extremum::Minimum);
-        assert!(
-            (check.tip_speed / speed - 1.0).abs() < 1e-6,
-            "{}",
-            check.tip_speed
-        );
-        assert!(
-            (check.tip_spin / spin - 1.0).abs() < 1e-6,
-            "{}",
-            check.tip_spin
-        );
+        // On the edge to what the solve leaves of its constraints, which are in units of the scale.
+        let left = 10.0 * solved.outcome.residual.feasibility / part + 1e-9;
+        for (found, most) in [(check.tip_speed, speed), (check.tip_spin, spin)] {
+            assert!((found / most - 1.0).abs() < left, "{found} {most} {left}");
+        }
         (gained / (part * (pull_linear + pull_angular)) - 1.0).abs()
     });
     println!("{errors:?}");

@@ -3,7 +3,7 @@
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
-use super::kkt::norm;
+use super::kkt::{difference, norm};
 use super::polish::INSIDE;
 use super::program::LiftedProgram;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
@@ -25,7 +25,11 @@ impl Filter {
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
-        let mut change = change.to_vec();
+        // The rows are linear along the step in the tangents; the way from there into the balls bends the rows as their own curvature does.
+        let mut change: Vec<f64> = match from.returned {
+            [] => change.to_vec(),
+            returned => difference(change, returned),
+        };
         let mut constraints = refused.constraints.clone();
         let mut inequalities = refused.inequalities.clone();
         let here = from.measure(program, from.evaluation);
@@ -54,9 +58,9 @@ impl Filter {
                 expected,
                 ..subproblem.clone()
             };
-            let corrected =
-                within_balls(program, from, subproblem, &corrected.solve().ok()?.change);
-            let trial = Self::rollout(program, from.point, &corrected, count)?;
+            let corrected = corrected.solve().ok()?.change;
+            let within = within_balls(program, from, subproblem, &corrected);
+            let trial = Self::rollout(program, from.point, &within, count)?;
             let there = from.measure(program, &trial.evaluation);
             if self.lets_pass(here, there, slope) {
                 return Some(trial);

@@ -271,6 +271,11 @@ fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: 
     }
 }
 
+/// `a - b`
+pub(super) fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
 /// Euclidean norm.
 pub(crate) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()

@@ -108,6 +108,7 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
     }
     let start = QpSolution {
         change: vec![0.0; qp.gradient.len()],
+        returned: Vec::new(),
         multipliers: expected.clone(),
         slack: 0.0,
         iterations: 0,

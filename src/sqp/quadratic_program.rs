@@ -96,6 +96,8 @@ impl LinearInequalities<'_> {
 pub struct QpSolution {
     /// `δ`
     pub change: Vec<f64>,
+    /// The part of `δ` that leads back into balls which the subproblem held by their tangents; empty where it held none so.
+    pub returned: Vec<f64>,
     /// Multipliers of constraints, linearized inequalities (in the order of the rows given) and sets.
     pub multipliers: Multipliers,
     /// `Σ (s⁺ + s⁻)` and the slacks of hard inequalities.

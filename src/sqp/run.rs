@@ -570,6 +570,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             softness: &self.working_set.softness,
             multipliers: &solution.multipliers,
             is_second_order: model.kind.is_second_order(),
+            returned: &solution.returned,
         }
     }
 

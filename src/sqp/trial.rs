@@ -175,6 +175,8 @@ pub struct Departure<'a, P: LiftedProgram> {
     pub multipliers: &'a Multipliers,
     /// Whether that held the second derivative of the Lagrangian.
     pub is_second_order: bool,
+    /// [`QpSolution::returned`](super::quadratic_program::QpSolution::returned) of its step.
+    pub returned: &'a [f64],
 }
 
 impl<P: LiftedProgram> Departure<'_, P> {

@@ -186,6 +186,7 @@ impl QuadraticProgram<'_> {
         }
         Ok(QpSolution {
             change: solution.x[..n].to_vec(),
+            returned: Vec::new(),
             multipliers,
             slack: violation.map(|s| s.max(0.0)).sum(),
             iterations: solution.iterations,

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::super::balls::change_into_balls;
 use super::super::hessian::{HessianKind, ModelHessian};
+use super::super::kkt::difference;
 use super::super::program::{
     ConvexSet, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };
@@ -244,7 +245,9 @@ impl<P: LiftedProgram> Run<'_, P> {
                 tangent.outward.iter().map(|n| n * length).collect();
         }
         let sets = (model.tangents.iter()).map(|tangent| &self.program.sets()[tangent.set]);
-        solution.change = change_into_balls(self.variables(), &solution.change, sets);
+        let change = change_into_balls(self.variables(), &solution.change, sets);
+        solution.returned = difference(&change, &solution.change);
+        solution.change = change;
     }
 
     pub(super) fn subproblem<'b>(
