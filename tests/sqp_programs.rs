@@ -766,6 +766,37 @@ fn curvature_of_a_held_ball_counts_once() {
     }
 }
 
+/// The same objective of `x`, with `x = y` and `y` in the disk. A step along the tangent of the disk leaves it by half of its square, so that `y` returns and
+/// `x` does not: a second-order correction has to take `x` along. Where it counted the curvature of the constraint alone, which has none, steps stayed
+/// as short as their squares are feasible: 40 iterations with `c = 0.5`.
+#[test]
+fn corrections_lead_back_into_held_balls() {
+    for c in [0.5, 0.9] {
+        let program = Program {
+            n_variables: 4,
+            plain: Some(Box::new(move |x| {
+                vec![x[0].clone() * -1.0 + x[1].square() * (-0.5 * c)]
+            })),
+            identity: 1.0,
+            constraints: Box::new(|x| {
+                vec![x[0].clone() - x[2].clone(), x[1].clone() - x[3].clone()]
+            }),
+            sets: vec![ConvexSet::ball(2..4, 1.0)],
+            ..Program::default()
+        };
+        let (sin, cos) = 1.2_f64.sin_cos();
+        let outcome = go(
+            &program,
+            &[cos, sin, cos, sin],
+            &settings(HessianChoice::Exact),
+        );
+        assert_eq!(outcome.status, SqpStatus::Converged, "{c}");
+        let iterations = outcome.history.len() - 1;
+        assert!(iterations <= 15, "{c}: {iterations} iterations");
+        assert!((outcome.objective + 1.0).abs() < 1e-9, "{c}");
+    }
+}
+
 /// A linkage of six joints with the least turns whose end is within a distance of a point, as residual = s with s in a ball. Every ball
 /// contains its center, so that reaching into it is no harder than reaching that: whatever its radius, it takes about as many iterations.
 /// The same distance as one inequality, whose direction turns within a radius, takes more, within a hundredth more than four times as many.
