@@ -3,7 +3,7 @@
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
-use super::kkt::norm;
+use super::kkt::{difference, norm};
 use super::program::{ConvexSet, along};
 
 /// Balls that share variables are visited this often at most.
@@ -33,9 +33,7 @@ pub(super) fn change_into_balls<'s>(
     sets: impl Iterator<Item = &'s ConvexSet> + Clone,
 ) -> Vec<f64> {
     let end = variables.iter().zip(change).map(|(v, d)| v + d).collect();
-    (into_balls(end, sets).iter().zip(variables))
-        .map(|(end, v)| end - v)
-        .collect()
+    difference(&into_balls(end, sets), variables)
 }
 
 /// `v + Mᵀ (M Mᵀ)⁻¹ (radius/|M v| - 1) M v`; whether it had to.

@@ -55,7 +55,7 @@ pub(crate) fn holding_over(
     Ok(verdict.map_or_else(|other| other, |(held, _)| Holding::Held(held)))
 }
 
-/// What holds the goal over a stay, with the stay there, from the verdict without regard to time; or the verdict that nothing is known to hold it.
+/// The equilibrium that holds the goal over a stay, with the stay there, from the verdict without regard to time; or the verdict that nothing is known to hold it.
 fn judged(
     found: Holding,
     problem: &OptimalControlProblem,

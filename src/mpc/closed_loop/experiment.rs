@@ -179,7 +179,7 @@ const EXPECTED_DAMPING: f64 = 0.7;
 const EXPECTED_INTERNAL: f64 = 0.01;
 /// Expected delay over the time scale of the arm. With three times as much, a light arm that starts with a step of the force takes a payload for a delay.
 const EXPECTED_DELAY: f64 = 0.003;
-/// What a parameter of the arm changes by within one second, over what is expected of it. One that may change faster takes for its own what the
+/// Standard deviation of the change of a parameter of the arm within one second, over its expected size. One that may change faster takes for its own what the
 /// model has wrong otherwise; one that may change more slowly is given too small a standard deviation.
 const PARAMETER_WALK: f64 = 0.05;
 /// Deflection over the length by what forces that nobody knows add within one second. More of it makes the filter take what it corrects for motions

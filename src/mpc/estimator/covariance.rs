@@ -22,6 +22,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::strain_coordinates::ShapeTransport;
 
 use super::EstimateError;
+use super::node_frames::POSE;
 use super::readings::Terms;
 
 /// What signals say: three rows each.
@@ -418,7 +419,6 @@ fn times_transposed(
     transport: &ShapeTransport,
     first: usize,
 ) {
-    const POSE: usize = NODE_COMPONENTS / 2;
     let add = |made: &mut Mat<f64>, own: MatRef<f64>, map: &Matrix6<f64>, accum: Accum| {
         let map = MatRef::from_column_major_slice(map.as_slice(), POSE, POSE);
         matmul(made.as_mut(), accum, own, map.transpose(), 1.0, Par::Seq);

@@ -41,7 +41,7 @@ pub struct KalmanSettings {
     /// Deviation of the state at the start, as a standard deviation of the tip's position, m. Every motion has the same energy, that of a
     /// cantilever whose tip is off by as much: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
     pub initial: f64,
-    /// What forces that nobody knows add within one second, as a standard deviation of the tip's position, m: white noise in time on the momenta,
+    /// Strength of unknown forces, as a standard deviation of the tip's position that they add within one second, m: white noise in time on the momenta,
     /// mostly smooth along the arm. A motion of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, `ω₁` that of the first bending mode.
     pub change: f64,
     /// Force at the tip, N.

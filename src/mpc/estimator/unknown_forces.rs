@@ -1,4 +1,4 @@
-//! What unknown forces add to the momenta: white noise in time, mostly smooth along the arm.
+//! The noise of unknown forces on the momenta: white in time, mostly smooth along the arm.
 //!
 //! A wrong load or a wrong stiffness moves an arm slowly and smoothly: its error is large in the slow motions and small in the fast ones. The fast
 //! waves of a model of few elements are wrong by themselves, by less energy. Within one second unknown forces add to the momenta, in the frames of the nodes,
