@@ -208,6 +208,16 @@ impl Unknowns {
             .collect()
     }
 
+    /// Deflection over the length by forces that nobody knows within one second. Where nothing else is looked for, they have to explain a wrong arm too.
+    fn unknown_forces(self) -> f64 {
+        let estimates_state_alone = self.missing().len() == Self::NONE.missing().len();
+        if estimates_state_alone {
+            EXPECTED_DEFLECTION
+        } else {
+            UNKNOWN_FORCES
+        }
+    }
+
     /// Settings of a filter for this model.
     #[must_use]
     pub fn settings(self, model: &Rod) -> KalmanSettings {
@@ -228,7 +238,7 @@ impl Unknowns {
             })
         };
         KalmanSettings {
-            change: UNKNOWN_FORCES * length,
+            change: self.unknown_forces() * length,
             tip_force: walk(self.tip_force, 3.0 * bending / (length * length)),
             tip_moment: walk(self.tip_moment, 2.0 * bending / length),
             distributed: walk(self.distributed, 8.0 * bending / length.powi(3)),
