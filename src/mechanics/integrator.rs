@@ -16,16 +16,17 @@
 //! does not shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial
 //! velocities and rest at the end are exact to second order.
 
-use nalgebra::{Matrix3, Quaternion, Vector3};
+use nalgebra::Vector3;
 
 use super::actuator::StateView;
 use super::base_motion::BaseState;
 use super::configuration::{Configuration, State};
 use super::forces::NodalForces;
+use super::guards::{approach_base, check_dilatation, check_fold, rotation_error};
 use super::implicit::{ImplicitStep, IntervalWeights};
 use super::inertia::{InertiaRule, momentum_after};
 use super::rod::Rod;
-use super::rotation::{cay, cay_inverse, cayley_quaternion, log, orthonormalized, quaternion};
+use super::rotation::{cay, cayley_quaternion, orthonormalized, quaternion};
 use super::signal::NodeWrenches;
 
 pub use super::rotation_step::solve_rotation;
@@ -396,103 +397,6 @@ fn view<'a>(rod: &'a Rod, time: f64, at: &'a Configuration) -> StateView<'a> {
         time,
         positions: &at.positions,
         rotations: &at.rotations,
-    }
-}
-
-/// Where a driven base will be at the end of the step, and the Cayley vector of its turn from `rotation` until then.
-pub(super) fn approach_base(
-    rod: &Rod,
-    rotation: &Matrix3<f64>,
-    step: usize,
-    clock: Clock,
-) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
-    let time = clock.time(step);
-    let Some(base) = rod.driven_base(clock.time(step + 1)) else {
-        return Ok(None);
-    };
-    let turn = rotation.tr_mul(&base.rotation);
-    // The speed as well, lest whole turns between two time nodes go unseen.
-    let angle = log(&turn)
-        .norm()
-        .max(base.angular_velocity.norm() * clock.step);
-    if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
-        return Err(StepError::NotFinite {
-            node: 0,
-            step,
-            time,
-            quantity: "the given motion of the base",
-        });
-    }
-    if angle >= std::f64::consts::FRAC_PI_2 {
-        return Err(StepError::BaseTurnTooLarge { step, time, angle });
-    }
-    let turn = cay_inverse(&turn);
-    Ok(Some((base, turn)))
-}
-
-/// Whether the time step resolves the dilatation of element `q` with its ends at `ends`.
-pub(super) fn check_dilatation(
-    rod: &Rod,
-    q: usize,
-    ends: &[Vector3<f64>; 2],
-    step: usize,
-    clock: Clock,
-) -> Result<(), StepError> {
-    let dilatation = (ends[1] - ends[0]).norm() / rod.rest_chords[q];
-    let least = rod.least_dilatation(q, clock.step);
-    if dilatation > least {
-        return Ok(());
-    }
-    Err(StepError::ElementCollapsed {
-        element: q,
-        step,
-        time: clock.time(step),
-        dilatation,
-        least,
-    })
-}
-
-/// The relative quaternion of an element's ends, continuous along its motion, stays on this side of half a turn.
-pub(super) fn check_fold(
-    relative: &Quaternion<f64>,
-    element: usize,
-    step: usize,
-    time: f64,
-) -> Result<(), StepError> {
-    if relative.w >= 0.0 {
-        return Ok(());
-    }
-    Err(StepError::ElementFolded {
-        element,
-        step,
-        time,
-        angle: 2.0 * relative.imag().norm().atan2(relative.w),
-    })
-}
-
-pub(super) fn rotation_error(
-    node: usize,
-    step: usize,
-    time: f64,
-    g: &Vector3<f64>,
-    h: f64,
-    inertia: &Vector3<f64>,
-) -> StepError {
-    let ratio = g.norm() * h / inertia.min();
-    if ratio.is_finite() {
-        StepError::RotationTooLarge {
-            node,
-            step,
-            time,
-            ratio,
-        }
-    } else {
-        StepError::NotFinite {
-            node,
-            step,
-            time,
-            quantity: "the angular momentum",
-        }
     }
 }
 

@@ -31,7 +31,7 @@
 pub mod actuator;
 #[doc(hidden)]
 pub mod base_motion;
-mod block_tridiagonal;
+pub(crate) mod block_tridiagonal;
 mod buffer;
 #[doc(hidden)]
 pub mod configuration;
@@ -52,6 +52,7 @@ pub mod equilibrium;
 pub mod forces;
 #[doc(hidden)]
 pub mod forms;
+pub(crate) mod guards;
 #[doc(hidden)]
 pub mod implicit;
 #[doc(hidden)]

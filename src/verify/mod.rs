@@ -27,6 +27,7 @@ mod samples;
 pub mod second_order;
 mod solution;
 mod stay;
+mod stepper;
 
 use nalgebra::Vector3;
 
@@ -40,6 +41,7 @@ use self::replay::{Simulation, account, halving};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 pub use self::stay::StayReplay;
+pub use self::stepper::ReferenceStepper;
 use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
@@ -403,7 +405,7 @@ pub fn forward_check(
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
         let (rod, initial) = (&problem.rod, problem.initial.clone());
         let simulation = match which {
-            ReplayKind::SameGrid => Simulation::plain(rod, grid, initial),
+            ReplayKind::SameGrid => Simulation::reference(rod, grid, initial),
             _ => Simulation::fast(rod, grid, initial),
         };
         account(

@@ -16,7 +16,7 @@ use super::dual;
 use super::interval;
 use super::kkt::motion::{Conditions, Gradient, kick, momentum_after};
 use crate::control::OptimalControlProblem;
-use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory};
+use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
 /// By how much a motion misses the balance of momentum over its worst step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,9 +93,10 @@ impl Conditions<'_> {
             linear += push;
             angular += x[q].cross(&push) + r[q] * twist;
         };
+        let applied = self.applied(k, &outside);
         for q in rod.first_free_node()..rod.n_nodes() {
             let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
-            let (force, moment) = self.applied(k, q, &outside);
+            let Wrench { force, moment } = applied[q];
             let after = self.velocity_momentum(k, q);
             let after_angular = momentum_after(&self.turn(k, q), &leaving[q], h);
             add(

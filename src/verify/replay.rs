@@ -5,10 +5,11 @@ use nalgebra::Vector3;
 use super::acting;
 use super::interval::{self, Strained};
 use super::kkt;
+use super::stepper::ReferenceStepper;
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
-    Configuration, ControlSignal, Energy, Integrator, NodeWrenches, Rod, State, StateView,
-    StepError, Stepper, TimeGrid, TimeNode, Trajectory, Wrench,
+    Configuration, ControlSignal, Energy, NodeWrenches, Rod, State, StateView, StepError, Stepper,
+    TimeGrid, TimeNode, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -65,7 +66,7 @@ pub fn replay(
     control: &ControlSignal,
 ) -> Result<Replay, StepError> {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-    let simulation = Simulation::plain(rod, grid, initial.clone());
+    let simulation = Simulation::reference(rod, grid, initial.clone());
     let never = StopSignal::default();
     let accounts = account(rod, grid, simulation, control, 1, &never, &mut |state| {
         trajectory.push(&state.configuration);
@@ -78,21 +79,21 @@ pub fn replay(
 
 /// The integrator of a replay.
 pub(super) enum Simulation<'a> {
-    /// The integrator itself, which knows its forces.
-    Plain(Box<Integrator<'a>>),
-    /// The fast one.
+    /// The check's own, which knows its forces.
+    Reference(Box<ReferenceStepper<'a>>),
+    /// That of simulations.
     Fast(Box<Stepper<'a>>),
 }
 
 impl<'a> Simulation<'a> {
-    pub(super) fn plain(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
-        Self::Plain(Box::new(Integrator::new(rod, grid, initial)))
+    pub(super) fn reference(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
+        Self::Reference(Box::new(ReferenceStepper::new(rod, grid, initial)))
     }
 
-    /// For what only has to be as good as the plain integrator to rounding: that one where the work of what drives the base is counted.
+    /// For finer grids: that of simulations, and the check's own where the work of what drives the base is counted.
     pub(super) fn fast(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
         if rod.driven_base(0.0).is_some() {
-            Self::plain(rod, grid, initial)
+            Self::reference(rod, grid, initial)
         } else {
             Self::Fast(Box::new(Stepper::new(rod, grid, initial)))
         }
@@ -100,28 +101,25 @@ impl<'a> Simulation<'a> {
 
     fn state(&self) -> State {
         match self {
-            Self::Plain(integrator) => integrator.state().clone(),
+            Self::Reference(stepper) => stepper.state().clone(),
             Self::Fast(stepper) => stepper.state(),
         }
     }
 
     fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         match self {
-            Self::Plain(integrator) => integrator.advance(control),
+            Self::Reference(stepper) => stepper.advance(control),
             Self::Fast(stepper) => stepper.advance(control),
         }
     }
 
     /// What acts on node 0 apart from what drives it, on the side of the time node that `node` names; nothing where nothing drives it.
     fn base_wrench(&self, rod: &Rod, node: &TimeNode) -> Wrench {
-        let Self::Plain(integrator) = self else {
+        let Self::Reference(stepper) = self else {
             return Wrench::default();
         };
-        let mut acting = Wrench {
-            force: integrator.forces().forces[0],
-            moment: integrator.forces().moments[0],
-        };
-        let rotation = &integrator.state().configuration.rotations[0];
+        let mut acting = stepper.passive_wrench(0);
+        let rotation = &stepper.state().configuration.rotations[0];
         for load in rod.loads.iter().filter(|load| load.node == 0) {
             let wrench = load.wrench_at_node(node, rotation);
             acting.force += wrench.force;

@@ -8,10 +8,11 @@ use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{cay, exp, log, orthonormalized};
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, LoadFrame, Material, NodeInertia, NodeWrenches, Rod,
-    RodModel, RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring,
-    stable_step, static_equilibrium,
+    BaseCondition, Energy, LoadFrame, Material, NodeInertia, NodeWrenches, Rod, RodModel,
+    RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring, stable_step,
+    static_equilibrium,
 };
+use softarm::verify::ReferenceStepper as Integrator;
 
 use super::{Dice, busy_arm, random_state, soft_arm, stiffness, tip_load};
 

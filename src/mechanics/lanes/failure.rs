@@ -4,8 +4,9 @@ use nalgebra::Vector3;
 
 use super::LaneIntegrator;
 use super::singly::Failure;
+use crate::mechanics::StepError;
+use crate::mechanics::guards::{check_dilatation, check_fold, rotation_error};
 use crate::mechanics::inertia::InertiaRule;
-use crate::mechanics::integrator::{StepError, check_dilatation, check_fold, rotation_error};
 
 impl LaneIntegrator<'_> {
     /// What went wrong, in the order in which the plain integrator looks.

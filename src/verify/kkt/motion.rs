@@ -6,7 +6,8 @@ use super::rows::{Place, Worst, largest_axis};
 use crate::control::{GoalPart, OptimalControlProblem, PathConstraint};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
-    BaseCondition, ControlSignal, Rod, RodModel, StateView, TimeScheme, Trajectory,
+    BaseCondition, ControlSignal, NodeWrenches, Rod, RodModel, StateView, TimeNode, TimeScheme,
+    Trajectory, Wrench,
 };
 use crate::verify::acting;
 use crate::verify::dual;
@@ -110,6 +111,69 @@ fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
     ((Matrix3::identity() - f) * j_d).trace() / (h * h)
 }
 
+/// Impulse of the kinetic reaction of an element on its far node, and the opposite on its near one: `-h ∂(T/e)/∂dx`, for the rotational energy
+/// `T` of its ends at `e = 1`.
+pub(in crate::verify) fn kinetic_reaction(
+    rod: &Rod,
+    element: usize,
+    x: &[Vector3<f64>],
+    energy: f64,
+    h: f64,
+) -> Vector3<f64> {
+    let (e, dx) = chord(rod, element, x);
+    -(dx * (h * energy / (e * dx.norm_squared())))
+}
+
+/// Rotational energy, J, of element `q` at `e = 1` over a step of length `h` in which its ends turn by `turns`.
+pub(in crate::verify) fn element_spin(
+    rod: &Rod,
+    q: usize,
+    turns: [&Matrix3<f64>; 2],
+    h: f64,
+) -> f64 {
+    (0..2)
+        .map(|end| {
+            let share = j_d(&rod.element_inertia[q][end].rotary);
+            spin_energy(turns[end], &share, h)
+        })
+        .sum()
+}
+
+/// Force and moment on every node at a time node: minus the energy's gradient, loads, and the control with the actuators of one's own.
+pub(in crate::verify) fn applied(
+    node: &TimeNode,
+    at: &StateView,
+    control: NodeWrenches,
+    gradient: &Gradient,
+) -> Vec<Wrench> {
+    let mut out: Vec<_> = (gradient.x.iter().zip(&gradient.eta))
+        .map(|(x, eta)| Wrench {
+            force: -x,
+            moment: -eta,
+        })
+        .collect();
+    let mut add = |node: usize, wrench: &Wrench| {
+        out[node].force += wrench.force;
+        out[node].moment += wrench.moment;
+    };
+    for load in &at.rod.loads {
+        add(
+            load.node,
+            &load.wrench_at_node(node, &at.rotations[load.node]),
+        );
+    }
+    for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
+        add(*node, wrench);
+    }
+    for own in control.acting {
+        let u = own.controls(control.wrenches);
+        for (node, wrench) in acting::wrenches(&*own.actuator, at, &u) {
+            add(node, &wrench);
+        }
+    }
+    out
+}
+
 /// By how much a trajectory misses the equations of motion.
 pub(in crate::verify) struct Defects {
     /// Of the scaled defects.
@@ -174,12 +238,8 @@ impl Conditions<'_> {
 
     /// Rotational energy of element `q` at rest length over the interval from `k` on.
     pub(in crate::verify) fn element_spin(&self, k: usize, q: usize) -> f64 {
-        (0..2)
-            .map(|end| {
-                let share = j_d(&self.rod().element_inertia[q][end].rotary);
-                spin_energy(&self.turn(k, q + end), &share, self.problem.grid.step)
-            })
-            .sum()
+        let turns = [self.turn(k, q), self.turn(k, q + 1)];
+        element_spin(self.rod(), q, turns.each_ref(), self.problem.grid.step)
     }
 
     /// Impulse of the kinetic reaction on node `q` at time node `k`, from the intervals on both sides.
@@ -196,10 +256,9 @@ impl Conditions<'_> {
                 continue;
             }
             let mut add = |element: usize, sign: f64| {
-                let (e, dx) = chord(rod, element, self.trajectory.positions_at(k));
-                // h ∂(T/e)/∂dx
                 let spin = self.element_spin(interval, element);
-                sum -= dx * (sign * h * spin / (e * dx.norm_squared()));
+                let x = self.trajectory.positions_at(k);
+                sum += kinetic_reaction(rod, element, x, spin, h) * sign;
             };
             if q > 0 {
                 add(q - 1, 1.0);
@@ -254,38 +313,10 @@ impl Conditions<'_> {
         }
     }
 
-    /// Force and moment on a node at `k`: minus the energy's gradient, loads, control.
-    pub(in crate::verify) fn applied(
-        &self,
-        k: usize,
-        q: usize,
-        gradient: &Gradient,
-    ) -> (Vector3<f64>, Vector3<f64>) {
-        let mut force = -gradient.x[q];
-        let mut moment = -gradient.eta[q];
+    /// Force and moment on every node at `k`.
+    pub(in crate::verify) fn applied(&self, k: usize, gradient: &Gradient) -> Vec<Wrench> {
         let node = self.problem.grid.node(k);
-        for load in self.rod().loads.iter().filter(|load| load.node == q) {
-            let wrench = load.wrench_at_node(&node, &self.trajectory.rotations_at(k)[q]);
-            force += wrench.force;
-            moment += wrench.moment;
-        }
-        let control = self.control.at(k);
-        for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
-            if *node == q {
-                force += wrench.force;
-                moment += wrench.moment;
-            }
-        }
-        for own in &self.control.acting {
-            let u = own.controls(control.wrenches);
-            for (node, wrench) in acting::wrenches(&*own.actuator, &self.view(k), &u) {
-                if node == q {
-                    force += wrench.force;
-                    moment += wrench.moment;
-                }
-            }
-        }
-        (force, moment)
+        applied(&node, &self.view(k), self.control.at(k), gradient)
     }
 
     /// Sum of the distances of node 0 from where the base is held or driven, scaled; `worst` is shown each.
@@ -360,9 +391,10 @@ impl Conditions<'_> {
                 }
                 (strains, stresses) = (next, after);
             }
+            let applied = self.applied(k, &gradient);
             for q in rod.first_free_node()..rod.n_nodes() {
                 let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
-                let (force, moment) = self.applied(k, q, &gradient);
+                let Wrench { force, moment } = applied[q];
                 let after =
                     decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
                 let after_angular = decay * before_angular + weight * moment + impulse * twists[q];

@@ -1,0 +1,116 @@
+//! Where a motion leaves the range of the model: the errors that end a step.
+
+use nalgebra::{Matrix3, Quaternion, Vector3};
+
+use super::base_motion::BaseState;
+use super::rod::Rod;
+use super::rotation::{cay_inverse, log};
+use super::step_error::StepError;
+use super::time::Clock;
+
+/// Where a driven base will be at the end of the step, and the Cayley vector of its turn from `rotation` until then.
+pub(crate) fn approach_base(
+    rod: &Rod,
+    rotation: &Matrix3<f64>,
+    step: usize,
+    clock: Clock,
+) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
+    let time = clock.time(step);
+    let Some(base) = rod.driven_base(clock.time(step + 1)) else {
+        return Ok(None);
+    };
+    let turn = rotation.tr_mul(&base.rotation);
+    // The speed as well, lest whole turns between two time nodes go unseen.
+    let angle = log(&turn)
+        .norm()
+        .max(base.angular_velocity.norm() * clock.step);
+    if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
+        return Err(StepError::NotFinite {
+            node: 0,
+            step,
+            time,
+            quantity: "the given motion of the base",
+        });
+    }
+    if angle >= std::f64::consts::FRAC_PI_2 {
+        return Err(StepError::BaseTurnTooLarge { step, time, angle });
+    }
+    let turn = cay_inverse(&turn);
+    Ok(Some((base, turn)))
+}
+
+/// Whether the time step resolves the dilatation of element `q` with its ends at `ends`.
+pub(crate) fn check_dilatation(
+    rod: &Rod,
+    q: usize,
+    ends: &[Vector3<f64>; 2],
+    step: usize,
+    clock: Clock,
+) -> Result<(), StepError> {
+    let dilatation = (ends[1] - ends[0]).norm() / rod.rest_chords[q];
+    let least = rod.least_dilatation(q, clock.step);
+    if dilatation > least {
+        return Ok(());
+    }
+    Err(StepError::ElementCollapsed {
+        element: q,
+        step,
+        time: clock.time(step),
+        dilatation,
+        least,
+    })
+}
+
+/// The relative quaternion of an element's ends, continuous along its motion, stays on this side of half a turn.
+pub(crate) fn check_fold(
+    relative: &Quaternion<f64>,
+    element: usize,
+    step: usize,
+    time: f64,
+) -> Result<(), StepError> {
+    if relative.w >= 0.0 {
+        return Ok(());
+    }
+    Err(StepError::ElementFolded {
+        element,
+        step,
+        time,
+        angle: 2.0 * relative.imag().norm().atan2(relative.w),
+    })
+}
+
+pub(crate) fn rotation_error(
+    node: usize,
+    step: usize,
+    time: f64,
+    g: &Vector3<f64>,
+    h: f64,
+    inertia: &Vector3<f64>,
+) -> StepError {
+    let ratio = g.norm() * h / inertia.min();
+    if ratio.is_finite() {
+        StepError::RotationTooLarge {
+            node,
+            step,
+            time,
+            ratio,
+        }
+    } else {
+        StepError::NotFinite {
+            node,
+            step,
+            time,
+            quantity: "the angular momentum",
+        }
+    }
+}
+
+/// A value of a node that is not finite.
+pub(crate) fn not_finite(node: usize, step: usize, time: f64, quantity: &'static str) -> StepError {
+    StepError::NotFinite {
+        node,
+        step,
+        time,
+        quantity,
+    }
+}
