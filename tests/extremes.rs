@@ -567,7 +567,7 @@ fn scenes_at_the_ends() {
         (&["load.0.force_n=[1e-300,0,0]"], 0, ""),
         (&["load.0.force_n=[0,0,0]", "time.end_s=0"], 0, ""),
         (&["load.0.force_n=[0,0,2e5]"], 0, "of their length"),
-        (&["time.end_s=5e-324"], 0, ""),
+        (&["time.end_s=5e-324"], 2, "time.end_s"),
         (&["rod.elements=2000", "time.end_s=1e-4"], 0, ""),
         (&["load.0.force_n=[1e12,0,0]"], 5, "shorten time.step_s"),
         (&["load.0.force_n=[1e300,0,0]"], 5, "shorten time.step_s"),

@@ -176,7 +176,7 @@ fn all_agree_at_jumps() {
                 n_steps: 20,
             };
             let mut integrator = Integrator::new(&rod, step, initial.clone());
-            let mut lanes = LaneIntegrator::new(&rod, step, &initial).expect("ordinary numbers");
+            let mut lanes = LaneIntegrator::new(&rod, step, &initial);
             let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
             trajectory.push(&initial.configuration);
             let size = initial

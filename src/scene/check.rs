@@ -21,6 +21,9 @@ pub(super) const LARGEST_COUNT: usize = 1_000_000;
 /// Stages of a continuation beyond this number are a typing error rather than a wish.
 const MOST_STAGES: usize = 1000;
 
+/// Times shorter than this, s, are typing errors rather than wishes: momenta of a step overflow.
+const SHORTEST_TIME: f64 = 1e-200;
+
 /// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
 const LARGEST_STRETCH: f64 = 1.3;
 
@@ -295,11 +298,21 @@ impl Keys<'_> {
     }
 
     fn check_time(&self, time: &Time) -> Checked {
+        let end = time.end_s.get();
+        let is_long_enough = |key: &'static str, seconds: f64| {
+            if seconds == 0.0 || seconds >= SHORTEST_TIME {
+                return Ok(());
+            }
+            let message = format!("{} s is too short a time for a step", digits(seconds));
+            let expected = format!("expected at least {} s", digits(SHORTEST_TIME));
+            Err((self.source.error_at(key, message, None)).expecting(expected))
+        };
+        is_long_enough("time.end_s", end)?;
         let TimeStep::Seconds(step) = time.step_s else {
             return Ok(());
         };
-        let end = time.end_s.get();
         self.positive("time.step_s", step, "time step", "seconds")?;
+        is_long_enough("time.step_s", step)?;
         if end > 0.0 && step > end {
             let message = format!(
                 "a step of {} s is longer than time.end_s, {} s",

@@ -4,14 +4,18 @@ use nalgebra::Vector3;
 
 use super::LaneIntegrator;
 use super::sweep::{FORCE, MOMENT};
-use crate::mechanics::integrator::TimeNode;
+use crate::mechanics::actuator::StateView;
+use crate::mechanics::load::Wrench;
 use crate::mechanics::signal::NodeWrenches;
+use crate::mechanics::time::TimeNode;
 
 impl LaneIntegrator<'_> {
     /// Half a kick of the control before this time node and half of the one after it; the former is forgotten.
     pub(super) fn add_control(&mut self, after: NodeWrenches) {
         let first = self.rod.first_free_node();
-        for (i, (node, wrench)) in after.iter().enumerate() {
+        let acting = self.acting(after);
+        let given = after.iter().map(|(node, wrench)| (node, *wrench));
+        for (i, (node, wrench)) in given.chain(acting).enumerate() {
             // As a rule the same nodes as before, in the same order.
             let before = match self.control.get(i) {
                 Some((same, _)) if *same == node => Some(i),
@@ -22,7 +26,7 @@ impl LaneIntegrator<'_> {
                 sum.force += wrench.force;
                 sum.moment += wrench.moment;
             } else if node >= first {
-                self.control.push((node, *wrench));
+                self.control.push((node, wrench));
             }
         }
         let mut control = std::mem::take(&mut self.control);
@@ -38,6 +42,23 @@ impl LaneIntegrator<'_> {
         }
         // Its memory serves the next step.
         self.control = control;
+    }
+
+    /// Wrenches of the actuators of one's own at the present configuration.
+    pub(super) fn acting(&self, control: NodeWrenches) -> Vec<(usize, Wrench)> {
+        if control.acting.is_empty() {
+            return Vec::new();
+        }
+        let nodes = 0..self.rod.n_nodes();
+        let positions: Vec<_> = nodes.clone().map(|node| self.position(node)).collect();
+        let rotations: Vec<_> = nodes.map(|node| self.rotation(node)).collect();
+        let view = StateView {
+            rod: self.rod,
+            time: self.time(),
+            positions: &positions,
+            rotations: &rotations,
+        };
+        control.acting_on(view).collect()
     }
 
     /// This time node, as the end of the step before it.

@@ -149,42 +149,26 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    pub(super) fn rod(&self) -> &'a Rod {
-        self.rod
-    }
-
-    pub(super) fn clock(&self) -> Clock {
-        self.clock
-    }
-
-    /// Starts from a state at time 0; a driven base is put where its motion starts. `None` for what only the plain
-    /// integrator can do: steps near the smallest numbers there are.
+    /// Starts from a state at time 0; a driven base is put where its motion starts.
     #[must_use]
-    pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
+    pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Self {
         Self::on(Arch::new(), rod, clock, initial)
     }
 
     /// The same on a given instruction set; the result does not depend on it.
     #[must_use]
-    pub fn on(arch: Arch, rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Option<Self> {
+    pub fn on(arch: Arch, rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Self {
         let clock = clock.into();
         let mut initial = initial.clone();
         rod.start_base(clock.start, &mut initial);
-        is_possible(rod, clock.step).then(|| Self::empty(arch, rod, clock).seated(&initial, 0))
+        Self::empty(arch, rod, clock).seated(&initial, 0)
     }
 
     /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
-    /// there, to the bit. `None` as for [`Self::new`].
+    /// there, to the bit.
     #[must_use]
-    pub fn resume(
-        rod: &'a Rod,
-        clock: impl Into<Clock>,
-        state: &State,
-        step: usize,
-    ) -> Option<Self> {
-        let clock = clock.into();
-        is_possible(rod, clock.step)
-            .then(|| Self::empty(Arch::new(), rod, clock).seated(state, step))
+    pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: &State, step: usize) -> Self {
+        Self::empty(Arch::new(), rod, clock.into()).seated(state, step)
     }
 
     fn empty(arch: Arch, rod: &'a Rod, clock: Clock) -> Self {
@@ -547,18 +531,9 @@ impl<'a> LaneIntegrator<'a> {
         }
         self.step += 1;
         let first = self.rod.first_free_node();
-        let acting = control.iter().filter(|(node, _)| *node >= first);
-        self.control
-            .extend(acting.map(|(node, wrench)| (node, *wrench)));
+        let acting = self.acting(control);
+        let given = control.iter().map(|(node, wrench)| (node, *wrench));
+        (self.control).extend(given.chain(acting).filter(|(node, _)| *node >= first));
         self.add_loads();
     }
 }
-
-/// Numbers that do not overflow where the plain integrator's do not.
-fn is_possible(rod: &Rod, time_step: f64) -> bool {
-    let finite = |rotary: f64| (4.0 * rotary.max(1.0) / time_step).is_finite();
-    rod.nodes.iter().all(|node| finite(node.rotary.max()))
-}
-
-#[cfg(test)]
-mod tests;

@@ -6,10 +6,12 @@
 //! the nodes they change with the shape and not with the motion of the rod as a whole. New ones are made at once where a correction leaves
 //! more than a tenth of the residual, for which an implicit step begins again, and for the next step where the old ones have cost more
 //! corrections than new ones do. The residual is exact, so that what is accepted does not depend on the factors but by less than the
-//! tolerance. Whatever the iteration cannot do, the plain integrator does in its place, from the same state.
+//! tolerance. Steps that this does not solve are solved by Newton's method from rest, with new factors for every correction and corrections of
+//! bounded length.
 //!
 //! An explicit step starts where the last ones, extrapolated, lead, so that one or two corrections lead to rounding. An implicit one
-//! starts from rest, as in the plain integrator and for the same reason.
+//! starts from rest: its first correction is then the linearly implicit step, which is sound for whatever the time step does not resolve. Where
+//! the momenta of a time node would carry such waves, `hω` times their amplitude, is no place to start.
 //!
 //! The factors, the order of the extrapolation and the number of corrections follow from the steps since the motion was
 //! [seated](super::LaneIntegrator::reseat), not from the instruction set: the result is the same to the bit on all of them.
@@ -27,19 +29,21 @@ use pulp::Arch;
 use self::chain::Chain;
 pub use self::coupling::SolvedRule;
 use self::instant::{INSTANT_ROWS, Settle};
-use self::step::{EQUATION_ROWS, ORDERS, Outcome, RATE_ROWS, SolvedStep, TRIAL_ROWS};
-use super::base::HeldBase;
+use self::step::{
+    EQUATION_ROWS, ORDERS, Outcome, PUSHED, RATE_ROWS, RESIDUAL, SPUN, SolvedStep, TRIAL_ROWS,
+    TURNED,
+};
 use super::constants::Constants;
 use super::place::Slots;
 use super::rule::{Helical, Trapezoidal};
-use super::sweep::{FORCE, POSITION, STATE_ROWS};
+use super::sweep::POSITION;
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::inertia::InertiaRule;
-use crate::mechanics::integrator::{Integrator, StepError, TimeScheme};
-use crate::mechanics::load::Wrench;
+use crate::mechanics::integrator::{StepError, TimeScheme};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::strain::StrainRule;
@@ -72,10 +76,6 @@ pub struct Solver {
     pace: Pace,
     rounding: Rounding,
     work: SolverWork,
-    /// What a step begins with, for the case that it has to begin again.
-    forces: Buffer,
-    control: Vec<(usize, Wrench)>,
-    base: Option<HeldBase>,
 }
 
 /// What implicit steps need by the factors that are kept, against what they needed when these were new.
@@ -100,8 +100,8 @@ pub struct SolverWork {
     pub corrections: usize,
     /// How often the matrix was factored.
     pub factorizations: usize,
-    /// Steps that were left to the plain integrator.
-    pub left: usize,
+    /// Steps that were solved by Newton's method, because factors that are kept did not.
+    pub newton_steps: usize,
 }
 
 /// What rounding of strains leaves in the equations, over [`STRAIN_ROUNDING`](step::STRAIN_ROUNDING): apart from that which
@@ -115,7 +115,7 @@ struct Rounding {
 }
 
 impl Rounding {
-    /// As in the plain integrator, element by element at their worst.
+    /// Element by element at their worst.
     fn of(rod: &Rod, weights: IntervalWeights, time_step: f64) -> Self {
         let undamp = 1.0 / (1.0 + 0.5 * rod.viscous_damping * time_step);
         let reach = 0.5 * time_step * undamp * (weights.start.abs() + weights.end.abs());
@@ -164,9 +164,6 @@ impl Solver {
             pace: Pace::default(),
             rounding: Rounding::of(rod, weights, time_step),
             work: SolverWork::default(),
-            forces: buffer(6),
-            control: Vec::new(),
-            base: None,
         })
     }
 
@@ -226,40 +223,6 @@ impl Solver {
             TimeScheme::Implicit => pace.excess >= WORTH_FACTORS,
         };
     }
-
-    /// Remembers what a step begins with.
-    fn keep(&mut self, integrator: &[f64], control: &[(usize, Wrench)], base: Option<&HeldBase>) {
-        let n_lanes = self.slots.n_lanes;
-        let (blocks, kept) = (
-            integrator.chunks_exact(STATE_ROWS * n_lanes),
-            self.forces.chunks_exact_mut(6 * n_lanes),
-        );
-        for (block, kept) in blocks.zip(kept) {
-            kept.copy_from_slice(&block[FORCE * n_lanes..][..6 * n_lanes]);
-        }
-        self.control.clear();
-        self.control.extend_from_slice(control);
-        self.base = base.cloned();
-    }
-
-    /// Puts it back.
-    fn restore(
-        &mut self,
-        state: &mut [f64],
-        control: &mut Vec<(usize, Wrench)>,
-        base: &mut Option<HeldBase>,
-    ) {
-        let n_lanes = self.slots.n_lanes;
-        let (blocks, kept) = (
-            state.chunks_exact_mut(STATE_ROWS * n_lanes),
-            self.forces.chunks_exact(6 * n_lanes),
-        );
-        for (block, kept) in blocks.zip(kept) {
-            block[FORCE * n_lanes..][..6 * n_lanes].copy_from_slice(kept);
-        }
-        control.clone_from(&self.control);
-        base.clone_from(&self.base);
-    }
 }
 
 /// `m/h` and `J/h` of the nodes that move.
@@ -291,7 +254,6 @@ impl LaneIntegrator<'_> {
         let Some(mut solver) = self.solver.take() else {
             return Ok(());
         };
-        solver.keep(&self.state, &self.control, self.base.as_ref());
         self.add_control(control[0]);
         self.share_jumps();
         if let Some((base, turn)) = &base {
@@ -319,21 +281,80 @@ impl LaneIntegrator<'_> {
                 rule: PhantomData,
             },
         );
-        if outcome != Outcome::Left {
-            solver.instants.swap(0, 1);
-            self.solver = Some(solver);
-            if outcome == Outcome::Lost {
-                self.find_error(InertiaRule::Constant, None, false)?;
-            }
-            self.arrive(control[1], base.map(|(base, _)| base));
-            return Ok(());
-        }
-        solver.work.left += 1;
-        solver.restore(&mut self.state, &mut self.control, &mut self.base);
+        let failure = match outcome {
+            Outcome::Unsolved(iterations) => Some(self.unsolved(&solver, iterations)),
+            Outcome::TurnsTooFar => Some(self.too_far(&solver)),
+            Outcome::Solved | Outcome::Lost | Outcome::Left => None,
+        };
+        solver.instants.swap(0, 1);
         self.solver = Some(solver);
-        let mut plain = Integrator::resume(self.rod, self.clock, self.state(), self.step);
-        plain.advance(control)?;
-        self.seat(plain.state(), self.step + 1);
+        if let Some(failure) = failure {
+            return Err(failure);
+        }
+        if outcome != Outcome::Solved {
+            self.find_error(InertiaRule::Constant, None, false)?;
+        }
+        self.arrive(control[1], base.map(|(base, _)| base));
         Ok(())
+    }
+
+    /// The node that is farthest from solving the equations of a step.
+    fn unsolved(&self, solver: &Solver, iterations: usize) -> StepError {
+        let of = |node: usize, row: usize| -> Vector3<f64> {
+            let at = solver
+                .slots
+                .index(solver.slots.place(node), TRIAL_ROWS, row);
+            Vector3::from_fn(|i, _| solver.trial[at + i * solver.slots.n_lanes])
+        };
+        let nodes = self.rod.first_free_node()..self.rod.n_nodes();
+        let largest = |rows: [usize; 2]| {
+            let sizes = nodes
+                .clone()
+                .map(|node| rows.map(|row| of(node, row).norm()));
+            sizes.fold([0.0f64; 2], |m, size| {
+                [m[0].max(size[0]), m[1].max(size[1])]
+            })
+        };
+        let momenta = largest([PUSHED, SPUN]);
+        let mut worst = (self.rod.first_free_node(), 0.0);
+        for node in nodes.clone() {
+            for (row, momentum) in [(RESIDUAL, momenta[0]), (RESIDUAL + 3, momenta[1])] {
+                let residual = of(node, row).norm();
+                if !residual.is_finite() {
+                    let quantity = "the residual of the implicit step";
+                    return not_finite(node, self.step, self.time(), quantity);
+                }
+                if residual > worst.1 * momentum {
+                    worst = (node, residual / momentum);
+                }
+            }
+        }
+        StepError::NotConverged {
+            node: worst.0,
+            step: self.step,
+            time: self.time(),
+            residual: worst.1,
+            iterations,
+        }
+    }
+
+    /// The first node that turns by more than a quarter turn.
+    fn too_far(&self, solver: &Solver) -> StepError {
+        let ratio = |node: usize| {
+            let at = solver
+                .slots
+                .index(solver.slots.place(node), TRIAL_ROWS, TURNED);
+            let f = [0, 1, 2].map(|i| solver.trial[at + i * solver.slots.n_lanes]);
+            0.5 * Vector3::from(f).norm()
+        };
+        let first = self.rod.first_free_node();
+        let node = (first..self.rod.n_nodes()).find(|&node| !(ratio(node) < 1.0));
+        let node = node.unwrap_or(first);
+        StepError::RotationTooLarge {
+            node,
+            step: self.step,
+            time: self.time(),
+            ratio: ratio(node),
+        }
     }
 }

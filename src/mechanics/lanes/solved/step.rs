@@ -26,12 +26,12 @@ use crate::mechanics::lanes::vector::{
 pub const TRIAL_ROWS: usize = 31;
 const MOVED: usize = 7;
 /// Cayley vector.
-const TURNED: usize = 10;
+pub const TURNED: usize = 10;
 /// Momenta after the kick of everything but the stress of the interval.
-const PUSHED: usize = 13;
-const SPUN: usize = 16;
+pub const PUSHED: usize = 13;
+pub const SPUN: usize = 16;
 /// Of the equations; the linear part in the frame of the node where the interval starts.
-const RESIDUAL: usize = 19;
+pub const RESIDUAL: usize = 19;
 const CORRECTION: usize = 25;
 
 /// Rows of [`Solver::rates`]: `m/h`, and `J/h`.
@@ -46,16 +46,15 @@ pub const ORDERS: usize = 6;
 
 /// Residual over the largest momentum at which a step counts as solved.
 const RELATIVE_TOLERANCE: f64 = 2.5e-14;
-/// Units of rounding in a strain that the iteration has to reach. Both are a quarter of those of the plain integrator, whose last
-/// correction, by new factors, leads further below its tolerance.
+/// Units of rounding in a strain that the iteration has to reach.
 pub const STRAIN_ROUNDING: f64 = 2.0 * f64::EPSILON;
 /// A residual that shrinks no more is that of rounding up to this multiple of the tolerance.
 const STAGNATION: f64 = 4.0;
-/// The same with new factors: what the plain integrator takes for rounding, in its own tolerance.
+/// The same with new factors, by which every correction is a Newton step.
 const ROUNDED: f64 = 4e3;
-/// Corrections of one step before it is given up.
-const CORRECTION_LIMIT: usize = 40;
-/// Largest rotation of a correction, rad; what needs more is left to the plain integrator.
+/// Corrections of one step before it is given up: 2 to 4 Newton steps where the time step resolves the motion.
+const CORRECTION_LIMIT: usize = 50;
+/// Largest rotation of a correction, rad; Newton's method shortens longer ones.
 const LARGEST_CORRECTION: f64 = 0.5;
 /// A correction that leaves more than this part of the residual is followed by new factors.
 const SLOW: f64 = 0.1;
@@ -64,10 +63,23 @@ const SLOW: f64 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     Solved,
-    /// Solved, but a momentum or a force at its end is not finite.
+    /// Solved, but a momentum or a force at its end is not finite, or an element has folded.
     Lost,
-    /// Left to the plain integrator, with nothing changed that it needs.
+    /// Not solved by factors that are kept, with nothing changed.
     Left,
+    /// Not solved by Newton's method: a residual is not finite, or is left after so many iterations.
+    Unsolved(usize),
+    /// Solved by a node that turns by more than a quarter turn.
+    TurnsTooFar,
+}
+
+/// How the equations of a step are solved.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Method {
+    /// By factors that are kept from step to step, from where the last steps lead.
+    Simplified,
+    /// By Newton's method from rest, with new factors for every correction and corrections of bounded length.
+    Newton,
 }
 
 /// A step.
@@ -152,29 +164,43 @@ struct Trial {
 impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn advance(&mut self) -> Outcome {
-        let kept = !self.solver.stale;
-        let outcome = self.solve();
-        if outcome == Outcome::Left && kept && self.solver.scheme == TimeScheme::Implicit {
-            // Once more from rest, with Newton's first step: where the equations have several solutions, it leads to that of the plain
-            // integrator.
+        let mut begins_again = !self.solver.stale && self.solver.scheme == TimeScheme::Implicit;
+        let mut method = Method::Simplified;
+        loop {
+            let outcome = self.solve(method);
+            if outcome != Outcome::Left {
+                return outcome;
+            }
             self.solver.stale = true;
-            return self.solve();
+            if begins_again {
+                // Once more from rest, with Newton's first step: where the equations have several solutions, it leads to the nearest one.
+                begins_again = false;
+            } else {
+                method = Method::Newton;
+                self.solver.order = 0;
+                self.solver.work.newton_steps += 1;
+            }
         }
-        outcome
     }
 
     /// The step, from its beginning on.
     #[inline(always)]
-    fn solve(&mut self) -> Outcome {
+    fn solve(&mut self, method: Method) -> Outcome {
         let sizes = self.begin();
-        let mut fresh = false;
+        let is_newton = method == Method::Newton;
+        let mut fresh = is_newton;
         let begins_anew = self.solver.stale || self.solver.scheme == TimeScheme::Explicit;
         let mut last = f64::INFINITY;
         let mut corrections = 0;
-        let tolerance = loop {
+        let (tolerance, unfolded) = loop {
             let trial = self.attempt();
+            let given_up = if is_newton {
+                Outcome::Unsolved(corrections)
+            } else {
+                Outcome::Left
+            };
             if !trial.finite {
-                return Outcome::Left;
+                return given_up;
             }
             let tolerance = self.tolerance(&sizes, &trial);
             let worst =
@@ -182,31 +208,38 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let slow = worst > 0.5 * last;
             let rounded = if fresh { ROUNDED } else { STAGNATION };
             if worst <= 1.0 || (slow && worst <= rounded) {
-                if !trial.unfolded {
-                    return Outcome::Left;
-                }
-                break tolerance;
+                break (tolerance, trial.unfolded);
             }
             if corrections == CORRECTION_LIMIT {
-                return Outcome::Left;
+                return given_up;
             }
-            if self.solver.stale && !fresh || worst > SLOW * last {
+            if is_newton {
+                self.factor();
+            } else if self.solver.stale && !fresh || worst > SLOW * last {
                 if fresh && slow || !begins_anew {
-                    return Outcome::Left;
+                    return given_up;
                 }
                 self.factor();
-                self.solver.work.factorizations += 1;
                 fresh = true;
             }
-            if !self.correct() {
-                return Outcome::Left;
+            if !self.correct(is_newton) {
+                return given_up;
             }
             corrections += 1;
             self.solver.work.corrections += 1;
             last = worst;
         };
+        if !is_newton && !(unfolded && self.turns_are_small()) {
+            return Outcome::Left;
+        }
+        if !self.turns_are_small() {
+            return Outcome::TurnsTooFar;
+        }
         self.solver.note_corrections(corrections, fresh);
-        self.finish(tolerance)
+        match self.finish(tolerance) {
+            true if unfolded => Outcome::Solved,
+            _ => Outcome::Lost,
+        }
     }
 
     /// Kicks, and the motion that the last steps lead to: none of implicit steps.
@@ -427,11 +460,13 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             rows: equations,
             rates,
         });
+        self.solver.work.factorizations += 1;
     }
 
-    /// Corrects the motions; false where that is no small step.
+    /// Corrects the motions. Where a node would turn by more than [`LARGEST_CORRECTION`], the correction is shortened, or nothing is changed
+    /// and the answer is false.
     #[inline(always)]
-    fn correct(&mut self) -> bool {
+    fn correct(&mut self, shortens: bool) -> bool {
         let simd = self.simd;
         let Solver {
             slots,
@@ -480,22 +515,45 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let start = blocks::<S, INSTANT_ROWS>(start);
         let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
         let mut largest = Lanes::splat(simd, 0.0);
+        for trial in trial.iter() {
+            let turn = Vec3::load(simd, trial, CORRECTION + 3);
+            largest = largest.max(turn.dot(turn));
+        }
+        let is_small = largest.all_at_most(LARGEST_CORRECTION * LARGEST_CORRECTION);
+        if !is_small && !shortens {
+            return false;
+        }
+        let part = if is_small {
+            1.0
+        } else {
+            LARGEST_CORRECTION / largest.largest().sqrt()
+        };
         for (trial, start) in trial.iter_mut().zip(start) {
             let frame = Frame::load(simd, start, 0);
-            let motion = frame.to_space(Vec3::load(simd, trial, CORRECTION));
-            let turn = Vec3::load(simd, trial, CORRECTION + 3);
+            let motion = frame.to_space(Vec3::load(simd, trial, CORRECTION) * part);
+            let turn = Vec3::load(simd, trial, CORRECTION + 3) * part;
             let f = Vec3::load(simd, trial, TURNED);
             (Vec3::load(simd, trial, MOVED) - motion).store(trial, MOVED);
             let along = f * f.dot(turn);
             (f - (turn + f.cross(turn) * 0.5 + along * 0.25)).store(trial, TURNED);
-            largest = largest.max(turn.dot(turn));
         }
-        largest.all_at_most(LARGEST_CORRECTION * LARGEST_CORRECTION)
+        true
     }
 
-    /// Momenta, poses and forces at the end of the step.
+    /// Whether every node turns by less than a quarter turn.
     #[inline(always)]
-    fn finish(&mut self, tolerance: [f64; 2]) -> Outcome {
+    fn turns_are_small(&self) -> bool {
+        let mut largest = Lanes::splat(self.simd, 0.0);
+        for trial in blocks::<S, TRIAL_ROWS>(&self.solver.trial) {
+            let f = Vec3::load(self.simd, trial, TURNED);
+            largest = largest.max(f.dot(f));
+        }
+        largest.all_at_most(LARGEST_TURN)
+    }
+
+    /// Momenta, poses and forces at the end of the step; false where one of them is not finite.
+    #[inline(always)]
+    fn finish(&mut self, tolerance: [f64; 2]) -> bool {
         let simd = self.simd;
         let Solver {
             rates,
@@ -514,14 +572,6 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             blocks::<S, INSTANT_ROWS>(start),
             blocks::<S, INSTANT_ROWS>(end),
         );
-        let mut largest = Lanes::splat(simd, 0.0);
-        for trial in trial {
-            let f = Vec3::load(simd, trial, TURNED);
-            largest = largest.max(f.dot(f));
-        }
-        if !largest.all_at_most(LARGEST_TURN) {
-            return Outcome::Left;
-        }
         let differences = blocks_mut::<S, { 6 * ORDERS }>(differences);
         let state = blocks_mut::<S, STATE_ROWS>(self.state);
         let n_blocks = trial.len();
@@ -631,11 +681,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             }
             *depth = (*depth + 1).min(ORDERS);
         }
-        if sum.has_finite_sum() {
-            Outcome::Solved
-        } else {
-            Outcome::Lost
-        }
+        sum.has_finite_sum()
     }
 }
 
