@@ -14,14 +14,15 @@ use common::{RULES, soft_arm};
 use softarm::control::{Guess, Search, search};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    Integrator, NodeWrenches, Rod, RodModel, RodParameters, Stepper, StrainRule, TimeScheme,
+    NodeWrenches, Rod, RodModel, RodParameters, Stepper, StrainRule, TimeScheme,
 };
 use softarm::mpc::Contender;
 use softarm::scene::{OptimalControl, Scene};
 use softarm::solve::{SolveOptions, solve_problem};
 use softarm::sqp::SqpSettings;
 use softarm::stop::StopSignal;
-use support::{Question, SensitivityCase, levels, median, moving, peak, push, simulate};
+use softarm::verify::ReferenceStepper;
+use support::{Question, SensitivityCase, levels, median, moving, peak, push, simulate_reference};
 
 fn main() {
     let mut page = String::new();
@@ -88,7 +89,7 @@ fn steps(page: &mut String) {
     say(page, "## A step of a node, K = 40, one thread\n");
     say(
         page,
-        "| step | model | strain | ns | plain code, ns |\n|---|---|---|---|---|",
+        "| step | model | strain | ns | of the check, ns |\n|---|---|---|---|---|",
     );
     for rule in RULES {
         for model in [
@@ -127,9 +128,9 @@ fn steps(page: &mut String) {
 fn row_of_steps(page: &mut String, name: &str, rod: &Rod, step: f64, n_steps: usize) {
     let scale = 1e9 / (n_steps * rod.n_nodes()) as f64;
     let fast = stepping(rod, step, n_steps) * scale;
-    let integrator = Integrator::new(rod, step, moving(rod));
+    let integrator = ReferenceStepper::new(rod, step, moving(rod));
     let few = n_steps / 4;
-    let plain = median(3, || simulate(&integrator, &push(rod), few)) * 4.0 * scale;
+    let plain = median(3, || simulate_reference(&integrator, &push(rod), few)) * 4.0 * scale;
     say(
         page,
         format!(

@@ -20,8 +20,8 @@ use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{
-    Energy, Integrator, Load, LoadFrame, Material, NodeWrenches, Rod, RodParameters, Section,
-    SectionProfile, State,
+    Energy, Load, LoadFrame, Material, NodeWrenches, Rod, RodParameters, Section, SectionProfile,
+    State, Stepper,
 };
 
 /// Share of the first mode in the static tip deflection, `12/β₁⁴`.
@@ -63,14 +63,14 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let initial = State::at_rest(rod.rest.clone());
     let at_first = Energy::of(&rod, &initial).total();
-    let mut integrator = Integrator::new(&rod, time_step, initial);
+    let mut integrator = Stepper::new(&rod, time_step, initial);
     let mut peak = (0.0, 0.0);
     let mut worst_account: f64 = 0.0;
     let mut most_work: f64 = 0.0;
     for _ in 0..n_steps {
         // The tip load belongs to the rod; no control acts besides.
         integrator.advance([NodeWrenches::NONE; 2])?;
-        let state = integrator.state();
+        let state = &integrator.state();
         let deflection = state.configuration.positions[tip].x;
         if deflection > peak.1 {
             peak = (integrator.time(), deflection);

@@ -22,8 +22,8 @@ use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitiviti
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, FormTerm, Integrator, Rod, RodModel, RodParameters, State,
-    StateForm, StrainRule, TimeGrid, Trajectory, Wrench,
+    BaseCondition, ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm,
+    Stepper, StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.
@@ -396,7 +396,7 @@ impl Case {
     fn roll_out(&self, control: &ControlSignal) -> Trajectory {
         let mut trajectory = Trajectory::with_capacity(self.rod.n_nodes(), self.grid.n_steps + 1);
         trajectory.push(&self.initial.configuration);
-        let mut integrator = Integrator::new(&self.rod, self.grid.step, self.initial.clone());
+        let mut integrator = Stepper::new(&self.rod, self.grid.step, self.initial.clone());
         for k in 0..self.grid.n_steps {
             integrator
                 .advance([control.at(k), control.at(k + 1)])

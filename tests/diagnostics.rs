@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::diagnostics::TotalWrench;
 use softarm::mechanics::rotation::cay_inverse;
 use softarm::mechanics::{
-    BaseCondition, BaseMotion, Diagnostics, Integrator, Load, LoadFrame, MomentumBalance,
-    MotionCurve, NodeWrenches, Oscillation, PowerBalance, Rod, RodModel, RodParameters, State,
+    BaseCondition, BaseMotion, Diagnostics, Load, LoadFrame, MomentumBalance, MotionCurve,
+    NodeWrenches, Oscillation, PowerBalance, Rod, RodModel, RodParameters, State, Stepper,
     StrainRule, TimeScheme, stable_step,
 };
 
@@ -25,14 +25,14 @@ struct Impulses {
 /// Change of both momenta over a run, and the sum of the impulses that the diagnostics report.
 fn impulses(rod: &Rod, n_steps: usize) -> Impulses {
     let h = 0.5 * stable_step(rod);
-    let mut integrator = Integrator::new(rod, h, State::at_rest(rod.rest.clone()));
-    let first = Diagnostics::of(rod, h, 0.0, integrator.state());
+    let mut integrator = Stepper::new(rod, h, State::at_rest(rod.rest.clone()));
+    let first = Diagnostics::of(rod, h, 0.0, &integrator.state());
     let mut before = first.clone();
     let mut impulse = TotalWrench::default();
     let mut scale = TotalWrench::default();
     for _ in 0..n_steps {
         integrator.advance(NO_CONTROL).unwrap();
-        let after = Diagnostics::of(rod, h, integrator.time(), integrator.state());
+        let after = Diagnostics::of(rod, h, integrator.time(), &integrator.state());
         impulse.force +=
             0.5 * h * (before.external.force + after.external.force) + h * before.damping.force;
         impulse.moment +=
@@ -145,12 +145,12 @@ fn every_step_balances_its_momenta() {
             });
             let h = 0.5 * stable_step(&rod);
             let start = rod.at_rest_on_base(rod.rest.clone());
-            let mut integrator = Integrator::new(&rod, h, start);
+            let mut integrator = Stepper::new(&rod, h, start);
             let mut broken: f64 = 0.0;
             for step in 0..400 {
                 let before = integrator.state().clone();
                 integrator.advance(NO_CONTROL).unwrap();
-                let after = integrator.state();
+                let after = &integrator.state();
                 let balance =
                     MomentumBalance::over_step(&rod, h, integrator.time(), &before, after);
                 let [force, moment] = rounding(&rod, h, after);
@@ -198,9 +198,9 @@ fn planar_reaction_carries_the_angular_momentum() {
     .unwrap();
     let h = 0.5 * stable_step(&rod);
     let n_steps = 1500;
-    let mut integrator = Integrator::new(&rod, h, State::at_rest(rod.rest.clone()));
-    let torque = |integrator: &Integrator| {
-        let state = integrator.state();
+    let mut integrator = Stepper::new(&rod, h, State::at_rest(rod.rest.clone()));
+    let torque = |integrator: &Stepper| {
+        let state = &integrator.state();
         let d = Diagnostics::of(&rod, h, integrator.time(), state);
         (
             d.angular_momentum.y,
@@ -242,13 +242,13 @@ fn power_residual_is_second_order() {
         let n = 2000;
         let mean_square = |refinement: usize| {
             let h = h / refinement as f64;
-            let mut integrator = Integrator::new(&rod, h, State::at_rest(rod.rest.clone()));
+            let mut integrator = Stepper::new(&rod, h, State::at_rest(rod.rest.clone()));
             let (mut residual, mut power) = (0.0, 0.0);
             for _ in 0..n * refinement {
                 let before = integrator.state().clone();
                 integrator.advance(NO_CONTROL).unwrap();
                 let t = integrator.time();
-                let balance = PowerBalance::over_step(&rod, h, t, &before, integrator.state());
+                let balance = PowerBalance::over_step(&rod, h, t, &before, &integrator.state());
                 residual += balance.residual.powi(2);
                 power += balance.external.powi(2);
             }
@@ -401,8 +401,8 @@ fn time_nodes_balance_to_second_order() {
 fn time_node_residuals(rod: &Rod, refinement: usize) -> [f64; 3] {
     let h = 0.2 * stable_step(rod) / refinement as f64;
     let start = rod.at_rest_on_base(rod.rest.clone());
-    let mut integrator = Integrator::new(rod, h, start);
-    let mut before = Diagnostics::of(rod, h, 0.0, integrator.state());
+    let mut integrator = Stepper::new(rod, h, start);
+    let mut before = Diagnostics::of(rod, h, 0.0, &integrator.state());
     let mut sums = [0.0; 3];
     let n = 500 * refinement;
     for pair in 0..n {
@@ -412,13 +412,13 @@ fn time_node_residuals(rod: &Rod, refinement: usize) -> [f64; 3] {
             let state = integrator.state().clone();
             integrator.advance(NO_CONTROL).unwrap();
             let t = integrator.time();
-            let after = Diagnostics::of(rod, h, t, integrator.state());
+            let after = Diagnostics::of(rod, h, t, &integrator.state());
             let mean = |of: fn(&Diagnostics) -> Vector3<f64>| 0.5 * (of(&before) + of(&after));
             let f = mean(|d| d.external.force) + before.damping.force;
             let m = mean(|d| d.external.moment) + before.damping.moment;
             linear += (after.linear_momentum - before.linear_momentum) / h - f;
             angular += (after.angular_momentum - before.angular_momentum) / h - m;
-            power += PowerBalance::over_step(rod, h, t, &state, integrator.state()).residual;
+            power += PowerBalance::over_step(rod, h, t, &state, &integrator.state()).residual;
             force += f.norm();
             moment += m.norm();
             before = after;

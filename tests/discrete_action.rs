@@ -5,13 +5,13 @@ mod common;
 
 use common::{Dice, RULES, busy_arm, random_state};
 use nalgebra::{Matrix3, Rotation3, Vector3};
+use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, Clock, Configuration, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
     StrainRule, TimeNode, stable_step,
 };
-use softarm::verify::ReferenceStepper as Integrator;
 
 fn cross_matrix(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
@@ -103,7 +103,7 @@ fn trajectory_is_stationary() {
         let mut dice = Dice(51);
         let h = 0.4 * stable_step(&rod);
         let initial = random_state(&rod, 0.2, 1.0, &mut dice);
-        let mut integrator = Integrator::new(&rod, h, initial.clone());
+        let mut integrator = Stepper::new(&rod, h, initial.clone());
         let mut path = vec![initial.configuration];
         for _ in 0..n_steps {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -190,7 +190,7 @@ fn impulses_balance() {
         };
         let initial = random_state(&rod, 0.1, 0.5, &mut Dice(52));
         let (mut linear, mut angular) = (linear_momentum(&initial), angular_momentum(&initial));
-        let mut integrator = Integrator::new(&rod, h, initial);
+        let mut integrator = Stepper::new(&rod, h, initial);
         let mut size: f64 = 0.0;
         for k in 0..2000 {
             let [start, end] = Clock::from(h).ends_of_step(k);
@@ -202,7 +202,7 @@ fn impulses_balance() {
             let (f, m) = impulse(&integrator.state().configuration, &end);
             linear += f;
             angular += m;
-            let state = integrator.state();
+            let state = &integrator.state();
             // Elastic forces of opposite sign and this size cancel in the sums.
             size = size.max(state.linear_momentum.iter().map(Vector3::norm).sum());
             assert!((linear_momentum(state) - linear).norm() < 1e-12 * size.max(1.0));

@@ -7,6 +7,7 @@ use common::{
     random_tangent, random_trajectory, soft_arm,
 };
 use nalgebra::{DMatrix, Vector3};
+use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
     Motion, RightHandSide, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
@@ -17,7 +18,6 @@ use softarm::mechanics::{
     BaseCondition, ControlSignal, Energy, NodeWrenches, Rod, RodParameters, State, StateForm,
     StrainRule, TimeGrid, TimeScheme, Trajectory, TrajectoryTangent, Wrench,
 };
-use softarm::verify::ReferenceStepper as Integrator;
 
 fn free_rod(method: &Method, n_elements: usize) -> Rod {
     method.rod(RodParameters {
@@ -40,13 +40,13 @@ fn momentum_is_conserved() {
         let rod = free_rod(&method, 6);
         let initial = random_state(&rod, 0.1, 0.5, &mut Dice(1));
         let (p0, l0) = (linear_momentum(&initial), angular_momentum(&initial));
-        let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
+        let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), initial);
         let mut farthest: f64 = 0.0;
         for _ in 0..n_steps {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
             farthest = farthest.max(integrator.state().configuration.positions[0].norm());
         }
-        let state = integrator.state();
+        let state = &integrator.state();
         // Rounding of 1e5 steps: about sqrt(1e5) 1e-16 of the momenta themselves, the angular one about the origin.
         let size: f64 = state.linear_momentum.iter().map(Vector3::norm).sum();
         assert!((linear_momentum(state) - p0).norm() < 1e-12 * size.max(p0.norm()));
@@ -73,12 +73,12 @@ fn energy_ripple(method: &Method, fraction: f64, time: f64) -> (f64, f64) {
     }
     let h = fraction * stable_step(&rod);
     let e0 = Energy::of(&rod, &initial).total();
-    let mut integrator = Integrator::new(&rod, h, initial);
+    let mut integrator = Stepper::new(&rod, h, initial);
     let mut ripple: f64 = 0.0;
     let n = (time / h).round() as usize;
     for _ in 0..n {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
-        ripple = ripple.max((Energy::of(&rod, integrator.state()).total() - e0).abs());
+        ripple = ripple.max((Energy::of(&rod, &integrator.state()).total() - e0).abs());
     }
     (ripple / e0, e0)
 }
@@ -172,7 +172,7 @@ fn integrate(
 ) -> (Trajectory, State) {
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
     trajectory.push(&initial.configuration);
-    let mut integrator = Integrator::new(rod, grid.step, initial.clone());
+    let mut integrator = Stepper::new(rod, grid.step, initial.clone());
     for k in 0..grid.n_steps {
         integrator
             .advance([control.at(k), control.at(k + 1)])
@@ -338,7 +338,7 @@ fn heavy_damping_has_the_right_sign() {
             let (rod, h) = damped_rod(&method, parameters(gravity), 0.5, damping);
             let rest = rod.rest.clone();
             let initial = rod.rigid_motion(rest, &Vector3::zeros(), &velocity, &Vector3::zeros());
-            let mut integrator = Integrator::new(&rod, h, initial);
+            let mut integrator = Stepper::new(&rod, h, initial);
             let decay = ((1.0 - 0.5 * damping) / (1.0 + 0.5 * damping)).abs();
             let terminal = gravity * (h / damping);
             let mut apart = (velocity - terminal).norm();
@@ -612,7 +612,7 @@ fn motion_is_reversible() {
         let rod = method.rod(soft_arm(rule, 6));
         let initial = random_state(&rod, 0.05, 0.5, &mut Dice(21));
         let h = 0.5 * stable_step(&rod);
-        let mut there = Integrator::new(&rod, h, initial.clone());
+        let mut there = Stepper::new(&rod, h, initial.clone());
         for _ in 0..500 {
             there.advance([NodeWrenches::NONE; 2]).unwrap();
         }
@@ -622,11 +622,11 @@ fn motion_is_reversible() {
             .iter_mut()
             .chain(&mut turned.angular_momentum)
             .for_each(|p| *p = -*p);
-        let mut back = Integrator::new(&rod, h, turned);
+        let mut back = Stepper::new(&rod, h, turned);
         for _ in 0..500 {
             back.advance([NodeWrenches::NONE; 2]).unwrap();
         }
-        let state = back.state();
+        let state = &back.state();
         for (x, x0) in state
             .configuration
             .positions
@@ -662,7 +662,7 @@ fn dynamics_is_objective() {
         moved.loads[0].moment = turn * parameters.loads[0].moment;
         let run = |p: &RodParameters| {
             let rod = Rod::new(p).unwrap();
-            let mut integrator = Integrator::new(
+            let mut integrator = Stepper::new(
                 &rod,
                 0.5 * stable_step(&rod),
                 State::at_rest(rod.rest.clone()),

@@ -18,7 +18,7 @@ use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::sensitivity::transition;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, Integrator, NodeWrenches, Rod, RodParameters, SectionProfile, State, TimeGrid,
+    ControlSignal, NodeWrenches, Rod, RodParameters, SectionProfile, State, Stepper, TimeGrid,
     Trajectory, Wrench,
 };
 use softarm::sqp::{SqpSettings, SqpStatus, solve};
@@ -32,7 +32,7 @@ fn states(
     added: Option<(usize, Wrench)>,
     end: usize,
 ) -> (Trajectory, Vec<State>) {
-    let mut integrator = Integrator::resume(rod, h, from.clone(), start);
+    let mut integrator = Stepper::resume(rod, h, from.clone(), start);
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), end + 1 - start);
     let mut out = vec![from.clone()];
     trajectory.push(&from.configuration);

@@ -4,16 +4,16 @@ mod common;
 
 use common::{Dice, RULES, busy_arm, methods, random_state, soft_arm};
 use nalgebra::{DMatrix, DVector, Vector3};
+use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::angular_momentum;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::linearization::{Motion, StateTangent, StepLinearization};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    BaseCondition, Energy, Material, NodeWrenches, Rod, RodModel, RodParameters, Section,
-    SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
+    BaseCondition, Energy, LaneIntegrator, Material, NodeWrenches, Rod, RodModel, RodParameters,
+    Section, SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
 };
-use softarm::verify::ReferenceStepper as Integrator;
 
 const SCHEMES: [TimeScheme; 2] = [TimeScheme::Explicit, TimeScheme::Implicit];
 
@@ -188,7 +188,7 @@ fn swing(
         initial.angular_momentum[q] =
             (direction.rotations[q] * speed).component_mul(&rod.nodes[q].rotary);
     }
-    let mut integrator = Integrator::new(rod, h, initial);
+    let mut integrator = Stepper::new(rod, h, initial);
     (0..n)
         .map(|_| {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -257,12 +257,12 @@ fn stiff_wire_swings_until_bending_limits_the_step() {
     let start = Energy::of(&rod, &initial);
     let h = automatic_step(&rod);
     assert!(h > 50.0 * stable_step(&rod));
-    let mut integrator = Integrator::new(&rod, h, initial.clone());
+    let mut integrator = Stepper::new(&rod, h, initial.clone());
     let mut kinetic: f64 = start.kinetic;
     let (mut departure, mut sideways, mut bend): (f64, f64, f64) = (0.0, 0.0, 0.0);
     for _ in 0..(0.2 / h) as usize {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
-        let energy = Energy::of(&rod, integrator.state());
+        let energy = Energy::of(&rod, &integrator.state());
         kinetic = kinetic.max(energy.kinetic);
         departure = departure.max((energy.total() - start.total()).abs());
         let shape = &integrator.state().configuration;
@@ -278,10 +278,10 @@ fn stiff_wire_swings_until_bending_limits_the_step() {
     let moment = element.angular_stiffness.x * bend / element.length;
     let limit = 2.0 * (rod.nodes[1].rotary.x / moment).sqrt();
     assert!(h < limit && limit < 8.0 * h, "{h}, {limit}");
-    let mut integrator = Integrator::new(&rod, 8.0 * h, initial);
+    let mut integrator = Stepper::new(&rod, 8.0 * h, initial);
     let outcome = (0..(0.2 / (8.0 * h)) as usize)
         .try_for_each(|_| integrator.advance([NodeWrenches::NONE; 2]));
-    let end = Energy::of(&rod, integrator.state()).total();
+    let end = Energy::of(&rod, &integrator.state()).total();
     assert!(outcome.is_err() || end - start.total() > kinetic, "{end} J");
 }
 
@@ -351,7 +351,7 @@ fn damped_arm_comes_to_rest_in_its_equilibrium() {
             TimeScheme::Explicit => 0.5 * stable_step(&rod),
             TimeScheme::Implicit => 0.02,
         };
-        let mut integrator = Integrator::new(&rod, h, State::at_rest(rod.rest.clone()));
+        let mut integrator = Stepper::new(&rod, h, State::at_rest(rod.rest.clone()));
         let end = 22.0;
         for _ in 0..(end / h) as usize {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -393,11 +393,11 @@ fn rigid_rotation_is_not_damped() {
                     Energy::of(&rod, &initial).total(),
                     angular_momentum(&initial),
                 );
-                let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), initial);
+                let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), initial);
                 for _ in 0..3000 {
                     integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
-                let state = integrator.state();
+                let state = &integrator.state();
                 let change = Energy::of(&rod, state).total() / e0 - 1.0;
                 assert!(change.abs() < loss, "{rule:?} {scheme:?} {spin}: {change}");
                 let drift = (angular_momentum(state) - l0).norm() / l0.norm();
@@ -421,11 +421,11 @@ fn energy_decays() {
             let energies = |tau: f64, fraction: f64| -> Vec<f64> {
                 let rod = Rod::new(&parameters(tau)).unwrap();
                 let initial = random_state(&rod, 0.01, 0.05, &mut Dice(31));
-                let mut integrator = Integrator::new(&rod, fraction * stable_step(&rod), initial);
+                let mut integrator = Stepper::new(&rod, fraction * stable_step(&rod), initial);
                 (0..1500)
                     .map(|_| {
                         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
-                        Energy::of(&rod, integrator.state()).total()
+                        Energy::of(&rod, &integrator.state()).total()
                     })
                     .collect()
             };
@@ -467,7 +467,7 @@ fn schemes_meet() {
                 .unwrap();
                 let n = 400 * refinement;
                 let mut integrator =
-                    Integrator::new(&rod, 0.2 / n as f64, State::at_rest(rod.rest.clone()));
+                    Stepper::new(&rod, 0.2 / n as f64, State::at_rest(rod.rest.clone()));
                 for _ in 0..n {
                     integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
@@ -500,7 +500,7 @@ fn impossible_steps_are_refused() {
     for (q, node) in rod.nodes.iter().enumerate() {
         whirling.angular_momentum[q] = Vector3::new(0.0, 0.0, 1e5).component_mul(&node.rotary);
     }
-    let error = Integrator::new(&rod, 1e-2, whirling)
+    let error = Stepper::new(&rod, 1e-2, whirling)
         .advance([NodeWrenches::NONE; 2])
         .unwrap_err();
     assert!(
@@ -512,7 +512,7 @@ fn impossible_steps_are_refused() {
     );
     let mut broken = State::at_rest(rod.rest.clone());
     broken.linear_momentum[2].x = f64::NAN;
-    let error = Integrator::new(&rod, 1e-2, broken)
+    let error = Stepper::new(&rod, 1e-2, broken)
         .advance([NodeWrenches::NONE; 2])
         .unwrap_err();
     assert!(matches!(error, StepError::NotFinite { .. }), "{error}");
@@ -534,8 +534,8 @@ fn impossible_steps_are_refused() {
     }
 }
 
-/// Large rotations do not hinder Newton's method: an arm that falls from the horizontal takes five iterations a step or fewer on
-/// average.
+/// Large rotations do not hinder steps that are solved for: factors that are kept gain a digit with every correction, so that 14 lead from nothing to
+/// rounding, and an arm that falls from the horizontal makes new ones in less than every fourth step.
 #[test]
 fn newton_takes_few_iterations() {
     for method in methods().filter(|method| method.scheme == TimeScheme::Implicit) {
@@ -545,10 +545,14 @@ fn newton_takes_few_iterations() {
             ..soft_arm(method.rule, 8)
         });
         let rest = State::at_rest(rod.rest.clone());
-        let mut integrator = Integrator::new(&rod, automatic_step(&rod), rest);
+        let mut integrator = LaneIntegrator::new(&rod, automatic_step(&rod), &rest);
         for _ in 0..200 {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         }
-        assert!(integrator.newton_iterations() <= 1000, "{method:?}");
+        let work = integrator.solver_work();
+        assert!(
+            work.corrections <= 200 * 14 && work.factorizations <= 200 / 4,
+            "{method:?} {work:?}"
+        );
     }
 }

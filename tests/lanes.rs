@@ -13,7 +13,7 @@ use softarm::mechanics::{
     BaseCondition, BaseMotion, ControlSignal, LaneIntegrator, Material, MotionCurve, NodeWrenches,
     Rod, RodModel, RodParameters, Section, SectionProfile, State, StepError, TimeScheme, Wrench,
 };
-use softarm::verify::ReferenceStepper as Integrator;
+use softarm::verify::ReferenceStepper;
 
 fn largest(v: &[Vector3<f64>]) -> f64 {
     v.iter().map(Vector3::norm).fold(0.0, f64::max)
@@ -49,7 +49,7 @@ fn difference_to(rod: &Rod, a: &State, b: &State, [linear, angular]: [f64; 2]) -
 
 /// Both integrators from the same state under the same controls; the largest difference along the way.
 fn run_both(rod: &Rod, h: f64, initial: &State, n_steps: usize, dice: &mut Dice) -> f64 {
-    let mut plain = Integrator::new(rod, h, initial.clone());
+    let mut plain = ReferenceStepper::new(rod, h, initial.clone());
     let mut lanes = LaneIntegrator::new(rod, h, initial);
     let mut largest = difference(rod, plain.state(), &lanes.state());
     let size = rod.scales.force;
@@ -218,7 +218,7 @@ fn run_quietly(
     n_steps: usize,
     dice: &mut Dice,
 ) -> (f64, usize) {
-    let mut plain = Integrator::new(rod, h, initial.clone());
+    let mut plain = ReferenceStepper::new(rod, h, initial.clone());
     let mut lanes = LaneIntegrator::new(rod, h, initial);
     let wrench = Wrench {
         force: dice.vector(0.1 * rod.scales.force),
@@ -329,7 +329,7 @@ fn violent_implicit_steps_have_the_solution_of_the_plain_integrator() {
             }];
             let nodes = [rod.tip()];
             let control = NodeWrenches::on(&nodes, &push);
-            let mut plain = Integrator::resume(&rod, h, lanes.state(), step);
+            let mut plain = ReferenceStepper::resume(&rod, h, lanes.state(), step);
             let outcomes = [plain.advance([control; 2]), lanes.advance([control; 2])];
             assert_eq!(outcomes[0].is_ok(), outcomes[1].is_ok(), "{seed} {step}");
             if outcomes[0].is_err() {
@@ -370,7 +370,7 @@ fn failures_of_solved_steps_are_those_of_the_plain_integrator() {
                     force: Vector3::new(0.1, 0.2, 0.0),
                     moment: Vector3::new(moment, 0.0, 0.0),
                 };
-                let mut plain = Integrator::new(&rod, h, rest.clone());
+                let mut plain = ReferenceStepper::new(&rod, h, rest.clone());
                 let mut lanes = LaneIntegrator::new(&rod, h, &rest);
                 let mut errors = [None, None];
                 for step in 0..200 {
@@ -462,7 +462,7 @@ fn momenta_and_orthogonality_last() {
 
 /// Advances both until they fail, and gives back their errors.
 fn errors(rod: &Rod, h: f64, initial: &State, control: Wrench) -> [StepError; 2] {
-    let mut plain = Integrator::new(rod, h, initial.clone());
+    let mut plain = ReferenceStepper::new(rod, h, initial.clone());
     let mut lanes = LaneIntegrator::new(rod, h, initial);
     let control = ControlSignal::tip(rod, vec![control]);
     let control = [control.at(0); 2];
@@ -529,7 +529,7 @@ fn a_collapsed_element_is_named() {
                     state.linear_momentum[node].z =
                         -0.99 * rod.rest_chords[element] * rod.nodes[node].mass / h;
                 }
-                let mut plain = Integrator::resume(&rod, h, state.clone(), first_step);
+                let mut plain = ReferenceStepper::resume(&rod, h, state.clone(), first_step);
                 let mut lanes = LaneIntegrator::resume(&rod, h, &state, first_step);
                 let errors = [
                     plain.advance([NodeWrenches::NONE; 2]).unwrap_err(),

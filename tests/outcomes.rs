@@ -18,7 +18,7 @@ use softarm::control::{
     Transcription, first_point,
 };
 use softarm::mechanics::rotation::log;
-use softarm::mechanics::{Integrator, State, Wrench};
+use softarm::mechanics::{State, Stepper, Wrench};
 use softarm::scene::Scene;
 use softarm::sqp::{SqpStatus, solve};
 use tempfile::TempDir;
@@ -274,7 +274,7 @@ impl Motion {
     fn replay(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Self {
         let control = problem.signal(&problem.control, coefficients);
         let (rod, grid) = (&problem.rod, problem.grid);
-        let mut integrator = Integrator::new(rod, grid.step, problem.initial.clone());
+        let mut integrator = Stepper::new(rod, grid.step, problem.initial.clone());
         let mut states = vec![problem.initial.clone()];
         for k in 0..grid.n_steps {
             if integrator

@@ -3,7 +3,7 @@
 #![cfg(feature = "cli")]
 
 use nalgebra::Vector3;
-use softarm::mechanics::{Integrator, NodeWrenches, RodModel, StrainRule};
+use softarm::mechanics::{NodeWrenches, RodModel, Stepper, StrainRule};
 use softarm::paper::{
     Comparison, Experiment, LongRun, Study, convergence, order, section_area, tip_at,
 };
@@ -44,7 +44,7 @@ fn position(scene: &'static str, elements: usize, t: f64, tip: bool) -> Vector3<
         )
         .unwrap();
     let rod = &simulation.rod;
-    let mut integrator = Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
+    let mut integrator = Stepper::new(rod, simulation.grid.step, simulation.initial.clone());
     for _ in 0..simulation.grid.n_steps {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
     }
@@ -132,7 +132,7 @@ fn sections_keep_their_volume() {
             )
             .unwrap();
         let rod = &simulation.rod;
-        let mut integrator = Integrator::new(rod, simulation.grid.step, simulation.initial.clone());
+        let mut integrator = Stepper::new(rod, simulation.grid.step, simulation.initial.clone());
         let mut stretch: f64 = 0.0;
         for _ in 0..simulation.grid.n_steps {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();

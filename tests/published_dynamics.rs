@@ -14,8 +14,8 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::{
-    Configuration, ControlSignal, Energy, Integrator, LoadFrame, NodeWrenches, Rod, RodModel,
-    RodParameters, SmallMotions, State, StrainRule, Wrench, stable_step,
+    Configuration, ControlSignal, Energy, LoadFrame, NodeWrenches, Rod, RodModel, RodParameters,
+    SmallMotions, State, Stepper, StrainRule, Wrench, stable_step,
 };
 
 /// Both sign choices, and moments kept in the body frame: second order at every time with h in proportion to l, an absolute
@@ -278,8 +278,7 @@ fn smooth_motion(rule: StrainRule, n: usize, end: f64, n_steps: usize) -> Config
         }
     };
     let control = ControlSignal::tip(&rod, (0..=n_steps).map(wrench).collect());
-    let mut integrator =
-        Integrator::new(&rod, end / n_steps as f64, State::at_rest(rod.rest.clone()));
+    let mut integrator = Stepper::new(&rod, end / n_steps as f64, State::at_rest(rod.rest.clone()));
     for k in 0..n_steps {
         integrator
             .advance([control.at(k), control.at(k + 1)])
@@ -376,7 +375,7 @@ fn a_million_steps() {
         let start = Energy::of(&rod, &initial).total();
         let h = 0.5 * stable_step(&rod);
         let allowed = 1.5 * energy_ripple(&rod, &initial, h);
-        let mut integrator = Integrator::new(&rod, h, initial);
+        let mut integrator = Stepper::new(&rod, h, initial);
         // Mean and largest deviation of the energy over each of a hundred stretches of 10 000 steps.
         let mut stretches = Vec::new();
         for _ in 0..100 {
@@ -385,7 +384,7 @@ fn a_million_steps() {
                 for _ in 0..10 {
                     integrator.advance([NodeWrenches::NONE; 2]).unwrap();
                 }
-                let off = Energy::of(&rod, integrator.state()).total() - start;
+                let off = Energy::of(&rod, &integrator.state()).total() - start;
                 sum += off / 1000.0;
                 ripple = ripple.max(off.abs());
             }

@@ -12,8 +12,8 @@ use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{
-    AUTO_STEP_FRACTION, BaseCondition, Energy, Integrator, LoadFrame, NodeWrenches, Rod,
-    RodParameters, SectionProfile, State, StrainRule, stable_step,
+    AUTO_STEP_FRACTION, BaseCondition, Energy, LoadFrame, NodeWrenches, Rod, RodParameters,
+    SectionProfile, State, Stepper, StrainRule, stable_step,
 };
 
 /// Every family: second order in l under both rules, an absolute tolerance from the lumped waves, and in bending the
@@ -111,14 +111,14 @@ fn stability_limit() {
                         initial.configuration.rotations[q] *= exp(&dice.vector(size));
                     }
                     let before = Energy::of(&rod, &initial).total();
-                    let mut integrator = Integrator::new(&rod, fraction * limit, initial);
+                    let mut integrator = Stepper::new(&rod, fraction * limit, initial);
                     let mut largest: f64 = 0.0;
                     for _ in 0..steps {
                         if integrator.advance([NodeWrenches::NONE; 2]).is_err() {
                             return f64::INFINITY;
                         }
                         largest =
-                            largest.max(Energy::of(&rod, integrator.state()).total() / before);
+                            largest.max(Energy::of(&rod, &integrator.state()).total() / before);
                     }
                     largest
                 };
@@ -197,7 +197,7 @@ fn waves_of_a_moment(tip_radius: f64, fraction: f64) -> [f64; 4] {
     .unwrap();
     let step = fraction * stable_step(&rod);
     let n_steps = 4 * (0.5 / step).ceil() as usize;
-    let mut integrator = Integrator::new(&rod, step, State::at_rest(rod.rest.clone()));
+    let mut integrator = Stepper::new(&rod, step, State::at_rest(rod.rest.clone()));
     let mut sums = [0.0; 4];
     for k in 0..n_steps {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();

@@ -17,7 +17,7 @@ use softarm::mechanics::sensitivity::{
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, FormTerm, Integrator, Rod, RodModel, RodParameters, State, StateForm, TimeGrid,
+    ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm, Stepper, TimeGrid,
     TimeScheme, Trajectory, Wrench,
 };
 
@@ -410,7 +410,7 @@ fn covectors_of_the_start_are_derivatives_of_the_simulation() {
 
         let simulate = |start: &State| {
             let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
-            let mut integrator = Integrator::new(&rod, grid, start.clone());
+            let mut integrator = Stepper::new(&rod, grid, start.clone());
             trajectory.push(&integrator.state().configuration);
             for _ in 0..grid.n_steps {
                 let still = ControlSignal::default();
@@ -565,7 +565,7 @@ fn forms_are_derivatives_of_the_simulation() {
                 }
                 let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
                 trajectory.push(&initial.configuration);
-                let mut integrator = Integrator::new(&rod, grid.step, initial.clone());
+                let mut integrator = Stepper::new(&rod, grid.step, initial.clone());
                 for k in 0..grid.n_steps {
                     integrator.advance([u.at(k), u.at(k + 1)]).unwrap();
                     trajectory.push(&integrator.state().configuration);

@@ -7,8 +7,8 @@ use common::{MODELS, RULES, SILICONE, busy_arm, equilibrium, soft_arm, tip_load}
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::vibration::{TOPPLING_WEIGHT_NUMBER, weight_number};
 use softarm::mechanics::{
-    BaseCondition, Integrator, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters,
-    RotaryInertia, Section, SectionProfile, SmallMotions, State, StrainRule, stable_step,
+    BaseCondition, LoadFrame, NodeInertia, NodeWrenches, Rod, RodParameters, RotaryInertia,
+    Section, SectionProfile, SmallMotions, State, Stepper, StrainRule, stable_step,
 };
 
 /// Of an arm so slender that shear and rotary inertia, which make an Euler-Bernoulli beam slower by `β² (1 + E/G) I/(2 A) = β² r²/2` or so,
@@ -336,7 +336,7 @@ fn columns_topple_at_the_computed_rate() {
         for (momentum, node) in state.linear_momentum.iter_mut().zip(&rod.nodes).skip(1) {
             momentum.x = 1e-9 * node.mass;
         }
-        let mut integrator = Integrator::new(&rod, step, state);
+        let mut integrator = Stepper::new(&rod, step, state);
         let mut deflection_after = |seconds: f64| {
             for _ in 0..(seconds / step).round() as usize {
                 integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -384,7 +384,7 @@ fn viscous_damping_of_velocities_and_of_swings() {
         let h = 0.2 * stable_step(&free);
         let (velocity, spin) = (Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.0, 0.0, 2.0));
         let initial = free.rigid_motion(free.rest.clone(), &Vector3::zeros(), &velocity, &spin);
-        let mut integrator = Integrator::new(&free, h, initial.clone());
+        let mut integrator = Stepper::new(&free, h, initial.clone());
         let n_steps = (3.0 / (c * h)) as usize;
         for _ in 0..n_steps {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -420,7 +420,7 @@ fn viscous_damping_of_velocities_and_of_swings() {
         let amplitude = 1e-3;
         let mut shape = rod.rest.clone();
         shape.positions[1].z += amplitude;
-        let mut integrator = Integrator::new(&rod, h, State::at_rest(shape));
+        let mut integrator = Stepper::new(&rod, h, State::at_rest(shape));
         let n_steps = (3.0 / (c * h)) as usize;
         for k in 1..=n_steps {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();

@@ -10,9 +10,10 @@ use softarm::mechanics::linearization::{
 use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, FormTerm, Integrator, LaneIntegrator, Rod, State, StateForm, TimeGrid,
-    Trajectory, Wrench,
+    ControlSignal, FormTerm, LaneIntegrator, Rod, State, StateForm, Stepper, TimeGrid, Trajectory,
+    Wrench,
 };
+use softarm::verify::ReferenceStepper;
 
 pub fn median(runs: usize, work: impl FnMut()) -> f64 {
     sorted_times(runs, work)[runs / 2]
@@ -126,7 +127,18 @@ pub fn simulate_lanes(start: &LaneIntegrator, control: &ControlSignal, n_steps: 
     divan::black_box(integrator.position(0));
 }
 
-pub fn simulate(start: &Integrator, control: &ControlSignal, n_steps: usize) {
+pub fn simulate(start: &Stepper, control: &ControlSignal, n_steps: usize) {
+    let mut integrator = start.clone();
+    for _ in 0..n_steps {
+        integrator
+            .advance([control.at(0); 2])
+            .expect("a stable step");
+    }
+    divan::black_box(&integrator.state());
+}
+
+/// The same by the integrator of the check.
+pub fn simulate_reference(start: &ReferenceStepper, control: &ControlSignal, n_steps: usize) {
     let mut integrator = start.clone();
     for _ in 0..n_steps {
         integrator

@@ -14,8 +14,8 @@ use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::sensitivity::{adjoint, direction};
 use crate::mechanics::strain::ElementPose;
 use crate::mechanics::{
-    ControlSignal, Integrator, NodeWrenches, Rod, RodModel, State, StateForm, StepError, Stepper,
-    TimeGrid, Trajectory, Wrench,
+    ControlSignal, NodeWrenches, Rod, RodModel, State, StateForm, StepError, Stepper, TimeGrid,
+    Trajectory, Wrench,
 };
 
 /// What sums of thousands of products may lose, relative to the largest entry, and forces of a wire to the cancellation of its
@@ -133,14 +133,14 @@ fn two_steps(
     let nodes = [rod.tip()];
     let wrenches = [*wrench];
     let control = NodeWrenches::on(&nodes, &wrenches);
-    let mut integrator = Integrator::new(rod, time_step, state.clone());
+    let mut integrator = Stepper::new(rod, time_step, state.clone());
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), STEPS + 1);
     trajectory.push(&integrator.state().configuration);
     for _ in 0..STEPS {
         integrator.advance([control; 2])?;
         trajectory.push(&integrator.state().configuration);
     }
-    Ok((trajectory, integrator.state().clone()))
+    Ok((trajectory, integrator.state()))
 }
 
 fn two_step_grid(time_step: f64) -> TimeGrid {

@@ -14,10 +14,10 @@ use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Trajectory;
-use super::integrator::TimeGrid;
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::exp;
+use super::time::TimeGrid;
 
 /// The arm at one instant, as terms and actuators of one's own see it.
 #[derive(Clone, Copy, Debug)]

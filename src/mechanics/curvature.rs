@@ -26,11 +26,11 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::configuration::{Trajectory, TrajectoryTangent};
 use super::implicit::IntervalWeights;
-use super::integrator::StepError;
 use super::linearization::{AdjointSweep, Motion, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
 use super::rotation::{exp, hat};
+use super::step_error::StepError;
 use super::strain::{
     Element, ElementPose, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative,
     StrainRule,

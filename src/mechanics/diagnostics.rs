@@ -31,11 +31,11 @@ use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::{InertiaRule, momentum_after, momentum_before};
-use super::integrator::TimeNode;
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::cay_inverse;
 use super::strain::{Element, ElementPose, IntervalStress, StrainRule};
+use super::time::TimeNode;
 
 /// Force and moment on the whole rod, both spatial, the moment about the origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::integrator::{TimeNode, TimeScheme};
 use super::rod::Rod;
+use super::time::{TimeNode, TimeScheme};
 
 /// Force (spatial, N) and moment (body frame, N m) on every node.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::integrator::TimeNode;
+use super::time::TimeNode;
 
 /// A force and a moment on a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

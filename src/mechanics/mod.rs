@@ -58,8 +58,6 @@ pub mod implicit;
 #[doc(hidden)]
 pub mod inertia;
 #[doc(hidden)]
-pub mod integrator;
-#[doc(hidden)]
 pub mod lanes;
 #[doc(hidden)]
 pub mod linearization;
@@ -109,7 +107,6 @@ pub use energy_norm::EnergyNorm;
 pub use equilibrium::{EquilibriumError, TipSpring, static_equilibrium, static_equilibrium_until};
 #[doc(hidden)]
 pub use forms::{FormTerm, StateForm};
-pub use integrator::{Clock, Integrator, StepError, TimeGrid, TimeNode, TimeScheme};
 #[doc(hidden)]
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
@@ -120,9 +117,11 @@ pub use rod::{
 };
 pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
+pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
 pub use strain::StrainRule;
 pub use swept::SweptSurface;
 pub use tangent::Stability;
+pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};
 pub use vibration::SmallMotions;

@@ -6,10 +6,10 @@ use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
 use super::constitutive::RodModel;
 use super::forces::NodalForces;
-use super::integrator::TimeScheme;
 use super::load::{DistributedLoad, Load, Wrench};
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
 use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
+use super::time::TimeScheme;
 
 pub use super::section::{Material, Section, SectionProfile};
 

@@ -2,9 +2,9 @@
 
 use super::actuator::{Acting, StateView};
 use super::configuration::Trajectory;
-use super::integrator::TimeGrid;
 use super::load::Wrench;
 use super::rod::Rod;
+use super::time::TimeGrid;
 
 /// Wrenches on some nodes at one time node. On a node that is held or driven they have no effect.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -2,9 +2,9 @@
 
 use nalgebra::SMatrix;
 
-use super::integrator::TimeScheme;
 use super::rod::Rod;
 use super::strain::ElementStiffness;
+use super::time::TimeScheme;
 
 /// Largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the
 /// highest frequency of any single element carrying its own share of the nodes' inertia.

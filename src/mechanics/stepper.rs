@@ -1,4 +1,23 @@
-//! The integrator that simulations use.
+//! The Lie group variational integrator, explicit; [`implicit`](super::implicit) is its counterpart for stiff arms.
+//!
+//! The discrete Lagrangian pairs the kinetic energy of the interval with the potential at both of its ends (half
+//! weight each), so one step is: half a kick, a drift, half a kick (the paper's equations (77) and (81) after the
+//! discrete Legendre transform). With damping rate `c` and `a = c h/2`:
+//!
+//! ```text
+//! p½ = (p + h/2 f) / (1 + a)            g  = (π + h/2 τ) / (1 + a)
+//! x⁺ = x + h p½ / m                     (1/h) vee(F J_d - J_d Fᵀ) = g,   R⁺ = R F
+//! p⁺ = (1 - a) p½ + h/2 f⁺              π⁺ = (1 - a) Fᵀ g + h/2 τ⁺
+//! ```
+//!
+//! Where the inertia follows the dilatation, [`InertiaRule`](super::inertia::InertiaRule) says which dilatation a step uses.
+//!
+//! The damping force is that of the interval's own velocity, split over both ends: second order, symmetric, and it
+//! does not shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial
+//! velocities and rest at the end are exact to second order.
+//!
+//! [`lanes`](super::lanes) take these steps, several nodes at a time. The check has an integrator of its own
+//! ([`ReferenceStepper`](crate::verify::ReferenceStepper)) in the form in which the paper has the equations.
 
 use nalgebra::Vector3;
 

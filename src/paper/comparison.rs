@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::rotation::cay_inverse;
-use crate::mechanics::{Configuration, Integrator, NodeWrenches, Rod, RodModel, StepError};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, RodModel, StepError, Stepper};
 use crate::scene::Simulation;
 
 /// The three sums of equation (86), J, for the interval from time node `k` on.
@@ -145,7 +145,7 @@ impl Comparison {
     }
 
     fn observe(&mut self, [standard, modified]: &[Running; 2], time: f64, then: bool) {
-        let [e_s, e_m] = [standard, modified].map(|r| r.rod.dilatation(r.positions()));
+        let [e_s, e_m] = [standard, modified].map(|r| r.rod.dilatation(&r.positions()));
         for (element, &value) in e_m.iter().enumerate() {
             let here = Instant {
                 value,
@@ -194,7 +194,7 @@ fn widen(greatest: &mut f64, value: f64) {
 struct Running<'a> {
     rod: &'a Rod,
     step: f64,
-    integrator: Integrator<'a>,
+    integrator: Stepper<'a>,
     before: Configuration,
 }
 
@@ -204,13 +204,13 @@ impl<'a> Running<'a> {
         Self {
             rod: &simulation.rod,
             step,
-            integrator: Integrator::new(&simulation.rod, step, simulation.initial.clone()),
+            integrator: Stepper::new(&simulation.rod, step, simulation.initial.clone()),
             before: simulation.initial.configuration.clone(),
         }
     }
 
-    fn positions(&self) -> &[Vector3<f64>] {
-        &self.integrator.state().configuration.positions
+    fn positions(&self) -> Vec<Vector3<f64>> {
+        self.integrator.state().configuration.positions
     }
 
     /// One step; its discrete energy.

@@ -6,7 +6,7 @@
 use nalgebra::Matrix3;
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, NodeWrenches, RodModel, Trajectory};
+use crate::mechanics::{NodeWrenches, RodModel, Stepper, Trajectory};
 
 const SCENE: &str = "paper-convergence";
 const SAMPLE_PERIOD: f64 = 1e-3;
@@ -132,7 +132,7 @@ fn sample(
     posed.end = end;
     let (rod, grid, start) = posed.discretize()?;
     let every = ((SAMPLE_PERIOD / grid.step).round() as usize).max(1);
-    let mut integrator = Integrator::new(&rod, grid.step, start);
+    let mut integrator = Stepper::new(&rod, grid.step, start);
     let mut samples = Trajectory::with_capacity(parts + 1, grid.n_steps / every + 1);
     for k in 0..=grid.n_steps {
         if k % every == 0 {

@@ -1,7 +1,7 @@
 //! The third experiment beyond its printed numbers: locking of the strain rule, and the breakdown of the model `dilatation` on fine grids.
 
 use super::{PaperError, Study};
-use crate::mechanics::{Integrator, NodeWrenches, RodModel, StepError, StrainRule};
+use crate::mechanics::{NodeWrenches, RodModel, StepError, Stepper, StrainRule};
 
 const SCENE: &str = "paper-bending-stretching";
 
@@ -35,7 +35,7 @@ pub fn tip_at(
             posed.discretization.elements = elements;
             posed.end = time;
             let (rod, grid, start) = posed.discretize()?;
-            let mut integrator = Integrator::new(&rod, grid.step, start);
+            let mut integrator = Stepper::new(&rod, grid.step, start);
             for _ in 0..grid.n_steps {
                 advance(&mut integrator)?;
             }
@@ -101,13 +101,13 @@ pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<Blo
             posed.discretization.step = Some(step);
             let (rod, grid, start) = posed.discretize()?;
             let rod = &rod;
-            let mut integrator = Integrator::new(rod, grid.step, start);
+            let mut integrator = Stepper::new(rod, grid.step, start);
             let unloaded = super::Experiment::BendingStretching.unloaded();
             let mut energies = Vec::new();
             let mut failure = None;
             for k in 0..grid.n_steps {
                 if k % GLANCE == 0 && grid.time(k) >= unloaded {
-                    energies.push(crate::mechanics::Energy::of(rod, integrator.state()).total());
+                    energies.push(crate::mechanics::Energy::of(rod, &integrator.state()).total());
                 }
                 failure = integrator.advance([NodeWrenches::NONE; 2]).err();
                 if failure.is_some() {
@@ -127,7 +127,7 @@ pub fn blow_up(study: &Study, runs: &[(RodModel, usize, f64)]) -> Result<Vec<Blo
         .collect()
 }
 
-fn advance(integrator: &mut Integrator) -> Result<(), PaperError> {
+fn advance(integrator: &mut Stepper) -> Result<(), PaperError> {
     integrator
         .advance([NodeWrenches::NONE; 2])
         .map_err(|error| PaperError::Step {

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{DVector, Matrix3, Vector3};
+use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{cay, exp, log, orthonormalized};
@@ -12,7 +13,6 @@ use softarm::mechanics::{
     RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring, stable_step,
     static_equilibrium,
 };
-use softarm::verify::ReferenceStepper as Integrator;
 
 use super::{Dice, busy_arm, random_state, soft_arm, stiffness, tip_load};
 
@@ -93,7 +93,7 @@ pub fn same_in_other_units(law: Law, units: [i32; 3]) -> bool {
     let run = |units: [i32; 3]| {
         let rod = in_other_units(law, units);
         let rest = State::at_rest(rod.rest.clone());
-        let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), rest);
+        let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), rest);
         for _ in 0..200 {
             integrator.advance([NodeWrenches::NONE; 2]).unwrap();
         }
@@ -157,7 +157,7 @@ pub fn arc_errors(
     }
     let tip = arc.positions[n_elements];
     let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
-    let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), State::at_rest(arc));
+    let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), State::at_rest(arc));
     for _ in 0..200 {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
     }
@@ -203,7 +203,7 @@ pub fn compliance(law: Law, force: f64) -> Result<f64, StepError> {
         },
     );
     let rest = State::at_rest(rod.rest.clone());
-    let mut integrator = Integrator::new(&rod, 0.5 * stable_step(&rod), rest);
+    let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), rest);
     for _ in 0..300 {
         integrator.advance([NodeWrenches::NONE; 2])?;
     }
@@ -254,7 +254,7 @@ pub fn drift(
 ) -> Result<Drift, StepError> {
     let (p, l) = (linear_momentum(&initial), angular_momentum(&initial));
     let energy = Energy::of(rod, &initial).total();
-    let mut integrator = Integrator::new(rod, time_step, initial);
+    let mut integrator = Stepper::new(rod, time_step, initial);
     let mut farthest: f64 = 0.0;
     let mut out = Drift {
         linear: 0.0,
@@ -265,7 +265,7 @@ pub fn drift(
     for k in 0..n_steps {
         integrator.advance([NodeWrenches::NONE; 2])?;
         if k % 16 == 0 || k + 1 == n_steps {
-            let state = integrator.state();
+            let state = &integrator.state();
             for x in &state.configuration.positions {
                 farthest = farthest.max(x.norm());
             }
@@ -276,7 +276,7 @@ pub fn drift(
             out.energy = out.energy.max((now / energy - 1.0).abs());
         }
     }
-    let state = integrator.state();
+    let state = &integrator.state();
     let size: f64 = state.linear_momentum.iter().map(Vector3::norm).sum();
     out.linear = (linear_momentum(state) - p).norm() / size;
     out.angular = (angular_momentum(state) - l).norm() / (size * farthest);
@@ -347,12 +347,13 @@ pub fn spin_error(rule: StrainRule, level: f64) -> Result<f64, StepError> {
     }
     // (1/h) vee(F J_d - J_d Fᵀ) = J sin(θ)/h about a principal axis
     let angle = (level * rod.nodes[0].rotary.min() / rod.nodes[0].rotary.z).asin();
-    let mut integrator = Integrator::new(&rod, h, initial);
+    let mut integrator = Stepper::new(&rod, h, initial);
     for _ in 0..100 {
         integrator.advance([NodeWrenches::NONE; 2])?;
     }
     let expected = exp(&Vector3::new(0.0, 0.0, (100.0 * angle) % (2.0 * PI)));
-    let errors = (integrator.state().configuration.rotations.iter()).map(|r| (r - expected).norm());
+    let state = integrator.state();
+    let errors = (state.configuration.rotations.iter()).map(|r| (r - expected).norm());
     Ok(errors.fold(0.0, f64::max))
 }
 
@@ -417,13 +418,13 @@ pub fn fold(law: Law, excess: f64) -> (Option<StepError>, f64) {
         momentum.x = sign * 0.5 * rate;
     }
     let energy = Energy::of(&rod, &initial).total();
-    let mut integrator = Integrator::new(&rod, 0.02 * stable_step(&rod), initial);
+    let mut integrator = Stepper::new(&rod, 0.02 * stable_step(&rod), initial);
     let mut worst: f64 = 0.0;
     for _ in 0..20_000 {
         if let Err(error) = integrator.advance([NodeWrenches::NONE; 2]) {
             return (Some(error), worst);
         }
-        let now = Energy::of(&rod, integrator.state()).total();
+        let now = Energy::of(&rod, &integrator.state()).total();
         worst = worst.max((now / energy - 1.0).abs());
     }
     (None, worst)
@@ -446,7 +447,7 @@ pub fn release(law: Law, start: f64, fraction: f64, n_steps: usize) -> Result<St
     let mut initial = State::at_rest(rod.rest.clone());
     initial.configuration.positions[1] *= start;
     let energy = Energy::of(&rod, &initial).total();
-    let mut integrator = Integrator::new(&rod, fraction * stable_step(&rod), initial);
+    let mut integrator = Stepper::new(&rod, fraction * stable_step(&rod), initial);
     let mut out = Stretch {
         energy: 0.0,
         least: start,
@@ -454,7 +455,7 @@ pub fn release(law: Law, start: f64, fraction: f64, n_steps: usize) -> Result<St
     };
     for _ in 0..n_steps {
         integrator.advance([NodeWrenches::NONE; 2])?;
-        let state = integrator.state();
+        let state = &integrator.state();
         let e = rod.dilatation(&state.configuration.positions)[0];
         out.least = out.least.min(e);
         out.largest = out.largest.max(e);
@@ -492,13 +493,13 @@ pub fn growth(law: Law, fraction: f64, n_steps: usize) -> (f64, Option<StepError
     let rod = rod_of(law, soft_arm(law.0, 6));
     let initial = random_state(&rod, 1e-9, 0.0, &mut Dice(41));
     let energy = Energy::of(&rod, &initial).total();
-    let mut integrator = Integrator::new(&rod, fraction * assembled_limit(&rod), initial);
+    let mut integrator = Stepper::new(&rod, fraction * assembled_limit(&rod), initial);
     let mut largest: f64 = 1.0;
     for _ in 0..n_steps {
         if let Err(error) = integrator.advance([NodeWrenches::NONE; 2]) {
             return (largest, Some(error));
         }
-        largest = largest.max(Energy::of(&rod, integrator.state()).total() / energy);
+        largest = largest.max(Energy::of(&rod, &integrator.state()).total() / energy);
     }
     (largest, None)
 }

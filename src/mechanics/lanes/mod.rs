@@ -1,8 +1,5 @@
-//! The [`Integrator`](super::integrator::Integrator), several nodes at a time.
-//!
-//! The same steps, with unit quaternions for rotations: an order of magnitude faster, equal to rounding, and the same to
-//! the bit on every instruction set. The [`Integrator`](super::integrator::Integrator) is its clear counterpart and
-//! test oracle.
+//! The [step](super::stepper), several nodes at a time, with unit quaternions for rotations: the same to the bit on every instruction set.
+//! The tests hold it against the check's [`ReferenceStepper`](crate::verify::ReferenceStepper).
 
 mod base;
 mod constants;
@@ -44,17 +41,18 @@ use super::constitutive::RodModel;
 use super::forces::NodalForces;
 use super::guards::approach_base;
 use super::inertia::InertiaRule;
-use super::integrator::{Clock, StepError};
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::{from_quaternion, quaternion};
 use super::signal::NodeWrenches;
+use super::step_error::StepError;
 use super::strain::StrainRule;
+use super::time::Clock;
 
 /// Steps between normalizations of the quaternions; each product changes their length by rounding only.
 const NORMALIZE_EVERY: usize = 16;
 
-/// Advances a rod in time, like [`Integrator`](super::integrator::Integrator).
+/// Advances a rod in time.
 #[derive(Clone, Debug)]
 pub struct LaneIntegrator<'a> {
     rod: &'a Rod,

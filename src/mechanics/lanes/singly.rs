@@ -4,9 +4,9 @@ use nalgebra::{Quaternion, Vector3};
 
 use super::place::{Place, Slots};
 use super::sweep::TurnSingly;
-use crate::mechanics::integrator::solve_rotation;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::{cay, cayley_quaternion};
+use crate::mechanics::rotation_step::solve_rotation;
 
 pub fn wxyz(q: &Quaternion<f64>) -> [f64; 4] {
     [q.w, q.i, q.j, q.k]

@@ -268,6 +268,7 @@ impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
             left = right;
             right = next;
         }
+        self.sum = self.sum + (pull + twist).sum();
         let block = &mut self.blocks[0];
         (Vec3::load(simd, block, FORCE) - pull.previous_lane()).store(block, FORCE);
         (Vec3::load(simd, block, MOMENT) - twist.previous_lane()).store(block, MOMENT);

@@ -132,8 +132,8 @@ fn inverse_of_one_minus<S: Simd>(x: Lanes<S>) -> Lanes<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mechanics::integrator::solve_rotation;
     use crate::mechanics::rotation::cay;
+    use crate::mechanics::rotation_step::solve_rotation;
     use nalgebra::Vector3;
     use proptest::prelude::*;
     use pulp::Scalar;

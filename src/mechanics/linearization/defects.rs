@@ -6,9 +6,9 @@ use crate::mechanics::actuator::StateView;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::inertia::{InertiaRule, momentum_after, momentum_before};
-use crate::mechanics::integrator::StepError;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::signal::ControlSignal;
+use crate::mechanics::step_error::StepError;
 
 use super::{Kick, Motion, StateTangent};
 

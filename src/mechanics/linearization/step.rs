@@ -9,10 +9,11 @@ use crate::mechanics::implicit::{IntervalWeights, join, scatter, spin_inertia, s
 use crate::mechanics::inertia::{
     InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
 };
-use crate::mechanics::integrator::{StepError, TimeScheme};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::{cay_tangent, hat};
+use crate::mechanics::step_error::StepError;
 use crate::mechanics::strain::ElementStiffness;
+use crate::mechanics::time::TimeScheme;
 
 use super::defects::{Interval, interval_error};
 use super::{Kick, Motion, StateTangent};

@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 
 use crate::mechanics::configuration::{Trajectory, TrajectoryTangent};
 use crate::mechanics::forms::{StateForm, forms_at};
-use crate::mechanics::integrator::StepError;
 use crate::mechanics::load::Wrench;
 use crate::mechanics::signal::ControlSignal;
+use crate::mechanics::step_error::StepError;
 
 use super::{Kick, Motion, RightHandSide, StateTangent, StepLinearization};
 

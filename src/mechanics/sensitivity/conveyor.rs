@@ -13,8 +13,8 @@ use super::packed::PackedStep;
 use super::team::{lock, read, rounds, write};
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::Multipliers;
-use crate::mechanics::integrator::StepError;
 use crate::mechanics::linearization::Motion;
+use crate::mechanics::step_error::StepError;
 use crate::stop::StopSignal;
 
 /// Time nodes that are linearized by one task: all lanes full, and few that are begun in their middle.

@@ -17,7 +17,6 @@ use crate::mechanics::curvature::{
     load_curvatures,
 };
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::integrator::{StepError, TimeScheme};
 use crate::mechanics::lanes::tangent::{
     Blocks, Displacement, HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule,
     TrapezoidalTangent, drift, inertia_curvature, put_pose,
@@ -27,7 +26,9 @@ use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{
     Kick, Motion, StepLinearization, acting_derivatives, arriving_stiffness, load_derivatives,
 };
+use crate::mechanics::step_error::StepError;
 use crate::mechanics::strain::{ElementStiffness, StrainRule};
+use crate::mechanics::time::TimeScheme;
 
 /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
 /// on the instruction set nor on what is linearized in one call.

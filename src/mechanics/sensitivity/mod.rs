@@ -44,9 +44,9 @@ use super::constitutive::RodModel;
 use super::curvature::Multipliers;
 use super::forms::{NODE_COMPONENTS, StateForm};
 use super::implicit::IntervalWeights;
-use super::integrator::StepError;
 use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
+use super::step_error::StepError;
 
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;

@@ -12,8 +12,8 @@ use super::tile::Tile;
 use super::{ConstantColumns, ControlColumns, InputVisitor, TILE, Task};
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm};
-use crate::mechanics::integrator::StepError;
 use crate::mechanics::linearization::Motion;
+use crate::mechanics::step_error::StepError;
 
 /// The values of forms along columns and along the state at the start, by the reverse route on one thread: the numbers of
 /// [`sensitivities`](super::sensitivities) to the bit.

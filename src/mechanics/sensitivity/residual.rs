@@ -9,7 +9,6 @@ use super::linearize::{ROUNDING, Workspace, is_possible};
 use super::solved::{Weights, element_at};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
-use crate::mechanics::integrator::StepError;
 use crate::mechanics::lanes::tangent::{
     HelicalTangent, LEAST_MARGIN, Law, NodePose, POSE_ROWS, TangentRule, TrapezoidalTangent, drift,
 };
@@ -18,6 +17,7 @@ use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{self, Defects, Kick, Motion};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::ControlSignal;
+use crate::mechanics::step_error::StepError;
 use crate::mechanics::strain::StrainRule;
 
 /// [`linearization::defects`] in lanes: the same to rounding, on every instruction set to the bit. What lanes do not know is left

@@ -3,8 +3,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::{
-    BaseCondition, Energy, Integrator, Load, LoadFrame, NodeWrenches, Rod, RodParameters,
-    SectionProfile, State, StrainRule,
+    BaseCondition, Energy, Load, LoadFrame, NodeWrenches, Rod, RodParameters, SectionProfile,
+    State, Stepper, StrainRule,
 };
 
 use super::{Triple, largest, table};
@@ -12,7 +12,7 @@ use crate::common::{cowper_arm, paper_rod};
 
 /// States at the given times (multiples of the step) of a rod that starts at rest in its rest shape.
 pub fn states(rod: &Rod, time_step: f64, times: &[f64]) -> Vec<State> {
-    let mut integrator = Integrator::new(rod, time_step, State::at_rest(rod.rest.clone()));
+    let mut integrator = Stepper::new(rod, time_step, State::at_rest(rod.rest.clone()));
     times
         .iter()
         .map(|t| {

@@ -6,11 +6,11 @@ use pulp::{Simd, WithSimd};
 
 use super::coupling::{Instant, SolvedRule};
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::integrator::TimeScheme;
 use crate::mechanics::lanes::element::{Chord, Pose, excess, proportional};
 use crate::mechanics::lanes::rule::{STRAINED_ROWS, Strained, Stress};
 use crate::mechanics::lanes::sweep::{POSITION, STATE_ROWS};
 use crate::mechanics::lanes::vector::{Frame, Quaternion, Row, Vec3, blocks, blocks_mut};
+use crate::mechanics::time::TimeScheme;
 
 /// Rows of a block at one instant: frames of the nodes, then strains of the elements.
 pub const INSTANT_ROWS: usize = STRAINED + STRAINED_ROWS;

@@ -43,10 +43,11 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::inertia::InertiaRule;
-use crate::mechanics::integrator::{StepError, TimeScheme};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
+use crate::mechanics::step_error::StepError;
 use crate::mechanics::strain::StrainRule;
+use crate::mechanics::time::TimeScheme;
 
 /// What solved steps need besides: memory that lasts, and what one step hands to the next.
 #[derive(Clone, Debug)]

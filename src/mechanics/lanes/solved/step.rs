@@ -10,7 +10,6 @@ use super::coupling::SolvedRule;
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
-use crate::mechanics::integrator::TimeScheme;
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
 use crate::mechanics::lanes::rule::Pull;
@@ -21,6 +20,7 @@ use crate::mechanics::lanes::sweep::{
 use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
+use crate::mechanics::time::TimeScheme;
 
 /// Rows of a block of nodes on their way through a step; the pose at its end comes first.
 pub const TRIAL_ROWS: usize = 31;
