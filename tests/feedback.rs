@@ -401,7 +401,7 @@ fn closed_loops_end_where_the_linear_one_does() {
     }
 }
 
-/// The motion on an arm that differs from the model is that of a rod made from other parameters, stepped by the plain integrator, with the
+/// The motion on an arm that differs from the model is that of a rod made from other parameters, stepped by the integrator, with the
 /// gains and without.
 #[test]
 fn mismatches_are_motions_of_other_arms() {

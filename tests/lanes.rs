@@ -1,4 +1,4 @@
-//! The lane integrator against the plain one, and its own laws.
+//! The lane integrator against that of the check, and its own laws.
 
 mod common;
 
@@ -112,7 +112,7 @@ fn unsolved(rod: &Rod, h: f64, n_steps: usize) -> f64 {
 /// a violent motion about 1e2 over 240 steps. Damped steps add what their solution leaves. Damped steps are solved for to some roundings of the stress that damps, which here is
 /// up to five times the elastic one.
 #[test]
-fn lanes_follow_the_plain_integrator() {
+fn lanes_follow_the_checks_integrator() {
     for method in methods() {
         let rule = method.rule;
         for n_elements in [1, 2, 7, 8, 9, 40, 129] {
@@ -164,7 +164,7 @@ fn damped_rods_follow_whatever_the_damping() {
 
 /// Implicit steps far beyond the explicit limit, where waves that the step does not resolve ring: arms and wires, straight, curved and
 /// loaded, with and without internal damping, on every base, at the automatic step and at a tenth of it. Both integrators solve the same
-/// equations from the same guess, and differ by what their solutions leave. No step is left to the plain integrator.
+/// equations from the same guess, and differ by what their solutions leave. No step needs Newton's method.
 #[test]
 fn implicit_steps_follow_far_beyond_the_explicit_limit() {
     let wire = |rule, n_elements| {
@@ -210,7 +210,7 @@ fn implicit_steps_follow_far_beyond_the_explicit_limit() {
     }
 }
 
-/// As [`run_both`] under a control at the tip that changes slowly; and how many steps the plain integrator did for the other one.
+/// As [`run_both`] under a control at the tip that changes slowly; and how many steps needed Newton's method.
 fn run_quietly(
     rod: &Rod,
     h: f64,
@@ -277,10 +277,10 @@ fn implicit_motions_do_not_depend_on_where_they_were_cut() {
 
 /// Violent implicit steps, one by one from the same state: jumps of the control at every step, steps from a thirtieth to thirty times the
 /// automatic one, arms and wires, clamped and free. Where the equations of a step have several solutions, the factors that are kept
-/// lead to that of the plain integrator, and where there is none, both say so. From the first seed on, an iteration that only makes new
+/// lead to that of the check's integrator, and where there is none, both say so. From the first seed on, an iteration that only makes new
 /// factors where it has come to, and does not begin again from rest, ends in another solution at the second step.
 #[test]
-fn violent_implicit_steps_have_the_solution_of_the_plain_integrator() {
+fn violent_implicit_steps_have_the_solution_of_the_checks_integrator() {
     for seed in [SEVERAL_SOLUTIONS].into_iter().chain(0..400) {
         let dice = &mut Dice(seed);
         let n_elements = 1 + ((dice.roll() + 1.0) * 12.0) as usize;
@@ -347,10 +347,10 @@ fn violent_implicit_steps_have_the_solution_of_the_plain_integrator() {
 /// A wire of six elements, at one and a half times its automatic step.
 const SEVERAL_SOLUTIONS: u64 = 0x6c1a_78be_2751_67b8;
 
-/// What a step that is solved for cannot do ends with the error of the plain integrator: turns and numbers beyond all bounds, in the
+/// What a step that is solved for cannot do ends with the error of the check's integrator: turns and numbers beyond all bounds, in the
 /// first step and after steps that lead to the next one.
 #[test]
-fn failures_of_solved_steps_are_those_of_the_plain_integrator() {
+fn failures_of_solved_steps_are_those_of_the_checks_integrator() {
     let schemes = [TimeScheme::Explicit, TimeScheme::Implicit];
     for (rule, scheme) in RULES
         .into_iter()
@@ -474,10 +474,10 @@ fn errors(rod: &Rod, h: f64, initial: &State, control: Wrench) -> [StepError; 2]
     ]
 }
 
-/// What cannot be advanced is refused with the error of the plain integrator: a node that turns too far, whichever it
+/// What cannot be advanced is refused with the error of the check's integrator: a node that turns too far, whichever it
 /// is, and numbers that are none.
 #[test]
-fn failures_are_those_of_the_plain_integrator() {
+fn failures_are_those_of_the_checks_integrator() {
     for (rule, model) in laws() {
         for n_elements in [1, 9, 20] {
             let rod = Rod::new(&RodParameters {
@@ -511,7 +511,7 @@ fn failures_are_those_of_the_plain_integrator() {
     }
 }
 
-/// An element that is pressed together, wherever it is: the error of the plain integrator, its dilatation to rounding.
+/// An element that is pressed together, wherever it is: the error of the check's integrator, its dilatation to rounding.
 #[test]
 fn a_collapsed_element_is_named() {
     for (rule, model) in laws().filter(|law| law.1 != RodModel::Standard) {
@@ -553,7 +553,7 @@ fn a_collapsed_element_is_named() {
     }
 }
 
-/// An element whose ends are thrown past half a turn against each other, wherever it is: the error of the plain integrator,
+/// An element whose ends are thrown past half a turn against each other, wherever it is: the error of the check's integrator,
 /// its angle to rounding, amplified by some steps of violent motion. (Under `consistent` the spin tears at the nodes first.)
 #[test]
 fn a_folded_element_is_named() {
@@ -587,7 +587,7 @@ fn a_folded_element_is_named() {
     }
 }
 
-/// A base that is driven too fast, or nowhere, is refused as by the plain integrator.
+/// A base that is driven too fast, or nowhere, is refused as by the check's integrator.
 #[test]
 fn motions_of_the_base_are_checked() {
     let fast = |rate: f64| {

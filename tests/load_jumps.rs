@@ -131,7 +131,7 @@ fn switching_off_is_of_second_order() {
     }
 }
 
-/// Dead and follower forces and moments that jump at, near and between time nodes, on an arm with everything: the plain integrator's
+/// Dead and follower forces and moments that jump at, near and between time nodes, on an arm with everything: the integrator's
 /// trajectory solves the discrete equations of motion, the lane integrator's is the same, and every step balances its momenta.
 #[test]
 fn all_agree_at_jumps() {

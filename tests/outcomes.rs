@@ -267,7 +267,7 @@ fn excess(bound: &Bound, u: &Vector3<f64>) -> f64 {
     }
 }
 
-/// States at all time nodes, by the plain integrator; empty where it breaks down.
+/// States at all time nodes, by the integrator; empty where it breaks down.
 struct Motion(Vec<State>);
 
 impl Motion {

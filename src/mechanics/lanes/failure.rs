@@ -9,7 +9,7 @@ use crate::mechanics::guards::{check_dilatation, check_fold, rotation_error};
 use crate::mechanics::inertia::InertiaRule;
 
 impl LaneIntegrator<'_> {
-    /// What went wrong, in the order in which the plain integrator looks.
+    /// The error of a step, in the order in which it happens.
     pub(super) fn find_error(
         &self,
         inertia_rule: InertiaRule,

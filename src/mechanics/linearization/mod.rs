@@ -11,7 +11,7 @@
 //! ```
 //!
 //! where `k = 0` is the initial Legendre transform (`p^{-½}` is the given initial momentum), and the momentum at `N`
-//! is the terminal one. A trajectory whose defects vanish is what [`Integrator`](super::Integrator) computes.
+//! is the terminal one. A trajectory whose defects vanish is what a [`Stepper`](super::Stepper) computes.
 //!
 //! A stress of the [interval](super::implicit) acts where the interval starts, after the kick there, and where it ends: that
 //! impulse is added to the momentum that arrives, `p^{k-½}` above.
