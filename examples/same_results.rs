@@ -10,10 +10,14 @@
 //! the columns [`CLOCK_COLUMNS`] of CSV, the warning that a loop is too slow for its period, and the numbers of pages, which are made of the files. A case
 //! that differs runs once more by the first program: one that does not repeat itself is named as such. Nothing is stored.
 //!
+//! With `--within 1e-9` numbers may differ by that part of the largest number of their array, or in texts of themselves and one; everything else,
+//! whole numbers such as iterations among it, has to be the same.
+//!
 //! Exits with 1 where anything differs.
 
 use std::collections::BTreeMap;
 use std::error::Error;
+use std::io::Cursor;
 use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 
@@ -433,12 +437,14 @@ type Left = BTreeMap<String, Vec<u8>>;
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
-    let only = match arguments.iter().position(|argument| argument == "--only") {
+    let mut option = |name: &str| match arguments.iter().position(|argument| argument == name) {
         Some(at) if at + 1 < arguments.len() => arguments.drain(at..at + 2).nth(1),
         _ => None,
     };
+    let only = option("--only");
+    let within: f64 = option("--within").map_or(Ok(0.0), |text| text.parse())?;
     let [old, new] = &arguments[..] else {
-        return Err("usage: same_results OLD NEW [--only WORD]".into());
+        return Err("usage: same_results OLD NEW [--only WORD] [--within PART]".into());
     };
     let programs = [old, new].map(std::fs::canonicalize);
     let [old, new] = programs.map(|path| path.map_err(|error| format!("no such program: {error}")));
@@ -477,7 +483,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     let asked: Vec<_> = cases.iter().filter(|(name, _)| is_asked(name)).collect();
     for (name, arguments) in &asked {
         let (before, after) = (left_by(&old, arguments)?, left_by(&new, arguments)?);
-        let different = differences(&before, &after);
+        let different = differences(&before, &after, within);
         if different.is_empty() {
             let code = String::from_utf8_lossy(&before["exit code"]);
             println!(
@@ -487,7 +493,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
             continue;
         }
         n_different += 1;
-        let again = differences(&before, &left_by(&old, arguments)?);
+        let again = differences(&before, &left_by(&old, arguments)?, within);
         let what = if again.is_empty() {
             "DIFFERENT"
         } else {
@@ -580,7 +586,7 @@ fn left_by(program: &Path, arguments: &[String]) -> Result<Left, Box<dyn Error>>
 }
 
 /// A line for each thing that two runs left otherwise.
-fn differences(a: &Left, b: &Left) -> Vec<String> {
+fn differences(a: &Left, b: &Left, within: f64) -> Vec<String> {
     let mut out = Vec::new();
     for name in a.keys().filter(|name| !b.contains_key(*name)) {
         out.push(format!("{name}: only before"));
@@ -594,7 +600,7 @@ fn differences(a: &Left, b: &Left) -> Vec<String> {
             continue;
         }
         let [before, after] = [before, after].map(|bytes| without_clocks(name, bytes));
-        if before == after {
+        if before == after || (within > 0.0 && are_close(name, [&before, &after], within)) {
             continue;
         }
         let (before, after) = (
@@ -615,6 +621,63 @@ fn differences(a: &Left, b: &Left) -> Vec<String> {
         ));
     }
     out
+}
+
+/// Whether two files differ by small parts of their numbers alone.
+fn are_close(name: &str, files: [&[u8]; 2], within: f64) -> bool {
+    if name.ends_with(".npz") {
+        let [a, b] = files.map(arrays);
+        return match (a, b) {
+            (Ok(a), Ok(b)) => {
+                a.len() == b.len()
+                    && a.iter().all(|(name, a)| {
+                        b.get(name).is_some_and(|b| {
+                            let largest = a.iter().fold(0.0f64, |m, value| m.max(value.abs()));
+                            let is_close = |(a, b): (&f64, &f64)| {
+                                (a - b).abs() <= within * largest
+                                    || a == b
+                                    || (a.is_nan() && b.is_nan())
+                            };
+                            a.len() == b.len() && a.iter().zip(b).all(is_close)
+                        })
+                    })
+            }
+            _ => false,
+        };
+    }
+    let [Ok(a), Ok(b)] = files.map(std::str::from_utf8) else {
+        return false;
+    };
+    let [a, b] = [a, b].map(words);
+    a.len() == b.len()
+        && a.iter().zip(&b).all(|(a, b)| {
+            let is_real = |word: &str| word.contains(['.', 'e']);
+            a == b
+                || match (a.parse::<f64>(), b.parse::<f64>()) {
+                    (Ok(x), Ok(y)) if is_real(a) || is_real(b) => {
+                        (x - y).abs() <= within * (1.0 + x.abs())
+                    }
+                    _ => false,
+                }
+        })
+}
+
+/// A text cut at everything that is no part of a word or a number.
+fn words(text: &str) -> Vec<&str> {
+    text.split(|c: char| !(c.is_alphanumeric() || ".+-_".contains(c)))
+        .collect()
+}
+
+/// The arrays of numbers of an archive.
+fn arrays(bytes: &[u8]) -> Result<BTreeMap<String, Vec<f64>>, Box<dyn Error>> {
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes))?;
+    let mut out = BTreeMap::new();
+    for index in 0..archive.len() {
+        let file = archive.by_index(index)?;
+        let name = file.name().to_string();
+        out.insert(name, npyz::NpyFile::new(file)?.into_vec()?);
+    }
+    Ok(out)
 }
 
 /// Two lines from shortly before they differ.
