@@ -11,7 +11,7 @@
 //! that differs runs once more by the first program: one that does not repeat itself is named as such. Nothing is stored.
 //!
 //! With `--within 1e-9` numbers may differ by that part of the largest number of their array, or in texts of themselves and one; everything else,
-//! whole numbers such as iterations among it, has to be the same.
+//! whole numbers such as iterations among it, has to be the same, but for the keys [`ROUNDING_KEYS`].
 //!
 //! Exits with 1 where anything differs.
 
@@ -38,6 +38,8 @@ const CLOCK_KEYS: [&str; 12] = [
     "sample_s",
     "wall_s",
 ];
+/// Keys of JSON whose values are measures of rounding, which another order of operations changes.
+const ROUNDING_KEYS: [&str; 3] = ["contraction", "halving_ratio", "over_rounding"];
 /// Columns of CSV whose values are clocks.
 const CLOCK_COLUMNS: [&str; 7] = [
     "elapsed_s",
@@ -599,8 +601,14 @@ fn differences(a: &Left, b: &Left, within: f64) -> Vec<String> {
         if before == after {
             continue;
         }
-        let [before, after] = [before, after].map(|bytes| without_clocks(name, bytes));
-        if before == after || (within > 0.0 && are_close(name, [&before, &after], within)) {
+        let [before, after] = [before, after].map(|bytes| without_clocks(name, bytes, within));
+        if before == after {
+            continue;
+        }
+        if within > 0.0 {
+            if let Some(far) = first_far(name, [&before, &after], within) {
+                out.push(format!("{name}: {far}"));
+            }
             continue;
         }
         let (before, after) = (
@@ -623,48 +631,51 @@ fn differences(a: &Left, b: &Left, within: f64) -> Vec<String> {
     out
 }
 
-/// Whether two files differ by small parts of their numbers alone.
-fn are_close(name: &str, files: [&[u8]; 2], within: f64) -> bool {
+/// The first thing by which two files differ that is no small part of a number.
+fn first_far(name: &str, files: [&[u8]; 2], within: f64) -> Option<String> {
     if name.ends_with(".npz") {
-        let [a, b] = files.map(arrays);
-        return match (a, b) {
-            (Ok(a), Ok(b)) => {
-                a.len() == b.len()
-                    && a.iter().all(|(name, a)| {
-                        b.get(name).is_some_and(|b| {
-                            let largest = a.iter().fold(0.0f64, |m, value| m.max(value.abs()));
-                            let is_close = |(a, b): (&f64, &f64)| {
-                                (a - b).abs() <= within * largest
-                                    || a == b
-                                    || (a.is_nan() && b.is_nan())
-                            };
-                            a.len() == b.len() && a.iter().zip(b).all(is_close)
-                        })
-                    })
-            }
+        let [Ok(a), Ok(b)] = files.map(arrays) else {
+            return Some("no archive of numbers".into());
+        };
+        if !a.keys().eq(b.keys()) {
+            return Some("other arrays".into());
+        }
+        return a.iter().zip(b.values()).find_map(|((name, a), b)| {
+            let largest = a.iter().fold(0.0f64, |m, value| m.max(value.abs()));
+            let is_far = |(a, b): (&f64, &f64)| {
+                let same = a == b || (a.is_nan() && b.is_nan());
+                !same && !((a - b).abs() <= within * largest)
+            };
+            let far = a.iter().zip(b).position(is_far);
+            (far.or((a.len() != b.len()).then_some(0)))
+                .map(|at| format!("{name}[{at}]: {:?} | {:?}", a.get(at), b.get(at)))
+        });
+    }
+    let [Ok(before), Ok(after)] = files.map(std::str::from_utf8) else {
+        return Some("other bytes".into());
+    };
+    let [a, b] = [before, after].map(words);
+    let is_far = |(a, b): (&&str, &&str)| {
+        let is_real = [a, b].iter().any(|word| word.contains(['.', 'e']));
+        let close = match (a.parse::<f64>(), b.parse::<f64>()) {
+            (Ok(x), Ok(y)) if is_real => (x - y).abs() <= within * (1.0 + x.abs()),
             _ => false,
         };
-    }
-    let [Ok(a), Ok(b)] = files.map(std::str::from_utf8) else {
-        return false;
+        a != b && !close
     };
-    let [a, b] = [a, b].map(words);
-    a.len() == b.len()
-        && a.iter().zip(&b).all(|(a, b)| {
-            let is_real = |word: &str| word.contains(['.', 'e']);
-            a == b
-                || match (a.parse::<f64>(), b.parse::<f64>()) {
-                    (Ok(x), Ok(y)) if is_real(a) || is_real(b) => {
-                        (x - y).abs() <= within * (1.0 + x.abs())
-                    }
-                    _ => false,
-                }
-        })
+    let far = a.iter().zip(&b).position(is_far);
+    far.or((a.len() != b.len()).then_some(0)).map(|at| {
+        let [a, b] = [&a, &b].map(|words| {
+            words[at.saturating_sub(4)..][..5.min(words.len() - at.saturating_sub(4))].join(" ")
+        });
+        format!("{a} | {b}")
+    })
 }
 
 /// A text cut at everything that is no part of a word or a number.
 fn words(text: &str) -> Vec<&str> {
     text.split(|c: char| !(c.is_alphanumeric() || ".+-_".contains(c)))
+        .filter(|word| !word.is_empty())
         .collect()
 }
 
@@ -693,7 +704,7 @@ fn first_difference(a: &str, b: &str) -> String {
 }
 
 /// A file without its clocks; what is no text with clocks stays as it is.
-fn without_clocks(name: &str, bytes: &[u8]) -> Vec<u8> {
+fn without_clocks(name: &str, bytes: &[u8], within: f64) -> Vec<u8> {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return bytes.to_vec();
     };
@@ -702,7 +713,10 @@ fn without_clocks(name: &str, bytes: &[u8]) -> Vec<u8> {
         .and_then(|extension| extension.to_str())
     {
         Some("json") => serde_json::from_str(text).ok().map(|mut value: Value| {
-            mask(&mut value);
+            mask(&mut value, &CLOCK_KEYS);
+            if within > 0.0 {
+                mask(&mut value, &ROUNDING_KEYS);
+            }
             format!("{value:#}")
         }),
         Some("csv") => Some(without_columns(text)),
@@ -712,19 +726,19 @@ fn without_clocks(name: &str, bytes: &[u8]) -> Vec<u8> {
     masked.map_or_else(|| bytes.to_vec(), String::into_bytes)
 }
 
-fn mask(value: &mut Value) {
+fn mask(value: &mut Value, keys: &[&str]) {
     match value {
         Value::Object(entries) => {
-            for key in CLOCK_KEYS {
-                if let Some(clock) = entries.get_mut(key) {
+            for key in keys {
+                if let Some(clock) = entries.get_mut(*key) {
                     *clock = Value::Null;
                 }
             }
-            entries.values_mut().for_each(mask);
+            entries.values_mut().for_each(|value| mask(value, keys));
         }
         Value::Array(entries) => {
             entries.retain(|entry| !entry.as_str().is_some_and(is_of_a_slow_loop));
-            entries.iter_mut().for_each(mask);
+            entries.iter_mut().for_each(|value| mask(value, keys));
         }
         _ => (),
     }
