@@ -13,6 +13,7 @@ use softarm::mechanics::curvature::{
     Multipliers, OwnCurvature, element_curvature, inertia_curvature, lagrangian_curvature,
     load_curvature, stress_curvature,
 };
+use softarm::mechanics::element::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{
     AdjointSweep, Motion, RightHandSide, StateTangent, adjoint_sweep, defects, forward_sweep,
@@ -20,7 +21,6 @@ use softarm::mechanics::linearization::{
 use softarm::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent, vee};
 use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
     BaseCondition, ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm,
     Stepper, StrainRule, TimeGrid, Trajectory, Wrench,

@@ -7,8 +7,8 @@ use super::path::{
     turn_curvature,
 };
 use super::problem::OptimalControlProblem;
+use crate::mechanics::element::IntervalStress;
 use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
-use crate::mechanics::strain::IntervalStress;
 use crate::mechanics::{Rod, StrainRule};
 
 /// `½ r²` and the gradient of `r`.

@@ -11,7 +11,7 @@ use super::cost::durations;
 use super::obstacle::Shape;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
-use crate::mechanics::strain::{IntervalStress, log_second_derivative};
+use crate::mechanics::element::{IntervalStress, log_second_derivative};
 use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 

@@ -6,13 +6,13 @@ use nalgebra::{SVector, Vector3};
 use super::compare::{Comparison, compare};
 use super::point::vector;
 use super::{Block, gather};
+use crate::mechanics::element::ElementPose;
 use crate::mechanics::linearization::{
     AdjointSweep, Motion, RightHandSide, StateTangent, StepLinearization, adjoint_sweep,
     form_values,
 };
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::sensitivity::{adjoint, direction};
-use crate::mechanics::strain::ElementPose;
 use crate::mechanics::{
     ControlSignal, NodeWrenches, Rod, RodModel, State, StateForm, StepError, Stepper, TimeGrid,
     Trajectory, Wrench,

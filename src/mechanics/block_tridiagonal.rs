@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::strain::ElementStiffness;
+use super::element::ElementStiffness;
 
 /// Lower factor `L` of `A = L Lᵀ`: diagonal blocks and the blocks below them.
 #[derive(Clone, Debug)]

@@ -25,16 +25,16 @@ use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::configuration::{Trajectory, TrajectoryTangent};
+use super::element::{
+    Element, ElementPose, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative,
+    StrainRule,
+};
 use super::implicit::IntervalWeights;
 use super::linearization::{AdjointSweep, Motion, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
 use super::rotation::{exp, hat};
 use super::step_error::StepError;
-use super::strain::{
-    Element, ElementPose, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative,
-    StrainRule,
-};
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
 pub type ElementCurvature = SMatrix<f64, 9, 9>;

@@ -26,7 +26,8 @@ use nalgebra::{SVector, Vector3};
 
 use super::base_motion::BaseState;
 use super::configuration::State;
-use super::constitutive::RodModel;
+use super::element::RodModel;
+use super::element::{Element, ElementPose, IntervalStress, StrainRule};
 use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
@@ -34,7 +35,6 @@ use super::inertia::{InertiaRule, momentum_after, momentum_before};
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::cay_inverse;
-use super::strain::{Element, ElementPose, IntervalStress, StrainRule};
 use super::time::TimeNode;
 
 /// Force and moment on the whole rod, both spatial, the moment about the origin.

@@ -8,9 +8,9 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockCholesky;
 use super::configuration::Configuration;
+use super::element::IntervalStress;
 use super::forms::NODE_COMPONENTS;
 use super::rod::Rod;
-use super::strain::IntervalStress;
 use super::vibration::inertia_roots;
 
 /// Components of a node's deviation that belong to its pose; its momenta follow.

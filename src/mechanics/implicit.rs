@@ -36,10 +36,10 @@
 use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
+use super::element::{Element, ElementStiffness, ElementStrain, IntervalStress};
 use super::inertia::momentum_before_slope;
 use super::rod::Rod;
 use super::rotation::cay_inverse_tangent;
-use super::strain::{Element, ElementStiffness, ElementStrain, IntervalStress};
 use super::time::TimeScheme;
 
 /// How the strains at both ends of an interval make its stress.

@@ -12,7 +12,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::constitutive::RodModel;
+use super::element::RodModel;
 use super::rod::Rod;
 use super::rotation::hat;
 

@@ -36,13 +36,13 @@ mod buffer;
 #[doc(hidden)]
 pub mod configuration;
 #[doc(hidden)]
-pub mod constitutive;
-#[doc(hidden)]
 pub mod curvature;
 #[doc(hidden)]
 pub mod diagnostics;
 #[doc(hidden)]
 pub mod differences;
+#[doc(hidden)]
+pub mod element;
 #[doc(hidden)]
 pub mod energy;
 mod energy_norm;
@@ -85,8 +85,6 @@ mod step_error;
 pub mod stepper;
 mod stiffness;
 #[doc(hidden)]
-pub mod strain;
-#[doc(hidden)]
 pub mod strain_coordinates;
 mod swept;
 pub(crate) mod tangent;
@@ -99,8 +97,8 @@ pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
-pub use constitutive::RodModel;
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
+pub use element::{RodModel, StrainRule};
 pub use energy::Energy;
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;
@@ -120,7 +118,6 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
-pub use strain::StrainRule;
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

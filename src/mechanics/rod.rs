@@ -4,11 +4,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
-use super::constitutive::RodModel;
+use super::element::RodModel;
+use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
 use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
-use super::strain::{Element, ElementPose, ElementStrain, StrainRule};
 use super::time::TimeScheme;
 
 pub use super::section::{Material, Section, SectionProfile};

@@ -2,8 +2,8 @@
 
 use nalgebra::SMatrix;
 
+use super::element::ElementStiffness;
 use super::rod::Rod;
-use super::strain::ElementStiffness;
 use super::time::TimeScheme;
 
 /// Largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the

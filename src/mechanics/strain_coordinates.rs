@@ -9,8 +9,8 @@
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
+use super::element::tangent_derivative;
 use super::rotation::{InverseTangentCoefficients, exp, exp_tangent, log, log_tangent};
-use super::strain::tangent_derivative;
 
 /// Poses that are worth a thread of their own: some hundred microseconds.
 const LEAST_SHARE: usize = 2048;

@@ -14,9 +14,9 @@ use nalgebra::{Complex, DMatrix, Matrix3, Matrix6, Schur, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
+use super::element::IntervalStress;
 use super::rod::Rod;
 use super::stiffness::tangent_stiffness;
-use super::strain::IntervalStress;
 use super::vibration::inertia_roots;
 
 /// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0.

@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Arch;
 
-use crate::mechanics::strain::{Element, ElementPose};
+use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::{RodModel, StrainRule};
 
 /// Directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. An element knows no more of its pose.
@@ -261,7 +261,7 @@ impl Relative {
     }
 }
 
-/// The measures of an [`ElementStrain`](crate::mechanics::strain::ElementStrain).
+/// The measures of an [`ElementStrain`](crate::mechanics::element::ElementStrain).
 struct Strain {
     linear: [Vector; 2],
     curvature: Vector,
@@ -375,8 +375,8 @@ fn end_difference(relative: &Relative) -> Vector {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mechanics::element::ElementStrain;
     use crate::mechanics::rotation::exp;
-    use crate::mechanics::strain::ElementStrain;
 
     /// Two routes to one force: the differentiated energy equals the analytic gradient, both rules, small and large
     /// strains.

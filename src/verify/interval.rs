@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::dual;
+use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::rotation::exp;
-use crate::mechanics::strain::{Element, ElementPose};
 use crate::mechanics::{Rod, StrainRule, TimeScheme};
 
 /// Over the strain `(v_a, v_b, κ)`, or over `(δx_b - δx_a, η_a, η_b)`.

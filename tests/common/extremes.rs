@@ -4,10 +4,10 @@ use std::f64::consts::PI;
 
 use nalgebra::{DVector, Matrix3, Vector3};
 use softarm::mechanics::Stepper;
+use softarm::mechanics::element::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{cay, exp, log, orthonormalized};
-use softarm::mechanics::strain::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::{
     BaseCondition, Energy, LoadFrame, Material, NodeInertia, NodeWrenches, Rod, RodModel,
     RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring, stable_step,

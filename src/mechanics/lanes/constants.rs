@@ -2,12 +2,12 @@
 
 use super::element::{Consistent, Law, Standard};
 use super::place::{Place, Slots};
-use super::rule::{Helical, Rule, Trapezoidal};
+use super::rule::Rule;
 use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::constitutive::RodModel;
+use crate::mechanics::element::StrainRule;
+use crate::mechanics::element::{Helical, RodModel, Trapezoidal};
 use crate::mechanics::rod::{NodeInertia, Rod};
-use crate::mechanics::strain::StrainRule;
 
 /// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and the fourth power of its inverse is
 /// no subnormal number, with which processors are slow.

@@ -5,8 +5,8 @@
 
 use pulp::Simd;
 
-use super::tangent::{Blocks, Displacement, Law, Stress, TangentRule};
 use super::vector::{Lanes, Mat3, Vec3};
+use crate::mechanics::element::{Blocks, Displacement, Law, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 
 /// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.

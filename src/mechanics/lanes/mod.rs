@@ -7,7 +7,7 @@ pub(super) mod curved;
 mod element;
 mod failure;
 mod impulses;
-mod logarithm;
+pub(super) mod logarithm;
 mod place;
 mod rule;
 mod singly;
@@ -26,7 +26,7 @@ use self::base::HeldBase;
 use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, Law, Standard};
 use self::place::{BASE, Place, Slots};
-use self::rule::{Helical, Rule, Trapezoidal};
+use self::rule::Rule;
 use self::singly::{SingleTurns, wxyz};
 pub use self::solved::SolverWork;
 use self::solved::{SolvedRule, Solver};
@@ -37,7 +37,8 @@ use self::sweep::{
 use super::base_motion::BaseState;
 use super::buffer::Buffer;
 use super::configuration::{Configuration, State, Trajectory};
-use super::constitutive::RodModel;
+use super::element::StrainRule;
+use super::element::{Helical, RodModel, Trapezoidal};
 use super::forces::NodalForces;
 use super::guards::approach_base;
 use super::inertia::InertiaRule;
@@ -46,7 +47,6 @@ use super::rod::{BaseCondition, Rod};
 use super::rotation::{from_quaternion, quaternion};
 use super::signal::NodeWrenches;
 use super::step_error::StepError;
-use super::strain::StrainRule;
 use super::time::Clock;
 
 /// Steps between normalizations of the quaternions; each product changes their length by rounding only.

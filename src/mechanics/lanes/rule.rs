@@ -1,4 +1,4 @@
-//! The strain rules: strains of elements, and what a stress does to their ends; see [`strain`](crate::mechanics::strain)
+//! The strain rules: strains of elements, and what a stress does to their ends; see [`element`](crate::mechanics::element)
 //! for the formulas.
 
 use pulp::Simd;
@@ -6,6 +6,7 @@ use pulp::Simd;
 use super::element::{Chord, Gradient, Law, Pose, THINNING_ROWS, constants, fold, inverse_length};
 use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
+use crate::mechanics::element::{Helical, Trapezoidal};
 use crate::mechanics::rod::Rod;
 
 /// The strains of an element, and what else a stress needs to pull at its ends.
@@ -82,9 +83,6 @@ impl<S: Simd> Pull<S> {
         }
     }
 }
-
-/// The paper's rule.
-pub struct Trapezoidal;
 
 impl Rule for Trapezoidal {
     const ENDS: usize = 2;
@@ -171,9 +169,6 @@ impl Rule for Trapezoidal {
             .with_fold(fold(constants, strained.w))
     }
 }
-
-/// The rule with one constant strain per element.
-pub struct Helical;
 
 impl Rule for Helical {
     const ENDS: usize = 1;

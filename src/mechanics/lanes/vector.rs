@@ -5,8 +5,8 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use nalgebra::Vector3;
-use pulp::Simd;
+use nalgebra::{Matrix3, Vector3};
+use pulp::{Scalar, Simd};
 
 /// One number per lane, as it lies in memory.
 pub type Row<S> = <S as Simd>::f64s;
@@ -296,6 +296,30 @@ impl<S: Simd> Vec3<S> {
             y: self.y.previous_lane(),
             z: self.z.previous_lane(),
         }
+    }
+}
+
+impl Vec3<Scalar> {
+    /// Of one lane.
+    #[inline(always)]
+    pub fn vector(self) -> Vector3<f64> {
+        Vector3::new(self.x.value, self.y.value, self.z.value)
+    }
+}
+
+impl Mat3<Scalar> {
+    /// Of one lane.
+    #[inline(always)]
+    pub fn of_matrix(m: &Matrix3<f64>) -> Self {
+        Self {
+            rows: [0, 1, 2].map(|i| Vec3::splat(Scalar, &m.row(i).transpose())),
+        }
+    }
+
+    /// Of one lane.
+    #[inline(always)]
+    pub fn matrix(self) -> Matrix3<f64> {
+        Matrix3::from_rows(&self.rows.map(|row| row.vector().transpose()))
     }
 }
 

@@ -19,11 +19,11 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::configuration::{State, Trajectory};
+use crate::mechanics::element::IntervalStress;
 use crate::mechanics::implicit::{IntervalWeights, scatter};
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::ControlSignal;
-use crate::mechanics::strain::IntervalStress;
 use crate::mechanics::time::TimeGrid;
 use crate::stop::StopSignal;
 

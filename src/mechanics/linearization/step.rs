@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 use crate::mechanics::actuator::{ActingDerivative, StateView};
 use crate::mechanics::block_tridiagonal::BlockLu;
 use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::element::ElementStiffness;
 use crate::mechanics::implicit::{IntervalWeights, join, scatter, spin_inertia, step_matrix};
 use crate::mechanics::inertia::{
     InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
@@ -12,7 +13,6 @@ use crate::mechanics::inertia::{
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::{cay_tangent, hat};
 use crate::mechanics::step_error::StepError;
-use crate::mechanics::strain::ElementStiffness;
 use crate::mechanics::time::TimeScheme;
 
 use super::defects::{Interval, interval_error};

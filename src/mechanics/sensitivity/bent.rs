@@ -5,11 +5,12 @@ use pulp::Simd;
 use super::linearize::{Group, MULTIPLIER_ROWS, store_block};
 use super::solved::element_at;
 use crate::mechanics::curvature::StressCurvature;
+use crate::mechanics::element::ElementStiffness;
+use crate::mechanics::element::{Blocks, Law, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::curved::{CurvedEnd, stress_curvature};
-use crate::mechanics::lanes::tangent::{Blocks, Law, NodePose, POSE_ROWS, TangentRule};
+use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS};
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
-use crate::mechanics::strain::ElementStiffness;
 
 type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
 

@@ -11,15 +11,16 @@ use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_acting, pack_
 use super::solved::SolveRows;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
-use crate::mechanics::constitutive::RodModel;
 use crate::mechanics::curvature::{
     InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, StressCurvature,
     load_curvatures,
 };
+use crate::mechanics::element::RodModel;
+use crate::mechanics::element::{Blocks, Displacement, Helical, TangentRule, Trapezoidal};
+use crate::mechanics::element::{ElementStiffness, StrainRule};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{
-    Blocks, Displacement, HelicalTangent, LEAST_MARGIN, NodePose, POSE_ROWS, TangentRule,
-    TrapezoidalTangent, drift, inertia_curvature, put_pose,
+    LEAST_MARGIN, NodePose, POSE_ROWS, drift, inertia_curvature, put_pose,
 };
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
@@ -27,7 +28,6 @@ use crate::mechanics::linearization::{
     Kick, Motion, StepLinearization, acting_derivatives, arriving_stiffness, load_derivatives,
 };
 use crate::mechanics::step_error::StepError;
-use crate::mechanics::strain::{ElementStiffness, StrainRule};
 use crate::mechanics::time::TimeScheme;
 
 /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
@@ -85,8 +85,8 @@ pub(super) fn linearize_in(
             scope,
         };
         match motion.rod.strain_rule {
-            StrainRule::Helical => dispatch(arch, Ruled::<HelicalTangent>::new(group)),
-            StrainRule::Trapezoidal => dispatch(arch, Ruled::<TrapezoidalTangent>::new(group)),
+            StrainRule::Helical => dispatch(arch, Ruled::<Helical>::new(group)),
+            StrainRule::Trapezoidal => dispatch(arch, Ruled::<Trapezoidal>::new(group)),
         }
     };
     // The interval before a time node is that after the one before.

@@ -5,12 +5,12 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature, StepCurvature};
+use crate::mechanics::element::ElementStiffness;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{
     ElementDrift, Kick, LoadDerivative, StepLinearization, StressDrift,
 };
 use crate::mechanics::rod::Rod;
-use crate::mechanics::strain::ElementStiffness;
 
 /// A [`StepLinearization`] with the kick's weight multiplied in, laid out for the kernel.
 #[derive(Debug, Default, PartialEq)]

@@ -9,16 +9,15 @@ use super::linearize::{ROUNDING, Workspace, is_possible};
 use super::solved::{Weights, element_at};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
-use crate::mechanics::lanes::tangent::{
-    HelicalTangent, LEAST_MARGIN, Law, NodePose, POSE_ROWS, TangentRule, TrapezoidalTangent, drift,
-};
+use crate::mechanics::element::StrainRule;
+use crate::mechanics::element::{Helical, Law, TangentRule, Trapezoidal};
+use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift};
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{self, Defects, Kick, Motion};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::step_error::StepError;
-use crate::mechanics::strain::StrainRule;
 
 /// [`linearization::defects`] in lanes: the same to rounding, on every instruction set to the bit. What lanes do not know is left
 /// to it.
@@ -92,10 +91,8 @@ pub(super) fn in_lanes(
             out: &mut out,
         };
         let regular = match rod.strain_rule {
-            StrainRule::Helical => dispatch(arch, Ruled(group, PhantomData::<HelicalTangent>)),
-            StrainRule::Trapezoidal => {
-                dispatch(arch, Ruled(group, PhantomData::<TrapezoidalTangent>))
-            }
+            StrainRule::Helical => dispatch(arch, Ruled(group, PhantomData::<Helical>)),
+            StrainRule::Trapezoidal => dispatch(arch, Ruled(group, PhantomData::<Trapezoidal>)),
         };
         if !regular {
             return None;

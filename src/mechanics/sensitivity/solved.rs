@@ -17,10 +17,9 @@ use pulp::Simd;
 
 use super::linearize::{Group, ROUNDING, matrix, scatter, store, store_block};
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::element::{Blocks, Law, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::lanes::tangent::{
-    Blocks, LEAST_MARGIN, Law, NodePose, POSE_ROWS, Spin, Stress, TangentRule, spin,
-};
+use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::linearization::{Kick, Motion};
 

@@ -12,12 +12,12 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
+use crate::mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::place::{locate, node_places, pose};
 use crate::mechanics::rotation::{
     InverseTangentCoefficients, exp, exp_tangent, hat, log, log_tangent,
 };
-use crate::mechanics::strain::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::{Rod, State};
 use crate::mpc::signal::Reading;
 

@@ -338,7 +338,7 @@ impl Conditions<'_> {
         );
         for (q, element) in rod.elements.iter().enumerate() {
             let work = |shift: Vector3<f64>, turn: [Vector3<f64>; 2]| {
-                let pose = crate::mechanics::strain::ElementPose {
+                let pose = crate::mechanics::element::ElementPose {
                     dx: x[q + 1] - x[q] + shift,
                     rotation_a: &(r[q] * exp(&turn[0])),
                     rotation_b: &(r[q + 1] * exp(&turn[1])),

@@ -2,10 +2,11 @@
 
 use pulp::Simd;
 
+use crate::mechanics::element::helical::{inverse_tangent, tangent_derivative};
+use crate::mechanics::element::{Helical, Trapezoidal};
 use crate::mechanics::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
 use crate::mechanics::lanes::logarithm::Logarithm;
-use crate::mechanics::lanes::rule::{Helical, Rule, Strained, Trapezoidal};
-use crate::mechanics::lanes::tangent::tangent_derivative;
+use crate::mechanics::lanes::rule::{Rule, Strained};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3};
 
 /// Blocks over the motion and the rotation of end a, then of end b.
@@ -85,9 +86,7 @@ fn helical<S: Simd>(
         slope,
         bend: slope,
     };
-    let square = Mat3::outer(psi, psi) - Mat3::multiple(angle_squared);
-    let one = Mat3::multiple(Lanes::splat(c.simd, 1.0));
-    let s = one - Mat3::hat(psi) * 0.5 + square * c;
+    let s = inverse_tangent(&log);
     let g = tangent_derivative(&log, y, -1.0);
     let [from_a, from_b] = instant.seen_from(0, start);
     let linear = Derivative {

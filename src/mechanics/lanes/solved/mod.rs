@@ -35,18 +35,17 @@ use self::step::{
 };
 use super::constants::Constants;
 use super::place::Slots;
-use super::rule::{Helical, Trapezoidal};
 use super::sweep::POSITION;
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::element::{Helical, StrainRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::step_error::StepError;
-use crate::mechanics::strain::StrainRule;
 use crate::mechanics::time::TimeScheme;
 
 /// What solved steps need besides: memory that lasts, and what one step hands to the next.

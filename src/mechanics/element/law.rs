@@ -1,0 +1,243 @@
+//! How the dilatation of a rod enters its stress and its inertia.
+//!
+//! With the dilatation `e` (current over rest length, the paper's (58)), the section keeps its volume: its area goes like
+//! `1/e`. Stress per [model](RodModel), with `ε = v - v_rest`, `κ = ψ/l - κ_rest`:
+//!
+//! ```text
+//! standard      n = C₁ ε                   m = C₂ κ            inertia J
+//! dilatation    n = C₁ ε/e                 m = C₂ κ/e³         inertia J/e       (the paper's (34)-(46))
+//! consistent    n = C₁ ε/e + w ∂e/∂v       m = C₂ κ/e³         inertia J/e       derived from one action
+//! ```
+//!
+//! `consistent` is the gradient of `u(v, κ) = ε·C₁ε/(2e) + κ·C₂κ/(2e³) + EA φ(e)` (J/m), with
+//! `φ(e) = (e - 1 - ln e) - (e - 1)²/(2e)`, so that `w = ∂u/∂e`; pure stretching obeys the paper's law `EA (e - 1)/e`. The stress
+//! of `dilatation` is no gradient as soon as there is shear or curvature: its energy wanders.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use super::{Element, ElementStrain};
+
+/// How axial stretch enters stiffness and inertia.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum RodModel {
+    /// The section keeps its size as the rod stretches: `e = 1` in stiffness and inertia.
+    #[default]
+    Standard,
+    /// The section thins as the rod stretches, at frozen stretch in the equations of motion: the paper's modified model, `C₁/e`, `C₂/e³`,
+    /// `J/e`. Not the variation of an action: angular momentum is broken and the energy wanders; long or violent motions can blow up at
+    /// any time step.
+    Dilatation,
+    /// The section thins as the rod stretches, with every derivative kept: a discrete energy exists, and momenta are conserved.
+    Consistent,
+}
+
+impl RodModel {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Standard => "standard",
+            Self::Dilatation => "dilatation",
+            Self::Consistent => "consistent",
+        }
+    }
+
+    /// Whether the stress is the gradient of an energy.
+    #[inline]
+    #[must_use]
+    pub fn has_potential(self) -> bool {
+        self != Self::Dilatation
+    }
+
+    /// Energy per rest length, J/m, from its linear and angular parts at `e = 1` and the axial stiffness `EA`.
+    #[inline]
+    #[must_use]
+    pub fn energy_density(self, e: f64, linear: f64, angular: f64, axial: f64) -> f64 {
+        match self {
+            Self::Standard => linear + angular,
+            Self::Dilatation => linear / e + angular / (e * e * e),
+            Self::Consistent => {
+                let u = e - 1.0;
+                // (e - 1 - ln e) - (e - 1)²/(2e) = u³/6 + O(u⁴): its digits are lost where it is below rounding of u².
+                let completion = (u - u.ln_1p()) - 0.5 * u * u / e;
+                linear / e + angular / (e * e * e) + axial * completion
+            }
+        }
+    }
+}
+
+/// Factors of the dilatation on stress, and derivatives of the energy density through it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Thinning {
+    /// `1/e`
+    pub linear: f64,
+    /// `1/e³`
+    pub angular: f64,
+    /// `w = ∂u/∂e`, N; zero at frozen dilatation.
+    pub slope: f64,
+    /// `∂²u/∂e²`, N; zero at frozen dilatation.
+    pub bend: f64,
+}
+
+impl Thinning {
+    /// At dilatation `e`, with the linear and angular energy densities at `e = 1` (J/m) and `EA` (N).
+    #[inline]
+    pub fn at(model: RodModel, e: f64, linear: f64, angular: f64, axial: f64) -> Self {
+        let inverse = 1.0 / e;
+        let square = inverse * inverse;
+        let mut out = Self {
+            linear: inverse,
+            angular: square * inverse,
+            slope: 0.0,
+            bend: 0.0,
+        };
+        if model == RodModel::Consistent {
+            let u = e - 1.0;
+            // φ' = (e - 1)²/(2e²), φ'' = (e - 1)/e³
+            out.slope = square * (0.5 * axial * u * u - linear - 3.0 * angular * square);
+            out.bend = square * inverse * (axial * u + 2.0 * linear + 12.0 * angular * square);
+        }
+        out
+    }
+}
+
+/// Stress of an element, and the dilatation through which it was thinned.
+pub(super) struct Stressed {
+    /// `n` at both ends, body frames, N.
+    pub linear: [Vector3<f64>; 2],
+    /// `m`, body frame, N m.
+    pub angular: Vector3<f64>,
+    thinned: Option<Thinned>,
+}
+
+/// What the stiffness of a section that thins needs.
+struct Thinned {
+    thinning: Thinning,
+    /// `C₁ ε` at both ends and `C₂ κ`.
+    unthinned: [Vector3<f64>; 3],
+    /// `∂e/∂v` of both ends: each has half of the dilatation.
+    along: [Vector3<f64>; 2],
+    /// `∂²e/∂v²` of both ends.
+    bend: [Matrix3<f64>; 2],
+}
+
+impl Element {
+    /// `|v_rest|`
+    #[inline]
+    pub(super) fn rest_stretch(&self) -> f64 {
+        self.rest.linear[0].norm()
+    }
+
+    /// `EA |v_rest|²`, N: the factor of `φ`.
+    #[inline]
+    pub(super) fn axial(&self) -> f64 {
+        self.linear_stiffness.z * self.rest.linear[0].norm_squared()
+    }
+
+    /// `ε` at both ends and `κ`.
+    fn excess(&self, strain: &ElementStrain) -> [Vector3<f64>; 3] {
+        let [a, b] = [0, 1].map(|end| strain.linear[end] - self.rest.linear[end]);
+        [a, b, strain.curvature - self.rest.curvature]
+    }
+
+    /// Elastic energy, J: `(l/4) Σ_ends ε·C₁ε + (l/2) κ·C₂κ` with `ε = v - v_rest`, `κ = ψ/l - κ_rest`; with the
+    /// dilatation `e` of the [model](RodModel), `(l/4e) Σ_ends ε·C₁ε + (l/2e³) κ·C₂κ`, and [`RodModel::Consistent`] adds
+    /// `l EA φ(e)`.
+    pub(super) fn energy_of(&self, strain: &ElementStrain) -> f64 {
+        let [a, b, kappa] = self.excess(strain);
+        let linear: f64 = [a, b]
+            .iter()
+            .map(|eps| eps.dot(&self.linear_stiffness.component_mul(eps)))
+            .sum();
+        let angular = kappa.dot(&self.angular_stiffness.component_mul(&kappa));
+        let e = strain.linear[0].norm() / self.rest_stretch();
+        let density = self
+            .model
+            .energy_density(e, 0.25 * linear, 0.5 * angular, self.axial());
+        self.length * density
+    }
+
+    /// The stress of a strain. What `consistent` adds along the chord, `w ∂e/∂v`, is that of both ends.
+    pub(super) fn stress_of(&self, strain: &ElementStrain) -> Stressed {
+        let [a, b, kappa] = self.excess(strain);
+        let [n_a, n_b] = [a, b].map(|eps| self.linear_stiffness.component_mul(&eps));
+        let m = self.angular_stiffness.component_mul(&kappa);
+        if self.model == RodModel::Standard {
+            return Stressed {
+                linear: [n_a, n_b],
+                angular: m,
+                thinned: None,
+            };
+        }
+        let nu = self.rest_stretch();
+        let thinning = Thinning::at(
+            self.model,
+            strain.linear[0].norm() / nu,
+            0.25 * (a.dot(&n_a) + b.dot(&n_b)),
+            0.5 * kappa.dot(&m),
+            self.axial(),
+        );
+        let along = strain.linear.map(|v| v / (2.0 * v.norm() * nu));
+        let bend = strain.linear.map(|v| {
+            let (length, way) = (v.norm(), v.normalize());
+            (Matrix3::identity() - way * way.transpose()) / (2.0 * length * nu)
+        });
+        let linear = [n_a * thinning.linear, n_b * thinning.linear];
+        Stressed {
+            linear: [0, 1].map(|end| linear[end] + along[end] * (2.0 * thinning.slope)),
+            angular: m * thinning.angular,
+            thinned: Some(Thinned {
+                thinning,
+                unthinned: [n_a, n_b, m],
+                along,
+                bend,
+            }),
+        }
+    }
+
+    /// `∂(l n_a/2, l n_b/2, l m)/∂(v_a, v_b, κ)` of a section that thins: the Hessian of the energy under
+    /// [`RodModel::Consistent`]. `None` where it is `diag(l C₁/2, l C₁/2, l C₂)`.
+    pub(super) fn stress_tangent(&self, stress: &Stressed) -> Option<SMatrix<f64, 9, 9>> {
+        let Thinned {
+            thinning,
+            unthinned: [n_a, n_b, m],
+            along,
+            bend,
+        } = stress.thinned.as_ref()?;
+        let l = self.length;
+        let rate = thinning.linear * thinning.linear;
+        // Of the stresses, times the weights of the ends, along the dilatation.
+        let changes = [
+            n_a * (-0.5 * rate),
+            n_b * (-0.5 * rate),
+            m * (-3.0 * thinning.angular * thinning.linear),
+        ];
+        let mut out = SMatrix::<f64, 9, 9>::zeros();
+        let mut add = |i: usize, j: usize, block: Matrix3<f64>| {
+            let mut part = out.fixed_view_mut::<3, 3>(3 * i, 3 * j);
+            part += block * l;
+        };
+        for end in 0..2 {
+            let own = Matrix3::from_diagonal(&(self.linear_stiffness * (0.5 * thinning.linear)));
+            add(end, end, own + bend[end] * thinning.slope);
+            for (i, change) in changes.iter().enumerate() {
+                add(i, end, change * along[end].transpose());
+                if self.model.has_potential() {
+                    add(end, i, along[end] * change.transpose());
+                }
+            }
+            for other in 0..2 {
+                add(
+                    end,
+                    other,
+                    along[end] * along[other].transpose() * thinning.bend,
+                );
+            }
+        }
+        let own = self.angular_stiffness * thinning.angular;
+        add(2, 2, Matrix3::from_diagonal(&own));
+        Some(out)
+    }
+}

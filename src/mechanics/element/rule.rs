@@ -1,0 +1,237 @@
+//! What the code of all strain rules has in common: one element in each lane of a vector, and of one lane where there is but one.
+//!
+//! Strains are here times the length of the element, so that forces and moments are the derivatives along `(δdx, η_a, η_b)` themselves.
+
+use pulp::Simd;
+
+use super::Element;
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
+
+/// A matrix over `(dx; body a; body b)`, in blocks.
+pub type Blocks<S> = [[Mat3<S>; 3]; 3];
+
+/// [`StrainRule::Helical`](crate::mechanics::StrainRule::Helical)
+pub struct Helical;
+
+/// [`StrainRule::Trapezoidal`](crate::mechanics::StrainRule::Trapezoidal)
+pub struct Trapezoidal;
+
+/// A stress, or a strain times the length: linear at the two ends, and angular. The helical rule has the first of the linear ones only.
+#[derive(Clone, Copy)]
+pub struct Stress<S: Simd> {
+    pub linear: [Vec3<S>; 2],
+    pub angular: Vec3<S>,
+}
+
+impl<S: Simd> Stress<S> {
+    #[inline(always)]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            linear: [
+                self.linear[0] + other.linear[0],
+                self.linear[1] + other.linear[1],
+            ],
+            angular: self.angular + other.angular,
+        }
+    }
+
+    #[inline(always)]
+    pub fn minus(self, other: Self) -> Self {
+        self.plus(other.times(Lanes::splat(other.angular.x.simd, -1.0)))
+    }
+
+    #[inline(always)]
+    pub fn times(self, factor: Lanes<S>) -> Self {
+        Self {
+            linear: [self.linear[0] * factor, self.linear[1] * factor],
+            angular: self.angular * factor,
+        }
+    }
+}
+
+/// Stress per strain times the length, and the strain at rest times the length.
+#[derive(Clone, Copy)]
+pub struct Law<S: Simd> {
+    pub c1: Vec3<S>,
+    pub c2: Vec3<S>,
+    pub rest: Stress<S>,
+}
+
+impl<S: Simd> Law<S> {
+    #[inline(always)]
+    pub fn of<R: TangentRule>(simd: S, element: &Element) -> Self {
+        let l = element.length;
+        let rest = |end: usize| Vec3::splat(simd, &(element.rest.linear[end] * l));
+        Self {
+            c1: Vec3::splat(simd, &(element.linear_stiffness * (R::END_WEIGHT / l))),
+            c2: Vec3::splat(simd, &(element.angular_stiffness / l)),
+            rest: Stress {
+                linear: [rest(0), rest(1)],
+                angular: Vec3::splat(simd, &(element.rest.curvature * l)),
+            },
+        }
+    }
+
+    /// Of a strain without that at rest.
+    #[inline(always)]
+    pub fn stress(&self, strain: Stress<S>) -> Stress<S> {
+        Stress {
+            linear: [
+                strain.linear[0].component_mul(self.c1),
+                strain.linear[1].component_mul(self.c1),
+            ],
+            angular: strain.angular.component_mul(self.c2),
+        }
+    }
+
+    /// With so many times the stiffness.
+    #[inline(always)]
+    pub fn times(&self, factor: Lanes<S>) -> Self {
+        Self {
+            c1: self.c1 * factor,
+            c2: self.c2 * factor,
+            ..*self
+        }
+    }
+}
+
+/// A strain rule, as far as its stiffness is concerned.
+pub trait TangentRule {
+    /// What the rule needs of an element's pose.
+    type Pose<S: Simd>: Copy;
+    /// Weight of an end at which the linear strain is taken.
+    const END_WEIGHT: f64;
+    /// Which blocks of [`Self::derivative`] there are.
+    const PATTERN: [[bool; 3]; 3];
+
+    /// Of an element whose ends are less than half a turn apart: digits are lost near it.
+    fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Self::Pose<S>;
+
+    /// Of any element, with the quaternion of `R_aᵀ R_b`.
+    fn pose_at<S: Simd>(
+        dx: Vec3<S>,
+        a: Mat3<S>,
+        b: Mat3<S>,
+        relative: Quaternion<S>,
+    ) -> Self::Pose<S>;
+
+    /// The strain times the length.
+    fn strain<S: Simd>(pose: &Self::Pose<S>) -> Stress<S>;
+
+    /// The derivative of the strain: rows of the linear strain at either end, of which the helical rule has one, and of the angular one.
+    fn derivative<S: Simd>(pose: &Self::Pose<S>) -> Blocks<S>;
+
+    /// `Bᵀ` times a stress: `(F, M_a, M_b)`, see [`ElementGradient`](super::ElementGradient).
+    fn pull<S: Simd>(pose: &Self::Pose<S>, stress: &Stress<S>) -> [Vec3<S>; 3];
+
+    /// Derivative of the pull along `(δdx, η_a, η_b)` when the stress changes with the stiffness of a law.
+    fn stiffness_under<S: Simd>(
+        law: &Law<S>,
+        pose: &Self::Pose<S>,
+        stress: &Stress<S>,
+    ) -> Blocks<S>;
+
+    /// `B_startᵀ C B_end`: how the pull at one instant changes with the pose at another.
+    fn coupling<S: Simd>(law: &Law<S>, start: &Self::Pose<S>, end: &Self::Pose<S>) -> Blocks<S>;
+
+    /// The gradient `(F, M_a, M_b)` of the energy of an element between two poses.
+    #[inline(always)]
+    fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3]
+    where
+        Self: Sized,
+    {
+        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        Self::pull(&pose, &law.stress(Self::strain(&pose).minus(law.rest)))
+    }
+
+    /// The stiffness of an element between two poses.
+    #[inline(always)]
+    fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Blocks<S>
+    where
+        Self: Sized,
+    {
+        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        let stress = law.stress(Self::strain(&pose).minus(law.rest));
+        Self::stiffness_under(&law, &pose, &stress)
+    }
+}
+
+/// Step of the central difference, in strain and in radians, as in [`curvature`](crate::mechanics::curvature).
+const DIFFERENCE_STEP: f64 = 6e-6;
+
+/// Where the stiffness is asked for to find the [element's curvature](crate::mechanics::curvature::element_curvature) along a
+/// covector.
+#[derive(Clone, Copy)]
+pub struct Displacement<S: Simd> {
+    pub covector: [Vec3<S>; 3],
+    size: Lanes<S>,
+    step: Lanes<S>,
+}
+
+impl<S: Simd> Displacement<S> {
+    #[inline(always)]
+    pub fn along(covector: [Vec3<S>; 3], length: f64) -> Self {
+        let one = Lanes::splat(covector[0].x.simd, 1.0);
+        let turns = covector[1].norm().max(covector[2].norm());
+        let size = (covector[0].norm() * (1.0 / length)).max(turns);
+        // Nothing that pulls is a difference of nothing.
+        let size = size.select_below(f64::MIN_POSITIVE, one, size);
+        Self {
+            covector,
+            size,
+            step: one / size * DIFFERENCE_STEP,
+        }
+    }
+
+    /// The pose moved by `sign` steps.
+    #[inline(always)]
+    pub fn moved(&self, dx: Vec3<S>, [a, b]: [Mat3<S>; 2], sign: f64) -> (Vec3<S>, [Mat3<S>; 2]) {
+        let step = self.step * sign;
+        let turned_a = a.product(small_turn(self.covector[1] * step));
+        let turned_b = b.product(small_turn(self.covector[2] * step));
+        (dx + self.covector[0] * step, [turned_a, turned_b])
+    }
+
+    /// The derivative along the covector, from what is ahead and behind.
+    #[inline(always)]
+    pub fn difference(&self, ahead: Mat3<S>, behind: Mat3<S>) -> Mat3<S> {
+        (ahead - behind) * (self.size * (0.5 / DIFFERENCE_STEP))
+    }
+
+    /// The curvature, from the stiffness here, ahead and behind.
+    #[inline(always)]
+    pub fn curvature(&self, [here, ahead, behind]: &[Blocks<S>; 3]) -> Blocks<S> {
+        let simd = self.size.simd;
+        let mut k = [[Mat3::zero(simd); 3]; 3];
+        for i in 0..3 {
+            for j in 0..3 {
+                let mut block = self.difference(ahead[i][j], behind[i][j]);
+                if j > 0 {
+                    block = block - here[i][j].product_hat(self.covector[j]);
+                }
+                if i > 0 {
+                    block = block + Mat3::hat_product(self.covector[i], here[i][j]);
+                }
+                k[i][j] = block;
+            }
+        }
+        for i in 0..3 {
+            k[i][i] = k[i][i].symmetric();
+            for j in 0..i {
+                k[i][j] = (k[i][j] + k[j][i].transpose()) * 0.5;
+                k[j][i] = k[i][j].transpose();
+            }
+        }
+        k
+    }
+}
+
+/// `exp(v̂)` for a vector of at most [`DIFFERENCE_STEP`]: `I + (1 - θ²/6) v̂ + v̂²/2`, off by `θ⁴/24`.
+#[inline(always)]
+fn small_turn<S: Simd>(v: Vec3<S>) -> Mat3<S> {
+    let square = v.dot(v);
+    let one = Lanes::splat(v.x.simd, 1.0);
+    Mat3::multiple(one - square * 0.5)
+        + Mat3::outer(v, v) * 0.5
+        + Mat3::hat(v) * (one - square * (1.0 / 6.0))
+}
