@@ -18,7 +18,7 @@ use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{
     AdjointSweep, Motion, RightHandSide, StateTangent, adjoint_sweep, defects, forward_sweep,
 };
-use softarm::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent, vee};
+use softarm::mechanics::rotation::{exp, log, log_tangent, vee};
 use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
@@ -457,7 +457,7 @@ impl Case {
         // ∂/∂ζ of log(R₀ᵀR)·y is S y.
         let pulled = |k: usize, node: usize, y: Vector3<f64>| {
             let psi = log(&start.rotations_at(k)[node].tr_mul(&trajectory.rotations_at(k)[node]));
-            log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared())) * y
+            log_tangent(&psi) * y
         };
         let mut forms = self.forms.clone();
         for own in &self.own {

@@ -8,7 +8,7 @@ use super::path::{
 };
 use super::problem::OptimalControlProblem;
 use crate::mechanics::element::IntervalStress;
-use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
+use crate::mechanics::rotation::log_tangent;
 use crate::mechanics::{Rod, StrainRule};
 
 /// `½ r²` and the gradient of `r`.
@@ -79,7 +79,7 @@ pub fn cost_rows(
         }
         if let Some(psi) = tracking.turn(t, &rod_view.trajectory.rotations_at(k)[node]) {
             // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
-            let slope = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+            let slope = log_tangent(&psi);
             add(
                 3,
                 (tracking.rotation_weight * duration).sqrt(),

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3, Vector6};
 
 use super::holding::Held;
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
+use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::slow_modes::{GROUP, SlowModes};
 use crate::mechanics::{BaseCondition, Configuration, FormTerm, Rod, State, Wrench};
 
@@ -170,8 +170,7 @@ impl Stay {
                 Half::Deviation => {
                     let psi = self.turn(q, &r[q]);
                     // δψ = Sᵀ ζ
-                    let slope =
-                        log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+                    let slope = log_tangent(&psi);
                     let turned = slope * along.fixed_rows::<3>(3);
                     along.fixed_rows_mut::<3>(3).copy_from(&turned);
                     0

@@ -4,7 +4,7 @@ use fastrand::Rng;
 use nalgebra::Vector3;
 
 use crate::control::OptimalControlProblem;
-use crate::mechanics::rotation::{InverseTangentCoefficients, exp, log_tangent};
+use crate::mechanics::rotation::{exp, log_tangent};
 use crate::mechanics::{Rod, State};
 use crate::sqp::ConvexSet;
 
@@ -40,8 +40,7 @@ pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
         let kappa = element.rest.curvature + bend + vector(rng, 0.3 * size * BEND / scales.length);
         let v = element.rest.linear[0] + vector(rng, stretch);
         let psi = kappa * element.length;
-        let c = InverseTangentCoefficients::at(psi.norm_squared());
-        let chord = log_tangent(&psi, &c)
+        let chord = log_tangent(&psi)
             .try_inverse()
             .map_or(v, |inverse| inverse * v);
         let (x, r) = (configuration.positions[q], configuration.rotations[q]);

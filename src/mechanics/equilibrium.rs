@@ -18,7 +18,7 @@ use super::configuration::Configuration;
 use super::forces::NodalForces;
 use super::load::{Load, LoadFrame, Wrench};
 use super::rod::{BaseCondition, Rod};
-use super::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+use super::rotation::{exp, log, log_tangent};
 use super::stiffness::tangent_stiffness;
 use super::strain_coordinates::retract_shape;
 use super::tangent::Tangent;
@@ -67,9 +67,8 @@ impl TipSpring {
         }
         if let Some((target, stiffness)) = self.rotation {
             let psi = log(&(target.transpose() * r));
-            let c = InverseTangentCoefficients::at(psi.norm_squared());
             k.fixed_view_mut::<3, 3>(3, 3)
-                .copy_from(&(stiffness * log_tangent(&psi, &c).transpose()));
+                .copy_from(&(stiffness * log_tangent(&psi).transpose()));
         }
         k
     }
@@ -641,9 +640,8 @@ impl Gradient for PotentialEnergy<'_> {
             .map(|(i, s)| {
                 let q = i + 1;
                 let eta: Vector3<f64> = s.fixed_rows::<3>(3).into();
-                let c = InverseTangentCoefficients::at(eta.norm_squared());
                 // The body tangent of exp is the inverse of Sᵀ; its transpose pulls moments back to the chart.
-                let chart = log_tangent(&eta, &c)
+                let chart = log_tangent(&eta)
                     .try_inverse()
                     .unwrap_or_else(Matrix3::identity)
                     * forces.moments[q];

@@ -8,7 +8,7 @@ use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
-use super::rotation::{InverseTangentCoefficients, exp, log_tangent};
+use super::rotation::{exp, log_tangent};
 use super::time::TimeScheme;
 
 pub use super::section::{Material, Section, SectionProfile};
@@ -741,9 +741,8 @@ fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
 fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
     let psi = p.rest_curvature * l;
     let turn = exp(&psi);
-    let c = InverseTangentCoefficients::at(psi.norm_squared());
     // |ψ| < π, so S is regular.
-    let step = log_tangent(&psi, &c)
+    let step = log_tangent(&psi)
         .try_inverse()
         .unwrap_or_else(Matrix3::identity)
         * Vector3::new(0.0, 0.0, p.rest_stretch * l);

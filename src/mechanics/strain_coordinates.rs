@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
 use super::element::tangent_derivative;
-use super::rotation::{InverseTangentCoefficients, exp, exp_tangent, log, log_tangent};
+use super::rotation::{exp, exp_tangent, log, log_tangent};
 
 /// Poses that are worth a thread of their own: some hundred microseconds.
 const LEAST_SHARE: usize = 2048;
@@ -30,8 +30,7 @@ impl Helix {
         r_b: &Matrix3<f64>,
     ) -> Self {
         let turn = log(&(r_a.transpose() * r_b));
-        let inverse_tangent =
-            log_tangent(&turn, &InverseTangentCoefficients::at(turn.norm_squared()));
+        let inverse_tangent = log_tangent(&turn);
         Self {
             translation: inverse_tangent * (r_a.transpose() * (x_b - x_a)),
             turn,
@@ -70,16 +69,15 @@ type Move = (Vector3<f64>, Vector3<f64>);
 impl Chart {
     fn at(x_a: &Vector3<f64>, r_a: &Matrix3<f64>, x_b: &Vector3<f64>, r_b: &Matrix3<f64>) -> Self {
         let turn = log(&r_a.tr_mul(r_b));
-        let c = InverseTangentCoefficients::at(turn.norm_squared());
         let y = r_a.tr_mul(&(x_b - x_a));
         Self {
             rotation_a: *r_a,
             y,
             turn,
-            tangent: log_tangent(&turn, &c),
+            tangent: log_tangent(&turn),
             // The spatial tangent of the exponential.
             inverse: exp_tangent(&-turn),
-            bend: tangent_derivative(&turn, &y, &c, -1.0),
+            bend: tangent_derivative(&turn, &y, -1.0),
         }
     }
 

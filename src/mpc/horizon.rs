@@ -26,7 +26,7 @@ use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, OptimalControlProblem, Shape};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::rotation::{InverseTangentCoefficients, log, log_tangent};
+use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
 use crate::mechanics::{
     FormTerm, NodeWrenches, Rod, State, StateForm, StepError, StepperMemory, TimeGrid, Trajectory,
@@ -729,7 +729,7 @@ impl Horizon {
 
 /// The form of `factor` times one axis of a rotation vector `ψ = log(R*ᵀ R)`: `δψ = Sᵀ ζ`.
 fn write_turn(form: &mut StateForm, factor: f64, psi: Vector3<f64>, axis: usize) {
-    let slope = log_tangent(&psi, &InverseTangentCoefficients::at(psi.norm_squared()));
+    let slope = log_tangent(&psi);
     for (i, term) in form.terms.iter_mut().enumerate() {
         term.coefficient = factor * slope[(i, axis)];
     }

@@ -6,7 +6,7 @@ use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::equilibrium::TipSpring;
 use crate::mechanics::forces::NodalForces;
-use crate::mechanics::rotation::{InverseTangentCoefficients, exp, log, log_tangent};
+use crate::mechanics::rotation::{exp, log, log_tangent};
 use crate::mechanics::strain_coordinates::retract_shape;
 use crate::mechanics::tangent::{Mode, Tangent};
 use crate::mechanics::{Configuration, Rod, StateView, Wrench};
@@ -48,8 +48,7 @@ impl Target {
         }
         if let Some(target) = self.rotation {
             let psi = log(&target.tr_mul(&shape.rotations[rod.tip()]));
-            let c = InverseTangentCoefficients::at(psi.norm_squared());
-            let slope = log_tangent(&psi, &c).transpose();
+            let slope = log_tangent(&psi).transpose();
             out.extend((0..3).map(|axis| {
                 Vector6::from_fn(|i, _| if i < 3 { 0.0 } else { slope[(axis, i - 3)] })
             }));

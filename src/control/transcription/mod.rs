@@ -16,7 +16,7 @@ use crate::control::path::{
 use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
 use crate::control::turns::{longer_ways, rotation_error};
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
-use crate::mechanics::rotation::{InverseTangentCoefficients, log_tangent};
+use crate::mechanics::rotation::log_tangent;
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
 use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, TrajectoryTangent};
@@ -346,9 +346,8 @@ impl<'a> Transcription<'a> {
             GoalPart::Position => one(row.axis, inverse),
             GoalPart::Orientation => {
                 let psi = self.rotation_error(trajectory, row);
-                let c = InverseTangentCoefficients::at(psi.norm_squared());
                 // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
-                let direction = log_tangent(&psi, &c).column(row.axis) * inverse;
+                let direction = log_tangent(&psi).column(row.axis) * inverse;
                 at(k, along(node, 3, &direction).collect())
             }
             GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),

@@ -362,12 +362,8 @@ impl Element {
 ///
 /// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`.
 #[inline]
-pub(crate) fn tangent_derivative(
-    psi: &Vector3<f64>,
-    y: &Vector3<f64>,
-    c: &InverseTangentCoefficients,
-    sign: f64,
-) -> Matrix3<f64> {
+pub(crate) fn tangent_derivative(psi: &Vector3<f64>, y: &Vector3<f64>, sign: f64) -> Matrix3<f64> {
+    let c = InverseTangentCoefficients::at(psi.norm_squared());
     let log = Logarithm {
         psi: Vec3::splat(Scalar, psi),
         angle_squared: Lanes::splat(Scalar, psi.norm_squared()),
@@ -382,8 +378,7 @@ pub(crate) fn tangent_derivative(
 /// gradient `S(ψ) y`, with `δψ = Sᵀ ζ`, made symmetric.
 #[must_use]
 pub fn log_second_derivative(psi: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f64> {
-    let c = InverseTangentCoefficients::at(psi.norm_squared());
-    let m = tangent_derivative(psi, y, &c, -1.0) * log_tangent(psi, &c).transpose();
+    let m = tangent_derivative(psi, y, -1.0) * log_tangent(psi).transpose();
     0.5 * (m + m.transpose())
 }
 

@@ -15,9 +15,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use crate::mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::place::{locate, node_places, pose};
-use crate::mechanics::rotation::{
-    InverseTangentCoefficients, exp, exp_tangent, hat, log, log_tangent,
-};
+use crate::mechanics::rotation::{exp, exp_tangent, hat, log, log_tangent};
 use crate::mechanics::{Rod, State};
 use crate::mpc::signal::Reading;
 
@@ -246,8 +244,7 @@ impl Reader {
                 let rotations = &state.configuration.rotations;
                 for (q, weight) in self.elements(place) {
                     let psi = log(&rotations[q].tr_mul(&rotations[q + 1]));
-                    let c = InverseTangentCoefficients::at(psi.norm_squared());
-                    let slope = log_tangent(&psi, &c) * (weight / rod.elements[q].length);
+                    let slope = log_tangent(&psi) * (weight / rod.elements[q].length);
                     add(q, ROTATION, &-slope);
                     add(q + 1, ROTATION, &slope.transpose());
                 }
@@ -338,10 +335,9 @@ impl Helix {
         let rotation_a = at.rotations[q];
         let psi = log(&rotation_a.tr_mul(&at.rotations[q + 1]));
         let y = rotation_a.tr_mul(&(at.positions[q + 1] - at.positions[q]));
-        let c = InverseTangentCoefficients::at(psi.norm_squared());
         Self {
-            inverse_tangent: log_tangent(&psi, &c),
-            bend: tangent_derivative(&psi, &y, &c, -1.0),
+            inverse_tangent: log_tangent(&psi),
+            bend: tangent_derivative(&psi, &y, -1.0),
             rotation_a,
             psi,
             y,
@@ -354,9 +350,8 @@ impl Helix {
         let turn = self.psi * s;
         let spread = exp_tangent(&-turn);
         let z = spread * (tangent * self.y);
-        let c = InverseTangentCoefficients::at(turn.norm_squared());
         // Along δψ and along δw.
-        let along_turn = self.bend - tangent_derivative(&turn, &z, &c, -1.0) * s;
+        let along_turn = self.bend - tangent_derivative(&turn, &z, -1.0) * s;
         let outer = self.rotation_a * spread * s;
         [
             outer * tangent * self.rotation_a.transpose(),
