@@ -9,7 +9,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
-use super::element::tangent_derivative;
+use super::element::{ElementPose, StrainRule, tangent_derivative};
 use super::rotation::{exp, exp_tangent, log, log_tangent};
 
 /// Poses that are worth a thread of their own: some hundred microseconds.
@@ -29,11 +29,15 @@ impl Helix {
         x_b: &Vector3<f64>,
         r_b: &Matrix3<f64>,
     ) -> Self {
-        let turn = log(&(r_a.transpose() * r_b));
-        let inverse_tangent = log_tangent(&turn);
+        let pose = ElementPose {
+            dx: x_b - x_a,
+            rotation_a: r_a,
+            rotation_b: r_b,
+        };
+        let strain = StrainRule::Helical.strain(1.0, &pose);
         Self {
-            translation: inverse_tangent * (r_a.transpose() * (x_b - x_a)),
-            turn,
+            translation: strain.linear[0],
+            turn: strain.curvature,
         }
     }
 
