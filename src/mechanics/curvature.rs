@@ -23,6 +23,7 @@
 
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use pulp::Scalar;
 
 use super::configuration::{Trajectory, TrajectoryTangent};
 use super::element::{
@@ -30,6 +31,8 @@ use super::element::{
     StrainRule,
 };
 use super::implicit::IntervalWeights;
+use super::lanes;
+use super::lanes::vector::{Mat3, Vec3};
 use super::linearization::{AdjointSweep, Motion, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
@@ -452,11 +455,7 @@ pub fn stress_curvature(
 /// (step²) and rounding (unit/step) are alike.
 const DIFFERENCE_STEP: f64 = 6e-6;
 
-/// Second derivative of `μ·π(F) - λ·g(F)` in the chart `F = exp(-ζ̂_k) F exp(ζ̂_{k+1})`, for the momenta
-/// `g = (1/h) (F J_d - J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s.
-///
-/// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed
-/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²) for `g` and for `π`, `J_d = (tr J/2) I - J`.
+/// Second derivative of the momenta of a node over an interval, see [`inertia_curvature`](lanes::tangent::inertia_curvature).
 #[must_use]
 pub fn inertia_curvature(
     rotary: [&Vector3<f64>; 2],
@@ -465,25 +464,19 @@ pub fn inertia_curvature(
     before: &Vector3<f64>,
     after: &Vector3<f64>,
 ) -> InertiaCurvature {
-    let [leaving, arriving] = rotary.map(|rotary| {
-        Matrix3::from_diagonal(&(rotary.map(|j| 0.5 * rotary.sum() - j) / time_step))
-    });
-    let c = leaving * hat(before) - hat(after) * arriving;
+    let [before, after] = [before, after].map(|v| Vec3::splat(Scalar, v));
+    let turn = Mat3::of_matrix(turn);
+    let [own, mixed, far] =
+        lanes::tangent::inertia_curvature(rotary, time_step, turn, before, after).map(Mat3::matrix);
     let mut curvature = InertiaCurvature::zeros();
-    for (at, m) in [(0, turn * c), (3, c * turn)] {
-        let block = 0.5 * (m + m.transpose()) - Matrix3::from_diagonal_element(m.trace());
-        curvature.fixed_view_mut::<3, 3>(at, at).copy_from(&block);
-    }
-    for i in 0..3 {
-        let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
-        for j in 0..3 {
-            let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
-            let mixed = c[(j1, i1)] * turn[(i2, j2)] + c[(j2, i2)] * turn[(i1, j1)]
-                - c[(j2, i1)] * turn[(i2, j1)]
-                - c[(j1, i2)] * turn[(i1, j2)];
-            curvature[(i, 3 + j)] = mixed;
-            curvature[(3 + j, i)] = mixed;
-        }
+    for (row, column, block) in [
+        (0, 0, own),
+        (0, 3, mixed),
+        (3, 0, mixed.transpose()),
+        (3, 3, far),
+    ] {
+        let mut part = curvature.fixed_view_mut::<3, 3>(row, column);
+        part.copy_from(&block);
     }
     curvature
 }

@@ -31,10 +31,11 @@ use super::element::{Element, ElementPose, IntervalStress, StrainRule};
 use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
-use super::inertia::{InertiaRule, momentum_after, momentum_before};
+use super::inertia::InertiaRule;
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::cay_inverse;
+use super::rotation_step::TurnedNode;
 use super::time::TimeNode;
 
 /// Force and moment on the whole rod, both spatial, the moment about the origin.
@@ -366,10 +367,10 @@ impl Step {
         let linear = (moved.zip(&rod.nodes)).map(|((x, to), node)| (to - x) * (node.mass / h));
         let angular = [
             (leaving.iter().zip(&turns))
-                .map(|(rotary, f)| momentum_before(rotary, f, h))
+                .map(|(rotary, f)| TurnedNode::new(rotary, f, h).momentum_before())
                 .collect(),
             (arriving.iter().zip(&turns))
-                .map(|(rotary, f)| momentum_after(rotary, f, h))
+                .map(|(rotary, f)| TurnedNode::new(rotary, f, h).momentum_after())
                 .collect(),
         ];
         Self {

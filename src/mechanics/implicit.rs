@@ -37,9 +37,7 @@ use nalgebra::{Matrix3, SVector, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::element::{Element, ElementStiffness, ElementStrain, IntervalStress};
-use super::inertia::momentum_before_slope;
 use super::rod::Rod;
-use super::rotation::cay_inverse_tangent;
 use super::time::TimeScheme;
 
 /// How the strains at both ends of an interval make its stress.
@@ -96,11 +94,6 @@ pub(super) fn scatter(
         add(q, -force, covector.fixed_rows::<3>(3).into());
     }
     add(q + 1, force, covector.fixed_rows::<3>(6).into());
-}
-
-/// `∂g/∂η` of one node's step: angular momentum in the frame before it, per body rotation at its end.
-pub(super) fn spin_inertia(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Matrix3<f64> {
-    momentum_before_slope(rotary, f, h) * cay_inverse_tangent(f)
 }
 
 /// How the equations of a step, in momentum units, change with the configuration at its end: `m/h` and the given spin inertia

@@ -10,11 +10,10 @@
 //! The rotational kinetic energy of an element over an interval, `T = Σ_ends f·J f / (2 h² α e)` with the ends' Cayley vectors
 //! `f` and `α = 1 + |f|²/4`, pulls its nodes together with the impulse `h ∂T/∂dx` at that end of the interval whose `e` it uses.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::element::RodModel;
 use super::rod::Rod;
-use super::rotation::hat;
 
 /// At which ends of an interval the inertia follows the dilatation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,51 +40,6 @@ impl InertiaRule {
             RodModel::Consistent => Self::End,
         }
     }
-}
-
-/// `(J f ± ½ f × J f)/(α h)`
-#[inline]
-fn momentum(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64, sign: f64) -> Vector3<f64> {
-    let jf = rotary.component_mul(f);
-    (jf + 0.5 * sign * f.cross(&jf)) / ((1.0 + 0.25 * f.norm_squared()) * h)
-}
-
-/// Derivative of [`momentum`] along `f`.
-fn momentum_slope(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64, sign: f64) -> Matrix3<f64> {
-    let alpha = 1.0 + 0.25 * f.norm_squared();
-    let j = Matrix3::from_diagonal(rotary);
-    (j + 0.5 * sign * (hat(f) * j - hat(&rotary.component_mul(f)))) / (alpha * h)
-        - momentum(rotary, f, h, sign) * f.transpose() * (0.5 / alpha)
-}
-
-/// `(J f + ½ f × J f)/(α h)`: angular momentum of a step in the frame before it.
-#[inline]
-pub(super) fn momentum_before(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Vector3<f64> {
-    momentum(rotary, f, h, 1.0)
-}
-
-/// `∂(J f + ½ f × J f)/(α h)/∂f`
-pub(super) fn momentum_before_slope(
-    rotary: &Vector3<f64>,
-    f: &Vector3<f64>,
-    h: f64,
-) -> Matrix3<f64> {
-    momentum_slope(rotary, f, h, 1.0)
-}
-
-/// `(J f - ½ f × J f)/(α h)`: angular momentum of a step in the frame after it.
-#[inline]
-pub(super) fn momentum_after(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Vector3<f64> {
-    momentum(rotary, f, h, -1.0)
-}
-
-/// `∂(J f - ½ f × J f)/(α h)/∂f`
-pub(super) fn momentum_after_slope(
-    rotary: &Vector3<f64>,
-    f: &Vector3<f64>,
-    h: f64,
-) -> Matrix3<f64> {
-    momentum_slope(rotary, f, h, -1.0)
 }
 
 impl Rod {

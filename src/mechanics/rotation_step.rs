@@ -1,8 +1,111 @@
-//! The rotation of one step from the angular momentum: the equation that (81) leaves to each node.
+//! The rotation of one step: the angular momentum that belongs to it, and the equation that (81) leaves to each node.
+//!
+//! With the Cayley vector `f` of a node's rotation over a step of length `h` and `α = 1 + |f|²/4`, equation (81) is
+//! `(J f + ½ f × J f)/(α h) = g` for the angular momentum `g` in the frame before the step; after it, the same momentum is
+//! `(J f - ½ f × J f)/(α h)`.
 
 use nalgebra::{Matrix3, Vector3};
+use pulp::{Scalar, Simd};
 
+use super::lanes::vector::{Lanes, Mat3, Vec3};
 use super::rotation::hat;
+
+/// `1/α`
+#[inline(always)]
+pub(super) fn inverse_alpha<S: Simd>(f: Vec3<S>) -> Lanes<S> {
+    Lanes::splat(f.x.simd, 1.0) / (f.dot(f) * 0.25 + 1.0)
+}
+
+/// `(J f ± ½ f × J f)/(α h)` for `rate = J/h`: before the step with the sign `1`, after it with `-1`.
+#[inline(always)]
+pub(super) fn momentum<S: Simd>(
+    rate: Vec3<S>,
+    f: Vec3<S>,
+    inverse_alpha: Lanes<S>,
+    sign: f64,
+) -> Vec3<S> {
+    let jf = f.component_mul(rate);
+    (jf + f.cross(jf) * (0.5 * sign)) * inverse_alpha
+}
+
+/// The derivative of a [`momentum`] `g` along `f`.
+#[inline(always)]
+pub(super) fn momentum_slope<S: Simd>(
+    rate: Vec3<S>,
+    f: Vec3<S>,
+    inverse_alpha: Lanes<S>,
+    g: Vec3<S>,
+    sign: f64,
+) -> Mat3<S> {
+    let turned = Mat3::hat(f).product(Mat3::diagonal(rate)) - Mat3::hat(f.component_mul(rate));
+    (Mat3::diagonal(rate) + turned * (0.5 * sign)) * inverse_alpha
+        - Mat3::outer(g * (inverse_alpha * 0.5), f)
+}
+
+/// `∂g/∂η` of the momentum before the step along the body rotation at its end, from its [slope](momentum_slope).
+#[inline(always)]
+pub(super) fn spin_inertia<S: Simd>(slope: Mat3<S>, f: Vec3<S>) -> Mat3<S> {
+    let one = Mat3::multiple(Lanes::splat(f.x.simd, 1.0));
+    slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25)
+}
+
+/// A node of inertia `rotary`, kg m², that turns by `f` in a step of length `h`, s.
+#[derive(Clone, Copy)]
+pub(super) struct TurnedNode {
+    rate: Vec3<Scalar>,
+    f: Vec3<Scalar>,
+    inverse_alpha: Lanes<Scalar>,
+}
+
+impl TurnedNode {
+    pub fn new(rotary: &Vector3<f64>, f: &Vector3<f64>, h: f64) -> Self {
+        let f = Vec3::splat(Scalar, f);
+        Self {
+            rate: Vec3::splat(Scalar, &(rotary / h)),
+            f,
+            inverse_alpha: inverse_alpha(f),
+        }
+    }
+
+    fn momentum(&self, sign: f64) -> Vec3<Scalar> {
+        momentum(self.rate, self.f, self.inverse_alpha, sign)
+    }
+
+    fn slope(&self, sign: f64) -> Mat3<Scalar> {
+        momentum_slope(
+            self.rate,
+            self.f,
+            self.inverse_alpha,
+            self.momentum(sign),
+            sign,
+        )
+    }
+
+    /// Angular momentum in the frame before the step.
+    pub fn momentum_before(&self) -> Vector3<f64> {
+        self.momentum(1.0).vector()
+    }
+
+    /// Its derivative along `f`.
+    pub fn slope_before(&self) -> Matrix3<f64> {
+        self.slope(1.0).matrix()
+    }
+
+    /// Angular momentum in the frame after the step.
+    pub fn momentum_after(&self) -> Vector3<f64> {
+        self.momentum(-1.0).vector()
+    }
+
+    /// Its derivative along `f`.
+    pub fn slope_after(&self) -> Matrix3<f64> {
+        self.slope(-1.0).matrix()
+    }
+
+    /// Angular momentum before the step per body rotation at its end.
+    pub fn spin_inertia(&self) -> Matrix3<f64> {
+        spin_inertia(self.slope(1.0), self.f).matrix()
+    }
+}
 
 /// Solves `J f + ½ f × J f = (1 + |f|²/4) b` for the Cayley vector `f` of one step's rotation, `b = h g`.
 ///

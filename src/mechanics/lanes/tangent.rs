@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
 use super::vector::{Lanes, Mat3, Row, Vec3};
+use crate::mechanics::rotation_step::{inverse_alpha, momentum, momentum_slope, spin_inertia};
 
 /// Numbers of a pose: position, rotation matrix row by row.
 pub const POSE_ROWS: usize = 12;
@@ -47,21 +48,25 @@ impl<S: Simd> NodePose<S> {
 /// without loss of digits: up to 2.2 rad.
 pub const LEAST_MARGIN: f64 = 0.75;
 
-/// The parts of [`inertia_curvature`](crate::mechanics::curvature::inertia_curvature): before, mixed (rows before), after.
+/// Second derivative of `μ·π(F) - λ·g(F)` in the chart `F = exp(-ζ̂_k) F exp(ζ̂_{k+1})`, for the momenta
+/// `g = (1/h) (F J_d - J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s: before, mixed (rows before), after.
+///
+/// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed
+/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²) for `g` and for `π`, `J_d = (tr J/2) I - J`.
 #[inline(always)]
 pub fn inertia_curvature<S: Simd>(
-    rotary: &Vector3<f64>,
+    rotary: [&Vector3<f64>; 2],
     h: f64,
     turn: Mat3<S>,
     before: Vec3<S>,
     after: Vec3<S>,
 ) -> [Mat3<S>; 3] {
     let simd = before.x.simd;
-    let inertia = Mat3::diagonal(Vec3::splat(
-        simd,
-        &rotary.map(|j| (0.5 * rotary.sum() - j) / h),
-    ));
-    let c = inertia.product_hat(before) - Mat3::hat_product(after, inertia);
+    let [leaving, arriving] = rotary.map(|rotary| {
+        let j_d = rotary.map(|j| (0.5 * rotary.sum() - j) / h);
+        Mat3::diagonal(Vec3::splat(simd, &j_d))
+    });
+    let c = leaving.product_hat(before) - Mat3::hat_product(after, arriving);
     // The mixed cofactor of Cᵀ and F: of the rows of one and the other, both ways.
     let (c_t, f) = (c.transpose().rows, turn.rows);
     let mixed = Mat3 {
@@ -110,17 +115,13 @@ impl<S: Simd> Turn<S> {
     #[inline(always)]
     fn of(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Self {
         let simd = before.rows[0].x.simd;
-        let one = Lanes::splat(simd, 1.0);
         let turn = before.transposed_product(after);
         let margin = turn.trace() + 1.0;
         let f = turn.vee() * (Lanes::splat(simd, 4.0) / margin);
-        let inverse_alpha = one / (f.dot(f) * 0.25 + 1.0);
-        let j = Vec3::splat(simd, &(rotary / h));
-        let jf = f.component_mul(j);
-        let g = (jf + f.cross(jf) * 0.5) * inverse_alpha;
-        let turned = Mat3::hat(f).product(Mat3::diagonal(j)) - Mat3::hat(jf);
-        let slope = (Mat3::diagonal(j) + turned * 0.5) * inverse_alpha
-            - Mat3::outer(g * (inverse_alpha * 0.5), f);
+        let inverse_alpha = inverse_alpha(f);
+        let rate = Vec3::splat(simd, &(rotary / h));
+        let g = momentum(rate, f, inverse_alpha, 1.0);
+        let slope = momentum_slope(rate, f, inverse_alpha, g, 1.0);
         Self {
             turn,
             margin,
@@ -136,7 +137,7 @@ impl<S: Simd> Turn<S> {
 #[derive(Clone, Copy)]
 pub struct Spin<S: Simd> {
     pub turn_transposed: Mat3<S>,
-    /// `Θ⁻¹`: angular momentum before the drift per rotation, see [`spin_inertia`](crate::mechanics::implicit::spin_inertia).
+    /// `Θ⁻¹`: angular momentum before the drift per rotation, see [`spin_inertia`].
     pub inertia: Mat3<S>,
     /// `M Θ⁻¹`: that after it.
     pub arriving: Mat3<S>,
@@ -156,8 +157,7 @@ pub fn spin<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3
         slope,
         ..
     } = Turn::of(rotary, h, before, after);
-    let one = Mat3::multiple(Lanes::splat(margin.simd, 1.0));
-    let inertia = slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25);
+    let inertia = spin_inertia(slope, f);
     let turn_transposed = turn.transpose();
     // M = Fᵀ + (Fᵀg)^ Θ
     let arriving = turn_transposed.product(inertia) + Mat3::hat(turn_transposed.apply(g));

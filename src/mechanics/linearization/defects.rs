@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use crate::mechanics::actuator::StateView;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forces::NodalForces;
-use crate::mechanics::inertia::{InertiaRule, momentum_after, momentum_before};
+use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rotation::cay_inverse;
+use crate::mechanics::rotation_step::TurnedNode;
 use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::step_error::StepError;
 
@@ -39,7 +40,7 @@ impl Interval {
         Some(Self {
             f,
             turn,
-            g: momentum_before(rotary, &f, h),
+            g: TurnedNode::new(rotary, &f, h).momentum_before(),
         })
     }
 
@@ -199,7 +200,7 @@ pub fn defects(
             angular[row] = interval.g - pi[q];
             p[q] = moving;
             pi[q] = if rule == InertiaRule::Both {
-                momentum_after(&arriving[q], &interval.f, h)
+                TurnedNode::new(&arriving[q], &interval.f, h).momentum_after()
             } else {
                 interval.turn.tr_mul(&interval.g)
             };

@@ -6,12 +6,11 @@ use crate::mechanics::actuator::{ActingDerivative, StateView};
 use crate::mechanics::block_tridiagonal::BlockLu;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::ElementStiffness;
-use crate::mechanics::implicit::{IntervalWeights, join, scatter, spin_inertia, step_matrix};
-use crate::mechanics::inertia::{
-    InertiaRule, momentum_after, momentum_after_slope, momentum_before, momentum_before_slope,
-};
+use crate::mechanics::implicit::{IntervalWeights, join, scatter, step_matrix};
+use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::{cay_tangent, hat};
+use crate::mechanics::rotation_step::TurnedNode;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
@@ -474,11 +473,13 @@ impl NodeDrift {
     ) -> Option<Self> {
         let h = motion.grid.step;
         let Interval { f, turn, g } = interval;
-        let turn_rate = momentum_before_slope(leaving, f, h).try_inverse()?;
+        let turn_rate = TurnedNode::new(leaving, f, h)
+            .slope_before()
+            .try_inverse()?;
         let theta = cay_tangent(f) * turn_rate;
         let turn_transposed = turn.transpose();
         let momentum = if InertiaRule::of(motion.rod.model, k) == InertiaRule::Both {
-            momentum_after_slope(arriving, f, h) * turn_rate
+            TurnedNode::new(arriving, f, h).slope_after() * turn_rate
         } else {
             turn_transposed + hat(&(turn_transposed * g)) * theta
         };
@@ -563,7 +564,7 @@ impl StressDrift {
             out[3].push(stiffness(1, weights.end) * arriving);
         }
         let spin: Vec<_> = (rod.nodes.iter().zip(intervals))
-            .map(|(node, interval)| spin_inertia(&node.rotary, &interval.f, h))
+            .map(|(node, interval)| TurnedNode::new(&node.rotary, &interval.f, h).spin_inertia())
             .collect();
         let [start_start, start_end, end_start, end_end] = out;
         let step = step_matrix(rod, h, &spin, start_end.iter().copied())
@@ -590,7 +591,7 @@ impl ElementDrift {
     /// Element `q` over the interval from `k` on.
     ///
     /// The inertia `S/e` of a share `S` changes by `-S δe/e²`; at a given momentum `g` the step turns as if `g` were larger by
-    /// `momentum_before(S, f) δe/e²`.
+    /// `(S f + ½ f × S f)/(α h) δe/e²`.
     fn new(
         motion: &Motion,
         trajectory: &Trajectory,
@@ -620,7 +621,8 @@ impl ElementDrift {
         for end in 0..2 {
             let Interval { f, turn, g } = &intervals[q + end];
             let share = &rod.element_inertia[q][end].rotary;
-            let gain = momentum_before(share, f, h) * square[at];
+            let turned = TurnedNode::new(share, f, h);
+            let gain = turned.momentum_before() * square[at];
             let drift = &drifts[q + end];
             out.turn[at][end] = drift.theta * gain;
             out.spin[at][end] = if rule == InertiaRule::Both {
@@ -629,7 +631,7 @@ impl ElementDrift {
                 turn.tr_mul(g).cross(&out.turn[at][end])
             };
             if rule == InertiaRule::Both {
-                out.spin[1][end] = momentum_after(share, f, h) * -square[1];
+                out.spin[1][end] = turned.momentum_after() * -square[1];
             }
         }
         if rule != InertiaRule::Both {

@@ -545,7 +545,7 @@ impl Group<'_> {
         let rotary = &self.motion.rod.nodes[node].rotary;
         let turn = before.transposed_product(after);
         let h = self.motion.grid.step;
-        let [own, mixed, far] = inertia_curvature(rotary, h, turn, leaving, arriving);
+        let [own, mixed, far] = inertia_curvature([rotary; 2], h, turn, leaving, arriving);
         store(out, 0, own);
         store(out, 9, mixed);
         store(out, 18, far);

@@ -20,6 +20,7 @@ use crate::mechanics::lanes::sweep::{
 use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
+use crate::mechanics::rotation_step::{momentum, momentum_slope, spin_inertia};
 use crate::mechanics::time::TimeScheme;
 
 /// Rows of a block of nodes on their way through a step; the pose at its end comes first.
@@ -732,24 +733,22 @@ impl<S: Simd> Moving<S> {
         self.moved * self.mass_rate
     }
 
-    /// `(J f + ½ f × J f)/(α h)`
     #[inline(always)]
-    fn angular(&self) -> Vec3<S> {
-        let jf = self.turned.component_mul(self.spin_rate);
-        (jf + self.turned.cross(jf) * 0.5) * (self.cosine * self.cosine)
+    fn inverse_alpha(&self) -> Lanes<S> {
+        self.cosine * self.cosine
     }
 
-    /// See [`spin_inertia`](crate::mechanics::implicit::spin_inertia).
+    /// Angular momentum before the step.
+    #[inline(always)]
+    fn angular(&self) -> Vec3<S> {
+        momentum(self.spin_rate, self.turned, self.inverse_alpha(), 1.0)
+    }
+
     #[inline(always)]
     fn spin_inertia(&self) -> Mat3<S> {
-        let (f, j) = (self.turned, self.spin_rate);
-        let inverse_alpha = self.cosine * self.cosine;
-        let jf = f.component_mul(j);
-        let turned = Mat3::hat(f).product(Mat3::diagonal(j)) - Mat3::hat(jf);
-        let slope = (Mat3::diagonal(j) + turned * 0.5) * inverse_alpha
-            - Mat3::outer(self.angular() * (inverse_alpha * 0.5), f);
-        let one = Mat3::multiple(Lanes::splat(inverse_alpha.simd, 1.0));
-        slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25)
+        let (rate, f, inverse_alpha) = (self.spin_rate, self.turned, self.inverse_alpha());
+        let slope = momentum_slope(rate, f, inverse_alpha, self.angular(), 1.0);
+        spin_inertia(slope, f)
     }
 }
 
