@@ -26,17 +26,19 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Scalar;
 
 use super::configuration::{Trajectory, TrajectoryTangent};
+use super::element::rule::DIFFERENCE_STEP;
 use super::element::{
-    Element, ElementPose, ElementStiffness, ElementStrain, IntervalStress, StrainDerivative,
-    StrainRule,
+    Displacement, Element, ElementPose, ElementStiffness, Helical, Law, StrainRule, TangentRule,
+    Trapezoidal, blocks_of, nine_by_nine, pose_of_any_turn,
 };
 use super::implicit::IntervalWeights;
 use super::lanes;
+use super::lanes::curved::{CurvedEnd, StressBlocks};
 use super::lanes::vector::{Mat3, Vec3};
 use super::linearization::{AdjointSweep, Motion, StepLinearization};
 use super::load::LoadFrame;
 use super::rod::Rod;
-use super::rotation::{exp, hat};
+use super::rotation::exp;
 use super::step_error::StepError;
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
@@ -316,8 +318,24 @@ pub fn element_curvature(
     covector: &SVector<f64, 9>,
 ) -> ElementCurvature {
     if element.model.has_potential() {
-        let along = |pose: &ElementPose| element.stiffness(rule, pose).1;
-        return third_derivative(element.length, pose, covector, stiffness, along);
+        let vectors = [0, 3, 6].map(|at| covector.fixed_rows::<3>(at).into_owned());
+        let displacement = Displacement::along(
+            vectors.each_ref().map(|v| Vec3::splat(Scalar, v)),
+            element.length,
+        );
+        let moved = |sign: f64| {
+            let turns = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
+            let (dx, turns) = displacement.moved(Vec3::splat(Scalar, &pose.dx), turns, sign);
+            let [a, b] = turns.map(Mat3::matrix);
+            let pose = ElementPose {
+                dx: dx.vector(),
+                rotation_a: &a,
+                rotation_b: &b,
+            };
+            blocks_of(&element.stiffness(rule, &pose).1)
+        };
+        let found = [blocks_of(stiffness), moved(1.0), moved(-1.0)];
+        return nine_by_nine(&displacement.curvature(&found));
     }
     let stiffness_at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
         let pose = ElementPose {
@@ -345,60 +363,7 @@ pub fn element_curvature(
     0.5 * (curvature + curvature.transpose())
 }
 
-/// The symmetric `E_aE_bE_λU` of [`element_curvature`], from `E_aE_bU` here (`stiffness`) and anywhere (`stiffness_at`).
-fn third_derivative(
-    length: f64,
-    pose: &ElementPose,
-    covector: &SVector<f64, 9>,
-    stiffness: &ElementStiffness,
-    stiffness_at: impl Fn(&ElementPose) -> ElementStiffness,
-) -> ElementCurvature {
-    let mut curvature = derivative_along(length, pose, covector, stiffness_at);
-    // [a, λ] = -λ̂ a: adds KA + AᵀK with A = -diag(0, λ̂_a, λ̂_b); λ̂ᵀ = -λ̂.
-    for at in [3, 6] {
-        let turn = hat(&covector.fixed_rows::<3>(at).into());
-        let columns = stiffness.fixed_columns::<3>(at) * turn;
-        let mut target = curvature.fixed_columns_mut::<3>(at);
-        target -= columns;
-        let rows = turn * stiffness.fixed_rows::<3>(at);
-        let mut target = curvature.fixed_rows_mut::<3>(at);
-        target += rows;
-    }
-    0.5 * (curvature + curvature.transpose())
-}
-
-/// Central difference of a matrix that depends on the pose, along `(δx_b - δx_a, η_a, η_b) = along`.
-fn derivative_along(
-    length: f64,
-    pose: &ElementPose,
-    along: &SVector<f64, 9>,
-    matrix_at: impl Fn(&ElementPose) -> SMatrix<f64, 9, 9>,
-) -> SMatrix<f64, 9, 9> {
-    let part = |i: usize| -> Vector3<f64> { along.fixed_rows::<3>(3 * i).into() };
-    let size = (part(0).norm() / length).max(part(1).norm().max(part(2).norm()));
-    if size == 0.0 {
-        return SMatrix::zeros();
-    }
-    let step = DIFFERENCE_STEP / size;
-    let (turn_a, turn_b) = (exp(&(step * part(1))), exp(&(step * part(2))));
-    let at = |shift: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
-        matrix_at(&ElementPose {
-            dx: pose.dx + shift,
-            rotation_a: &(pose.rotation_a * turn_a),
-            rotation_b: &(pose.rotation_b * turn_b),
-        })
-    };
-    let shift = step * part(0);
-    let ahead = at(shift, &turn_a, &turn_b);
-    let behind = at(-shift, &turn_a.transpose(), &turn_b.transpose());
-    (ahead - behind) * (0.5 / step)
-}
-
 /// The [`StressCurvature`] of an element, from its pose and the components `w` at both ends of the interval.
-///
-/// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends: what is
-/// bent are the strains themselves, at a given stress ([`Element::stiffness_under`]) and at the stress that the strains `d`
-/// would make, and `d`, whose derivatives along `w` are central differences as in [`element_curvature`].
 #[must_use]
 pub fn stress_curvature(
     element: &Element,
@@ -406,54 +371,32 @@ pub fn stress_curvature(
     weights: IntervalWeights,
     ends: &[(ElementPose, SVector<f64, 9>); 2],
 ) -> StressCurvature {
-    let length = element.length;
-    let strains = (ends.each_ref()).map(|(pose, _)| rule.strain_derivative(length, pose));
-    let stress = weights.stress(element, &strains[0].0, &strains[1].0);
-    // E_a(E_w s) = E_w(E_a s) + E_[a,w] s
-    let bends: [StrainDerivative; 2] = std::array::from_fn(|end| {
-        let ((pose, covector), (_, b)) = (&ends[end], &strains[end]);
-        let mut bend = derivative_along(length, pose, covector, |pose| {
-            rule.strain_derivative(length, pose).1
-        });
-        for at in [3, 6] {
-            let turn = hat(&covector.fixed_rows::<3>(at).into());
-            let mut columns = bend.fixed_columns_mut::<3>(at);
-            columns -= b.fixed_columns::<3>(at) * turn;
-        }
-        bend
-    });
-    let along: SVector<f64, 9> = (ends.iter().zip(&strains))
-        .map(|((_, covector), (_, b))| b * covector)
-        .sum();
-    let vector = |at: usize| -> Vector3<f64> { along.fixed_rows::<3>(at).into() };
-    let strain = ElementStrain {
-        linear: [vector(0), vector(3)],
-        curvature: vector(6),
-    };
-    let own = |end: usize, weight: f64| {
-        let (pose, covector) = &ends[end];
-        let under = |stress: &IntervalStress, pose: &ElementPose| {
-            element.stiffness_under(rule, pose, stress, 0.0)
-        };
-        let mixed = element.coupling(&bends[end], &strains[end].1) * weight;
-        let bent = under(&element.stress_of_strain(&strain, weight), pose);
-        let third = third_derivative(length, pose, covector, &under(&stress, pose), |pose| {
-            under(&stress, pose)
-        });
-        let sum = third + 2.0 * mixed + bent;
-        0.5 * (sum + sum.transpose())
-    };
-    StressCurvature {
-        start: own(0, weights.start),
-        cross: element.coupling(&bends[0], &strains[1].1) * weights.end
-            + element.coupling(&strains[0].1, &bends[1]) * weights.start,
-        end: own(1, weights.end),
+    match rule {
+        StrainRule::Helical => stress_curvature_by::<Helical>(element, weights, ends),
+        StrainRule::Trapezoidal => stress_curvature_by::<Trapezoidal>(element, weights, ends),
     }
 }
 
-/// Step of the central difference in strain and in radians: the cube root of the rounding unit, where truncation
-/// (step²) and rounding (unit/step) are alike.
-const DIFFERENCE_STEP: f64 = 6e-6;
+fn stress_curvature_by<R: TangentRule>(
+    element: &Element,
+    weights: IntervalWeights,
+    ends: &[(ElementPose, SVector<f64, 9>); 2],
+) -> StressCurvature {
+    let ends = ends.each_ref().map(|(pose, covector)| {
+        let part = |at: usize| Vec3::splat(Scalar, &covector.fixed_rows::<3>(at).into_owned());
+        CurvedEnd {
+            dx: Vec3::splat(Scalar, &pose.dx),
+            rotations: [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix),
+            covector: [part(0), part(3), part(6)],
+        }
+    });
+    let law = Law::of::<R>(Scalar, element);
+    let pose = pose_of_any_turn::<R>;
+    let StressBlocks { start, cross, end } =
+        lanes::curved::stress_curvature::<Scalar, R>(&law, element.length, weights, &ends, pose);
+    let [start, cross, end] = [start, cross, end].map(|blocks| nine_by_nine(&blocks));
+    StressCurvature { start, cross, end }
+}
 
 /// Second derivative of the momenta of a node over an interval, see [`inertia_curvature`](lanes::tangent::inertia_curvature).
 #[must_use]

@@ -142,13 +142,22 @@ impl StrainRule {
 
 /// What a rule needs of a pose, in one lane.
 fn posed<R: TangentRule>(pose: &ElementPose) -> R::Pose<Scalar> {
-    let q = rotation::quaternion(&pose.rotation_a.tr_mul(pose.rotation_b));
+    let [a, b] = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
+    pose_of_any_turn::<R>(Vec3::splat(Scalar, &pose.dx), a, b)
+}
+
+/// The same of an element whose ends are turned against each other by any angle up to half a turn.
+pub(crate) fn pose_of_any_turn<R: TangentRule>(
+    dx: Vec3<Scalar>,
+    a: Mat3<Scalar>,
+    b: Mat3<Scalar>,
+) -> R::Pose<Scalar> {
+    let q = rotation::quaternion(&a.matrix().tr_mul(&b.matrix()));
     let relative = Quaternion {
         w: Lanes::splat(Scalar, q.w),
         v: Vec3::splat(Scalar, &q.imag()),
     };
-    let [a, b] = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
-    R::pose_at(Vec3::splat(Scalar, &pose.dx), a, b, relative)
+    R::pose_at(dx, a, b, relative)
 }
 
 fn strain_of<R: TangentRule>(length: f64, pose: &R::Pose<Scalar>) -> ElementStrain {
@@ -172,7 +181,7 @@ fn derivative_of<R: TangentRule>(
     (strain_of::<R>(length, &pose), nine_by_nine(&rows) / length)
 }
 
-fn nine_by_nine(blocks: &Blocks<Scalar>) -> SMatrix<f64, 9, 9> {
+pub(crate) fn nine_by_nine(blocks: &Blocks<Scalar>) -> SMatrix<f64, 9, 9> {
     let mut out = SMatrix::<f64, 9, 9>::zeros();
     for (i, row) in blocks.iter().enumerate() {
         for (j, block) in row.iter().enumerate() {
@@ -181,6 +190,12 @@ fn nine_by_nine(blocks: &Blocks<Scalar>) -> SMatrix<f64, 9, 9> {
         }
     }
     out
+}
+
+/// The blocks of a 9×9 matrix.
+pub(crate) fn blocks_of(matrix: &SMatrix<f64, 9, 9>) -> Blocks<Scalar> {
+    let block = |i: usize, j: usize| matrix.fixed_view::<3, 3>(3 * i, 3 * j).into_owned();
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| Mat3::of_matrix(&block(i, j))))
 }
 
 /// A stress in the scale of a rule.

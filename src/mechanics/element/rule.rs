@@ -156,8 +156,9 @@ pub trait TangentRule {
     }
 }
 
-/// Step of the central difference, in strain and in radians, as in [`curvature`](crate::mechanics::curvature).
-const DIFFERENCE_STEP: f64 = 6e-6;
+/// Step of the central difference, in strain and in radians: the cube root of the rounding unit, where truncation
+/// (step²) and rounding (unit/step) are alike.
+pub const DIFFERENCE_STEP: f64 = 6e-6;
 
 /// Where the stiffness is asked for to find the [element's curvature](crate::mechanics::curvature::element_curvature) along a
 /// covector.

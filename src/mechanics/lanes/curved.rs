@@ -1,7 +1,6 @@
 //! Second derivatives of what the stress of an interval does to an element, several time nodes at a time.
 //!
-//! [`stress_curvature`](crate::mechanics::curvature::stress_curvature) is the clear counterpart and test oracle, and has the derivation;
-//! strains are here times the length, as in [`tangent`](super::tangent).
+//! Strains are times the length, as in [`element`](crate::mechanics::element).
 
 use pulp::Simd;
 
@@ -34,7 +33,11 @@ struct Bent<S: Simd, R: TangentRule> {
 
 impl<S: Simd, R: TangentRule> Bent<S, R> {
     #[inline(always)]
-    fn at(end: &CurvedEnd<S>, length: f64) -> Self {
+    fn at(
+        end: &CurvedEnd<S>,
+        length: f64,
+        pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S>,
+    ) -> Self {
         let CurvedEnd {
             dx,
             rotations,
@@ -43,10 +46,10 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
         let displacement = Displacement::along(covector, length);
         let moved = |sign: f64| {
             let (dx, [a, b]) = displacement.moved(dx, rotations, sign);
-            R::pose(dx, a, b)
+            pose(dx, a, b)
         };
         let [a, b] = rotations;
-        let poses = [R::pose(dx, a, b), moved(1.0), moved(-1.0)];
+        let poses = [pose(dx, a, b), moved(1.0), moved(-1.0)];
         let [derivative, ahead, behind] = [
             R::derivative(&poses[0]),
             R::derivative(&poses[1]),
@@ -142,17 +145,22 @@ fn coupled<S: Simd, R: TangentRule>(
     x
 }
 
-/// The curvature of an element of the given length over an interval.
+/// The curvature of an element of the given length over an interval; `pose` makes what the rule needs of a pose, as [`TangentRule::pose`].
+///
+/// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends: what is
+/// bent are the strains themselves, at a given stress ([`TangentRule::stiffness_under`]) and at the stress that the strains `d`
+/// would make, and `d`, whose derivatives along `w` are central differences.
 #[inline(always)]
 pub fn stress_curvature<S: Simd, R: TangentRule>(
     law: &Law<S>,
     length: f64,
     weights: IntervalWeights,
     ends: &[CurvedEnd<S>; 2],
+    pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S> + Copy,
 ) -> StressBlocks<S> {
     let simd = law.c1.x.simd;
-    let start = Bent::<S, R>::at(&ends[0], length);
-    let end = Bent::<S, R>::at(&ends[1], length);
+    let start = Bent::<S, R>::at(&ends[0], length, pose);
+    let end = Bent::<S, R>::at(&ends[1], length, pose);
     let [near, far] = [R::strain(&start.poses[0]), R::strain(&end.poses[0])];
     let of = |weight: f64| Lanes::splat(simd, weight);
     let elastic = near.minus(law.rest).times(of(weights.start + weights.end));

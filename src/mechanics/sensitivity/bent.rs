@@ -55,7 +55,8 @@ impl Group<'_> {
             };
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
             let law = Law::of::<R>(simd, element);
-            let found = stress_curvature::<S, R>(&law, element.length, weights, &ends);
+            let pose = R::pose::<S>;
+            let found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
             let parts: [(Blocks<S>, Part); 3] = [
                 (found.start, |stress| &mut stress.start),
                 (found.cross, |stress| &mut stress.cross),
