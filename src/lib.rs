@@ -61,9 +61,6 @@ pub mod mechanics;
 pub mod memory;
 pub mod mpc;
 pub mod output;
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod paper;
 pub mod scene;
 pub mod solve;
 pub mod sqp;

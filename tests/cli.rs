@@ -1078,39 +1078,3 @@ fn output_is_what_was_asked_for() {
         run.stderr
     );
 }
-
-/// `paper` prints one object with every printed number; a run cut short reproduces none of the peaks, and says so.
-#[test]
-fn paper_compares_with_the_printed_numbers() {
-    let desk = Desk::new();
-    let run = desk
-        .run(&["paper", "--json", "--set", "time.end_s=0.02"])
-        .exits(REJECTED);
-    let summary = run.summary();
-    has_fields(
-        &summary,
-        &[
-            "command",
-            "reproducible",
-            "wall_s",
-            "readings",
-            "locking",
-            "fine_grids",
-        ],
-    );
-    let figures = summary["figures"].as_array().unwrap();
-    assert_eq!(figures.len(), 13);
-    for figure in figures {
-        has_fields(
-            figure,
-            &["section", "quantity", "equation", "paper", "ours"],
-        );
-        assert!(figure["ours"].is_f64(), "{figure}");
-    }
-    assert_eq!(summary["reproduced"], 0);
-    assert!(run.stderr.contains("NOT REPRODUCED"));
-    desk.run(&["paper", "--json", "--markdown"])
-        .refused(&["--markdown"]);
-    desk.run(&["paper", "--set", "rod.elements=0"])
-        .refused(&["rod.elements"]);
-}

@@ -8,7 +8,6 @@ use crate::mechanics::StepError;
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
-use crate::paper::PaperError;
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::solve::SavedError;
 use crate::stop::{Stop, StopSignal};
@@ -47,9 +46,6 @@ pub(super) enum CliError {
     /// A second opinion that cannot be had.
     #[error("error: {0}")]
     SecondOpinion(#[from] SecondOpinionError),
-    /// An experiment of the paper could not be run.
-    #[error("{0}")]
-    Paper(#[from] PaperError),
     /// A closed loop that cannot begin.
     #[error("error: the controller has no first plan: {0}")]
     Mpc(#[from] MpcError),
@@ -97,10 +93,7 @@ impl CliError {
             Self::Scene(_)
             | Self::Output(_)
             | Self::Directory(_)
-            | Self::SecondOpinion(SecondOpinionError::Inequality { .. })
-            | Self::Paper(
-                PaperError::Scene(_) | PaperError::Discretize(_) | PaperError::Start(_),
-            ) => exit::USAGE,
+            | Self::SecondOpinion(SecondOpinionError::Inequality { .. }) => exit::USAGE,
             Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
             | Self::Statics(_)
@@ -110,8 +103,7 @@ impl CliError {
             | Self::Serve(_)
             | Self::Check(_)
             | Self::SecondOpinion(SecondOpinionError::Start(_))
-            | Self::Derivative(_)
-            | Self::Paper(PaperError::Step { .. }) => exit::NUMERICAL,
+            | Self::Derivative(_) => exit::NUMERICAL,
         }
     }
 }

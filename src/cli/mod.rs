@@ -13,7 +13,6 @@ mod export;
 mod hardly_meant;
 mod memory;
 mod mpc;
-mod paper;
 mod progress;
 mod quantity;
 mod report;
@@ -66,8 +65,7 @@ const EXIT_CODES: &str = "Examples:
 
 Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
 4 locally infeasible · 5 numerical failure · 6 stopped by a deadline, Ctrl-C, SIGTERM or SIGHUP · 7 solved, but the check \
-rejects it (derivatives: one is wrong; paper: a printed number is not reproduced) · 8 the result, or standard output, could not be \
-written · 130 ended at once by a second Ctrl-C or SIGTERM";
+rejects it (derivatives: one is wrong) · 8 the result, or standard output, could not be written · 130 ended at once by a second Ctrl-C or SIGTERM";
 
 /// Options of every verb.
 #[derive(Clone, Debug, Args)]
@@ -142,8 +140,6 @@ enum Command {
         /// The verb
         verb: Option<String>,
     },
-    /// Run the experiments of the paper's section 5 and set every printed number beside ours
-    Paper(paper::PaperArguments),
 }
 
 #[derive(Debug, Args)]
@@ -236,7 +232,6 @@ pub fn run() -> ExitCode {
         }
         Command::Man { verb } => manual(verb.as_deref(), &console),
         Command::Schema => schema::run(&console),
-        Command::Paper(arguments) => paper::run(arguments, &cli.global, &console),
     };
     match outcome.and_then(|code| console.printed().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
