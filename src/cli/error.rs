@@ -2,7 +2,6 @@
 
 use super::exit;
 use crate::control::GuessError;
-use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
 use crate::mechanics::equilibrium::EquilibriumError;
@@ -44,9 +43,6 @@ pub(super) enum CliError {
     /// No point at which derivatives could be checked.
     #[error("error: {0}")]
     Derivative(#[from] DerivativeError),
-    /// A second opinion that cannot be had.
-    #[error("error: {0}")]
-    SecondOpinion(#[from] SecondOpinionError),
     /// An experiment of the paper could not be run.
     #[error("{0}")]
     Paper(#[from] PaperError),
@@ -97,7 +93,6 @@ impl CliError {
             Self::Scene(_)
             | Self::Output(_)
             | Self::Directory(_)
-            | Self::SecondOpinion(SecondOpinionError::Inequality { .. })
             | Self::Paper(
                 PaperError::Scene(_) | PaperError::Discretize(_) | PaperError::Start(_),
             ) => exit::USAGE,
@@ -109,7 +104,6 @@ impl CliError {
             | Self::Sweep(_)
             | Self::Serve(_)
             | Self::Check(_)
-            | Self::SecondOpinion(SecondOpinionError::Start(_))
             | Self::Derivative(_)
             | Self::Paper(PaperError::Step { .. }) => exit::NUMERICAL,
         }

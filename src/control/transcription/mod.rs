@@ -193,13 +193,6 @@ impl<'a> Transcription<'a> {
         &self.goal_rows
     }
 
-    /// The variables of goals within a tolerance.
-    pub(super) fn tolerance_slacks(&self) -> impl Iterator<Item = usize> {
-        (self.goal_rows.iter().zip(&self.slack_variables))
-            .filter(|(row, _)| self.problem.goal_radius(row.goal, row.part).is_some())
-            .filter_map(|(_, slack)| *slack)
-    }
-
     /// The path constraints.
     #[must_use]
     pub fn path(&self) -> &[PathConstraint] {
