@@ -91,6 +91,9 @@ pub(super) fn blocks(
     Ok(out.into_iter().flatten().collect())
 }
 
+/// The weight of a term in an objective.
+type Weight = fn(&mut Objective) -> &mut f64;
+
 /// Names the whole objective and every term of it by itself.
 fn terms(whole: &Objective) -> Vec<(String, Objective)> {
     let nothing = || Objective {
@@ -98,7 +101,7 @@ fn terms(whole: &Objective) -> Vec<(String, Objective)> {
         ..Objective::default()
     };
     let mut terms = Vec::new();
-    let weights: [(&str, fn(&mut Objective) -> &mut f64); 3] = [
+    let weights: [(&str, Weight); 3] = [
         ("effort", |term| &mut term.effort),
         ("rate", |term| &mut term.rate),
         ("energy", |term| &mut term.energy),
