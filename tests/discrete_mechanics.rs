@@ -10,7 +10,8 @@ use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::linearization::{
-    Motion, RightHandSide, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
+    Motion, RightHandSide, StateTangent, StepLinearization, adjoint_sweep, defects, form_values,
+    forward_sweep,
 };
 use softarm::mechanics::rotation::{exp, hat, log};
 use softarm::mechanics::stability::stable_step;
@@ -182,8 +183,11 @@ fn integrate(
     (trajectory, integrator.state().clone())
 }
 
-/// Two unforced, undamped steps as a matrix over `(x, η, p, π)` of the free nodes: exact columns from the sweep.
-fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
+/// A change of a linearized step, for tests that must see it.
+type Spoil<'a> = &'a dyn Fn(&mut StepLinearization);
+
+/// Two unforced, undamped steps as a matrix over `(x, η, p, π)` of the free nodes: exact columns from the sweep, whose steps are `spoiled`.
+fn steps_matrix(rod: &Rod, state: &State, h: f64, spoil: Spoil) -> (DMatrix<f64>, State) {
     let n = rod.n_nodes();
     let first = rod.first_free_node();
     let size = 12 * (n - first);
@@ -200,15 +204,20 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64) -> (DMatrix<f64>, State) {
         initial: state,
         control: None,
     };
+    let steps = [0, 1, 2].map(|k| {
+        let mut step = StepLinearization::at(&motion, &trajectory, k).unwrap();
+        spoil(&mut step);
+        step
+    });
     // Columns of the map by the adjoint: row i of A is the pull-back of the i-th covector. The covector of the
     // initial (x, η) comes with the force change at k = 0, the one of (p, π) is the row multiplier times the decay 1.
     let mut a = DMatrix::zeros(size, size);
     for i in 0..size {
         let mut covector = StateTangent::zeros(n);
         *component(&mut covector, first, i) = 1.0;
-        let pulled = pull_back(&motion, &trajectory, &covector);
+        let mut pulled = pull_back(rod, &steps, covector);
         for j in 0..size {
-            a[(i, j)] = *component(&mut pulled.clone(), first, j);
+            a[(i, j)] = *component(&mut pulled, first, j);
         }
     }
     (a, after)
@@ -226,29 +235,31 @@ fn component(tangent: &mut StateTangent, first: usize, i: usize) -> &mut f64 {
 
 /// The pull-back of a covector through two whole steps, from the public pieces: terminal kick, drift, kick, drift,
 /// initial kick.
-fn pull_back(motion: &Motion, trajectory: &Trajectory, covector: &StateTangent) -> StateTangent {
-    use softarm::mechanics::linearization::StepLinearization;
-    let n = motion.rod.n_nodes();
-    let first = motion.rod.first_free_node();
-    let mut c = covector.clone();
-    let mut out = StateTangent::zeros(n);
-    for k in [2, 1, 0] {
-        let step = StepLinearization::at(motion, trajectory, k).unwrap();
+fn pull_back(rod: &Rod, steps: &[StepLinearization], mut c: StateTangent) -> StateTangent {
+    let n = rod.n_nodes();
+    for (k, step) in steps.iter().enumerate().rev() {
         let mut force = vec![Vector3::zeros(); n];
         let mut moment = force.clone();
-        if k < 2 {
+        if k + 1 < steps.len() {
             step.drift_transposed(&mut c);
         }
-        for q in first..n {
+        for q in rod.first_free_node()..n {
             force[q] = step.kick.weight * c.linear[q];
             moment[q] = step.kick.weight * c.angular[q];
             c.linear[q] *= step.kick.decay;
             c.angular[q] *= step.kick.decay;
         }
         step.force_change_transposed(&force, &moment, &mut c.positions, &mut c.rotations);
-        out = c.clone();
     }
-    out
+    c
+}
+
+/// `AᵀΩ(π⁺)A - Ω(π)` of two unforced, undamped steps, relative to the largest terms of the product: entries of A differ by the mass scale.
+fn symplectic_residual(rod: &Rod, state: &State, spoil: Spoil) -> f64 {
+    let (a, after) = steps_matrix(rod, state, 0.5 * stable_step(rod), spoil);
+    let residual = a.transpose() * form(rod, &after) * &a - form(rod, state);
+    let scale = (a.transpose().abs() * form(rod, &after).abs() * a.abs()).max();
+    residual.abs().max() / scale
 }
 
 /// Unforced, undamped steps: their linearization A satisfies AᵀΩ(π⁺)A = Ω(π) to rounding, with the canonical form in
@@ -263,17 +274,46 @@ fn linearized_step_is_symplectic() {
                 ..soft_arm(rule, 4)
             });
             let state = random_state(&rod, 0.3, 2.0, &mut Dice(11));
-            let (a, after) = steps_matrix(&rod, &state, 0.5 * stable_step(&rod));
-            let residual = a.transpose() * form(&rod, &after) * &a - form(&rod, &state);
-            // Entries of A differ by the mass scale; the product is exact up to rounding of its largest terms.
-            let scale = (a.transpose().abs() * form(&rod, &after).abs() * a.abs()).max();
-            let residual = residual.abs().max() / scale;
+            let residual = symplectic_residual(&rod, &state, &|_| {});
             // The paper's model is not the variation of an action, and the test can tell.
             assert_eq!(
                 residual < 1e-14,
                 method.model.has_potential(),
                 "{method:?} {base:?}: {residual}"
             );
+        }
+    }
+}
+
+/// A relative error of 1e-6 in the momenta or rotations of a linearized step, or in one entry of the stiffness of one element, breaks the
+/// identity. (A stiffness that is wrong altogether still is that of some energy, and a step with another mass is symplectic.)
+#[test]
+fn wrong_linearizations_are_not_symplectic() {
+    let spoil: [(&str, Spoil); 3] = [
+        ("momentum", &|step| {
+            for drift in &mut step.drifts {
+                drift.momentum *= 1.0 + 1e-6;
+            }
+        }),
+        ("theta", &|step| {
+            for drift in &mut step.drifts {
+                drift.theta *= 1.0 + 1e-6;
+            }
+        }),
+        ("stiffness", &|step| {
+            step.elements[1][(0, 4)] *= 1.0 + 1e-6;
+        }),
+    ];
+    for method in methods().filter(Method::is_variational) {
+        let rod = method.rod(soft_arm(method.rule, 4));
+        let state = random_state(&rod, 0.05, 0.5, &mut Dice(3));
+        for (what, spoil) in spoil {
+            // A step that is solved for has no stiffness, and takes its rotation from the stress drift's own factors.
+            if method.scheme == TimeScheme::Implicit && what != "momentum" {
+                continue;
+            }
+            let residual = symplectic_residual(&rod, &state, spoil);
+            assert!(residual > 1e-13, "{method:?} {what}: {residual}");
         }
     }
 }
@@ -302,7 +342,7 @@ fn form(rod: &Rod, state: &State) -> DMatrix<f64> {
 fn symplectic_residual_sees_a_missing_block() {
     let rod = Rod::new(&soft_arm(StrainRule::Helical, 3)).unwrap();
     let state = random_state(&rod, 0.3, 20.0, &mut Dice(5));
-    let (a, after) = steps_matrix(&rod, &state, 0.5 * stable_step(&rod));
+    let (a, after) = steps_matrix(&rod, &state, 0.5 * stable_step(&rod), &|_| {});
     let mut canonical_after = form(&rod, &after);
     let mut canonical = form(&rod, &state);
     for q in 0..3 {

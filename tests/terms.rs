@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use softarm::control::{
     FreeDuration, NodeForm, PathEnforcement, SharedTerm, StateCost, StateTerm, StateView,
 };
+use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{Material, Rod};
 use softarm::scene::Scene;
@@ -182,6 +183,46 @@ fn wrong_derivatives_are_found_out() {
         .map(|item| item.name)
         .collect();
     assert_eq!(failed, ["kkt.stationarity"]);
+}
+
+/// The derivative check has a block for every cost and for every limit of one's own, and finds the one that is off by a hundredth.
+#[test]
+fn the_derivative_check_sees_terms() {
+    for (in_cost, in_limit) in [(0.0, 0.0), (0.01, 0.0), (0.0, 0.01)] {
+        let tilt = |error| {
+            SharedTerm::new(Tilt {
+                largest: 0.3,
+                error,
+            })
+        };
+        let mut task = task();
+        task.cost.terms.push(StateCost {
+            term: SharedTerm::new(Follow { at: Place::Tip }),
+            weight: 10.0,
+        });
+        task.cost.terms.push(StateCost {
+            term: tilt(in_cost),
+            weight: 10.0,
+        });
+        task.limits.push(Limit {
+            name: "tilt".into(),
+            kind: LimitKind::Term(tilt(in_limit)),
+            rate: Some(50.0),
+            enforcement: PathEnforcement::Hard,
+        });
+        let problem = task.discretize(&arm(), &grid()).unwrap();
+        let report = check(&problem.discrete, 3).unwrap();
+        let verdict = |name: &str| {
+            let found = report.blocks.iter().find(|block| block.name == name);
+            found.unwrap_or_else(|| panic!("{name}")).verdict
+        };
+        let expected = |error: f64| [Verdict::Ok, Verdict::Wrong][usize::from(error > 0.0)];
+        assert_eq!(verdict("objective.term.0"), Verdict::Ok);
+        assert_eq!(verdict("objective.term.1"), expected(in_cost));
+        assert_eq!(verdict("objective"), expected(in_cost));
+        assert_eq!(verdict("tilt (path)"), expected(in_limit));
+        assert_eq!(report.verdict, expected(in_cost + in_limit));
+    }
 }
 
 /// The curvature that a term has by default is the second derivative of its value: along any direction, of `s ↦ f(x + s δx, R exp(s ζ̂))`.

@@ -2,7 +2,6 @@
 
 use super::exit;
 use crate::control::GuessError;
-use crate::control::second_opinion::SecondOpinionError;
 use crate::derivatives::DerivativeError;
 use crate::mechanics::StepError;
 use crate::mechanics::equilibrium::EquilibriumError;
@@ -43,9 +42,6 @@ pub(super) enum CliError {
     /// No point at which derivatives could be checked.
     #[error("error: {0}")]
     Derivative(#[from] DerivativeError),
-    /// A second opinion that cannot be had.
-    #[error("error: {0}")]
-    SecondOpinion(#[from] SecondOpinionError),
     /// A closed loop that cannot begin.
     #[error("error: the controller has no first plan: {0}")]
     Mpc(#[from] MpcError),
@@ -90,10 +86,7 @@ impl CliError {
         match self {
             Self::Output(error) if error.is_unwritten() => exit::UNWRITTEN,
             Self::Serve(ServeError::Io(_)) => exit::UNWRITTEN,
-            Self::Scene(_)
-            | Self::Output(_)
-            | Self::Directory(_)
-            | Self::SecondOpinion(SecondOpinionError::Inequality { .. }) => exit::USAGE,
+            Self::Scene(_) | Self::Output(_) | Self::Directory(_) => exit::USAGE,
             Self::Stopped(_) => exit::STOPPED,
             Self::Step(_)
             | Self::Statics(_)
@@ -102,7 +95,6 @@ impl CliError {
             | Self::Sweep(_)
             | Self::Serve(_)
             | Self::Check(_)
-            | Self::SecondOpinion(SecondOpinionError::Start(_))
             | Self::Derivative(_) => exit::NUMERICAL,
         }
     }

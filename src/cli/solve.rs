@@ -14,14 +14,13 @@ use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
-use crate::control::second_opinion::{SecondOpinionSettings, second_opinion, without_inequalities};
 use crate::control::{
     ActuatedNode, Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search,
     SearchEvent, TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
-use crate::output::summary::{NOT_CHECKED, SecondOpinionSummary, SolveSummary, StartSummary};
+use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{
@@ -47,10 +46,6 @@ pub(super) struct SolveArguments {
     /// Check as `verify` does: the second-order condition and the growth of disturbances too, which take longer than most solves
     #[arg(long)]
     deep: bool,
-    /// Minimize the same objective by L-BFGS on adjoint gradients as well, from a tenth away, and compare; for problems without
-    /// obstacles and limits
-    #[arg(long)]
-    second_opinion: bool,
 }
 
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
@@ -77,9 +72,6 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         let earlier = Earlier::read(directory, &stop)?;
         described = earlier.timed(described);
         previous = Some(earlier.controls(&described.problem));
-    }
-    if arguments.second_opinion {
-        without_inequalities(&described.problem)?;
     }
     let starts = usize::from(arguments.starts);
     memory::require(&of_solve(&described, starts, global.n_threads()), &source)?;
@@ -201,16 +193,6 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     let setup = described.around(&solution.problem);
     let problem = &solution.problem.discrete;
-    let other = (arguments.second_opinion && !stop.is_raised())
-        .then(|| other_opinion(&solution, console))
-        .transpose()
-        .or_else(|error| {
-            if stop.is_raised() {
-                Ok(None)
-            } else {
-                Err(error)
-            }
-        })?;
     let wall = started.elapsed().as_secs_f64();
     let mut summary = summarize(
         &scene_name(&arguments.scene.scene),
@@ -221,7 +203,6 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         wall,
         &target,
     );
-    summary.second_opinion = other;
     summary.accuracy = refinement.and_then(Refinement::summary);
     let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(problem, &solution.coefficients))
@@ -272,41 +253,6 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         console.say(&accuracy.why);
     }
     Ok(exit_code(&solution, &examined))
-}
-
-/// Size of the start of a second opinion, in that of the solution.
-const AWAY: f64 = 0.9;
-
-/// The optimum by another method; of a free duration, at the one that was found.
-fn other_opinion(solution: &Solution, console: &Console) -> Result<SecondOpinionSummary, CliError> {
-    let outcome = &solution.attempt.outcome;
-    let posed = &solution.problem.discrete;
-    let problem = posed.with_fixed_duration();
-    let ours = &outcome.point.variables[..problem.n_variables()];
-    let n_controls = problem.n_controls();
-    let start: Vec<f64> = (ours.iter().enumerate())
-        .map(|(i, v)| if i < n_controls { AWAY * v } else { *v })
-        .collect();
-    let found = second_opinion(&problem, &start, &SecondOpinionSettings::default())?;
-    let objective = found.objective + posed.duration_price();
-    let summary = SecondOpinionSummary {
-        status: found.status.name(),
-        objective,
-        relative_difference: (objective / outcome.objective - 1.0).abs(),
-        iterations: found.evaluations,
-        largest_control_difference: (found.variables.iter().zip(ours))
-            .take(n_controls)
-            .fold(0.0, |m: f64, (a, b)| m.max((a - b).abs())),
-    };
-    console.say(&format!(
-        "second opinion (L-BFGS): {} after {} simulations, objective {:.8e}, off by {:.1e}; controls by {:.1e} of their scale",
-        summary.status,
-        summary.iterations,
-        summary.objective,
-        summary.relative_difference,
-        summary.largest_control_difference
-    ));
-    Ok(summary)
 }
 
 /// An earlier solution.

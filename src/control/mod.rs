@@ -43,8 +43,6 @@ pub mod path;
 pub mod problem;
 #[doc(hidden)]
 pub mod search;
-#[doc(hidden)]
-pub mod second_opinion;
 mod stay;
 mod term;
 mod tracking;

@@ -1,6 +1,6 @@
 //! Compares an analytic derivative with central differences over a sweep of step sizes; the bound follows from the sweep.
 
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 /// What a comparison says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 pub enum Verdict {
     /// The deviation is within its bound.
     Ok,
-    /// It is above the bound by less than [`WRONG`], or differences are too rough to tell (a bound above [`BLUNT`]).
+    /// It is above the bound by less than a factor of 10, or differences are too rough to tell (a bound above 1e-3).
     Suspicious,
     /// It is above the bound by more.
     Wrong,
@@ -27,25 +27,27 @@ impl Verdict {
 }
 
 /// From this multiple of its bound on a deviation is no accident.
-pub const WRONG: f64 = 10.0;
+const WRONG: f64 = 10.0;
 /// A bound above this tells nothing. (The momenta of a stiff wire under implicit steps are known to some six digits of what a
 /// control changes in a few steps.)
-pub const BLUNT: f64 = 1e-3;
+const BLUNT: f64 = 1e-3;
 /// Times the plateau: the error of the best differences is of its size, and the bound well above.
 const PLATEAU_MARGIN: f64 = 10.0;
 /// First and last step of a sweep, as powers of two.
 const SWEEP: std::ops::RangeInclusive<i32> = -20..=1;
 
-/// The values of some groups of quantities along a curve, at a distance from its start; `None` where the model has no meaning.
-pub type Curve<'a> = dyn FnMut(f64) -> Option<Vec<Vec<f64>>> + 'a;
+/// Groups of quantities, each of which is compared in units of its own largest entry.
+pub type Groups = Vec<Vec<f64>>;
+
+/// The values of groups of quantities along a curve, at a distance from its start; `None` where the model has no meaning.
+pub type Curve<'a> = dyn FnMut(f64) -> Option<Groups> + 'a;
 
 /// How far an analytic derivative is from the best differences, relative to the largest entry of its group.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Largest deviation of an entry; infinite where nothing could be compared.
-    #[serde(serialize_with = "finite")]
+    /// Largest deviation of an entry; infinite, in JSON `null`, where nothing could be compared.
     pub deviation: f64,
-    /// Step at which differences did best, in units of the direction; none for identities, which have no step.
+    /// Step at which differences did best, in units of the direction.
     pub step: Option<f64>,
     /// Largest change of the extrapolated differences around this step, from one of its neighbors to the next, and not less than
     /// their rounding `ε |f|/s`.
@@ -54,25 +56,8 @@ pub struct Comparison {
     pub bound: f64,
 }
 
-fn finite<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-    Some(*value)
-        .filter(|value| value.is_finite())
-        .serialize(serializer)
-}
-
 impl Comparison {
-    /// An identity that holds to rounding: no step size.
-    #[must_use]
-    pub fn identity(deviation: f64, bound: f64) -> Self {
-        Self {
-            deviation,
-            step: None,
-            plateau: None,
-            bound,
-        }
-    }
-
-    /// What it says.
+    /// Returns the verdict on the derivative.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         // A NaN is wrong.
@@ -85,13 +70,12 @@ impl Comparison {
         }
     }
 
-    /// The one that is nearer to its bound, or farther beyond it.
+    /// Returns the one that is nearer to its bound, or farther beyond it.
     #[must_use]
     pub fn worse(self, other: Self) -> Self {
         let ratio = |c: &Self| c.deviation / c.bound;
-        let key = |c: &Self| (c.verdict(), ratio(c));
-        let (a, b) = (key(&self), key(&other));
-        if a.0 > b.0 || (a.0 == b.0 && !(a.1 < b.1)) {
+        let (a, b) = (self.verdict(), other.verdict());
+        if a > b || (a == b && !(ratio(&self) < ratio(&other))) {
             self
         } else {
             other
@@ -104,70 +88,73 @@ impl Comparison {
 /// differences change from one step to the next (the plateau) is their error. `rounding` is what the analytic side itself may
 /// lose. The worst group is returned; `None` where all of them are zero.
 pub fn compare(curve: &mut Curve, analytic: &[Vec<f64>], rounding: f64) -> Option<Comparison> {
-    let mut sweep = Sweep::default();
-    for power in SWEEP.rev() {
-        let step = f64::powi(2.0, power);
-        sweep.add(step, curve(step), curve(-step));
-    }
+    let sides: Vec<_> = (SWEEP.rev().map(|power| f64::powi(2.0, power)))
+        .map(|step| (step, curve(step).zip(curve(-step))))
+        .collect();
     (analytic.iter().enumerate())
-        .filter_map(|(group, analytic)| sweep.judge(group, analytic, rounding))
+        .filter_map(|(group, analytic)| judge(&sides, group, analytic, rounding))
         .reduce(Comparison::worse)
 }
 
-/// Extrapolated differences by step, of every group.
-#[derive(Default)]
-struct Sweep {
-    steps: Vec<f64>,
-    /// Central differences and extrapolated ones, `[step][group]`; `None` where there are none.
-    plain: Vec<Option<Vec<Vec<f64>>>>,
-    extrapolated: Vec<Option<Vec<Vec<f64>>>>,
-    /// Rounding of the differences of every group, `ε |f|/s`.
-    noise: Vec<Vec<f64>>,
-}
-
-impl Sweep {
-    fn add(&mut self, step: f64, ahead: Option<Vec<Vec<f64>>>, behind: Option<Vec<Vec<f64>>>) {
-        let noise = ahead.iter().flatten();
-        let noise = noise.map(|values| f64::EPSILON * largest(values) / step);
-        self.noise.push(noise.collect());
-        let difference = (ahead.zip(behind))
-            .map(|(ahead, behind)| combine(&ahead, &behind, |a, b| (a - b) / (2.0 * step)));
-        let coarser = self.plain.last().cloned().flatten();
-        let extrapolated = (difference.as_ref().zip(coarser)).map(|(fine, coarse)| {
-            combine(fine, &coarse, |fine, coarse| (4.0 * fine - coarse) / 3.0)
-        });
-        self.steps.push(step);
-        self.plain.push(difference);
-        self.extrapolated.push(extrapolated);
-    }
-
-    fn judge(&self, group: usize, analytic: &[f64], rounding: f64) -> Option<Comparison> {
-        let of = |i: usize| Some(&self.extrapolated.get(i)?.as_ref()?[group]);
-        // Change from the next coarser step.
-        let change = |i: usize| Some(distance(of(i)?, of(i.checked_sub(1)?)?));
-        let best = (1..self.steps.len())
-            .filter_map(|i| {
-                let around = [change(i - 1)?, change(i)?, change(i + 1)?];
-                let plateau = around.into_iter().fold(self.noise[i][group], f64::max);
-                plateau.is_finite().then_some((i, plateau))
-            })
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((i, plateau)) = best else {
-            return Some(Comparison::identity(f64::INFINITY, rounding));
-        };
-        let differences = of(i)?;
-        let scale = largest(analytic).max(largest(differences));
-        if largest(analytic) == 0.0 && scale <= PLATEAU_MARGIN * self.noise[i][group] {
-            return None;
-        }
-        let plateau = plateau / scale;
-        Some(Comparison {
-            deviation: distance(analytic, differences) / scale,
-            step: Some(self.steps[i]),
-            plateau: Some(plateau),
-            bound: PLATEAU_MARGIN * plateau + rounding,
+/// Compares one group, from the values ahead and behind at every step.
+fn judge(
+    sides: &[(f64, Option<(Groups, Groups)>)],
+    group: usize,
+    analytic: &[f64],
+    rounding: f64,
+) -> Option<Comparison> {
+    let plain = |i: usize| {
+        let (step, values) = &sides[i];
+        let (ahead, behind) = values.as_ref()?;
+        Some(zipped(&ahead[group], &behind[group], |a, b| {
+            (a - b) / (2.0 * step)
+        }))
+    };
+    let extrapolated: Vec<_> = (0..sides.len())
+        .map(|i| {
+            let coarser = plain(i.checked_sub(1)?)?;
+            Some(zipped(&plain(i)?, &coarser, |fine, coarse| {
+                (4.0 * fine - coarse) / 3.0
+            }))
         })
+        .collect();
+    let of = |i: usize| extrapolated.get(i)?.as_ref();
+    // Change from the next coarser step.
+    let change = |i: usize| Some(distance(of(i)?, of(i.checked_sub(1)?)?));
+    let noise = |i: usize| {
+        let (step, values) = &sides[i];
+        let ahead = values
+            .as_ref()
+            .map_or(0.0, |(ahead, _)| largest(&ahead[group]));
+        f64::EPSILON * ahead / step
+    };
+    let best = (1..sides.len())
+        .filter_map(|i| {
+            let around = [change(i - 1)?, change(i)?, change(i + 1)?];
+            let plateau = around.into_iter().fold(noise(i), f64::max);
+            plateau.is_finite().then_some((i, plateau))
+        })
+        .min_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((i, plateau)) = best else {
+        return Some(Comparison {
+            deviation: f64::INFINITY,
+            step: None,
+            plateau: None,
+            bound: rounding,
+        });
+    };
+    let differences = of(i)?;
+    let scale = largest(analytic).max(largest(differences));
+    if largest(analytic) == 0.0 && scale <= PLATEAU_MARGIN * noise(i) {
+        return None;
     }
+    let plateau = plateau / scale;
+    Some(Comparison {
+        deviation: distance(analytic, differences) / scale,
+        step: Some(sides[i].0),
+        plateau: Some(plateau),
+        bound: PLATEAU_MARGIN * plateau + rounding,
+    })
 }
 
 fn largest(values: &[f64]) -> f64 {
@@ -176,15 +163,12 @@ fn largest(values: &[f64]) -> f64 {
 
 /// Largest difference of two entries; NaN if any is.
 fn distance(a: &[f64], b: &[f64]) -> f64 {
-    (a.iter().zip(b))
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, |m: f64, d| if d <= m { m } else { d })
+    (zipped(a, b, |a, b| (a - b).abs()).into_iter())
+        .fold(0.0, |m: f64, d| if d <= m || m.is_nan() { m } else { d })
 }
 
-fn combine(a: &[Vec<f64>], b: &[Vec<f64>], of: impl Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
-    (a.iter().zip(b))
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| of(*a, *b)).collect())
-        .collect()
+fn zipped(a: &[f64], b: &[f64], of: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| of(*a, *b)).collect()
 }
 
 #[cfg(test)]
@@ -221,6 +205,12 @@ mod tests {
         let none = compare(&mut |_| None, &[vec![1.0]], 1e-12).expect("a verdict");
         assert_eq!(none.verdict(), Verdict::Wrong);
         let nan = compare(&mut |s| Some(vec![vec![s]]), &[vec![f64::NAN]], 1e-12);
+        assert_eq!(nan.expect("a verdict").verdict(), Verdict::Wrong);
+        let nan = compare(
+            &mut |s| Some(vec![vec![s; 2]]),
+            &[vec![f64::NAN, 1.0]],
+            1e-12,
+        );
         assert_eq!(nan.expect("a verdict").verdict(), Verdict::Wrong);
         assert!(compare(&mut |_| Some(vec![vec![3.0]]), &[vec![0.0]], 1e-12).is_none());
     }

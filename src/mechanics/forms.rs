@@ -1,5 +1,6 @@
 //! Linear forms of the variation of a motion at single time nodes: all that constraints and costs ask of a linearized motion.
 
+use super::configuration::TrajectoryTangent;
 use super::linearization::StateTangent;
 
 /// Components of a node's tangent: `δx, ζ, δp, δπ`.
@@ -60,6 +61,21 @@ impl StateForm {
         (self.terms.iter())
             .map(|term| {
                 term.coefficient * tangent.part(term.component / 3)[term.node][term.component % 3]
+            })
+            .sum()
+    }
+
+    /// Value on a direction of the configurations of `n_nodes` nodes; of a form without momenta.
+    #[must_use]
+    pub fn along(&self, direction: &TrajectoryTangent, n_nodes: usize) -> f64 {
+        (self.terms.iter())
+            .map(|term| {
+                let row = self.time_node * n_nodes + term.node;
+                let part = match term.component {
+                    0..3 => &direction.positions,
+                    _ => &direction.rotations,
+                };
+                term.coefficient * part[row][term.component % 3]
             })
             .sum()
     }

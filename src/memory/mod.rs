@@ -7,8 +7,8 @@ mod system;
 
 pub use self::system::{Available, available};
 
+use crate::control::OptimalControlProblem;
 use crate::control::cost::sample_times;
-use crate::control::{OptimalControlProblem, PathLimit};
 use crate::mechanics::Rod;
 use crate::mechanics::sensitivity::TILE;
 use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
@@ -24,8 +24,6 @@ const POSE: f64 = 12.0;
 const SOLVE_POSES: f64 = 6.0;
 /// Poses that a check holds: the solution, its replay, and the covectors of the adjoint equations.
 const CHECK_POSES: f64 = 4.0;
-/// Poses that writing a motion holds: the motion and its rows.
-const WRITING_POSES: f64 = 2.3;
 /// Wrenches that all of these hold for every time and actuator.
 const SIGNALS: f64 = 6.0;
 /// Dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
@@ -44,81 +42,59 @@ const TILE_NODE: f64 = 130.0;
 /// Matrices of the size of a deviation that the regulator works with, besides one for every block.
 const REGULATOR: f64 = 12.0;
 /// The same of the growth of disturbances in a deep check.
-const GROWTH: f64 = 8.0;
+const GROWTH_MATRICES: f64 = 8.0;
 /// Bytes of one number of a report's motion, as text and before.
 const REPORT_NUMBER: f64 = 60.0;
 
-/// What a part of the memory is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// Motions: nodes times steps.
-    Motion,
-    /// The subproblem: variables by variables, and by rows.
-    Subproblem,
-    /// Rows of obstacles and limits.
-    Rows,
-    /// Gains: a matrix of the size of the state for every block.
-    Gains,
-    /// The growth of disturbances in a deep check.
-    Growth,
-    /// Rows of the result.
-    Output,
-}
+/// The key of a scene that a part of the memory grows with first, and the advice to a user.
+pub type Remedy = (&'static str, &'static str);
 
-impl Part {
-    /// The key of a scene that it grows with first, and what a user may do.
-    #[must_use]
-    pub fn remedy(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Motion => (
-                "time.step_s",
-                "motions take most of it: use a longer time.step_s, a shorter time, or fewer rod.elements",
-            ),
-            Self::Subproblem => (
-                "control.blocks",
-                "the subproblem takes most of it: use fewer control.blocks",
-            ),
-            Self::Rows => (
-                "obstacle",
-                "obstacles and limits take most of it: give them a lower rate_hz, or use fewer rod.elements",
-            ),
-            Self::Gains => (
-                "control.feedback",
-                "the gains take most of it: leave out control.feedback, or use fewer rod.elements or control.blocks",
-            ),
-            Self::Growth => (
-                "rod.elements",
-                "the growth of disturbances takes most of it: use `verify --quick`, or fewer rod.elements",
-            ),
-            Self::Output => (
-                "output.rate_hz",
-                "the rows of the result take most of it: give a lower output.rate_hz",
-            ),
-        }
-    }
-}
+/// Nodes times steps.
+const MOTION: Remedy = (
+    "time.step_s",
+    "motions take most of it: use a longer time.step_s, a shorter time, or fewer rod.elements",
+);
+/// Variables by variables, and by rows.
+const SUBPROBLEM: Remedy = (
+    "control.blocks",
+    "the subproblem takes most of it: use fewer control.blocks",
+);
+const ROWS: Remedy = (
+    "obstacle",
+    "obstacles and limits take most of it: give them a lower rate_hz, or use fewer rod.elements",
+);
+/// A matrix of the size of the state for every block.
+const GAINS: Remedy = (
+    "control.feedback",
+    "the gains take most of it: leave out control.feedback, or use fewer rod.elements or control.blocks",
+);
+const GROWTH: Remedy = (
+    "rod.elements",
+    "the growth of disturbances takes most of it: use `verify --quick`, or fewer rod.elements",
+);
+const OUTPUT: Remedy = (
+    "output.rate_hz",
+    "the rows of the result take most of it: give a lower output.rate_hz",
+);
 
-/// Memory at the peak, in bytes.
+/// Memory at the peak, in bytes, without the program itself: the largest part first.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Estimate {
-    /// What is largest first; [`Self::total`] has more than these.
-    pub parts: Vec<(Part, f64)>,
-}
+pub struct Estimate(Vec<(Remedy, f64)>);
 
 impl Estimate {
-    fn of(parts: impl IntoIterator<Item = (Part, f64)>) -> Self {
+    fn of(parts: impl IntoIterator<Item = (Remedy, f64)>) -> Self {
         let mut parts: Vec<_> = parts.into_iter().filter(|part| part.1 > 0.0).collect();
         parts.sort_by(|a, b| b.1.total_cmp(&a.1));
-        Self { parts }
+        Self(parts)
     }
 
     /// All of it, with the program itself.
     #[must_use]
     pub fn total(&self) -> f64 {
-        BASE + self.parts.iter().map(|part| part.1).sum::<f64>()
+        BASE + self.0.iter().map(|part| part.1).sum::<f64>()
     }
 
-    /// Of two phases of which one ends before the other begins, part by part.
+    /// Returns the larger one of two phases of which one ends before the other begins.
     fn or(self, other: Self) -> Self {
         if self.total() >= other.total() {
             self
@@ -132,7 +108,7 @@ impl Estimate {
     #[must_use]
     pub fn refused(&self, available: Option<&Available>) -> Option<(&'static str, String, String)> {
         let available = available.filter(|available| self.total() > available.bytes)?;
-        let (key, advice) = self.parts.first()?.0.remedy();
+        let (key, advice) = self.0.first()?.0;
         let message = format!(
             "needs about {} of memory, and {} gives {}",
             in_words(self.total()),
@@ -167,8 +143,8 @@ pub fn of_simulation(setup: &Simulation) -> Estimate {
         .min(ThinnedMotion::MOST_ROWS);
     let rows = row as f64 * kept as f64;
     Estimate::of([
-        (Part::Output, rows * (1.0 + REPORT_NUMBER / NUMBER)),
-        (Part::Motion, nodes as f64 * EQUILIBRIUM_NODE),
+        (OUTPUT, rows * (1.0 + REPORT_NUMBER / NUMBER)),
+        (MOTION, nodes as f64 * EQUILIBRIUM_NODE),
     ])
 }
 
@@ -194,11 +170,11 @@ pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Esti
             + (linearized as f64).powi(2));
     let solve = Estimate::of([
         (
-            Part::Motion,
+            MOTION,
             workers * (SOLVE_POSES * motion.pose + motion.signals + sweep) + kept * motion.pose,
         ),
-        (Part::Subproblem, workers * subproblem),
-        (Part::Rows, workers * rows(problem)),
+        (SUBPROBLEM, workers * subproblem),
+        (ROWS, workers * rows(problem)),
     ]);
     let ended = (starts.max(1) - 1) as f64 * motion.pose;
     let gains = if setup.feedback.is_some() {
@@ -211,13 +187,10 @@ pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Esti
         0.0
     };
     let mut check = of_replays(problem);
-    check.parts.push((Part::Gains, gains));
-    check.parts.push((Part::Motion, ended));
-    let writing = Estimate::of([(
-        Part::Output,
-        ended + WRITING_POSES * motion.pose + motion.signals + motion.report,
-    )]);
-    solve.or(Estimate::of(check.parts)).or(writing)
+    check.0.push((GAINS, gains));
+    check.0.push((MOTION, ended));
+    // Writing holds a motion, its rows and at most some hundred rows of a report: never more than the solve.
+    solve.or(Estimate::of(check.0))
 }
 
 /// Of a check of a result; a deep one adds the second-order condition and the growth of disturbances.
@@ -227,17 +200,17 @@ pub fn of_verify(setup: &OptimalControl, deep: bool) -> Estimate {
     if deep {
         let size = deviation(&setup.problem.rod);
         let variables = setup.problem.n_variables() as f64;
-        let growth = NUMBER * (GROWTH * 1.25 * size * size + 200.0 * variables);
-        estimate.parts.push((Part::Growth, growth));
+        let growth = NUMBER * (GROWTH_MATRICES * 1.25 * size * size + 200.0 * variables);
+        estimate.0.push((GROWTH, growth));
     }
-    Estimate::of(estimate.parts)
+    Estimate::of(estimate.0)
 }
 
 fn of_replays(problem: &OptimalControlProblem) -> Estimate {
     let motion = Motion::of(problem);
     Estimate::of([
-        (Part::Motion, CHECK_POSES * motion.pose + motion.signals),
-        (Part::Rows, rows(problem)),
+        (MOTION, CHECK_POSES * motion.pose + motion.signals),
+        (ROWS, rows(problem)),
     ])
 }
 
@@ -246,19 +219,16 @@ struct Motion {
     nodes: f64,
     pose: f64,
     signals: f64,
-    report: f64,
 }
 
 impl Motion {
     fn of(problem: &OptimalControlProblem) -> Self {
         let nodes = problem.rod.n_nodes() as f64;
         let times = problem.grid.n_steps as f64 + 1.0;
-        let shown = times.min(ThinnedMotion::MOST_ROWS as f64);
         Self {
             nodes,
             pose: NUMBER * POSE * nodes * times,
             signals: NUMBER * SIGNALS * 6.0 * problem.actuators.len() as f64 * times,
-            report: REPORT_NUMBER * POSE * nodes * shown,
         }
     }
 }
@@ -269,9 +239,8 @@ fn rows(problem: &OptimalControlProblem) -> f64 {
 }
 
 fn n_path_rows(problem: &OptimalControlProblem) -> usize {
-    let of = |limit: &PathLimit, times: usize| times.saturating_mul(limit.n_items(&problem.rod));
     (problem.path.iter())
-        .map(|path| of(&path.limit, path.time_nodes.len()))
+        .map(|path| (path.time_nodes.len()).saturating_mul(path.limit.n_items(&problem.rod)))
         .fold(0, usize::saturating_add)
 }
 

@@ -1,7 +1,7 @@
 //! The memory that the system can still give to this process. It is known on Linux only.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The least that anything allows.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,24 +20,26 @@ pub fn available() -> Option<Available> {
 }
 
 fn available_in(proc: &Path, groups: &Path) -> Option<Available> {
-    let read = |path: PathBuf| fs::read_to_string(path).ok();
-    let status = read(proc.join("self/status")).unwrap_or_default();
-    let limits = read(proc.join("self/limits")).unwrap_or_default();
-    let under = |name: &str, used: &str| {
-        let limit = process_limit(&limits, name)?;
-        Some((limit - kilobytes(&status, used)?).max(0.0))
+    let read = |name: &str| fs::read_to_string(proc.join(name)).unwrap_or_default();
+    let (status, limits) = (read("self/status"), read("self/limits"));
+    let under = |limit: &str, used: &str| {
+        Some((number_after(&limits, limit)? - KIB * number_after(&status, used)?).max(0.0))
     };
-    let free = read(proc.join("meminfo")).and_then(|text| kilobytes(&text, "MemAvailable"));
-    let membership = read(proc.join("self/cgroup")).unwrap_or_default();
     let found = [
-        (free, "the system"),
-        (group_room(groups, &membership), "the control group"),
         (
-            under("Max address space", "VmSize"),
+            number_after(&read("meminfo"), "MemAvailable:").map(|free| KIB * free),
+            "the system",
+        ),
+        (
+            group_room(groups, &read("self/cgroup")),
+            "the control group",
+        ),
+        (
+            under("Max address space", "VmSize:"),
             "the limit of the address space (ulimit -v)",
         ),
         (
-            under("Max data size", "VmData"),
+            under("Max data size", "VmData:"),
             "the limit of data (ulimit -d)",
         ),
     ];
@@ -46,66 +48,44 @@ fn available_in(proc: &Path, groups: &Path) -> Option<Available> {
         .min_by(|a, b| a.bytes.total_cmp(&b.bytes))
 }
 
-/// `Name:  12 kB` in bytes.
-fn kilobytes(text: &str, name: &str) -> Option<f64> {
-    let line = text
-        .lines()
-        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))?;
-    let number: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(number * 1024.0)
+const KIB: f64 = 1024.0;
+
+/// The number that follows `name` at the beginning of a line; `None` also where a limit is `unlimited`.
+fn number_after(text: &str, name: &str) -> Option<f64> {
+    let rest = text.lines().find_map(|line| line.strip_prefix(name))?;
+    rest.split_whitespace().next()?.parse().ok()
 }
 
-/// The soft limit of a line of `/proc/self/limits`; `None` for an unlimited one.
-fn process_limit(text: &str, name: &str) -> Option<f64> {
-    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
-    line.split_whitespace().next()?.parse().ok()
-}
-
-/// What the control groups of the process leave, all of them up to the root: version 1 and version 2.
+/// Memory that the control groups of the process leave, all of them up to the root: version 1 and version 2.
 fn group_room(groups: &Path, membership: &str) -> Option<f64> {
-    (membership.lines())
-        .filter_map(|line| {
-            let mut parts = line.splitn(3, ':').skip(1);
-            let (controllers, path) = (parts.next()?, parts.next()?);
-            let [folder, limit, used] = if controllers.is_empty() {
-                ["", "memory.max", "memory.current"]
-            } else if controllers.split(',').any(|name| name == "memory") {
-                ["memory", "memory.limit_in_bytes", "memory.usage_in_bytes"]
-            } else {
-                return None;
-            };
-            let root = groups.join(folder);
-            // A container sees its own group as the root, where the path leads nowhere.
-            let own = root.join(path.trim_start_matches('/'));
-            (own.ancestors()
-                .take_while(|folder| folder.starts_with(&root)))
-            .filter_map(|folder| room(folder, limit, used))
+    let of_line = |line: &str| {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (controllers, path) = (parts.next()?, parts.next()?);
+        let [folder, limit, used] = if controllers.is_empty() {
+            ["", "memory.max", "memory.current"]
+        } else if controllers.split(',').any(|name| name == "memory") {
+            ["memory", "memory.limit_in_bytes", "memory.usage_in_bytes"]
+        } else {
+            return None;
+        };
+        let root = groups.join(folder);
+        // A container sees its own group as the root, where the path leads nowhere.
+        let own = root.join(path.trim_start_matches('/'));
+        (own.ancestors().take_while(|at| at.starts_with(&root)))
+            .filter_map(|at| room(at, limit, used))
             .reduce(f64::min)
-        })
-        .reduce(f64::min)
+    };
+    membership.lines().filter_map(of_line).reduce(f64::min)
 }
 
 /// Limit of a group minus what it uses, less the cache of files that the system takes back first.
-fn room(folder: &Path, limit: &str, used: &str) -> Option<f64> {
-    let number = |name: &str| -> Option<f64> {
-        let text = fs::read_to_string(folder.join(name)).ok()?;
-        text.trim().parse().ok()
-    };
+fn room(group: &Path, limit: &str, used: &str) -> Option<f64> {
+    let read = |name: &str| fs::read_to_string(group.join(name)).ok();
+    let number = |name: &str| read(name)?.trim().parse::<f64>().ok();
     let (limit, used) = (number(limit)?, number(used)?);
-    let cache = fs::read_to_string(folder.join("memory.stat"))
-        .ok()
-        .and_then(|text| {
-            let of = |name: &str| {
-                let mut lines = text.lines();
-                lines.find_map(|line| {
-                    line.strip_prefix(name)?
-                        .strip_prefix(' ')?
-                        .parse::<f64>()
-                        .ok()
-                })
-            };
-            of("total_inactive_file").or_else(|| of("inactive_file"))
-        });
+    let statistics = read("memory.stat").unwrap_or_default();
+    let cache = (number_after(&statistics, "total_inactive_file "))
+        .or_else(|| number_after(&statistics, "inactive_file "));
     // Version 1 writes the largest number there is where there is no limit.
     (limit < NO_LIMIT).then(|| (limit - used + cache.unwrap_or(0.0)).max(0.0))
 }
@@ -115,6 +95,8 @@ const NO_LIMIT: f64 = 1e18;
 
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use super::*;
 
     const MIB: f64 = 1024.0 * 1024.0;

@@ -406,21 +406,6 @@ pub struct PhaseSummary {
     pub feedback: f64,
 }
 
-/// The optimum of another method, which starts a tenth away from the solution.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct SecondOpinionSummary {
-    /// `converged`, `bounds-violated` (it does not know them: not comparable), or `not-converged`.
-    pub status: &'static str,
-    /// Value of the objective.
-    pub objective: f64,
-    /// `|J₂ - J|/|J|`
-    pub relative_difference: f64,
-    /// Simulations with an adjoint.
-    pub iterations: usize,
-    /// Largest difference of a control over its scale.
-    pub largest_control_difference: f64,
-}
-
 /// Largest growth of the norm of a perturbation of the initial state.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct SensitivitySummary {
@@ -779,9 +764,6 @@ pub struct SolveSummary {
     /// Where the tip ends on arms that differ from the model, with and without the gains; absent where no gains were computed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub model_mismatch: Vec<ModelMismatch>,
-    /// The optimum by another method, where it was asked for.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub second_opinion: Option<SecondOpinionSummary>,
     /// The worst constraints by name.
     pub worst_constraints: Vec<NamedConstraint>,
     /// The form of the quadratic subproblems.

@@ -91,7 +91,6 @@ pub(crate) fn summarize(
         closed_loop_sensitivity: (examined.feedback.as_ref())
             .map(|feedback| SensitivitySummary::of(&feedback.closed_loop)),
         model_mismatch: examined.mismatches.clone(),
-        second_opinion: None,
         worst_constraints: solution.worst.clone(),
         qp_backend: outcome.route.name(),
         hessian: solution.settings.hessian.name(),

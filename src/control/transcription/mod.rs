@@ -193,13 +193,6 @@ impl<'a> Transcription<'a> {
         &self.goal_rows
     }
 
-    /// The variables of goals within a tolerance.
-    pub(super) fn tolerance_slacks(&self) -> impl Iterator<Item = usize> {
-        (self.goal_rows.iter().zip(&self.slack_variables))
-            .filter(|(row, _)| self.problem.goal_radius(row.goal, row.part).is_some())
-            .filter_map(|(_, slack)| *slack)
-    }
-
     /// The path constraints.
     #[must_use]
     pub fn path(&self) -> &[PathConstraint] {
@@ -711,18 +704,7 @@ impl LiftedProgram for Transcription<'_> {
     ) -> Result<Vec<f64>, Failure> {
         let rod_view = self.rod_view(point);
         let n_nodes = self.problem.rod.n_nodes();
-        let moved = |form: &StateForm| -> f64 {
-            let at = |term: &FormTerm| {
-                let row = form.time_node * n_nodes + term.node;
-                term.coefficient
-                    * if term.component < 3 {
-                        direction.trajectory.positions[row][term.component]
-                    } else {
-                        direction.trajectory.rotations[row][term.component - 3]
-                    }
-            };
-            form.terms.iter().map(at).sum()
-        };
+        let moved = |form: &StateForm| form.along(&direction.trajectory, n_nodes);
         let furthest = (direction.trajectory.positions.iter())
             .map(Vector3::norm)
             .fold(0.0, f64::max);

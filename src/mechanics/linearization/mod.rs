@@ -36,7 +36,7 @@ use self::step::stack;
 
 pub use self::defects::{Defects, RightHandSide, defects};
 pub use self::step::*;
-pub use self::sweeps::{AdjointSweep, adjoint_sweep, form_values, forward_sweep};
+pub use self::sweeps::{AdjointSweep, adjoint_sweep, form_values, forward_sweep, tangent_sweep};
 pub use self::tangent::StateTangent;
 
 /// A rod on a time grid, from a given state on.

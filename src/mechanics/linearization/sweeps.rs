@@ -26,7 +26,8 @@ pub fn forward_sweep(
         positions: Vec::with_capacity(size),
         rotations: Vec::with_capacity(size),
     };
-    let end = sweep_tangents(motion, trajectory, sources, control_change, |_, column| {
+    let linearize = |k| StepLinearization::at(motion, trajectory, k);
+    let end = tangent_sweep(motion, linearize, sources, control_change, |_, column| {
         direction.positions.extend_from_slice(&column.positions);
         direction.rotations.extend_from_slice(&column.rotations);
     })?;
@@ -46,16 +47,21 @@ pub fn form_values(
     forms: &[StateForm],
 ) -> Result<Vec<f64>, StepError> {
     let mut values = Vec::with_capacity(forms.len());
-    sweep_tangents(motion, trajectory, sources, control_change, |k, column| {
+    let linearize = |k| StepLinearization::at(motion, trajectory, k);
+    tangent_sweep(motion, linearize, sources, control_change, |k, column| {
         values.extend(forms[forms_at(forms, k)].iter().map(|form| form.of(column)));
     })?;
     Ok(values)
 }
 
-/// Shows `visit` the tangent of every time node, as [forms](StateForm) see it, and returns the last one.
-fn sweep_tangents(
+/// Carries a tangent forward through the steps that `linearize` returns for every time node. Shows `visit` the tangent of every time
+/// node, as [forms](StateForm) see it, and returns the last one.
+///
+/// # Errors
+/// [`StepError`] of `linearize`.
+pub fn tangent_sweep(
     motion: &Motion,
-    trajectory: &Trajectory,
+    linearize: impl Fn(usize) -> Result<StepLinearization, StepError>,
     sources: Option<&RightHandSide>,
     control_change: &ControlSignal,
     mut visit: impl FnMut(usize, &StateTangent),
@@ -70,7 +76,7 @@ fn sweep_tangents(
         if k < n_steps {
             visit(k, &column);
         }
-        let step = StepLinearization::at(motion, trajectory, k)?;
+        let step = linearize(k)?;
         step.kick_unforced(&mut column);
         for (node, wrench) in control_change.at(k).iter() {
             column.linear[node] += wrench.force * step.kick.weight;

@@ -31,7 +31,7 @@ impl StateTangent {
     }
 
     /// One of the four parts, in the order of the fields.
-    pub(in crate::mechanics) fn part(&self, part: usize) -> &[Vector3<f64>] {
+    pub(crate) fn part(&self, part: usize) -> &[Vector3<f64>] {
         [
             &self.positions,
             &self.rotations,
@@ -51,13 +51,23 @@ impl StateTangent {
         self.part(component / 3)[node][component % 3]
     }
 
-    pub(in crate::mechanics) fn part_mut(&mut self, part: usize) -> &mut [Vector3<f64>] {
+    /// The same to write to.
+    pub(crate) fn part_mut(&mut self, part: usize) -> &mut [Vector3<f64>] {
         [
             &mut self.positions,
             &mut self.rotations,
             &mut self.linear,
             &mut self.angular,
         ][part]
+    }
+
+    /// The direction times a number.
+    pub(crate) fn scaled(&self, factor: f64) -> Self {
+        let mut out = self.clone();
+        for part in 0..4 {
+            out.part_mut(part).iter_mut().for_each(|v| *v *= factor);
+        }
+        out
     }
 
     /// The zero direction, in the same memory.
