@@ -62,6 +62,18 @@ const CLEARLY_CHEAPER: f64 = 0.1;
 /// The same for the inertia of segments, which changes what is simulated, if only as a finer grid would.
 const FAR_CHEAPER: f64 = 0.2;
 
+/// Fewest elements of a first grid, and of one that an order is fitted to: with fewer, an error does not show the second order that elements have.
+pub const FEWEST_ELEMENTS: usize = 4;
+
+/// Elements with which a search for an accuracy, in lengths of the arm, begins.
+///
+/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with one
+/// curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
+#[must_use]
+pub fn first_elements(accuracy: f64) -> usize {
+    ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST_ELEMENTS)
+}
+
 fn costs(rod: &Rod) -> &'static StepCosts {
     match rod.scheme {
         TimeScheme::Implicit => &IMPLICIT,

@@ -6,9 +6,10 @@
 
 use super::motion::{Motion, Run, RunError, Setup};
 use crate::mechanics::{StepError, TimeScheme};
+use crate::output::summary::Level;
 use crate::stop::StopSignal;
 use crate::task::Discretization;
-use crate::task::prediction::Work;
+use crate::task::prediction::{FEWEST_ELEMENTS, Work, first_elements};
 
 /// Part of the accuracy that the model of the error may use up; the rest is for what it does not know.
 const MODELLED: f64 = 0.65;
@@ -24,8 +25,6 @@ const COARSER: f64 = 1.5;
 const ROUNDS: usize = 6;
 /// An error that a finer grid leaves above this part of what it was does not converge.
 const STALLED: f64 = 0.9;
-/// Fewest elements of the coarse runs.
-const FEWEST: usize = 4;
 /// The coarsest grid of a search has no more elements than these, also where fewer cannot show the arm or its motion.
 const MOST_AT_FIRST: usize = 32;
 /// By how much a grid is refined at once.
@@ -40,15 +39,6 @@ const SHORTEST: f64 = 1.0 / 16.0;
 const MOTIONS: f64 = 5.0;
 /// Nobody waits longer for one of the runs, s.
 const LONGEST: f64 = 3600.0;
-
-/// Elements with which a search for an accuracy, in lengths of the arm, begins.
-///
-/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with one
-/// curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
-#[must_use]
-pub fn first_elements(accuracy: f64) -> usize {
-    ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST)
-}
 
 /// Elements and longest step, s, of a finer grid, where the errors of `parts` that elements and steps make, over the length, are too much.
 #[must_use]
@@ -67,17 +57,6 @@ pub fn finer(elements: usize, step: f64, parts: [f64; 2], accuracy: f64) -> Opti
     // Errors of a coarse grid are estimated coarsely.
     let wanted = wanted.clamp(elements, MOST_REFINED * elements);
     Some((wanted, longest.min(step).max(step / MOST_REFINED as f64)))
-}
-
-/// A grid that was tried.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Level {
-    /// Its elements.
-    pub elements: usize,
-    /// Its step, s.
-    pub step_s: f64,
-    /// Estimated error, over the length; absent where nothing was compared with it.
-    pub error: Option<f64>,
 }
 
 /// A grid that is accurate enough.
@@ -349,7 +328,9 @@ impl Search<'_> {
 
     /// Three coarse runs, with more elements where they break down, and with steps shorter than automatic ones where that does not help.
     fn coarse(&mut self) -> Result<ErrorModel, ChoiceError> {
-        let first = first_elements(self.accuracy).div_ceil(2).max(FEWEST);
+        let first = first_elements(self.accuracy)
+            .div_ceil(2)
+            .max(FEWEST_ELEMENTS);
         let mut shortest = 1.0;
         let mut elements = first;
         loop {

@@ -7,9 +7,14 @@ mod choice;
 mod clock;
 mod course;
 mod motion;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod page;
 mod sweep;
 
-pub use choice::{Choice, ChoiceError, Level, choose, choose_telling, finer, first_elements};
+pub use crate::output::summary::Level;
+pub use crate::task::prediction::first_elements;
+pub use choice::{Choice, ChoiceError, choose, choose_telling, finer};
 pub use clock::Seconds;
 pub use course::{Course, Errors};
 pub use motion::{Motion, Run, RunError};

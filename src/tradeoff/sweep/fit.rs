@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::course::number;
 use super::{Fate, Point};
+use crate::task::prediction::FEWEST_ELEMENTS;
 
 /// `seconds = exp(constant) elements^p steps^q variables^r`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -107,7 +108,7 @@ pub(super) fn error<'a>(
 ) -> Option<ErrorModel> {
     // What is not above the error of the reference says nothing about its order.
     let rows: Vec<(Vec<f64>, f64)> = points
-        .filter(|point| point.setting.elements >= 4)
+        .filter(|point| point.setting.elements >= FEWEST_ELEMENTS)
         .filter_map(|point| Some((point.setting.elements as f64, point.error?)))
         .filter(|(_, error)| error.is_finite() && *error > 3.0 * floor && *error < 0.3)
         .map(|(elements, error)| (vec![1.0, -elements.ln()], error.ln()))

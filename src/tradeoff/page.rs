@@ -13,15 +13,15 @@ use std::path::Path;
 use plotters::prelude::*;
 use serde::Serialize;
 
-use super::{OutputError, figure};
-use crate::tradeoff::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
+use super::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
+use crate::output::{OutputError, PAGE_STYLE, figure};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
 pub struct TradeoffSummary<'a> {
-    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+    /// [`SCHEMA_VERSION`](crate::output::summary::SCHEMA_VERSION)
     pub schema_version: u32,
-    /// [`TOOL`](super::summary::TOOL)
+    /// [`TOOL`](crate::output::summary::TOOL)
     pub tool: &'static str,
     /// `tradeoff`
     pub command: &'static str,
@@ -474,7 +474,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
         measured_against(found.subject, reference)
     });
-    include_str!("tradeoff_template.html")
+    include_str!("page/page.html")
         .replace("{{title}}", &escaped(scene))
         .replace("{{sentence}}", &escaped(sentence))
         .replace("{{keys}}", &keys)
@@ -490,11 +490,8 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         )
         .replace("{{legend}}", &legend(found, usual))
         .replace("{{svg}}", svg)
-        .replace("{{style}}", STYLE)
+        .replace("{{style}}", PAGE_STYLE)
 }
-
-/// The style sheet of all pages.
-const STYLE: &str = include_str!("report/style.css");
 
 /// What errors are measured against, in a paragraph.
 fn measured_against(subject: Subject, reference: &Reference) -> String {
