@@ -6,6 +6,7 @@
 //! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
 //! steel wire (iterations and checks); a prediction is good to a factor of two or three, which suffices to rank.
 
+use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};
 
@@ -113,6 +114,13 @@ impl SolveTime {
             iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
             check: node_steps(rod, n_steps) * costs.check,
         }
+    }
+
+    /// Of a problem.
+    #[must_use]
+    pub fn of_problem(problem: &OptimalControlProblem) -> Self {
+        let n_steps = problem.grid.n_steps as f64;
+        Self::of(&problem.rod, n_steps, problem.n_variables())
     }
 
     /// Seconds of the check of a solution with its curvature and growth.
