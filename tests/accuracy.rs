@@ -1,11 +1,15 @@
 //! An accuracy in the place of elements and time step: the grid that is chosen keeps its promise, or the refusal says why there is none.
 
+use std::f64::consts::SQRT_2;
+
 use nalgebra::Vector3;
 use softarm::mechanics::{LoadFrame, Material, TimeScheme};
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, Place, PointLoad, Start, StartShape};
-use softarm::tradeoff::{ChoiceError, Motion, choose, finer, first_elements};
+use softarm::tradeoff::{
+    ChoiceError, End, Estimate, Grid, Measured, Motion, Order, Rule, choose, first_elements, search,
+};
 
 fn silicone() -> Material {
     Material::isotropic(1e6, 0.5, 1000.0)
@@ -138,8 +142,8 @@ fn searches_take_the_integrator_of_their_grids() {
     assert!(error <= accuracy, "{error}");
 }
 
-/// Implicit steps are longer than automatic ones, which allow for an arm that is bent into a circle, where a wire is little bent; where a moment bends
-/// it into that circle, they are not, or not by as much. Both promises hold.
+/// Implicit steps are longer than automatic ones, which allow for an arm that is bent into a circle at any speed: where a wire is little bent, and where a
+/// moment slowly bends it into that circle, as far as they are accurate there. Both promises hold.
 #[test]
 fn searches_take_long_steps_where_the_arm_is_little_bent() {
     let stop = StopSignal::default();
@@ -186,7 +190,7 @@ fn searches_take_long_steps_where_the_arm_is_little_bent() {
         frame: LoadFrame::Body,
         ..pull([0.0; 3], &[])
     });
-    assert!(circle < little, "{circle}");
+    assert!(circle > 2.0, "{circle}");
 }
 
 /// A sudden moment that would hold a wire bent into a circle bends it further than automatic implicit steps can follow: the search takes shorter ones,
@@ -252,20 +256,126 @@ fn coils_have_the_elements_that_their_shape_needs() {
     assert!(error <= accuracy, "{error}");
 }
 
-/// A grid is refined by what its errors ask for, by no more than twice at once, and only where they are too large.
+/// Errors `a/K² + b h²`, over the length, with which grids are measured exactly.
+fn modelled([a, b]: [f64; 2], grid: Grid) -> Estimate {
+    let k = grid.elements as f64;
+    Estimate {
+        grid,
+        parts: [a / (k * k), b * grid.step * grid.step],
+    }
+}
+
+/// Of all grids on which the model expects an error up to the aim, no coarser than the one that was measured, the one that is chosen takes the least time
+/// `K/h`, but for a whole element.
 #[test]
 fn refinement_follows_the_errors() {
-    assert_eq!(finer(10, 0.01, [4e-4, 5e-4], 1e-3), None);
-    assert_eq!(finer(10, 0.01, [f64::NAN, 0.0], 1e-3), None);
-    let (elements, step) = finer(10, 0.01, [1.5e-3, 1e-5], 1e-3).unwrap();
-    // The elements alone are too few: their error may be half of the accuracy.
-    assert_eq!(elements, (10.0 * (1.5f64 / 0.5).sqrt()).ceil() as usize);
-    assert!(step >= 0.01 * (1.0 - 1e-12));
-    let (elements, step) = finer(10, 0.01, [1e-5, 1.5e-3], 1e-3).unwrap();
-    assert_eq!(elements, 10);
-    assert!((step / 0.01 - (0.5f64 / 1.5).sqrt()).abs() < 0.05, "{step}");
-    let (elements, step) = finer(10, 0.01, [1.0, 1.0], 1e-3).unwrap();
-    assert_eq!((elements, step), (20, 0.005));
+    let grid = Grid {
+        elements: 10,
+        step: 0.01,
+    };
+    let aim = 6e-4;
+    for parts in [
+        [1.5e-3, 1e-5],
+        [1e-5, 1.5e-3],
+        [1e-3, 8e-4],
+        [8e-4, 1e-3],
+        [2e-4, 1e-3],
+        [1.0, 1.0],
+    ] {
+        let measured = Estimate { grid, parts };
+        let chosen = measured.cheapest(aim);
+        assert!(chosen.elements >= 10 && chosen.step <= grid.step * (1.0 + 1e-12));
+        let error = measured.on(chosen).error();
+        assert!(error <= aim * (1.0 + 1e-9), "{parts:?}: {error}");
+        let time = |grid: Grid| grid.elements as f64 / grid.step;
+        let least = (10..=2000)
+            .filter_map(|elements| {
+                let step = grid.step;
+                let [of_elements, of_steps] = measured.on(Grid { elements, step }).parts;
+                let allowed = step * ((aim - of_elements) / of_steps).sqrt();
+                let step = allowed.min(step);
+                (of_elements < aim).then(|| time(Grid { elements, step }))
+            })
+            .fold(f64::INFINITY, f64::min);
+        let whole = 1.0 + 1.0 / chosen.elements as f64;
+        assert!(
+            time(chosen) <= least * whole * whole * (1.0 + 1e-9),
+            "{parts:?}: {chosen:?} {} {least}",
+            time(chosen)
+        );
+    }
+}
+
+/// Motions whose errors follow the model are at a distance from each other that gives these errors, whichever of elements and steps is refined.
+#[test]
+fn distances_of_two_grids_give_their_errors() {
+    let coarse = Grid {
+        elements: 8,
+        step: 0.01,
+    };
+    let errors = [0.5, 40.0];
+    for (elements, step) in [(12, 0.008), (8, 0.005), (16, 0.01), (9, 0.0099)] {
+        let grid = Grid { elements, step };
+        let [before, after] = [coarse, grid].map(|grid| modelled(errors, grid));
+        let distance = before.error() - after.error();
+        // Known too high by a factor, but for the part that is not seen.
+        let seen = before.seen(grid, distance);
+        for (seen, own) in seen.parts.iter().zip(after.parts) {
+            assert!((seen - own).abs() <= 1e-9 * own, "{seen} {own}");
+        }
+        let doubled = Estimate {
+            parts: before.parts.map(|part| 2.0 * part),
+            ..before
+        };
+        if elements != 8 && step != 0.01 {
+            let seen = doubled.seen(grid, distance).error();
+            assert!((seen - after.error()).abs() <= 1e-9 * after.error());
+        }
+    }
+}
+
+/// A search ends on a grid that is accurate enough where errors follow the model, and says so where they do not fall or where the grid takes too long.
+#[test]
+fn searches_end() {
+    let first = Grid {
+        elements: 6,
+        step: 0.02,
+    };
+    let rule = Rule {
+        accuracy: 1e-3,
+        order: Order::Assumed,
+        longest: 3600.0,
+    };
+    let run = |seconds: f64, error: &dyn Fn(Grid) -> Estimate| {
+        let mut tried = Vec::new();
+        let found = search(&rule, first, |grid, _| {
+            tried.push(grid);
+            Ok::<_, ()>(Some(Measured {
+                estimate: error(grid),
+                seconds: seconds * grid.elements as f64 / grid.step,
+                too_coarse: false,
+            }))
+        });
+        (found.unwrap(), tried)
+    };
+    let ((last, end), tried) = run(1e-6, &|grid| modelled([0.5, 20.0], grid));
+    assert_eq!(end, End::Met);
+    assert!(last.unwrap().estimate.error() <= 0.75e-3);
+    for pair in tried.windows(2) {
+        let finer = pair[1].elements as f64 / pair[0].elements as f64;
+        let whole = 1.0 / pair[0].elements as f64;
+        assert!((1.0..=SQRT_2 + whole).contains(&finer), "{tried:?}");
+        assert!(pair[0].step / pair[1].step <= SQRT_2 + 1e-9, "{tried:?}");
+    }
+    let ((_, end), tried) = run(1e-6, &|grid| Estimate {
+        grid,
+        parts: [0.1, 0.1],
+    });
+    assert_eq!((end, tried.len()), (End::OutOfReach, 3));
+    let ((_, end), tried) = run(10.0, &|grid| modelled([0.5, 20.0], grid));
+    assert!(matches!(end, End::TooLong { .. }) && tried.len() == 1);
+    let nothing = search(&rule, first, |_, _| Ok::<_, ()>(None)).unwrap();
+    assert!(nothing.0.is_none() && nothing.1 == End::Unmeasured);
 }
 
 /// A steel wire to 1e-8 for a minute is refused with the time that it would take, at once.

@@ -71,7 +71,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
         // Whether the arm can stay at its target is a verdict here, and no reason to refuse the scene.
         let setup = scene.passing().optimal_control(&source)?;
         let size = problem_size(&setup.problem);
-        let time = solve_time(&setup.problem);
+        let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
         plan = Some(Plan {
             actuators: actuators(&setup.problem),
@@ -268,14 +268,9 @@ fn what_weighs(rod: &Rod) -> &'static str {
     }
 }
 
-pub(super) fn solve_time(problem: &OptimalControlProblem) -> SolveTime {
-    let steps = problem.grid.n_steps as f64;
-    SolveTime::of(&problem.rod, steps, problem.n_variables())
-}
-
 /// What a solve takes, for one that is about to begin: nothing where it takes no time to speak of.
 pub(super) fn expectation(setup: &OptimalControl, n_threads: usize) -> Option<String> {
-    let time = solve_time(&setup.problem);
+    let time = SolveTime::of_problem(&setup.problem);
     (time.total() > LONG_S).then(|| {
         let memory = of_solve(setup, 1, n_threads).total();
         let mut out = format!("expected: {}", time_in_words(&time, memory));

@@ -2,13 +2,13 @@
 
 use serde::Serialize;
 
-use super::check::solve_time;
 use super::console::Console;
 use super::progress::Awaited;
 use super::{Global, Outcome, exit, scene_name};
 use crate::derivatives::{Report, Verdict, check, check_motion};
 use crate::output::summary::SCHEMA_VERSION;
 use crate::scene::Scene;
+use crate::task::prediction::SolveTime;
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -25,7 +25,7 @@ pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> O
     let (scene, source) = Scene::load(scene_argument, &global.set)?;
     let report = if scene.task.is_some() || scene.control.is_some() {
         let problem = scene.optimal_control(&source)?.problem;
-        let predicted = solve_time(&problem).derivatives();
+        let predicted = SolveTime::of_problem(&problem).derivatives();
         let _awaited = Awaited::new("comparing derivatives", predicted, console);
         check(&problem, global.seed())?
     } else {

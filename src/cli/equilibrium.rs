@@ -13,10 +13,11 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::{Kept, LoadPath, Loss, Varied};
 use crate::output::equilibrium::{EquilibriumSummary, sweep_record, write_tables};
 use crate::output::{ResultKind, RunDirectory, render_report};
-use crate::scene::{MOST_ELEMENTS, Scene, SceneSource};
+use crate::scene::{Scene, SceneSource};
 use crate::solve::{Statics, StaticsError, StaticsOptions, equilibrium_page, statics};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
+use crate::tradeoff::accurate_statics;
 
 #[derive(Debug, Args)]
 pub(super) struct EquilibriumArguments {
@@ -139,7 +140,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
     Ok(exit::DONE)
 }
 
-/// The statics of a scene, and the scene with the elements that they are of: with an accuracy, twice as many until the tip is that accurate.
+/// The statics of a scene, and the scene with the elements that they are of: with an accuracy, as many as the tip needs.
 fn accurate(
     scene: &Scene,
     source: &SceneSource,
@@ -147,24 +148,20 @@ fn accurate(
     options: &StaticsOptions,
     stop: &StopSignal,
 ) -> Result<(Scene, Statics), CliError> {
-    let mut discretization = scene.discretization();
-    loop {
-        let found = statics(arm, &discretization, options, stop)
-            .map_err(|error| refused(scene, source, error))?;
-        let Some(accuracy) = scene.accuracy() else {
-            return Ok((scene.resolved(&discretization), found));
-        };
-        let elements = 2 * discretization.elements;
-        let allowed = accuracy * arm.length;
-        if found.refined_space.is_some_and(|error| error <= allowed) || elements > MOST_ELEMENTS {
-            let scene = scene.with_grid(&Discretization {
-                step: None,
-                ..discretization
-            });
-            return Ok((scene.resolved(&discretization), found));
-        }
-        discretization.elements = elements;
-    }
+    let own = scene.discretization();
+    let refused = |error| refused(scene, source, error);
+    let Some(accuracy) = scene.accuracy() else {
+        let found = statics(arm, &own, options, stop).map_err(refused)?;
+        return Ok((scene.resolved(&own), found));
+    };
+    let (elements, found) =
+        accurate_statics(arm, &own, accuracy, options, stop).map_err(refused)?;
+    let chosen = Discretization { elements, ..own };
+    let scene = scene.with_grid(&Discretization {
+        step: None,
+        ..chosen
+    });
+    Ok((scene.resolved(&chosen), found))
 }
 
 fn refused(scene: &Scene, source: &SceneSource, error: StaticsError) -> CliError {

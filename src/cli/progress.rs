@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 
-use super::check::solve_time;
 use super::console::Console;
 use crate::control::OptimalControlProblem;
 use crate::sqp::IterationRecord;
+use crate::task::prediction::SolveTime;
 
 /// Time that is left of work in parts that take equally long on average, told from those that are done.
 struct Countdown {
@@ -197,7 +197,7 @@ pub(super) struct Awaited(ProgressBar);
 impl Awaited {
     /// The check of a solution, with the curvature and the growth of disturbances where it is `deep`.
     pub(super) fn check(problem: &OptimalControlProblem, deep: bool, console: &Console) -> Self {
-        let time = solve_time(problem);
+        let time = SolveTime::of_problem(problem);
         let predicted = if deep { time.deep_check() } else { time.check };
         Self::new("checking", predicted, console)
     }

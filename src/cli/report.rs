@@ -10,11 +10,11 @@ use super::error::CliError;
 use super::{Global, Outcome, exit};
 use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::tradeoff::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 use crate::output::{
     Compared, ComparisonTable, ResultKind, compare, render_comparison, render_report,
 };
 use crate::solve::{SavedPage, saved_page};
+use crate::tradeoff::page::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 
 /// Arguments of `report`.
 #[derive(Debug, Args)]

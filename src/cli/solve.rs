@@ -7,7 +7,6 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::accuracy::Refinement;
 use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
@@ -15,8 +14,8 @@ use super::progress::{Awaited, LiveStarts};
 use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
-    ActuatedNode, Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search,
-    SearchEvent, TipDeviation, TrackingError, holding, search_telling,
+    Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
+    TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
@@ -24,10 +23,11 @@ use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{
-    Chosen, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings, help,
-    iteration_row, legend, status_words, step_kind, summarize, write,
+    Chosen, Earlier, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings,
+    help, iteration_row, legend, status_words, step_kind, summarize, write,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
+use crate::tradeoff::solve_on_grids;
 use crate::verify::ForwardCheck;
 
 /// Arguments of `solve`.
@@ -69,7 +69,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     let mut previous = None;
     if let Some(directory) = arguments.from.as_deref() {
-        let earlier = Earlier::read(directory, &stop)?;
+        let earlier = earlier(directory, &stop)?;
         described = earlier.timed(described);
         previous = Some(earlier.controls(&described.problem));
     }
@@ -78,120 +78,29 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     let target = arguments.scene.directory("solve");
     let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
-    let alone = starts == 1;
-    let mut refinement = Refinement::of(&scene);
+    let pose = |scene: &Scene| {
+        (scene.optimal_control_until(&source, &stop))
+            .map_err(|error| CliError::of_scene(error, &stop))
+    };
+    let attempt = |setup: &OptimalControl, previous| {
+        memory::require(&of_solve(setup, starts, global.n_threads()), &source)?;
+        attempt(setup, previous, arguments, global, console)
+    };
+    let first = (described, previous);
+    let found = solve_on_grids(&scene, first, pose, attempt, |words| console.say(words))?;
+    if let Some(warning) = &found.warning {
+        console.warn(warning);
+    }
     let Chosen {
         solution,
         examined,
         starts,
         spent,
-    } = loop {
-        if let Some(expected) = expectation(&described, global.n_threads()) {
-            console.say(&expected);
-        }
-        announce(&described, console);
-        if alone {
-            console.say(TABLE_HEAD);
-        }
-        let plan = Search {
-            previous: previous.take(),
-            starts,
-            seed: global.seed(),
-            n_threads: global.n_threads(),
-            ..described.search.clone()
-        };
-        let live = (!alone).then(|| LiveStarts::new(starts, console));
-        let attempts = search_telling(&described.problem, &described.settings, &plan, &|event| {
-            match event {
-                SearchEvent::Begins { from, before, .. } if alone => {
-                    if let Some(last) = before.last() {
-                        let number = before.len() + 1;
-                        let (earlier, ended) = (&last.from, &last.ended);
-                        console.say(&format!(
-                            "attempt {number}, from {from}; the one before, from {earlier}: {ended}"
-                        ));
-                    }
-                }
-                SearchEvent::Row { start, row } => {
-                    let event = IterationEvent {
-                        start: *start,
-                        row: iteration_row(row),
-                    };
-                    match &live {
-                        None => {
-                            console.event("iteration", &event);
-                            console.say(&table_row(row));
-                        }
-                        Some(live) => {
-                            if console.json() {
-                                live.beside(|| console.event("iteration", &event));
-                            }
-                            live.iterate(*start, row);
-                        }
-                    }
-                }
-                SearchEvent::StartBegins { start } => {
-                    if let Some(live) = &live {
-                        live.begin(*start, None);
-                    }
-                }
-                SearchEvent::Begins { start, from, .. } => {
-                    if let Some(live) = &live {
-                        live.begin(*start, Some(from));
-                    }
-                }
-                SearchEvent::StartEnds { start, found } => {
-                    if let Some(live) = &live {
-                        let summary = start_summary(*start, *found);
-                        let converged = summary.status == "converged";
-                        live.end(*start, converged.then_some(summary.objective));
-                        live.beside(|| {
-                            console.event("start", &summary);
-                            console.say(&start_row(*start, *found));
-                        });
-                    }
-                }
-            }
-            ControlFlow::Continue(())
-        })?;
-        let posed = described.posed();
-        let awaited = Awaited::check(&described.problem, arguments.deep, console);
-        let chosen = choose(
-            &posed,
-            &described.settings,
-            attempts,
-            plan.starts,
-            &Examination {
-                feedback: described.feedback.as_ref(),
-                deep: arguments.deep,
-                n_threads: global.n_threads(),
-            },
-        );
-        drop(awaited);
-        let Some(refinement) = (refinement.as_mut()).filter(|_| chosen.solution.has_converged())
-        else {
-            break chosen;
-        };
-        let solved = &chosen.solution.problem;
-        let check = chosen.examined.check.as_ref();
-        let grid = &solved.discretization;
-        match refinement.next(&scene, &source, grid, check, &stop, console)? {
-            None => break chosen,
-            Some(next) => {
-                memory::require(&of_solve(&next, starts, global.n_threads()), &source)?;
-                let coarse = Earlier {
-                    problem: solved.discrete.clone(),
-                    coefficients: chosen.solution.coefficients,
-                };
-                described = coarse.timed(next);
-                previous = Some(coarse.controls(&described.problem));
-            }
-        }
-    };
+    } = found.chosen;
     for warning in &examined.warnings {
         console.warn(warning);
     }
-    let setup = described.around(&solution.problem);
+    let setup = found.setup.around(&solution.problem);
     let problem = &solution.problem.discrete;
     let wall = started.elapsed().as_secs_f64();
     let mut summary = summarize(
@@ -203,7 +112,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         wall,
         &target,
     );
-    summary.accuracy = refinement.and_then(Refinement::summary);
+    summary.accuracy = found.accuracy;
     let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(problem, &solution.coefficients))
         .and_then(|found| {
@@ -231,7 +140,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     if let Err(OutputError::Elsewhere { place, .. }) = &written {
         summary.directory = place.display().to_string();
     }
-    if alone {
+    if arguments.starts == 1 {
         let rows: Vec<_> = (solution.attempt.solves.iter())
             .flat_map(|solve| &solve.rows)
             .copied()
@@ -255,77 +164,124 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     Ok(exit_code(&solution, &examined))
 }
 
-/// An earlier solution.
-struct Earlier {
-    problem: OptimalControlProblem,
-    coefficients: Vec<Wrench>,
+/// Solves a problem from all starts, checks what they find, and tells on the way.
+fn attempt(
+    setup: &OptimalControl,
+    previous: Option<Vec<Wrench>>,
+    arguments: &SolveArguments,
+    global: &Global,
+    console: &Console,
+) -> Result<Chosen, CliError> {
+    let starts = usize::from(arguments.starts);
+    let alone = starts == 1;
+    if let Some(expected) = expectation(setup, global.n_threads()) {
+        console.say(&expected);
+    }
+    announce(setup, console);
+    if alone {
+        console.say(TABLE_HEAD);
+    }
+    let plan = Search {
+        previous,
+        starts,
+        seed: global.seed(),
+        n_threads: global.n_threads(),
+        ..setup.search.clone()
+    };
+    let live = (!alone).then(|| LiveStarts::new(starts, console));
+    let attempts = search_telling(&setup.problem, &setup.settings, &plan, &|event| {
+        match event {
+            SearchEvent::Begins { from, before, .. } if alone => {
+                if let Some(last) = before.last() {
+                    let number = before.len() + 1;
+                    let (earlier, ended) = (&last.from, &last.ended);
+                    console.say(&format!(
+                        "attempt {number}, from {from}; the one before, from {earlier}: {ended}"
+                    ));
+                }
+            }
+            SearchEvent::Row { start, row } => {
+                let event = IterationEvent {
+                    start: *start,
+                    row: iteration_row(row),
+                };
+                match &live {
+                    None => {
+                        console.event("iteration", &event);
+                        console.say(&table_row(row));
+                    }
+                    Some(live) => {
+                        if console.json() {
+                            live.beside(|| console.event("iteration", &event));
+                        }
+                        live.iterate(*start, row);
+                    }
+                }
+            }
+            SearchEvent::StartBegins { start } => {
+                if let Some(live) = &live {
+                    live.begin(*start, None);
+                }
+            }
+            SearchEvent::Begins { start, from, .. } => {
+                if let Some(live) = &live {
+                    live.begin(*start, Some(from));
+                }
+            }
+            SearchEvent::StartEnds { start, found } => {
+                if let Some(live) = &live {
+                    let summary = start_summary(*start, *found);
+                    let converged = summary.status == "converged";
+                    live.end(*start, converged.then_some(summary.objective));
+                    live.beside(|| {
+                        console.event("start", &summary);
+                        console.say(&start_row(*start, *found));
+                    });
+                }
+            }
+        }
+        ControlFlow::Continue(())
+    })?;
+    let posed = setup.posed();
+    let awaited = Awaited::check(&setup.problem, arguments.deep, console);
+    let chosen = choose(
+        &posed,
+        &setup.settings,
+        attempts,
+        plan.starts,
+        &Examination {
+            feedback: setup.feedback.as_ref(),
+            deep: arguments.deep,
+            n_threads: global.n_threads(),
+        },
+    );
+    drop(awaited);
+    Ok(chosen)
 }
 
-impl Earlier {
-    fn read(directory: &Path, stop: &StopSignal) -> Result<Self, CliError> {
-        let path = directory.join("scene.toml");
-        if !path.is_file() {
-            return Err(CliError::Directory(format!(
-                "--from {}: {}; give the result directory of an earlier solve, as results/reach-solve",
-                directory.display(),
-                if directory.is_dir() {
-                    "a directory without scene.toml is no result"
-                } else {
-                    "there is no such directory"
-                }
-            )));
-        }
-        let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
-        let described = scene.optimal_control_until(&source, stop);
-        let problem = described
-            .map_err(|error| CliError::of_scene(error, stop))?
-            .problem;
-        Ok(Self {
-            coefficients: read_coefficients(directory, &problem)?,
-            problem,
-        })
-    }
-
-    /// A problem with a free duration begins with that of the earlier solution, as near as its limits allow.
-    fn timed(&self, setup: OptimalControl) -> OptimalControl {
-        let Some(free) = setup.problem.duration else {
-            return setup;
-        };
-        let duration = self
-            .problem
-            .grid
-            .duration()
-            .clamp(free.shortest, free.longest);
-        setup.with_time_scale(duration / setup.problem.grid.duration())
-    }
-
-    /// The coefficients at the times of a problem's, of actuators at the same places of the arm.
-    fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
-        let earlier = &self.problem;
-        let n = earlier.actuators.len();
-        let last = earlier.grid.n_steps;
-        let [n_wrenches, n_earlier] = [problem, earlier].map(|p| p.wrench_actuators().len());
-        let [elements, before] = [problem, earlier].map(|p| p.rod.n_elements());
-        let found = |(index, actuator): (usize, &ActuatedNode)| {
-            if index >= n_wrenches {
-                // Controls of actuators of one's own follow those of the nodes.
-                return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
+/// The solution in the result directory of an earlier solve.
+fn earlier(directory: &Path, stop: &StopSignal) -> Result<Earlier, CliError> {
+    let path = directory.join("scene.toml");
+    if !path.is_file() {
+        return Err(CliError::Directory(format!(
+            "--from {}: {}; give the result directory of an earlier solve, as results/reach-solve",
+            directory.display(),
+            if directory.is_dir() {
+                "a directory without scene.toml is no result"
+            } else {
+                "there is no such directory"
             }
-            let same = |other: &ActuatedNode| other.node * elements == actuator.node * before;
-            earlier.wrench_actuators().iter().position(same)
-        };
-        let places: Vec<_> = problem.actuators.iter().enumerate().map(found).collect();
-        let mut out = Vec::new();
-        for t in problem.control.coefficient_times() {
-            let k = ((t / earlier.grid.step).round() as usize).min(last);
-            out.extend(places.iter().map(|place| {
-                place.map_or_else(Wrench::default, |a| {
-                    (earlier.control).value(k, |j| self.coefficients[j * n + a])
-                })
-            }));
-        }
-        out
+        )));
     }
+    let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
+    let described = scene.optimal_control_until(&source, stop);
+    let problem = described
+        .map_err(|error| CliError::of_scene(error, stop))?
+        .problem;
+    Ok(Earlier {
+        coefficients: read_coefficients(directory, &problem)?,
+        problem,
+    })
 }
 
 fn exit_code(solution: &Solution, examined: &Examined) -> u8 {

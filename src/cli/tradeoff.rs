@@ -11,12 +11,12 @@ use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::tradeoff::{
-    Journal, TradeoffSummary, journal_in, page, picture, sentence, write_points,
-};
 use crate::output::{ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
+use crate::tradeoff::page::{
+    Journal, TradeoffSummary, journal_in, page, picture, sentence, write_points,
+};
 use crate::tradeoff::{
     Fate, News, Point, Reference, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
 };

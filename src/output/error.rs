@@ -91,7 +91,7 @@ impl OutputError {
     }
 
     /// Content error without a line number.
-    pub(super) fn malformed(path: &Path, reason: impl Into<String>) -> Self {
+    pub(crate) fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed {
             path: path.to_path_buf(),
             line: None,

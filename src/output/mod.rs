@@ -26,9 +26,6 @@ mod rows;
 mod running;
 #[doc(hidden)]
 pub mod summary;
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod tradeoff;
 
 #[doc(hidden)]
 pub use checkpoint::Checkpoint;
@@ -58,7 +55,11 @@ pub use report::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, PAGE_MARK,
     TradeoffPoint, compare, render_comparison,
 };
+#[cfg(feature = "cli")]
+pub(crate) use report::{PAGE_STYLE, scene_differences};
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
+#[cfg(feature = "cli")]
+pub(crate) use running::JOURNAL_FILE;
 #[doc(hidden)]
 pub use running::RunDirectory;

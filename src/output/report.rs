@@ -13,6 +13,8 @@ pub use self::comparison::{
 };
 pub use self::field::{ReportField, ReportFields};
 #[cfg(feature = "cli")]
+pub(crate) use self::render::PAGE_STYLE;
+#[cfg(feature = "cli")]
 pub use self::render::{PAGE_MARK, render_comparison};
 pub use self::render::{figure, render_report};
 

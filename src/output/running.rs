@@ -22,7 +22,7 @@ const PLACEHOLDER: &str = "unfinished.json";
 /// Folders of the rows of a simulation.
 const ROW_FOLDERS: [&str; 2] = ["trajectory", "diagnostics"];
 /// Points of a trade-off on its way.
-pub(super) const JOURNAL_FILE: &str = "points.jsonl";
+pub(crate) const JOURNAL_FILE: &str = "points.jsonl";
 /// The ending of files of rows.
 const ROW_ENDING: &str = "f64";
 /// A directory that another run removes at the same moment is made anew at most so many times.

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
-use crate::tradeoff::Level;
 use crate::verify::files::Mismatch;
 use crate::verify::kkt::KktPart;
 
@@ -387,6 +386,17 @@ pub struct AccuracySummary {
     pub levels: Vec<Level>,
     /// What was chosen, and why.
     pub why: String,
+}
+
+/// A grid that a search for an accuracy tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Level {
+    /// Its elements.
+    pub elements: usize,
+    /// Its step, s.
+    pub step_s: f64,
+    /// Estimated error, over the length; absent where nothing was compared with it.
+    pub error: Option<f64>,
 }
 
 /// Seconds per phase of a solve.

@@ -9,7 +9,7 @@ use super::values::{Number, digits, known};
 use super::{SceneError, SceneSource};
 use crate::sqp::HessianChoice;
 use crate::task::Discretization;
-use crate::tradeoff::first_elements;
+use crate::task::prediction::first_elements;
 
 /// What a scene asks for that gives neither elements nor an accuracy, in lengths of the arm.
 const DEFAULT: f64 = 1e-3;

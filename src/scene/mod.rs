@@ -47,7 +47,6 @@ mod source;
 pub mod translate;
 mod values;
 
-#[cfg(feature = "cli")]
 pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;

@@ -5,6 +5,8 @@ mod causes;
 mod choice;
 mod constraints;
 mod diagnostics;
+#[cfg(feature = "cli")]
+mod earlier;
 mod examined;
 mod files;
 mod page;
@@ -19,6 +21,7 @@ pub(crate) use self::{
     causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
     diagnostics::diagnostics,
+    earlier::Earlier,
     examined::Examined,
     files::{IterationRow, iteration_row, write},
     page::{

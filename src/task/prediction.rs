@@ -6,6 +6,7 @@
 //! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
 //! steel wire (iterations and checks); a prediction is good to a factor of two or three, which suffices to rank.
 
+use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, stable_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};
 
@@ -62,6 +63,18 @@ const CLEARLY_CHEAPER: f64 = 0.1;
 /// The same for the inertia of segments, which changes what is simulated, if only as a finer grid would.
 const FAR_CHEAPER: f64 = 0.2;
 
+/// Fewest elements of a first grid, and of one that an order is fitted to: with fewer, an error does not show the second order that elements have.
+pub const FEWEST_ELEMENTS: usize = 4;
+
+/// Elements with which a search for an accuracy, in lengths of the arm, begins.
+///
+/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with one
+/// curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
+#[must_use]
+pub fn first_elements(accuracy: f64) -> usize {
+    ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST_ELEMENTS)
+}
+
 fn costs(rod: &Rod) -> &'static StepCosts {
     match rod.scheme {
         TimeScheme::Implicit => &IMPLICIT,
@@ -101,6 +114,13 @@ impl SolveTime {
             iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
             check: node_steps(rod, n_steps) * costs.check,
         }
+    }
+
+    /// Of a problem.
+    #[must_use]
+    pub fn of_problem(problem: &OptimalControlProblem) -> Self {
+        let n_steps = problem.grid.n_steps as f64;
+        Self::of(&problem.rod, n_steps, problem.n_variables())
     }
 
     /// Seconds of the check of a solution with its curvature and growth.

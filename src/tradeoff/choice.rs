@@ -1,84 +1,24 @@
-//! The coarsest grid that is accurate enough.
-//!
-//! The error of a motion on `K` elements with steps of `h` is modelled as `a/K² + b h²`, the orders of the rod and of its integrator. Three
-//! coarse runs give `a` and `b`, the model gives a grid, and the grid is confirmed: the motion on it is compared with the one on a grid that
-//! is 1.5 times coarser, and what the finer one still lacks follows by Richardson's extrapolation.
+//! The coarsest grid on which a simulation is accurate enough.
 
+use super::grid::{self, End, Estimate, Grid, LONGEST, Measured, Order, Rule};
 use super::motion::{Motion, Run, RunError, Setup};
 use crate::mechanics::{StepError, TimeScheme};
+use crate::output::summary::{AccuracySummary, Level};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
-use crate::task::prediction::Work;
+use crate::task::prediction::{FEWEST_ELEMENTS, Work, first_elements};
 
-/// Part of the accuracy that the model of the error may use up; the rest is for what it does not know.
-const MODELLED: f64 = 0.65;
-/// Part of the accuracy up to which an error is left as it is.
-const SLIGHT: f64 = 0.15;
-/// An estimate up to this part of the accuracy confirms a grid: estimates are good to a quarter.
-const CONFIRMED: f64 = 0.75;
-/// What a grid that is refined once more aims at.
-const AIM: f64 = 0.6;
-/// How much coarser the grid is that confirms another.
-const COARSER: f64 = 1.5;
-/// Grids that are tried before the accuracy counts as out of reach.
-const ROUNDS: usize = 6;
-/// An error that a finer grid leaves above this part of what it was does not converge.
-const STALLED: f64 = 0.9;
-/// Fewest elements of the coarse runs.
-const FEWEST: usize = 4;
-/// The coarsest grid of a search has no more elements than these, also where fewer cannot show the arm or its motion.
-const MOST_AT_FIRST: usize = 32;
-/// By how much a grid is refined at once.
-const MOST_REFINED: usize = 2;
-/// Most elements.
-const MOST_ELEMENTS: f64 = 5000.0;
-/// Steps that are solved for may be so much longer than automatic ones, which allow for an arm that is bent into a circle.
+/// Cap on the elements of a first grid, also where fewer cannot show the arm or its motion: eight times the fewest.
+const MOST_AT_FIRST: usize = 8 * FEWEST_ELEMENTS;
+/// Steps that are solved for begin so much longer than automatic ones, which allow for an arm that is bent into a circle (decision 77): an arm that bends
+/// through a quarter of that.
 const LONGER: f64 = 4.0;
-/// The shortest step over the automatic one that is tried where a motion breaks down, as where a sudden load bends an arm into more than a circle.
+/// Cap on the halvings of steps where a motion breaks down, as where a sudden load bends an arm into more than a circle: the shortest step over the
+/// automatic one.
 const SHORTEST: f64 = 1.0 / 16.0;
-/// Motions that a search simulates, as if all were as long as that on the grid with which it begins.
+/// Motions of a search, as if all took as long as that on its first grid, by which its integrator is chosen: the three coarse ones, and one that is
+/// finer.
 const MOTIONS: f64 = 5.0;
-/// Nobody waits longer for one of the runs, s.
-const LONGEST: f64 = 3600.0;
-
-/// Elements with which a search for an accuracy, in lengths of the arm, begins.
-///
-/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with one
-/// curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
-#[must_use]
-pub fn first_elements(accuracy: f64) -> usize {
-    ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST)
-}
-
-/// Elements and longest step, s, of a finer grid, where the errors of `parts` that elements and steps make, over the length, are too much.
-#[must_use]
-pub fn finer(elements: usize, step: f64, parts: [f64; 2], accuracy: f64) -> Option<(usize, f64)> {
-    let [of_elements, of_steps] = parts;
-    // What is no number asks for nothing.
-    if !(of_elements + of_steps > accuracy) {
-        return None;
-    }
-    let model = ErrorModel {
-        elements,
-        step,
-        parts,
-    };
-    let (wanted, longest) = model.grid(accuracy);
-    // Errors of a coarse grid are estimated coarsely.
-    let wanted = wanted.clamp(elements, MOST_REFINED * elements);
-    Some((wanted, longest.min(step).max(step / MOST_REFINED as f64)))
-}
-
-/// A grid that was tried.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Level {
-    /// Its elements.
-    pub elements: usize,
-    /// Its step, s.
-    pub step_s: f64,
-    /// Estimated error, over the length; absent where nothing was compared with it.
-    pub error: Option<f64>,
-}
 
 /// A grid that is accurate enough.
 #[derive(Clone, Debug)]
@@ -171,49 +111,76 @@ pub fn choose_telling(
             1.0
         },
         levels: Vec::new(),
+        last: None,
     };
-    let model = search.coarse()?;
-    let (mut elements, mut step) = model.grid(accuracy);
-    let mut last = f64::INFINITY;
-    let mut stalled = 0;
-    let mut run = None;
-    for _ in 0..ROUNDS {
-        let fine = search.run_shown(elements, elements.max(model.elements), step)?;
-        elements = fine.discretization.elements;
-        let error = search.confirm(&fine, &model)?;
-        search.levels.push(Level {
-            elements,
-            step_s: fine.step(),
-            error: Some(error),
-        });
-        if error <= CONFIRMED * accuracy {
-            return Ok(Choice {
-                discretization: fine.discretization,
-                error,
-                parts: model.parts(elements, fine.step()),
-                levels: search.levels,
-            });
-        }
-        stalled += usize::from(error > STALLED * last);
-        let finer = (error / (AIM * accuracy)).sqrt().clamp(1.2, 3.0);
-        last = error;
-        let wanted = (elements as f64 * finer).ceil();
-        step = fine.step() / finer;
-        run = Some(fine);
-        if stalled == 2 || wanted > MOST_ELEMENTS {
-            break;
-        }
-        elements = wanted as usize;
-    }
-    let (elements, step) = run.map_or((elements, step), |run| {
-        (run.discretization.elements, run.step())
-    });
-    Err(ChoiceError::Stalled {
+    let rule = Rule {
         accuracy,
-        error: last,
-        elements,
-        step,
-    })
+        order: Order::Assumed,
+        longest: LONGEST,
+    };
+    let first = Grid {
+        elements: first_elements(accuracy).div_ceil(2).max(FEWEST_ELEMENTS),
+        step: f64::INFINITY,
+    };
+    let (last, end) = grid::search(&rule, first, |grid, before| {
+        let (run, estimate) = match before {
+            None => search.coarse(grid.elements)?,
+            Some(before) => search.finer(grid, &before.estimate)?,
+        };
+        let seconds = search.predicted(estimate.grid)?;
+        search.last = Some(run);
+        Ok::<_, ChoiceError>(Some(Measured {
+            estimate,
+            seconds,
+            too_coarse: false,
+        }))
+    })?;
+    let Search {
+        levels, last: run, ..
+    } = search;
+    let (Some(Measured { estimate, .. }), Some(run)) = (last, run) else {
+        unreachable!("a search measures at least one grid")
+    };
+    match end {
+        End::Met => Ok(Choice {
+            discretization: run.discretization,
+            error: estimate.error(),
+            parts: estimate.parts,
+            levels,
+        }),
+        End::TooLong { wanted, seconds } => Err(too_long(accuracy, wanted, seconds)),
+        End::OutOfReach | End::Unmeasured => Err(ChoiceError::Stalled {
+            accuracy,
+            error: estimate.error(),
+            elements: estimate.grid.elements,
+            step: estimate.grid.step,
+        }),
+    }
+}
+
+impl Choice {
+    /// What was chosen for the accuracy that was asked, in the numbers and the sentence of a summary.
+    #[must_use]
+    pub fn summary(self, asked: f64) -> AccuracySummary {
+        let grid = Grid {
+            elements: self.discretization.elements,
+            step: self.discretization.step.unwrap_or(f64::NAN),
+        };
+        let estimate = Estimate {
+            grid,
+            parts: self.parts,
+        };
+        grid::summary(asked, &estimate, true, self.levels)
+    }
+}
+
+fn too_long(accuracy: f64, wanted: Grid, seconds: f64) -> ChoiceError {
+    ChoiceError::TooLong {
+        accuracy,
+        elements: wanted.elements,
+        step: wanted.step,
+        hours: seconds / 3600.0,
+    }
 }
 
 impl ChoiceError {
@@ -259,97 +226,48 @@ struct Search<'a> {
     /// Longest step over the automatic one.
     longer: f64,
     levels: Vec<Level>,
-}
-
-/// `a/K² + b h²`, over the length.
-struct ErrorModel {
-    elements: usize,
-    step: f64,
-    /// Errors that elements and step make on that grid.
-    parts: [f64; 2],
-}
-
-impl ErrorModel {
-    /// Elements, not less than half of those that were tried, and longest step, s, for an accuracy.
-    fn grid(&self, accuracy: f64) -> (usize, f64) {
-        let [of_elements, of_step] = self.parts.map(|part| part / accuracy);
-        let rest = MODELLED - SLIGHT;
-        let (finer, shorter) = if of_step <= SLIGHT {
-            ((of_elements / rest).sqrt(), (of_step / SLIGHT).sqrt())
-        } else if of_elements <= SLIGHT {
-            (1.0, (of_step / rest).sqrt())
-        } else {
-            let both = ((of_elements + of_step) / MODELLED).sqrt();
-            (both, both)
-        };
-        let elements = (finer * self.elements as f64).min(MOST_ELEMENTS).ceil() as usize;
-        (
-            elements.max(self.elements.div_ceil(2)),
-            self.step / shorter.max(f64::MIN_POSITIVE),
-        )
-    }
-
-    /// Errors that elements and step make on another grid.
-    fn parts(&self, elements: usize, step: f64) -> [f64; 2] {
-        let coarser = self.elements as f64 / elements as f64;
-        let longer = step / self.step;
-        [
-            self.parts[0] * coarser * coarser,
-            self.parts[1] * longer * longer,
-        ]
-    }
+    /// The motion on the last grid.
+    last: Option<Run>,
 }
 
 impl Search<'_> {
-    /// A run with no longer steps than `step`, or than the longest that is tried; with shorter ones where the motion breaks down, the shortest of
-    /// them `shortest` times as long as the automatic step.
-    fn run(&mut self, elements: usize, step: f64, shortest: f64) -> Result<Run, ChoiceError> {
+    /// A run with no longer steps than those of `grid`, or than the longest that is tried; with shorter ones where the motion breaks down, the
+    /// shortest of them `shortest` times as long as the automatic step.
+    fn run(&mut self, grid: Grid, shortest: f64) -> Result<Run, ChoiceError> {
         loop {
-            match self.try_run(elements, step) {
+            match self.try_run(grid) {
                 Err(error) if error.breaks_down() && self.longer > shortest => self.longer *= 0.5,
                 done => return done,
             }
         }
     }
 
-    /// A run with as many elements as the arm's shape at rest needs, from `elements` to `most`.
-    fn run_shown(&mut self, elements: usize, most: usize, step: f64) -> Result<Run, ChoiceError> {
-        let mut elements = elements;
-        loop {
-            match self.run(elements, step, SHORTEST) {
-                Err(ChoiceError::Run(RunError::Discretize(_))) if elements < most => elements += 1,
-                done => return done,
-            }
-        }
-    }
-
-    fn try_run(&self, elements: usize, step: f64) -> Result<Run, ChoiceError> {
-        let setup = self.setup(elements, step)?;
+    fn try_run(&self, grid: Grid) -> Result<Run, ChoiceError> {
+        let setup = self.setup(grid)?;
         let seconds = setup.predicted();
         if seconds > LONGEST {
-            return Err(ChoiceError::TooLong {
-                accuracy: self.accuracy,
-                elements,
-                step: setup.grid.step,
-                hours: seconds / 3600.0,
-            });
+            let step = setup.grid.step;
+            return Err(too_long(self.accuracy, Grid { step, ..grid }, seconds));
         }
-        (self.tell)(elements, seconds);
+        (self.tell)(grid.elements, seconds);
         Ok(setup.run(self.stop).map_err(RunError::from)?)
     }
 
-    fn setup(&self, elements: usize, step: f64) -> Result<Setup, RunError> {
+    fn setup(&self, grid: Grid) -> Result<Setup, RunError> {
         let open = Discretization {
-            elements,
+            elements: grid.elements,
             step: None,
             ..self.base
         };
-        Ok((self.motion).setup_longer(&open, self.longer, step, self.stop)?)
+        Ok((self.motion).setup_longer(&open, self.longer, grid.step, self.stop)?)
+    }
+
+    fn predicted(&self, grid: Grid) -> Result<f64, RunError> {
+        Ok(self.setup(grid)?.predicted())
     }
 
     /// Three coarse runs, with more elements where they break down, and with steps shorter than automatic ones where that does not help.
-    fn coarse(&mut self) -> Result<ErrorModel, ChoiceError> {
-        let first = first_elements(self.accuracy).div_ceil(2).max(FEWEST);
+    fn coarse(&mut self, first: usize) -> Result<(Run, Estimate), ChoiceError> {
         let mut shortest = 1.0;
         let mut elements = first;
         loop {
@@ -366,20 +284,37 @@ impl Search<'_> {
         }
     }
 
-    fn coarse_with(&mut self, elements: usize, shortest: f64) -> Result<ErrorModel, ChoiceError> {
+    /// A coarse grid, compared with one of half the step and one of twice the elements, each of which lacks a quarter of what the coarse one lacks.
+    fn coarse_with(
+        &mut self,
+        elements: usize,
+        shortest: f64,
+    ) -> Result<(Run, Estimate), ChoiceError> {
         let length = self.motion.arm.length;
-        let coarse = self.run(elements, f64::INFINITY, shortest)?;
+        let longest = f64::INFINITY;
+        let coarse = self.run(
+            Grid {
+                elements,
+                step: longest,
+            },
+            shortest,
+        )?;
         let half = 0.5 * coarse.step();
-        let in_time = self.run(elements, half, shortest)?;
+        let in_time = self.run(
+            Grid {
+                elements,
+                step: half,
+            },
+            shortest,
+        )?;
         // Explicit steps have to be shorter on shorter elements.
         let is_explicit = coarse.discretization.scheme == Some(TimeScheme::Explicit);
-        let (like, step) = if is_explicit {
-            (&in_time, half)
-        } else {
-            (&coarse, coarse.step())
+        let like = if is_explicit { &in_time } else { &coarse };
+        let finer = Grid {
+            elements: 2 * elements,
+            step: like.step(),
         };
-        let in_space = self.run(2 * elements, step, shortest)?;
-        // What a grid twice as fine still lacks is a quarter of it.
+        let in_space = self.run(finer, shortest)?;
         let estimate = |a: &Run, b: &Run| a.course.errors(&b.course, length).shape * 4.0 / 3.0;
         let parts = [estimate(like, &in_space), estimate(&coarse, &in_time)];
         for (run, error) in [
@@ -387,43 +322,28 @@ impl Search<'_> {
             (&in_time, None),
             (&in_space, None),
         ] {
-            self.levels.push(Level {
-                elements: run.discretization.elements,
-                step_s: run.step(),
-                error,
-            });
+            self.note(run, error);
         }
-        Ok(ErrorModel {
-            elements,
-            step: coarse.step(),
-            parts,
-        })
+        let grid = coarse.grid();
+        Ok((coarse, Estimate { grid, parts }))
     }
 
-    /// Estimated error of a run, over the length.
-    fn confirm(&mut self, fine: &Run, model: &ErrorModel) -> Result<f64, ChoiceError> {
-        let own = fine.discretization.elements;
-        let elements = ((own as f64 / COARSER).round() as usize).clamp(1, own.max(2) - 1);
-        let coarse = match self.run_shown(elements, own - 1, COARSER * fine.step()) {
-            // No coarser grid shows the arm: nothing is known of the error of this one.
-            Err(ChoiceError::Run(RunError::Discretize(_))) => return Ok(f64::INFINITY),
-            found => found?,
-        };
-        let elements = coarse.discretization.elements;
-        self.levels.push(Level {
-            elements,
-            step_s: coarse.step(),
-            error: None,
+    /// A finer grid, compared with the last one.
+    fn finer(&mut self, grid: Grid, before: &Estimate) -> Result<(Run, Estimate), ChoiceError> {
+        let run = self.run(grid, SHORTEST)?;
+        let distance = self.last.as_ref().map_or(f64::INFINITY, |last| {
+            (last.course.errors(&run.course, self.motion.arm.length)).shape
         });
-        let difference = (coarse.course.errors(&fine.course, self.motion.arm.length)).shape;
-        let finer = own as f64 / elements as f64;
-        let shorter = coarse.step() / fine.step();
-        let [_, of_step] = model.parts(own, fine.step());
-        // Steps that could not be longer say nothing about the error that they make, and small errors nothing about the order.
-        if of_step <= SLIGHT * self.accuracy || shorter < 0.5 * (1.0 + COARSER) {
-            return Ok(difference / (finer * finer - 1.0) + of_step);
-        }
-        let seen = finer.min(shorter);
-        Ok(difference / (seen * seen - 1.0))
+        let estimate = before.seen(run.grid(), distance);
+        self.note(&run, Some(estimate.error()));
+        Ok((run, estimate))
+    }
+
+    fn note(&mut self, run: &Run, error: Option<f64>) {
+        self.levels.push(Level {
+            elements: run.discretization.elements,
+            step_s: run.step(),
+            error,
+        });
     }
 }

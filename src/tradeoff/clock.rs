@@ -64,7 +64,7 @@ pub(super) fn least<E>(
     (least, runs)
 }
 
-/// Runs of one setting, at most.
+/// Cap on the runs of one setting.
 const MOST_RUNS: usize = 5;
-/// Seconds for all runs of one setting, where the first does not take longer.
+/// Cap on the seconds of all runs of one setting, where the first does not take longer.
 const FOR_RUNS_S: f64 = 4.0;

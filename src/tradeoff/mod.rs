@@ -1,18 +1,32 @@
 //! Speed against accuracy: errors of discretizations beside the time that they take, and the coarsest grid that is accurate enough.
 //!
-//! A [`Motion`] is simulated on one grid after the other, and [`Course::errors`] compares what comes out at the same places and times.
-//! [`choose`] finds the grid for an accuracy.
+//! [`search`] finds the coarsest grid for an accuracy by measuring one after the other: [`choose`] measures simulations of a [`Motion`],
+//! [`accurate_statics`] equilibria, `solve` and a sweep what they find. [`Course::errors`] compares motions on different grids at the same places and
+//! times.
 
 mod choice;
 mod clock;
 mod course;
+mod grid;
 mod motion;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod page;
+#[cfg(feature = "cli")]
+mod solves;
+mod statics;
 mod sweep;
 
-pub use choice::{Choice, ChoiceError, Level, choose, choose_telling, finer, first_elements};
+pub use crate::output::summary::Level;
+pub use crate::task::prediction::first_elements;
+pub use choice::{Choice, ChoiceError, choose, choose_telling};
 pub use clock::Seconds;
 pub use course::{Course, Errors};
+pub use grid::{End, Estimate, Grid, Measured, Order, Rule, search};
 pub use motion::{Motion, Run, RunError};
+#[cfg(feature = "cli")]
+pub(crate) use solves::solve_on_grids;
+pub use statics::accurate_statics;
 pub use sweep::{
     CostModel, ErrorModel, Fate, FeatureCost, Models, News, Point, Recommendation, Reference,
     Setting, Subject, Sweep, SweepError, Tradeoff,

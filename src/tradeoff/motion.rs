@@ -2,6 +2,7 @@
 
 use super::clock::{Clock, Seconds};
 use super::course::{Course, TIMES, advance};
+use super::grid::Grid;
 use crate::mechanics::{Rod, State, StepError, TimeGrid};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
@@ -56,6 +57,14 @@ impl Run {
     #[must_use]
     pub fn step(&self) -> f64 {
         self.discretization.step.unwrap_or(f64::NAN)
+    }
+
+    /// Elements and step.
+    pub(super) fn grid(&self) -> Grid {
+        Grid {
+            elements: self.discretization.elements,
+            step: self.step(),
+        }
     }
 }
 

@@ -24,6 +24,9 @@ const TEMPLATE: &str = concat!(
 );
 
 #[cfg(feature = "cli")]
+/// The style sheet of all pages.
+pub(crate) const PAGE_STYLE: &str = include_str!("style.css");
+#[cfg(feature = "cli")]
 /// The words by which a page of softarm is told from other files.
 pub const PAGE_MARK: &str = "<meta name=\"generator\" content=\"softarm\">";
 

@@ -56,7 +56,7 @@ pub struct Rod {
 
 /// What [`complete`](super::super::accuracy::complete) replaces.
 fn first_elements() -> usize {
-    crate::tradeoff::first_elements(1e-3)
+    crate::task::prediction::first_elements(1e-3)
 }
 
 /// The rotary inertia of the nodes.

@@ -1,84 +1,124 @@
-//! A setting as keys of a scene, to type or to pass with `--set`.
+//! A setting by its keys: what distinguishes it from another, and what a scene says to have it.
 
-use serde::Serialize;
+use serde_json::{Map, Value};
 
 use super::Point;
 use super::Setting;
+
+/// Keys of a setting in its JSON, and in a scene.
+const KEYS: [(&str, &str); 15] = [
+    ("elements", "rod.elements"),
+    ("strain", "rod.strain"),
+    ("model", "rod.model"),
+    ("rotary_inertia", "rod.rotary_inertia"),
+    ("integrator", "time.integrator"),
+    ("model_step_s", STEP),
+    ("blocks", "control.blocks"),
+    ("hold", "control.hold"),
+    ("tolerance", "solver.tolerance"),
+    ("hessian", "solver.hessian"),
+    ("horizon_s", "mpc.horizon_s"),
+    ("block_s", "mpc.block_s"),
+    ("iterations", "mpc.iterations"),
+    ("estimator", "estimator.kind"),
+    // A scene has the step that it stands for.
+    ("step_over_automatic", ""),
+];
+/// The key of a scene for the time step, which is `"auto"` or a number.
+const STEP: &str = "time.step_s";
+
+impl Setting {
+    fn keys(&self) -> Map<String, Value> {
+        match serde_json::to_value(self) {
+            Ok(Value::Object(keys)) => keys,
+            _ => unreachable!("a setting is an object"),
+        }
+    }
+
+    /// This one with the changes that `a` and `b` make to it; where both change the same, with that of `a`.
+    pub(super) fn with_both(&self, a: &Self, b: &Self) -> Self {
+        let [usual, a, mut both] = [self, a, b].map(Self::keys);
+        for (key, _) in KEYS {
+            match a.get(key) {
+                own if own == usual.get(key) => {}
+                Some(own) => {
+                    both.insert(key.into(), own.clone());
+                }
+                None => {
+                    both.remove(key);
+                }
+            }
+        }
+        match serde_json::from_value(both.into()) {
+            Ok(both) => both,
+            Err(error) => unreachable!("a setting reads what it writes: {error}"),
+        }
+    }
+}
 
 impl Point {
     /// What a scene says to have the setting of this point where `usual` is its own: `key = value` in TOML, the elements always.
     #[must_use]
     pub fn assignments(&self, usual: &Setting) -> Vec<String> {
-        let own = &self.setting;
-        let mut out = vec![format!("rod.elements = {}", own.elements)];
-        let mut say = |key: &str, differs: bool, value: Option<String>| {
-            if let Some(value) = value.filter(|_| differs) {
-                out.push(format!("{key} = {value}"));
-            }
-        };
-        say(
-            "rod.strain",
-            own.strain != usual.strain,
-            written(&own.strain),
-        );
-        say("rod.model", own.model != usual.model, written(&own.model));
-        say(
-            "rod.rotary_inertia",
-            own.rotary_inertia != usual.rotary_inertia,
-            written(&own.rotary_inertia),
-        );
-        say(
-            "time.integrator",
-            own.integrator != usual.integrator,
-            written(&own.integrator),
-        );
-        let given = (own.step_over_automatic != 1.0).then_some(self.step_s);
-        let step = given.or(own.model_step_s);
-        let has_step = given.is_some() || own.model_step_s != usual.model_step_s;
-        let step = step.map_or(Some("\"auto\"".into()), |step| written(&step));
-        say("time.step_s", has_step, step);
-        say(
-            "control.blocks",
-            own.blocks != usual.blocks,
-            written(&own.blocks),
-        );
-        say("control.hold", own.hold != usual.hold, written(&own.hold));
-        say(
-            "solver.tolerance",
-            own.tolerance != usual.tolerance,
-            written(&own.tolerance),
-        );
-        say(
-            "solver.hessian",
-            own.hessian != usual.hessian,
-            written(&own.hessian),
-        );
-        say(
-            "mpc.horizon_s",
-            own.horizon_s != usual.horizon_s,
-            written(&own.horizon_s),
-        );
-        say(
-            "mpc.block_s",
-            own.block_s != usual.block_s,
-            written(&own.block_s),
-        );
-        say(
-            "mpc.iterations",
-            own.iterations != usual.iterations,
-            written(&own.iterations),
-        );
-        say(
-            "estimator.kind",
-            own.estimator != usual.estimator,
-            written(&own.estimator),
-        );
+        let [own, usual] = [&self.setting, usual].map(Setting::keys);
+        let step = (self.setting.step_over_automatic != 1.0).then(|| Value::from(self.step_s));
+        let mut out = Vec::new();
+        for (key, in_scene) in KEYS {
+            let value = match in_scene {
+                "" => None,
+                STEP if step.is_some() => step.clone(),
+                _ if key != "elements" && own.get(key) == usual.get(key) => None,
+                STEP => Some(own.get(key).cloned().unwrap_or_else(|| "auto".into())),
+                _ => own.get(key).cloned(),
+            };
+            // TOML is JSON for numbers and words.
+            out.extend(value.map(|value| format!("{in_scene} = {value}")));
+        }
         out
     }
 }
 
-/// A value in TOML, which is JSON's for numbers and words; none for what is not there.
-fn written(value: &impl Serialize) -> Option<String> {
-    let value = serde_json::to_value(value).ok()?;
-    (!value.is_null()).then(|| value.to_string())
+#[cfg(test)]
+mod tests {
+    use super::super::front::tests::setting;
+    use super::*;
+
+    /// Every key of a setting is in the table, so that none is lost where settings are combined; changes of both are taken, those of the first where
+    /// both change the same, and what one of them leaves out is left out.
+    #[test]
+    fn settings_are_combined_by_their_keys() {
+        let usual = Setting {
+            blocks: Some(8),
+            hold: Some(crate::control::Hold::Linear),
+            tolerance: Some(1e-6),
+            hessian: Some(crate::sqp::HessianChoice::Exact),
+            model_step_s: Some(0.1),
+            horizon_s: Some(1.0),
+            block_s: Some(0.2),
+            iterations: Some(2),
+            estimator: Some(crate::scene::EstimatorKind::Kalman),
+            ..setting()
+        };
+        let mut keys: Vec<String> = usual.keys().into_iter().map(|(key, _)| key).collect();
+        let mut known: Vec<String> = KEYS.iter().map(|(key, _)| (*key).into()).collect();
+        keys.sort();
+        known.sort();
+        assert_eq!(keys, known);
+        let a = Setting {
+            elements: 7,
+            model_step_s: None,
+            ..usual.clone()
+        };
+        let b = Setting {
+            elements: 9,
+            tolerance: Some(0.1 + 0.2),
+            ..usual.clone()
+        };
+        let both = Setting {
+            tolerance: b.tolerance,
+            ..a.clone()
+        };
+        assert_eq!(usual.with_both(&a, &b), both);
+        assert_eq!(usual.with_both(&b, &usual), b);
+    }
 }

@@ -1,26 +1,34 @@
 //! The sweep of a closed loop: distance of the tip from its reference beside the time of a sample.
 
-use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::super::course::Errors;
+use super::lines::{Line, Measure};
 use super::{
-    FOR_SETTINGS, Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff,
-    Work, fit,
+    Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work, fit,
 };
 use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
 use crate::scene::{EstimatorKind, TimeScheme};
 
-/// Part of the budget that one run may take, so that there are enough of them.
+/// Default share of the budget for one run: 22 of them fit into the share for settings.
 const OF_A_RUN: f64 = 0.04;
-/// Samples that count, at least.
+/// Cap from below on the samples that count, whose root mean square is then known to a tenth, if they are independent (`1/√(2 n)`).
 const FEWEST_SAMPLES: f64 = 50.0;
-/// Settings that are combined from those that are good by themselves.
+/// Cap on the settings that are combined from those that are good by themselves.
 const COMBINED: usize = 12;
-/// A change counts as good where the error grows by no more than this factor.
+/// Default factor up to which a change whose error grows counts as good.
 const AS_GOOD: f64 = 1.5;
+
+/// Loops are run, each for the same time, so that all take about as long.
+struct Loops;
+
+impl Measure for Loops {
+    fn point(&self, work: &mut Work, setting: &Setting) -> Point {
+        work.looped_point(setting, Some(work.run_s))
+    }
+}
 
 impl Work<'_, '_> {
     pub(super) fn closed_loop(mut self) -> Result<Tradeoff, SweepError> {
@@ -39,14 +47,9 @@ impl Work<'_, '_> {
         });
         let reference = self.loop_reference(&usual, duration);
 
-        let mut singles = VecDeque::from(self.loop_settings());
-        self.loop_points(&mut singles);
-        self.share = FOR_SETTINGS;
-        let mut pairs = VecDeque::from(self.combinations());
-        self.loop_points(&mut pairs);
-        self.loop_points(&mut singles);
-        self.cut |= !(pairs.is_empty() && singles.is_empty());
-        self.adopt();
+        let lines = |settings: Vec<Setting>| settings.into_iter().map(Line::alone).collect();
+        let singles = lines(self.loop_settings());
+        self.explore(&Loops, singles, |work, _| lines(work.combinations()));
         let models = Models {
             cost: (fit::cost(
                 "samples",
@@ -63,20 +66,6 @@ impl Work<'_, '_> {
         let recommended = self.recommend_loop(seconds / self.sweep.scene_duration());
         self.loop_findings(reference.as_ref(), recommended.as_ref(), duration);
         Ok(self.finish(reference, models, recommended))
-    }
-
-    /// Runs one setting after the other while there is time.
-    fn loop_points(&mut self, settings: &mut VecDeque<Setting>) {
-        while let Some(setting) = settings.front() {
-            if self.sweep.stop.is_raised() || self.is_over() && self.known(setting).is_none() {
-                return;
-            }
-            let Some(setting) = settings.pop_front() else {
-                return;
-            };
-            let duration = self.run_s;
-            self.point(&setting, |work| work.looped_point(&setting, Some(duration)));
-        }
     }
 
     /// Shortens the runs where the budget does not hold enough of them.

@@ -4,9 +4,11 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use super::super::course::{Course, Errors};
+use super::super::grid::remainder;
+use super::lines::{Line, Measure};
 use super::{
-    Clock, FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting,
-    SweepError, Tradeoff, Work, fit, least,
+    Clock, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting, SweepError,
+    Tradeoff, Work, fit, least,
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
@@ -17,13 +19,13 @@ use crate::sqp::{HessianChoice, SqpStatus};
 use crate::task::Discretization;
 use crate::task::prediction::SolveTime;
 
-/// Part of the objective by which a setting may be worse than the finest grid, and still be recommended.
+/// Default part of the objective by which a setting may be worse than the finest grid, and still be recommended.
 const WORSE: f64 = 0.01;
-/// Elements are accurate enough for the other settings to be tried that make this part of the tolerance.
+/// Other settings are tried once elements make the error this much smaller than the tolerance, so that they may make as much themselves.
 const ENOUGH: f64 = 2.0;
-/// Most times at which motions are compared.
+/// Cap on the times at which motions are compared, but for one a block.
 const MOST_TIMES: usize = 96;
-/// Elements that no solve of a sweep goes beyond.
+/// Cap on the elements of the solves of a sweep.
 const MOST_ELEMENTS: usize = 160;
 
 /// What a solve came to.
@@ -32,16 +34,37 @@ struct Solved {
     attempt: Attempt,
 }
 
+/// Settings are solved: first those that differ from the scene's in their elements alone, until one is accurate enough, then the others, and last what
+/// is finer still.
+struct Solves;
+
+impl Measure for Solves {
+    fn point(&self, work: &mut Work, setting: &Setting) -> Point {
+        (work.solved(setting)).unwrap_or_else(|error| Point::new(setting).failed(error))
+    }
+
+    fn seconds(&self, work: &Work, setting: &Setting) -> f64 {
+        let scene = work.scene(setting);
+        let posed = scene.optimal_control_until(work.sweep.source, work.sweep.stop);
+        posed.map_or(0.0, |setup| SolveTime::of_problem(&setup.problem).total())
+    }
+
+    fn rank(&self, work: &Work, setting: &Setting) -> u8 {
+        let enough = work.sweep.tolerance / ENOUGH;
+        let is_met =
+            (work.points.iter()).any(|point| work.is_usual(&point.setting) && point.meets(enough));
+        match (work.is_usual(setting), is_met) {
+            (true, false) => 0,
+            (false, _) => 1,
+            (true, true) => 2,
+        }
+    }
+}
+
 impl Work<'_, '_> {
     pub(super) fn optimal_control(mut self) -> Result<Tradeoff, SweepError> {
-        let mut plan = self.control_settings();
-        self.solve_settings(&mut plan);
-        self.share = FOR_SETTINGS;
-        let mut pairs = self.control_pairs();
-        self.solve_settings(&mut pairs);
-        self.solve_settings(&mut plan);
-        self.cut |= !(pairs.is_empty() && plan.is_empty());
-        self.adopt();
+        let lines = self.control_lines();
+        self.explore(&Solves, lines, |work, _| work.control_pairs());
         let reference = self.control_reference();
         let models = self.control_models(reference.as_ref());
         let recommended = self.recommend_control();
@@ -49,18 +72,9 @@ impl Work<'_, '_> {
         Ok(self.finish(reference, models, recommended))
     }
 
-    /// Solves one setting after the other while there is time.
-    fn solve_settings(&mut self, plan: &mut Vec<Setting>) {
-        while let Some(setting) = self.next_setting(plan) {
-            self.point(&setting, |work| {
-                (work.solved(&setting)).unwrap_or_else(|error| Point::new(&setting).failed(error))
-            });
-        }
-    }
-
     /// Changes that are faster at the scene's own elements and whose objective is not worse, alone and two at a time, with the elements that the
     /// tolerance needs.
-    fn control_pairs(&self) -> Vec<Setting> {
+    fn control_pairs(&self) -> Vec<Line> {
         let own = self.points.iter().find(|point| point.setting == self.usual);
         let needed = self
             .fastest_like(&self.usual)
@@ -74,7 +88,9 @@ impl Work<'_, '_> {
             .filter(|point| point.objective.is_some_and(|objective| objective <= limit))
             .collect();
         faster.sort_by(|a, b| a.time().total_cmp(&b.time()));
-        self.combined(&faster, Some(elements))
+        (self.combined(&faster, Some(elements)).into_iter())
+            .map(Line::alone)
+            .collect()
     }
 
     /// The largest objective of a setting that is recommended.
@@ -90,27 +106,19 @@ impl Work<'_, '_> {
             .max_by_key(|point| point.setting.elements)
     }
 
-    /// The settings, those of one kind after the other, the last one first.
-    fn control_settings(&self) -> Vec<Setting> {
+    /// The scene's own setting with different elements, and settings that change one thing else.
+    fn control_lines(&self) -> Vec<Line> {
         let usual = &self.usual;
-        let mut elements: Vec<usize> = (LADDER.iter().copied())
+        let elements = (LADDER.iter().copied())
             .filter(|k| (3..=MOST_ELEMENTS).contains(k))
             .chain([usual.elements])
-            .filter(|k| self.sweep.scene.names_nodes_of(*k))
-            .collect();
-        elements.sort_unstable();
-        elements.dedup();
-        let mut settings: Vec<Setting> = (elements.into_iter())
-            .map(|elements| Setting {
-                elements,
-                ..usual.clone()
-            })
-            .collect();
+            .filter(|k| self.sweep.scene.names_nodes_of(*k));
+        let mut lines = vec![Line::of_elements(usual.clone(), elements)];
         let mut add = |change: &dyn Fn(&mut Setting)| {
             let mut setting = usual.clone();
             change(&mut setting);
-            if !settings.contains(&setting) {
-                settings.push(setting);
+            if !lines.iter().any(|line| line.setting == setting) {
+                lines.push(Line::alone(setting));
             }
         };
         for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
@@ -133,35 +141,7 @@ impl Work<'_, '_> {
             add(&|setting| setting.step_over_automatic = part);
         }
         add(&|setting| setting.strain = StrainRule::Trapezoidal);
-        settings
-    }
-
-    /// The setting that is predicted to take the least time, of those that the budget allows: first of those that differ in their elements alone, until one is
-    /// accurate enough, then of the others, and last of what is finer still.
-    fn next_setting(&mut self, plan: &mut Vec<Setting>) -> Option<Setting> {
-        let seconds = |setting: &Setting| {
-            let scene = self.scene(setting);
-            let posed = scene.optimal_control_until(self.sweep.source, self.sweep.stop);
-            posed.map_or(0.0, |setup| {
-                let n = setup.problem.n_variables();
-                SolveTime::of(&setup.problem.rod, setup.problem.grid.n_steps as f64, n).total()
-            })
-        };
-        let enough = self.sweep.tolerance / ENOUGH;
-        let is_met =
-            (self.points.iter()).any(|point| self.is_usual(&point.setting) && point.meets(enough));
-        let phase = |setting: &Setting| match (self.is_usual(setting), is_met) {
-            (true, false) => 0,
-            (false, _) => 1,
-            (true, true) => 2,
-        };
-        let left = self.left();
-        let best = (plan.iter().enumerate())
-            .map(|(index, setting)| (index, phase(setting), seconds(setting)))
-            .filter(|(index, _, seconds)| *seconds <= left || self.known(&plan[*index]).is_some())
-            .min_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
-        let (index, ..) = best.filter(|_| !self.sweep.stop.is_raised())?;
-        Some(plan.remove(index))
+        lines
     }
 
     /// Whether a setting differs from the scene's in its elements alone.
@@ -369,7 +349,9 @@ impl Solved {
             courses.push(course.map_err(super::RunError::from)?);
         }
         let length = problem.arm.length;
-        let rest = courses[1].errors(&courses[2], length).times(1.0 / 3.0);
+        let rest = courses[1]
+            .errors(&courses[2], length)
+            .times(remainder(Some(2.0)));
         Ok((courses[0].errors(&courses[2], length), rest))
     }
 }

@@ -43,11 +43,11 @@ impl FeatureCost {
     }
 }
 
-/// Times that every one of both is measured, in turns.
+/// Cap on the turns in which both are measured.
 const ROUNDS: usize = 5;
-/// Iterations of a solve that are timed.
+/// Cap on the iterations of a solve that are timed.
 const ITERATIONS: usize = 3;
-/// A motion is cut to about so many steps.
+/// Cap on the steps of a motion that is timed: some milliseconds.
 const STEPS: f64 = 2000.0;
 
 impl Work<'_, '_> {

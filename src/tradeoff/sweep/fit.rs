@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::course::number;
 use super::{Fate, Point};
+use crate::task::prediction::FEWEST_ELEMENTS;
 
 /// `seconds = exp(constant) elements^p steps^q variables^r`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -99,17 +100,21 @@ pub(super) fn cost<'a>(
     })
 }
 
+/// An error this many times above that of the reference is known to a third.
+const ABOVE: f64 = 3.0;
+/// Cap on the errors, over the length, to which an order is fitted: larger ones are as large as the motion itself.
+const LARGEST: f64 = 0.3;
+
 /// A model of the error of points whose step is the automatic one.
 pub(super) fn error<'a>(
     of: &str,
     points: impl Iterator<Item = &'a Point>,
     floor: f64,
 ) -> Option<ErrorModel> {
-    // What is not above the error of the reference says nothing about its order.
     let rows: Vec<(Vec<f64>, f64)> = points
-        .filter(|point| point.setting.elements >= 4)
+        .filter(|point| point.setting.elements >= FEWEST_ELEMENTS)
         .filter_map(|point| Some((point.setting.elements as f64, point.error?)))
-        .filter(|(_, error)| error.is_finite() && *error > 3.0 * floor && *error < 0.3)
+        .filter(|(_, error)| error.is_finite() && *error > ABOVE * floor && *error < LARGEST)
         .map(|(elements, error)| (vec![1.0, -elements.ln()], error.ln()))
         .collect();
     let (x, residual) = fit(&rows)?;

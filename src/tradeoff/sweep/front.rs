@@ -26,14 +26,15 @@ pub fn mark_front(points: &mut [Point]) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::{Fate, Setting};
     use super::*;
     use crate::mechanics::{RodModel, StrainRule};
     use crate::scene::{RotaryInertia, TimeScheme};
 
-    fn point(wall_s: f64, error: Option<f64>) -> Point {
-        let setting = Setting {
+    /// A setting of a simulation.
+    pub(in crate::tradeoff) fn setting() -> Setting {
+        Setting {
             strain: StrainRule::Helical,
             elements: 4,
             integrator: TimeScheme::Explicit,
@@ -49,12 +50,15 @@ mod tests {
             block_s: None,
             iterations: None,
             estimator: None,
-        };
+        }
+    }
+
+    fn point(wall_s: f64, error: Option<f64>) -> Point {
         Point {
             wall_s,
             error,
             status: Fate::Done,
-            ..Point::new(&setting)
+            ..Point::new(&setting())
         }
     }
 

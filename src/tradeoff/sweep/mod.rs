@@ -9,6 +9,7 @@ mod control;
 mod features;
 mod fit;
 mod front;
+mod lines;
 mod motion;
 mod saved;
 
@@ -510,11 +511,11 @@ impl Sweep<'_> {
     }
 }
 
-/// Part of the budget for settings that change one thing; of what is left, pairs of such changes come first.
+/// Default share of the budget for settings that change one thing; of what is left, pairs of such changes come first.
 const FOR_SINGLES: f64 = 0.6;
-/// Part of the budget for all settings; the rest is for the check of the recommended one and for the costs of features.
+/// Default share of the budget for all settings; the rest is for the check of the recommended one and for the costs of features.
 const FOR_SETTINGS: f64 = 0.9;
-/// Settings that are checked before none is recommended.
+/// Cap on the settings that are checked before none is recommended.
 const CHECKS: usize = 3;
 
 impl Work<'_, '_> {
@@ -652,34 +653,6 @@ impl Setting {
             }
     }
 
-    /// This one with the changes that `a` and `b` make to it; where both change the same, with that of `a`.
-    fn with_both(&self, a: &Self, b: &Self) -> Self {
-        fn pick<T: PartialEq + Clone>(usual: &T, a: &T, b: &T) -> T {
-            if a == usual { b.clone() } else { a.clone() }
-        }
-        Self {
-            strain: pick(&self.strain, &a.strain, &b.strain),
-            elements: pick(&self.elements, &a.elements, &b.elements),
-            integrator: pick(&self.integrator, &a.integrator, &b.integrator),
-            step_over_automatic: pick(
-                &self.step_over_automatic,
-                &a.step_over_automatic,
-                &b.step_over_automatic,
-            ),
-            rotary_inertia: pick(&self.rotary_inertia, &a.rotary_inertia, &b.rotary_inertia),
-            model: pick(&self.model, &a.model, &b.model),
-            blocks: pick(&self.blocks, &a.blocks, &b.blocks),
-            hold: pick(&self.hold, &a.hold, &b.hold),
-            tolerance: pick(&self.tolerance, &a.tolerance, &b.tolerance),
-            hessian: pick(&self.hessian, &a.hessian, &b.hessian),
-            model_step_s: pick(&self.model_step_s, &a.model_step_s, &b.model_step_s),
-            horizon_s: pick(&self.horizon_s, &a.horizon_s, &b.horizon_s),
-            block_s: pick(&self.block_s, &a.block_s, &b.block_s),
-            iterations: pick(&self.iterations, &a.iterations, &b.iterations),
-            estimator: pick(&self.estimator, &a.estimator, &b.estimator),
-        }
-    }
-
     /// A scene with this setting, and with a step of its own in s where one is given.
     #[must_use]
     pub fn applied(&self, scene: &Scene, step: Option<f64>) -> Scene {
@@ -708,7 +681,7 @@ impl Setting {
     }
 }
 
-/// Elements that are tried.
+/// Elements that are tried: from 8 on by about a quarter more or less, by which an error of second order falls by a third or less; the last one is a cap.
 const LADDER: [usize; 30] = [
     2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192,
     224, 256, 320, 400, 500, 640,

@@ -1,24 +1,32 @@
 //! The sweep of a forward simulation.
 
 use super::super::course::{Course, Errors};
+use super::super::grid::{
+    self, Estimate, Grid, Measured, NO_ORDER, Order, Rule, order_of_distances, remainder,
+};
 use super::super::motion::{Motion, Run, RunError};
+use super::lines::{Line, Measure};
 use super::{
-    FOR_SETTINGS, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError,
-    Tradeoff, Work, fit, least, simulation_seconds,
+    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
+    fit, least, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
-use crate::scene::{RotaryInertia, Scene, TimeScheme};
+use crate::scene::{MOST_ELEMENTS, RotaryInertia, Scene, TimeScheme};
+use crate::task::prediction::FEWEST_ELEMENTS;
 use crate::task::{Discretization, DiscretizeError};
 
-/// Part of the budget that the reference may take.
+/// Default share of the budget for the reference.
 const FOR_REFERENCE: f64 = 0.3;
-/// The reference is refined until it is this much more accurate than the tolerance.
+/// The reference is refined until it is this much more accurate than the tolerance: its own error then changes no point near the tolerance by more
+/// than its third digit.
 const BETTER: f64 = 30.0;
-/// Elements of the coarsest grid of the reference.
-const COARSEST: usize = 8;
-/// Grids of the reference.
-const MOST_GRIDS: usize = 8;
+/// Elements of the coarsest grid of the reference, from which on elements show their order: twice those of the coarsest grid of a search.
+const COARSEST: usize = 2 * FEWEST_ELEMENTS;
+/// Grids of a reference, at least: an order is seen in two differences of three.
+const FEWEST_GRIDS: usize = 3;
+/// Cap on the elements of its first grid, also where a motion breaks down on fewer.
+const MOST_AT_FIRST: usize = 16 * COARSEST;
 /// A family of settings ends where it is this much more accurate than the tolerance.
 const ENOUGH: f64 = 10.0;
 
@@ -45,19 +53,29 @@ impl Finest {
 
     fn order(&self) -> Option<f64> {
         let (last, before) = (self.difference(0)?, self.difference(1)?);
-        Some((before.shape / last.shape).log2())
+        Some(order_of_distances(before.shape, last.shape))
     }
 
-    /// Richardson's error of the finest grid, with the observed order, from 1 to 2.
+    /// The errors of the finest grid.
     fn errors(&self) -> Errors {
-        let order = self.order().unwrap_or(1.0).clamp(1.0, 2.0);
-        let rest = 1.0 / (order.exp2() - 1.0);
         match self.difference(0) {
-            Some(errors) => errors.times(rest),
+            Some(errors) => errors.times(remainder(self.order())),
             None => Errors {
                 shape: f64::INFINITY,
                 ..Errors::default()
             },
+        }
+    }
+
+    /// The error of the finest grid, of elements and steps together.
+    fn measured(&self) -> Measured {
+        Measured {
+            estimate: Estimate {
+                grid: self.runs[self.runs.len() - 1].grid(),
+                parts: [self.errors().shape, 0.0],
+            },
+            seconds: 0.0,
+            too_coarse: false,
         }
     }
 }
@@ -70,11 +88,24 @@ struct Truth<'a> {
     errors: Errors,
 }
 
-/// Settings that differ in their elements alone.
-struct Family {
-    setting: Setting,
-    /// Elements that are not tried yet, from many to few.
-    rungs: Vec<usize>,
+impl Measure for Truth<'_> {
+    fn point(&self, work: &mut Work, setting: &Setting) -> Point {
+        work.simulated(setting, self)
+    }
+
+    fn seconds(&self, work: &Work, setting: &Setting) -> f64 {
+        let open = work.scene(setting).discretization();
+        let found = self.motion.arm.discretize(self.motion.duration, &open);
+        found.map_or(0.0, |found| {
+            let steps = found.grid.n_steps as f64 / setting.step_over_automatic;
+            simulation_seconds(&found.rod, steps)
+        })
+    }
+
+    fn is_last(&self, work: &Work, point: &Point) -> bool {
+        let enough = work.sweep.tolerance / ENOUGH;
+        point.error.is_some_and(|error| error < enough)
+    }
 }
 
 impl Work<'_, '_> {
@@ -98,14 +129,8 @@ impl Work<'_, '_> {
             course: finest.course(),
             errors: reference.errors,
         };
-        let mut families = self.families(reference.elements);
-        self.climb(&mut families, &truth);
-        self.share = FOR_SETTINGS;
-        let mut pairs = self.pairs(&families);
-        let all_pairs = self.climb(&mut pairs, &truth);
-        let all_families = self.climb(&mut families, &truth);
-        self.cut |= !(all_pairs && all_families);
-        self.adopt();
+        let families = self.families(reference.elements);
+        self.explore(&truth, families, Self::pairs);
         let reference = match self.sweep.known_reference.clone() {
             Some(known) if known.elements > reference.elements => known,
             _ => reference,
@@ -116,52 +141,77 @@ impl Work<'_, '_> {
         Ok(self.finish(Some(reference), models, recommended))
     }
 
-    /// Grids that are refined in space and time together, until the finest is accurate enough or takes too long.
+    /// Grids that are refined in space and time together, until the finest is accurate enough or takes too long. Each is twice as fine as the one
+    /// before, so that their order shows.
     fn finest(&mut self, motion: &Motion) -> Result<Finest, SweepError> {
         let mut open = self.scene(&self.usual).discretization();
+        open.elements = COARSEST;
         let mut finest = Finest {
             runs: Vec::new(),
             length: motion.arm.length,
         };
-        let limit = FOR_REFERENCE * self.sweep.budget.as_secs_f64();
-        let mut longest = f64::INFINITY;
-        open.elements = COARSEST;
-        for grid in 0..MOST_GRIDS {
-            let setup = (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
-            let spent = self.began.elapsed().as_secs_f64();
-            // The grids of an earlier sweep are made again where the budget has room for them.
-            let known = (self.sweep.known_reference.as_ref())
-                .is_some_and(|known| open.elements <= known.elements)
-                && spent + setup.predicted() <= self.sweep.budget.as_secs_f64();
-            if grid >= 3 && !finest.runs.is_empty() && !known && spent + setup.predicted() > limit {
-                break;
-            }
-            match setup.run(self.sweep.stop) {
-                Ok(run) => {
-                    longest = 0.5 * run.step();
-                    open.scheme = run.discretization.scheme;
-                    open.rotary_inertia = run.discretization.rotary_inertia;
-                    finest.runs.push(run);
+        let rule = Rule {
+            accuracy: self.sweep.tolerance / BETTER,
+            order: Order::Observed,
+            // The budget ends it.
+            longest: f64::INFINITY,
+        };
+        let first = Grid {
+            elements: COARSEST,
+            step: f64::INFINITY,
+        };
+        let mut longest = first.step;
+        grid::search(&rule, first, |_, _| {
+            let n_before = finest.runs.len();
+            let wanted = FEWEST_GRIDS.max(n_before + 1);
+            while finest.runs.len() < wanted || self.is_in_known_reference(open.elements) {
+                let setup =
+                    (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
+                let is_free = finest.runs.len() < FEWEST_GRIDS;
+                if !is_free && !self.has_time_for_reference(open.elements, setup.predicted()) {
+                    break;
                 }
-                // A coarse grid may break down where finer ones do not.
-                Err(error)
-                    if finest.runs.is_empty() && grid < 4 && !self.sweep.stop.is_raised() =>
-                {
-                    self.say(format!("{} elements: {error}", open.elements));
-                    longest = 0.5 * setup.grid.step;
+                match setup.run(self.sweep.stop) {
+                    Ok(run) => {
+                        longest = 0.5 * run.step();
+                        open.scheme = run.discretization.scheme;
+                        open.rotary_inertia = run.discretization.rotary_inertia;
+                        finest.runs.push(run);
+                    }
+                    // A coarse grid may break down where finer ones do not.
+                    Err(error)
+                        if finest.runs.is_empty()
+                            && open.elements < MOST_AT_FIRST
+                            && !self.sweep.stop.is_raised() =>
+                    {
+                        self.say(format!("{} elements: {error}", open.elements));
+                        longest = 0.5 * setup.grid.step;
+                    }
+                    Err(error) if finest.runs.is_empty() => return Err(RunError::from(error)),
+                    Err(_) => break,
                 }
-                Err(error) if finest.runs.is_empty() => return Err(RunError::from(error).into()),
-                Err(_) => break,
+                open.elements *= 2;
             }
-            open.elements *= 2;
-            if finest.runs.len() >= 3
-                && !known
-                && finest.errors().shape < self.sweep.tolerance / BETTER
-            {
-                break;
-            }
-        }
+            let is_finer = finest.runs.len() > n_before;
+            Ok(is_finer.then(|| finest.measured()))
+        })?;
         Ok(finest)
+    }
+
+    /// Whether the reference of an earlier sweep has so many elements.
+    fn is_in_known_reference(&self, elements: usize) -> bool {
+        let known = self.sweep.known_reference.as_ref();
+        known.is_some_and(|known| elements <= known.elements.min(MOST_ELEMENTS))
+    }
+
+    /// Whether the budget has room for another grid of the reference; the grids of an earlier sweep may take all of it.
+    fn has_time_for_reference(&self, elements: usize, predicted: f64) -> bool {
+        let part = match self.is_in_known_reference(elements) {
+            true => 1.0,
+            false => FOR_REFERENCE,
+        };
+        let spent = self.began.elapsed().as_secs_f64();
+        spent + predicted <= part * self.sweep.budget.as_secs_f64()
     }
 
     fn reference(&self, finest: &Finest) -> Reference {
@@ -203,7 +253,7 @@ impl Work<'_, '_> {
         }
     }
 
-    fn families(&self, finest: usize) -> Vec<Family> {
+    fn families(&self, finest: usize) -> Vec<Line> {
         let usual = &self.usual;
         let rungs: Vec<usize> = (LADDER.iter().copied())
             .chain([usual.elements])
@@ -242,21 +292,17 @@ impl Work<'_, '_> {
         }
         (settings.into_iter())
             .map(|setting| {
-                let mut rungs = rungs.clone();
                 // What is that much stiffer is far from the reference, however fine it is.
                 let is_far = setting.strain == StrainRule::Trapezoidal;
-                rungs.retain(|elements| is_far || *elements < finest);
-                rungs.sort_unstable();
-                rungs.dedup();
-                rungs.reverse();
-                Family { setting, rungs }
+                let rungs = rungs.iter().copied();
+                Line::of_elements(setting, rungs.filter(|k| is_far || *k < finest))
             })
             .collect()
     }
 
     /// Families with the changes of two that are faster than the scene's own, about the elements that these need.
-    fn pairs(&self, families: &[Family]) -> Vec<Family> {
-        let best = |family: &Family| self.fastest_like(&family.setting);
+    fn pairs(&self, families: &[Line]) -> Vec<Line> {
+        let best = |family: &Line| self.fastest_like(&family.setting);
         let Some((own, changed)) = families.split_first() else {
             return Vec::new();
         };
@@ -264,7 +310,7 @@ impl Work<'_, '_> {
         let faster: Vec<&Point> = (changed.iter().filter_map(best))
             .filter(|point| point.time() < limit)
             .collect();
-        let mut pairs: Vec<Family> = Vec::new();
+        let mut pairs: Vec<Line> = Vec::new();
         for (index, a) in faster.iter().enumerate() {
             for b in &faster[index + 1..] {
                 let setting = self.usual.with_both(&a.setting, &b.setting);
@@ -275,67 +321,13 @@ impl Work<'_, '_> {
                 }
                 let needed = [a.setting.elements, b.setting.elements];
                 let [fewest, most] = [needed[0].min(needed[1]), needed[0].max(needed[1])];
-                let mut rungs: Vec<usize> = (LADDER.iter().copied().chain(needed))
+                let rungs = (LADDER.iter().copied().chain(needed))
                     .filter(|k| 2 * k >= fewest && *k <= 2 * most)
-                    .filter(|k| self.sweep.scene.names_nodes_of(*k))
-                    .collect();
-                rungs.sort_unstable();
-                rungs.dedup();
-                rungs.reverse();
-                pairs.push(Family { setting, rungs });
+                    .filter(|k| self.sweep.scene.names_nodes_of(*k));
+                pairs.push(Line::of_elements(setting, rungs));
             }
         }
         pairs
-    }
-
-    /// Simulates settings of some families, the fastest first, until all are done, or until there is no time for the next; whether all are done.
-    fn climb(&mut self, families: &mut [Family], truth: &Truth) -> bool {
-        while let Some((index, elements, seconds)) = self.next(families, truth.motion) {
-            let setting = Setting {
-                elements,
-                ..families[index].setting.clone()
-            };
-            // A first point there always is.
-            let is_free = self.points.is_empty() || self.known(&setting).is_some();
-            if self.sweep.stop.is_raised() || !is_free && seconds > self.left() {
-                return false;
-            }
-            let family = &mut families[index];
-            family.rungs.pop();
-            let tolerance = self.sweep.tolerance;
-            let point = self.point(&setting, |work| work.simulated(&setting, truth));
-            if point.error.is_some_and(|error| error < tolerance / ENOUGH) {
-                family.rungs.clear();
-            }
-        }
-        true
-    }
-
-    /// The family whose next setting is predicted to take the least time, with that setting's elements and time.
-    fn next(&self, families: &[Family], motion: &Motion) -> Option<(usize, usize, f64)> {
-        (families.iter().enumerate())
-            .filter_map(|(index, family)| {
-                let elements = *family.rungs.last()?;
-                let seconds = self.predicted(&family.setting, elements, motion);
-                Some((index, elements, seconds))
-            })
-            .min_by(|a, b| a.2.total_cmp(&b.2))
-    }
-
-    /// Seconds of a run; none where it cannot be set up, so that it is tried and fails at once.
-    fn predicted(&self, setting: &Setting, elements: usize, motion: &Motion) -> f64 {
-        let setting = Setting {
-            elements,
-            ..setting.clone()
-        };
-        let open = self.scene(&setting).discretization();
-        match motion.arm.discretize(motion.duration, &open) {
-            Ok(found) => {
-                let steps = found.grid.n_steps as f64 / setting.step_over_automatic;
-                simulation_seconds(&found.rod, steps)
-            }
-            Err(_) => 0.0,
-        }
     }
 
     /// A setting, simulated.
@@ -459,7 +451,7 @@ impl Work<'_, '_> {
                  --budget{}",
                 reference.error,
                 match reference.order {
-                    Some(order) if order < 0.5 =>
+                    Some(order) if order < NO_ORDER =>
                         ", or a motion that depends less on its smallest details: finer grids change it as much as coarse ones",
                     _ => "",
                 }

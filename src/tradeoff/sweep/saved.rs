@@ -3,10 +3,9 @@
 //! A summary is a file, and a file may hold anything: numbers that no sweep writes would let fits, pictures and grids grow without bounds.
 
 use super::{Fate, LADDER, News, Point, Reference, Setting, Tradeoff, Work};
+use crate::scene::MOST_ELEMENTS;
 use crate::task::MOST_STEPS;
 
-/// Elements of a setting, at most.
-const MOST_ELEMENTS: usize = 5000;
 /// A grid of a reference is at most this many times as fine as a setting.
 const REFINED: usize = 4;
 /// Seconds, lengths of an arm, megabytes and ratios of a sweep are no more than this; 1e9 s are thirty years.

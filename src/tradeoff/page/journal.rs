@@ -4,8 +4,7 @@ use std::fs::{self, File};
 use std::io::Write as _;
 use std::path::Path;
 
-use crate::output::running::JOURNAL_FILE;
-use crate::output::{OutputError, read_text};
+use crate::output::{JOURNAL_FILE, OutputError, read_text};
 use crate::tradeoff::Point;
 
 /// Bytes of the largest journal that is read.

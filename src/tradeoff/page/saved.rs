@@ -9,11 +9,12 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    COLORS, INK, SIZE, STYLE, decades, errors_and_times, escaped, milliseconds, names_of_axes,
-    page, picture, sentence,
+    COLORS, INK, SIZE, decades, errors_and_times, escaped, milliseconds, names_of_axes, page,
+    picture, sentence,
 };
-use crate::output::report::scene_differences;
-use crate::output::{ComparisonRow, ComparisonTable, OutputError, read_text};
+use crate::output::{
+    ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
+};
 use crate::tradeoff::{Point, Setting, Tradeoff};
 
 /// A trade-off that was written.
@@ -151,11 +152,11 @@ pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String 
         tables.push_str("</tbody>\n</table></div>\n");
     }
     let svg = fronts(names, saved).unwrap_or_default();
-    include_str!("../tradeoff_comparison.html")
+    include_str!("comparison.html")
         .replace("{{title}}", &escaped(&names.join(" · ")))
         .replace("{{tables}}", &tables)
         .replace("{{svg}}", &svg)
-        .replace("{{style}}", STYLE)
+        .replace("{{style}}", PAGE_STYLE)
 }
 
 /// The fronts of several trade-offs; a sentence where there is none to draw.

@@ -12,16 +12,17 @@ use std::path::Path;
 
 use plotters::prelude::*;
 use serde::Serialize;
+use serde_json::Value;
 
-use super::{OutputError, figure};
-use crate::tradeoff::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
+use super::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
+use crate::output::{OutputError, PAGE_STYLE, figure};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
 pub struct TradeoffSummary<'a> {
-    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+    /// [`SCHEMA_VERSION`](crate::output::summary::SCHEMA_VERSION)
     pub schema_version: u32,
-    /// [`TOOL`](super::summary::TOOL)
+    /// [`TOOL`](crate::output::summary::TOOL)
     pub tool: &'static str,
     /// `tradeoff`
     pub command: &'static str,
@@ -48,89 +49,49 @@ pub fn write_points(path: &Path, points: &[Point]) -> Result<(), OutputError> {
     std::fs::write(path, text).map_err(OutputError::unwritten(path, "cannot write"))
 }
 
+/// Columns of `points.csv`: their names, and where they stand in the JSON of a point.
+const COLUMNS: [(&str, &str); 26] = [
+    ("elements", "/elements"),
+    ("strain", "/strain"),
+    ("integrator", "/integrator"),
+    ("step_s", "/step_s"),
+    ("rotary_inertia", "/rotary_inertia"),
+    ("model", "/model"),
+    ("blocks", "/blocks"),
+    ("hold", "/hold"),
+    ("tolerance", "/tolerance"),
+    ("hessian", "/hessian"),
+    ("horizon_s", "/horizon_s"),
+    ("block_s", "/block_s"),
+    ("iterations", "/iterations"),
+    ("estimator", "/estimator"),
+    ("status", "/status"),
+    ("error", "/error"),
+    ("error_bar", "/error_bars/shape"),
+    ("tip_end", "/errors/tip_end"),
+    ("tip", "/errors/tip"),
+    ("orientation_rad", "/errors/orientation_rad"),
+    ("energy", "/errors/energy"),
+    ("curvature", "/errors/curvature"),
+    ("objective", "/objective"),
+    ("wall_s", "/wall_s"),
+    ("memory_mb", "/memory_mb"),
+    ("on_front", "/on_front"),
+];
+
 fn table(points: &[Point]) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record([
-        "elements",
-        "strain",
-        "integrator",
-        "step_s",
-        "rotary_inertia",
-        "model",
-        "blocks",
-        "hold",
-        "tolerance",
-        "hessian",
-        "horizon_s",
-        "block_s",
-        "iterations",
-        "estimator",
-        "status",
-        "error",
-        "error_bar",
-        "tip_end",
-        "tip",
-        "orientation_rad",
-        "energy",
-        "curvature",
-        "objective",
-        "wall_s",
-        "memory_mb",
-        "on_front",
-    ])?;
+    writer.write_record(COLUMNS.map(|(name, _)| name))?;
     for point in points {
-        let setting = &point.setting;
-        let word = |value: Option<serde_json::Value>| match value {
-            Some(serde_json::Value::String(word)) => word,
-            Some(serde_json::Value::Null) | None => String::new(),
+        let point = serde_json::to_value(point).unwrap_or_default();
+        writer.write_record(COLUMNS.map(|(_, place)| match point.pointer(place) {
+            Some(Value::String(word)) => word.clone(),
+            Some(Value::Null) | None => String::new(),
             Some(other) => other.to_string(),
-        };
-        let of = |value: &dyn erased::Json| word(value.json());
-        let errors = point.errors.as_ref();
-        writer.write_record([
-            of(&setting.elements),
-            of(&setting.strain),
-            of(&setting.integrator),
-            of(&point.step_s),
-            of(&setting.rotary_inertia),
-            of(&setting.model),
-            of(&setting.blocks),
-            of(&setting.hold),
-            of(&setting.tolerance),
-            of(&setting.hessian),
-            of(&setting.horizon_s),
-            of(&setting.block_s),
-            of(&setting.iterations),
-            of(&setting.estimator),
-            of(&point.status),
-            of(&point.error),
-            of(&point.error_bars.map(|bars| bars.shape)),
-            of(&errors.map(|e| e.tip_end)),
-            of(&errors.map(|e| e.tip)),
-            of(&errors.map(|e| e.orientation_rad)),
-            of(&errors.map(|e| e.energy)),
-            of(&errors.map(|e| e.curvature)),
-            of(&point.objective),
-            of(&point.wall_s),
-            of(&point.memory_mb),
-            of(&point.on_front),
-        ])?;
+        }))?;
     }
     writer.flush()?;
     Ok(writer.into_inner().unwrap_or_default())
-}
-
-/// Values of different types in one table.
-mod erased {
-    pub(super) trait Json {
-        fn json(&self) -> Option<serde_json::Value>;
-    }
-
-    impl<T: serde::Serialize> Json for T {
-        fn json(&self) -> Option<serde_json::Value> {
-            serde_json::to_value(self).ok()
-        }
-    }
 }
 
 /// Size of the picture, in its own units.
@@ -474,7 +435,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
         measured_against(found.subject, reference)
     });
-    include_str!("tradeoff_template.html")
+    include_str!("page/page.html")
         .replace("{{title}}", &escaped(scene))
         .replace("{{sentence}}", &escaped(sentence))
         .replace("{{keys}}", &keys)
@@ -490,11 +451,8 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         )
         .replace("{{legend}}", &legend(found, usual))
         .replace("{{svg}}", svg)
-        .replace("{{style}}", STYLE)
+        .replace("{{style}}", PAGE_STYLE)
 }
-
-/// The style sheet of all pages.
-const STYLE: &str = include_str!("report/style.css");
 
 /// What errors are measured against, in a paragraph.
 fn measured_against(subject: Subject, reference: &Reference) -> String {

@@ -1,0 +1,315 @@
+//! The search for the coarsest grid that is accurate enough: one for simulations, solves, statics, and the reference of a sweep.
+//!
+//! The error on `K` elements with steps of `h` is modelled as `a/K² + b h²`, the orders of the rod and of its integrators, and the time as
+//! proportional to the node-steps, `K/h`. Every grid is measured: the motion on it is compared with that on another grid, which gives both
+//! parts of its error. While these are too large, the model gives the grid of least time that is accurate enough, and the search goes on there.
+
+use crate::output::summary::{AccuracySummary, Level};
+use crate::scene::MOST_ELEMENTS;
+
+/// Estimated errors may be wrong by this part: Richardson's extrapolation from two grids knows the order only roughly, and on stiff wires was
+/// seen a quarter too low (decision 76).
+const WRONG: f64 = 0.25;
+/// Cap on the refinement by a search: its last grid is up to so many times as fine as its first one.
+const FINEST: f64 = 32.0;
+/// Default cap on the predicted time of work on one grid that is chosen for somebody, s.
+pub(super) const LONGEST: f64 = 3600.0;
+/// Observed order below which finer grids change a motion as much as coarse ones: a quarter of the order that all methods have.
+pub(super) const NO_ORDER: f64 = 0.5;
+/// Finer grids without an order before a search ends: one may be the first that shows the shape.
+const WITHOUT_ORDER: usize = 2;
+
+/// Elements and a time step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// Elements.
+    pub elements: usize,
+    /// The longest step, s.
+    pub step: f64,
+}
+
+impl Grid {
+    /// By how much this grid is finer than another, in elements and in steps.
+    fn over(self, other: Self) -> [f64; 2] {
+        [
+            self.elements as f64 / other.elements as f64,
+            other.step / self.step,
+        ]
+    }
+
+    /// The grid that is finer by these factors.
+    fn refined(self, [elements, steps]: [f64; 2]) -> Self {
+        // Without the rounding of a factor.
+        let wanted = (elements * self.elements as f64 * (1.0 - 1e-12)).ceil();
+        Self {
+            elements: wanted as usize,
+            step: self.step / steps,
+        }
+    }
+}
+
+/// The errors that elements and steps make on a grid, over the length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The grid.
+    pub grid: Grid,
+    /// `a/K²` and `b h²`.
+    pub parts: [f64; 2],
+}
+
+/// How the order of errors is known by which they are extrapolated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// It was observed on three grids.
+    Observed,
+    /// It is assumed, and errors are extrapolated from two grids.
+    Assumed,
+}
+
+/// What is asked of a grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// The largest error, over the length.
+    pub accuracy: f64,
+    /// How the order of the errors is known.
+    pub order: Order,
+    /// Cap on the predicted time of the work on one grid, s.
+    pub longest: f64,
+}
+
+impl Rule {
+    /// Part of the accuracy up to which an estimate confirms a grid.
+    fn confirmed(&self) -> f64 {
+        match self.order {
+            Order::Observed => 1.0,
+            Order::Assumed => 1.0 - WRONG,
+        }
+    }
+
+    /// The error that a grid aims at: an estimate that is larger by as much as it may be wrong confirms it.
+    fn aim(&self) -> f64 {
+        self.accuracy * self.confirmed() / (1.0 + WRONG)
+    }
+
+    /// The factor by which a grid is refined at most. Errors are observed with grids up to twice as fine, and the model is not believed any further.
+    /// With an order that is assumed, an error is extrapolated from the grid before, and is the more wrong the further apart both are: for an order
+    /// of 1.6 too low by a quarter at √2, and by a third at 2.
+    fn at_once(&self) -> f64 {
+        match self.order {
+            Order::Observed => 2.0,
+            Order::Assumed => 2f64.sqrt(),
+        }
+    }
+
+    /// Grids that are measured at most.
+    fn rounds(&self) -> usize {
+        1 + (FINEST.ln() / self.at_once().ln()).round() as usize
+    }
+}
+
+impl Estimate {
+    /// The error, over the length.
+    #[must_use]
+    pub fn error(&self) -> f64 {
+        self.parts[0] + self.parts[1]
+    }
+
+    /// Whether the grid is as accurate as is asked.
+    #[must_use]
+    pub fn meets(&self, rule: &Rule) -> bool {
+        self.error() <= rule.confirmed() * rule.accuracy
+    }
+
+    /// The errors that the model expects on another grid.
+    #[must_use]
+    pub fn on(&self, grid: Grid) -> Self {
+        let [elements, steps] = grid.over(self.grid);
+        let [of_elements, of_steps] = self.parts;
+        Self {
+            grid,
+            parts: [
+                of_elements / (elements * elements),
+                of_steps / (steps * steps),
+            ],
+        }
+    }
+
+    /// The errors on a finer grid, on which the motion is at a `distance` from that on this grid, over the length. By the model that distance is
+    /// `x (f² - 1) + y (g² - 1)`, if the parts of the finer grid are `x` and `y`, and it is finer by `f` in elements and by `g` in steps. Both
+    /// parts change by one factor; a part that does not differ between the grids stays as it is expected. Of a grid whose errors are not known, both
+    /// parts count as equal.
+    #[must_use]
+    pub fn seen(&self, grid: Grid, distance: f64) -> Self {
+        let is_known = self.error().is_finite();
+        let known = Self {
+            parts: if is_known { self.parts } else { [1.0; 2] },
+            ..*self
+        };
+        let expected = known.on(grid).parts;
+        let gaps = grid.over(self.grid).map(|finer| finer * finer - 1.0);
+        let expected_distance = expected[0] * gaps[0].max(0.0) + expected[1] * gaps[1].max(0.0);
+        let factor = match distance {
+            0.0 => 0.0,
+            _ => distance / expected_distance,
+        };
+        let part = |at: usize| match gaps[at] > 0.0 {
+            true => factor * expected[at],
+            false => expected[at],
+        };
+        let parts = [part(0), part(1)];
+        let is_known = parts.iter().all(|part| part.is_finite());
+        Self {
+            grid,
+            parts: if is_known {
+                parts
+            } else {
+                [f64::INFINITY, 0.0]
+            },
+        }
+    }
+
+    /// The grid, no coarser than this one, on which the model expects the error `aim` after the least time.
+    ///
+    /// With the parts `x` and `y` of the error on that grid, the time `K/h` goes with `1/√(x y)`, which is least for `x = y` where `x + y = aim`
+    /// is given. A part that is smaller than half of it already stays as it is, and leaves the rest to the other one.
+    #[must_use]
+    pub fn cheapest(&self, aim: f64) -> Grid {
+        let [x, y] = self.parts;
+        let half = 0.5 * aim;
+        let finer = |part: f64, goal: f64| (part / goal).sqrt().max(1.0);
+        let factors = if x <= half {
+            [1.0, finer(y, aim - x)]
+        } else if y <= half {
+            [finer(x, aim - y), 1.0]
+        } else {
+            [finer(x, half), finer(y, half)]
+        };
+        self.grid.refined(factors)
+    }
+
+    /// A grid between this one and a finer one, at most as much finer than this one as a factor says.
+    fn towards(&self, grid: Grid, factor: f64) -> Grid {
+        self.grid
+            .refined(grid.over(self.grid).map(|finer| finer.clamp(1.0, factor)))
+    }
+}
+
+/// A grid that was measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured {
+    /// Its errors.
+    pub estimate: Estimate,
+    /// Seconds of the work on it, as predicted.
+    pub seconds: f64,
+    /// Whether the grid is too coarse for something else than its errors.
+    pub too_coarse: bool,
+}
+
+/// How a search ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum End {
+    /// The last grid is accurate enough.
+    Met,
+    /// Errors do not fall with finer grids, or not within the number of grids or elements that are tried.
+    OutOfReach,
+    /// The grid that is needed takes too long, s.
+    TooLong {
+        /// That grid.
+        wanted: Grid,
+        /// Its predicted time, s.
+        seconds: f64,
+    },
+    /// Nothing can be said of the error of a grid.
+    Unmeasured,
+}
+
+/// Measures one grid after the other, from `first` on, until one is accurate enough or [`End`] says why none is. `measure` returns nothing where
+/// nothing is known of the error; the grid that it measures may be finer than the one that is asked for.
+///
+/// # Errors
+/// Those of `measure`.
+pub fn search<E>(
+    rule: &Rule,
+    first: Grid,
+    mut measure: impl FnMut(Grid, Option<&Measured>) -> Result<Option<Measured>, E>,
+) -> Result<(Option<Measured>, End), E> {
+    let mut grid = first;
+    let mut last: Option<Measured> = None;
+    let mut without_order = 0;
+    for _ in 0..rule.rounds() {
+        let Some(found) = measure(grid, last.as_ref())? else {
+            return Ok((last, End::Unmeasured));
+        };
+        let estimate = found.estimate;
+        if estimate.meets(rule) && !found.too_coarse {
+            return Ok((Some(found), End::Met));
+        }
+        if let Some(before) = last {
+            let order = observed_order(&before.estimate, &estimate);
+            without_order += usize::from(!(order >= NO_ORDER));
+        }
+        last = Some(found);
+        if without_order == WITHOUT_ORDER {
+            break;
+        }
+        // How much finer a grid has to be is not known where its error is not, or where something else is wrong with it.
+        let wanted = match estimate.meets(rule) || !estimate.error().is_finite() {
+            true => estimate.grid.refined([rule.at_once(); 2]),
+            false => estimate.cheapest(rule.aim()),
+        };
+        let [elements, steps] = wanted.over(estimate.grid);
+        let seconds = found.seconds * elements * steps;
+        if seconds > rule.longest {
+            return Ok((last, End::TooLong { wanted, seconds }));
+        }
+        grid = estimate.towards(wanted, rule.at_once());
+        if grid.elements > MOST_ELEMENTS {
+            break;
+        }
+    }
+    Ok((last, End::OutOfReach))
+}
+
+/// The order by which an error fell that a model of second order expected to fall from `before` to the grid of `after`; of errors that nothing is known
+/// of, none.
+fn observed_order(before: &Estimate, after: &Estimate) -> f64 {
+    let expected = before.on(after.grid).error() / before.error();
+    2.0 * (after.error() / before.error()).ln() / expected.ln()
+}
+
+/// The order by which the distance between motions fell from one pair of grids to the next, each grid twice as fine as the one before.
+pub(super) fn order_of_distances(before: f64, after: f64) -> f64 {
+    (before / after).log2()
+}
+
+/// The error on a grid over the distance from a grid half as fine, by Richardson's extrapolation with an observed order, from 1 to 2; an order that
+/// is not known counts as 1.
+pub(super) fn remainder(order: Option<f64>) -> f64 {
+    1.0 / (order.unwrap_or(1.0).clamp(1.0, 2.0).exp2() - 1.0)
+}
+
+/// What a search for an accuracy came to, in the numbers and the sentence of a summary.
+pub(super) fn summary(
+    asked: f64,
+    last: &Estimate,
+    met: bool,
+    levels: Vec<Level>,
+) -> AccuracySummary {
+    let [of_elements, of_steps] = last.parts;
+    let error = last.error();
+    AccuracySummary {
+        asked,
+        error,
+        met,
+        error_of_elements: of_elements,
+        error_of_steps: of_steps,
+        levels,
+        why: format!(
+            "{} elements and steps of {:.4e} s: the estimated error is {error:.1e} of the length, of which elements make {of_elements:.0e} and steps \
+             {of_steps:.0e}; {asked:e} is asked{}",
+            last.grid.elements,
+            last.grid.step,
+            if met { "" } else { " and not reached" }
+        ),
+    }
+}
