@@ -398,7 +398,7 @@ fn stress_curvature_by<R: TangentRule>(
     StressCurvature { start, cross, end }
 }
 
-/// Second derivative of the momenta of a node over an interval, see [`inertia_curvature`](lanes::tangent::inertia_curvature).
+/// Second derivative of the momenta of a node over an interval, see `lanes::tangent::inertia_curvature`.
 #[must_use]
 pub fn inertia_curvature(
     rotary: [&Vector3<f64>; 2],

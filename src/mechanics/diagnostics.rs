@@ -11,7 +11,7 @@
 //! E⁺ - E = h (external - dissipated power)  to second order in h: `PowerBalance`
 //! ```
 //!
-//! The first two are the sums of the steps of the [integrator](super::integrator) over the nodes: elastic and viscous
+//! The first two are the sums of the steps of the [integrator](super::stepper) over the nodes: elastic and viscous
 //! stresses and the [kinetic reaction](super::inertia) come in pairs and do not feel a rigid rotation, every impulse acts
 //! where the node is, and a drift keeps `x × p½` and `R g`. The reaction there is the impulse of the constraint, which takes a
 //! driven base from its own momentum at `k` to the one at `k+1`. Under the model `dilatation` a drift changes `R g`, by inertia

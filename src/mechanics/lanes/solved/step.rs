@@ -230,10 +230,11 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             self.solver.work.corrections += 1;
             last = worst;
         };
-        if !is_newton && !(unfolded && self.turns_are_small()) {
+        let turns_are_small = self.turns_are_small();
+        if !is_newton && (!unfolded || !turns_are_small) {
             return Outcome::Left;
         }
-        if !self.turns_are_small() {
+        if !turns_are_small {
             return Outcome::TurnsTooFar;
         }
         self.solver.note_corrections(corrections, fresh);
