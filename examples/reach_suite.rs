@@ -39,7 +39,9 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use softarm::control::{Attempt, Guess, Search, Shape, Transcription, first_point, search};
+use softarm::control::{
+    Attempt, Guess, OptimalControlProblem, Search, Shape, Transcription, first_point, search,
+};
 use softarm::mechanics::{Configuration, Stability, Wrench};
 use softarm::output::MultiplierRecord;
 use softarm::scene::{OptimalControl, Scene};
@@ -435,7 +437,12 @@ fn thrown(
         Kind::Bounded => {
             let part = dice.between(0.85, 0.95);
             let free = setup(&format!("{toml}{unbounded}"), &[])?;
-            let Some(attempt) = solve(&free, &one_start(&free), &free.settings) else {
+            let Some(attempt) = solve(
+                &free,
+                &one_start(&free),
+                &free.settings,
+                StopSignal::default(),
+            ) else {
                 return Ok(None);
             };
             if attempt.outcome.status != SqpStatus::Converged {
@@ -562,11 +569,17 @@ fn one_start(setup: &OptimalControl) -> Search {
 }
 
 /// The best attempt.
-fn solve(setup: &OptimalControl, plan: &Search, settings: &SqpSettings) -> Option<Attempt> {
-    let attempts = search(&setup.problem, settings, plan, &|_, _| {
-        ControlFlow::Continue(())
-    })
-    .ok()?;
+fn solve(
+    setup: &OptimalControl,
+    plan: &Search,
+    settings: &SqpSettings,
+    stop: StopSignal,
+) -> Option<Attempt> {
+    let problem = OptimalControlProblem {
+        stop,
+        ..setup.problem.clone()
+    };
+    let attempts = search(&problem, settings, plan, &|_, _| ControlFlow::Continue(())).ok()?;
     attempts.into_iter().next()
 }
 
@@ -716,11 +729,8 @@ impl Outcome {
             previous,
             ..one_start(setup)
         };
-        let settings = SqpSettings {
-            stop: StopSignal::new(deadline.and_then(|limit| clock.checked_add(limit)), None),
-            ..setup.settings.clone()
-        };
-        let Some(attempt) = solve(setup, &plan, &settings) else {
+        let stop = StopSignal::new(deadline.and_then(|limit| clock.checked_add(limit)), None);
+        let Some(attempt) = solve(setup, &plan, &setup.settings, stop) else {
             self.status = "no first point".into();
             return None;
         };
@@ -849,13 +859,11 @@ fn run(index: usize, arguments: &Arguments) -> Outcome {
     if index.is_multiple_of(5) {
         let settings = SqpSettings {
             tolerance: 1e-10,
-            stop: StopSignal::new(
-                limit.and_then(|limit| Instant::now().checked_add(limit)),
-                None,
-            ),
             ..setup.settings.clone()
         };
-        outcome.tight = solve(setup, &one_start(setup), &settings).map(|attempt| {
+        let deadline = limit.and_then(|limit| Instant::now().checked_add(limit));
+        let stop = StopSignal::new(deadline, None);
+        outcome.tight = solve(setup, &one_start(setup), &settings, stop).map(|attempt| {
             (
                 attempt.outcome.status == SqpStatus::Converged,
                 attempt.outcome.convergence.order,
@@ -902,7 +910,12 @@ fn beside_passing(
     let mut overrides = overrides.to_vec();
     overrides.push("task.at_rest=\"tip\"".into());
     let passing = self::setup(toml, &overrides).ok()?;
-    let attempt = solve(&passing, &one_start(&passing), &passing.settings)?;
+    let attempt = solve(
+        &passing,
+        &one_start(&passing),
+        &passing.settings,
+        StopSignal::default(),
+    )?;
     let peak = |coefficients: &[Wrench]| {
         (coefficients.iter())
             .map(|u| u.force.norm())

@@ -464,15 +464,9 @@ fn observer_stops() {
 /// No time at all: the start comes back, evaluated, with its residual.
 #[test]
 fn deadline_stops() {
-    let problem = &known()[1];
-    let outcome = go(
-        &problem.program,
-        &problem.start,
-        &SqpSettings {
-            stop: StopSignal::at(Instant::now()),
-            ..SqpSettings::default()
-        },
-    );
+    let problem = &mut known()[1];
+    problem.program.stop = StopSignal::at(Instant::now());
+    let outcome = go(&problem.program, &problem.start, &SqpSettings::default());
     assert_eq!(outcome.status, SqpStatus::Stopped(Stop::Deadline));
     assert_eq!(outcome.history.len(), 1);
     assert_eq!(outcome.point.v, problem.start);

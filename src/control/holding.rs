@@ -586,7 +586,6 @@ impl Search<'_> {
         let settings = SqpSettings {
             max_iterations: ITERATIONS,
             hessian: HessianChoice::GaussNewton,
-            stop: self.statics.problem.stop.clone(),
             ..SqpSettings::default()
         };
         let outcome = solve(&program, from.clone(), &settings, &mut |_| {

@@ -161,10 +161,6 @@ pub fn search_telling(
     search: &Search,
     listener: &Listener,
 ) -> Result<Vec<Attempt>, GuessError> {
-    let problem = &OptimalControlProblem {
-        stop: settings.stop.clone(),
-        ..problem.clone()
-    };
     let starts = search.starts.max(1);
     let workers = search.n_threads.clamp(1, starts);
     let threads_each = if starts == 1 { search.n_threads } else { 1 };

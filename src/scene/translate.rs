@@ -293,7 +293,6 @@ impl Scene {
                     model::Qp::Condensed => QpRoute::Condensed,
                     model::Qp::Sparse => QpRoute::Sparse,
                 },
-                stop: stop.clone(),
                 ..SqpSettings::default()
             },
             search: Search {

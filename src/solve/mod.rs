@@ -40,7 +40,6 @@ use std::ops::ControlFlow;
 
 use crate::control::{GuessError, Search, search};
 use crate::sqp::SqpSettings;
-use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Problem, Task};
 
 /// Why there is no solution to look at.
@@ -61,8 +60,6 @@ pub struct SolveOptions {
     pub settings: SqpSettings,
     /// Where it starts, how often, and on how many threads.
     pub search: Search,
-    /// The signal that ends the work early.
-    pub stop: StopSignal,
 }
 
 /// Discretizes a task for an arm and solves it from one start on one thread.
@@ -89,22 +86,19 @@ pub fn solve_with(
     discretization: &Discretization,
     options: &SolveOptions,
 ) -> Result<Solution, SolveError> {
-    let problem = task.discretize_until(arm, discretization, &options.stop)?;
+    let problem = task.discretize(arm, discretization)?;
     solve_problem(&problem, options)
 }
 
-/// Solves a problem that is discretized already.
+/// Solves a problem that is discretized already. The signal with which it was [discretized](Task::discretize_until) ends the work early.
 ///
 /// # Errors
 /// [`SolveError::Start`]
 pub fn solve_problem(problem: &Problem, options: &SolveOptions) -> Result<Solution, SolveError> {
-    let settings = SqpSettings {
-        stop: options.stop.clone(),
-        ..options.settings.clone()
-    };
-    let mut attempts = search(&problem.discrete, &settings, &options.search, &|_, _| {
+    let settings = &options.settings;
+    let mut attempts = search(&problem.discrete, settings, &options.search, &|_, _| {
         ControlFlow::Continue(())
     })?;
     // They come in their order, the best one first.
-    Ok(Solution::of(problem, &settings, attempts.swap_remove(0)))
+    Ok(Solution::of(problem, settings, attempts.swap_remove(0)))
 }

@@ -8,6 +8,7 @@
 //! There may be many more inequalities than variables (a distance per node and time): their values are asked for at
 //! every point, their gradients only where they may matter.
 
+use crate::stop::StopSignal;
 use std::collections::BTreeMap;
 
 use faer::Mat;
@@ -312,6 +313,11 @@ pub trait LiftedProgram {
 
     /// The convex sets on the variables.
     fn sets(&self) -> &[ConvexSet];
+
+    /// The signal that ends a solve of the program early, if there is one.
+    fn stop(&self) -> Option<&StopSignal> {
+        None
+    }
 
     /// The variables of a point.
     fn variables<'a>(&self, point: &'a Self::Point) -> &'a [f64];

@@ -28,7 +28,7 @@ use super::trace::Trace;
 use super::trial::{Accepted, Departure};
 use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
-use crate::stop::{LARGE, Stop};
+use crate::stop::{LARGE, Stop, StopSignal};
 
 /// A solve that began with the multipliers of another uses the exact Hessian below this infeasibility.
 const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
@@ -322,7 +322,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 
     /// Why the solve is to end before it is done, if it is.
     pub(super) fn stopped(&self) -> Option<Stop> {
-        self.settings.stop.raised()
+        self.program.stop().and_then(StopSignal::raised)
     }
 
     /// One iteration: subproblems of shrinking trust radius, until one's step is accepted, or a step of the restoration.
@@ -402,12 +402,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     /// The exact Hessian; where its factorizations take long and the solve is stopped meanwhile, that of Gauss-Newton, which nobody uses.
     fn exact_hessian(&self, linearization: &Linearization, active: ActiveSet) -> ModelHessian {
         let sets = self.program.sets();
-        if self.variables().len() < LARGE || !self.settings.stop.is_possible() {
+        let stop = (self.program.stop())
+            .filter(|stop| self.variables().len() >= LARGE && stop.is_possible());
+        let Some(stop) = stop else {
             return ModelHessian::exact(linearization, sets, &active);
-        }
+        };
         let (own, sets) = (linearization.clone(), sets.to_vec());
-        (self.settings.stop)
-            .unless_raised(LARGE, move || ModelHessian::exact(&own, &sets, &active))
+        stop.unless_raised(LARGE, move || ModelHessian::exact(&own, &sets, &active))
             .unwrap_or_else(|_| ModelHessian::gauss_newton(linearization))
     }
 

@@ -2,7 +2,6 @@
 
 use super::hessian::HessianChoice;
 use super::kept_states::QpRoute;
-use crate::stop::StopSignal;
 
 /// What the solver may do.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +19,6 @@ pub struct SqpSettings {
     /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
     /// that of all rows. Far from a solution not every one of them is worth a solve.
     pub row_accuracy: f64,
-    /// What may end the solve before it is done.
-    pub stop: StopSignal,
 }
 
 /// Part of the objective that is worth passing a saddle for: what the discretization of an ordinary solve is off by.
@@ -36,7 +33,6 @@ impl Default for SqpSettings {
             hessian: HessianChoice::Auto,
             qp: QpRoute::Condensed,
             row_accuracy: 1e-2,
-            stop: StopSignal::default(),
         }
     }
 }

@@ -10,6 +10,7 @@ use softarm::sqp::{
     ConvexSet, Evaluation, Failure, HessianChoice, KktResidual, LiftedProgram, Linearization,
     LinearizationRequest, Softness, SqpOutcome, SqpSettings, solve,
 };
+use softarm::stop::StopSignal;
 
 /// Forward-mode second-order numbers: a value, its gradient and its Hessian over the program's unknowns.
 #[derive(Clone, Debug)]
@@ -158,6 +159,7 @@ pub struct Program {
     pub radius: f64,
     /// How often the curvature of the Lagrangian was computed.
     pub curvatures: Cell<usize>,
+    pub stop: StopSignal,
 }
 
 pub fn nothing() -> Box<Values> {
@@ -180,6 +182,7 @@ impl Default for Program {
             sets: Vec::new(),
             radius: f64::INFINITY,
             curvatures: Cell::new(0),
+            stop: StopSignal::default(),
         }
     }
 }
@@ -278,6 +281,10 @@ impl LiftedProgram for Program {
 
     fn sets(&self) -> &[ConvexSet] {
         &self.sets
+    }
+
+    fn stop(&self) -> Option<&StopSignal> {
+        Some(&self.stop)
     }
 
     fn variables<'a>(&self, point: &'a Point) -> &'a [f64] {

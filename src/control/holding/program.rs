@@ -20,6 +20,7 @@ use crate::mechanics::tangent::{Mode, SLOWEST_GROWTH, TangentLu, dot};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
 };
+use crate::stop::StopSignal;
 
 /// Stiffness of the springs that pull the tip to the target, in units of EI/L³ and EI/L.
 pub(super) const SPRING: f64 = 1e4;
@@ -205,6 +206,10 @@ impl LiftedProgram for HoldingProgram<'_> {
 
     fn sets(&self) -> &[ConvexSet] {
         &self.sets
+    }
+
+    fn stop(&self) -> Option<&StopSignal> {
+        Some(&self.statics.problem.stop)
     }
 
     fn variables<'b>(&self, point: &'b HoldingPoint) -> &'b [f64] {

@@ -24,6 +24,7 @@ use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Multipliers, Softness, StateLinearization, StateRow,
 };
+use crate::stop::StopSignal;
 
 mod condense;
 mod rows;
@@ -510,6 +511,10 @@ impl LiftedProgram for Transcription<'_> {
 
     fn sets(&self) -> &[ConvexSet] {
         &self.sets
+    }
+
+    fn stop(&self) -> Option<&StopSignal> {
+        Some(&self.problem.stop)
     }
 
     fn variables<'b>(&self, point: &'b LiftedPoint) -> &'b [f64] {

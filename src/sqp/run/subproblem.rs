@@ -278,7 +278,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 .trust_region
                 .radius
                 .max(SET_ROOM * self.iterate.outside),
-            stop: Some(&self.settings.stop),
+            stop: self.program.stop(),
             states: self.states.linearization.as_ref().map(|kept| KeptStates {
                 linearization: kept,
                 replaces_hessian: model.kind == HessianKind::GaussNewton,
