@@ -21,8 +21,7 @@ use softarm::scene::{OptimalControl, Scene};
 use softarm::solve::{SolveOptions, solve_problem};
 use softarm::sqp::SqpSettings;
 use softarm::stop::StopSignal;
-use softarm::verify::ReferenceStepper;
-use support::{Question, SensitivityCase, levels, median, moving, peak, push, simulate_reference};
+use support::{Question, SensitivityCase, levels, median, moving, peak, push};
 
 fn main() {
     let mut page = String::new();
@@ -87,10 +86,7 @@ fn stepping(rod: &Rod, step: f64, n_steps: usize) -> f64 {
 
 fn steps(page: &mut String) {
     say(page, "## A step of a node, K = 40, one thread\n");
-    say(
-        page,
-        "| step | model | strain | ns | of the check, ns |\n|---|---|---|---|---|",
-    );
+    say(page, "| step | model | strain | ns |\n|---|---|---|---|");
     for rule in RULES {
         for model in [
             RodModel::Standard,
@@ -128,13 +124,10 @@ fn steps(page: &mut String) {
 fn row_of_steps(page: &mut String, name: &str, rod: &Rod, step: f64, n_steps: usize) {
     let scale = 1e9 / (n_steps * rod.n_nodes()) as f64;
     let fast = stepping(rod, step, n_steps) * scale;
-    let integrator = ReferenceStepper::new(rod, step, moving(rod));
-    let few = n_steps / 4;
-    let plain = median(3, || simulate_reference(&integrator, &push(rod), few)) * 4.0 * scale;
     say(
         page,
         format!(
-            "| {name} | {} | {} | {fast:.1} | {plain:.0} |",
+            "| {name} | {} | {} | {fast:.1} |",
             rod.model.name(),
             rod.strain_rule.name()
         ),

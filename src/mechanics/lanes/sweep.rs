@@ -184,7 +184,7 @@ struct Work<'a, S: Simd, R, L, T> {
     /// `2/(h (1 + a))`
     reaction: Lanes<S>,
     normalize: bool,
-    /// Of all positions, forces and moments: not finite as soon as one is not.
+    /// Of all positions, angular momenta, forces and moments: not finite as soon as one is not.
     sum: Lanes<S>,
     /// Largest compression; see [`Chord::compression`].
     compression: Lanes<S>,
@@ -337,6 +337,7 @@ impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
         if !L::THINS || L::REACTS {
             (turn.momentum * self.decay).store(block, ANGULAR_MOMENTUM);
         }
+        self.sum = self.sum + turn.momentum.sum();
         rotation
     }
 
@@ -373,6 +374,7 @@ impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
         let Quaternion { w, v } = Quaternion::load(self.simd, spin, LAST_TURN);
         let jv = Vec3::load(self.simd, spin, ROTARY).component_mul(v);
         let momentum = (jv * w - v.cross(jv)) * (2.0 / self.time_step);
+        self.sum = self.sum + momentum.sum();
         (momentum * self.decay).store(&mut self.blocks[index], ANGULAR_MOMENTUM);
     }
 
