@@ -223,7 +223,6 @@ fn solves(page: &mut String) {
         let options = SolveOptions {
             settings: setup.settings.clone(),
             search: setup.search.clone(),
-            ..SolveOptions::default()
         };
         let mut solution = None;
         let seconds = median(3, || {

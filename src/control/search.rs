@@ -134,7 +134,7 @@ const DETOUR: f64 = 0.5;
 
 /// Solves a problem from one or several starts; the best attempt comes first. The result does not depend on the number of threads.
 ///
-/// `observer` sees every row with the number of its start, and may stop that solve. The settings' [stop signal](SqpSettings::stop) ends
+/// `observer` sees every row with the number of its start, and may stop that solve. The problem's [stop signal](OptimalControlProblem::stop) ends
 /// all work; a start that has no point by then has the motion without any control, and starts that have not begun are left out.
 ///
 /// # Errors
