@@ -1,6 +1,6 @@
 //! Checks every analytic derivative of a problem, with a verdict on each.
 //!
-//! What is compared is the code that simulations and solves run: laws of the elements, the linearized step, objective, goals, path
+//! The code that simulations and solves run is compared: laws of the elements, the linearized step, objective, goals, path
 //! constraints, actuators, the reduced Hessian. A [`Block`] is a family of curves through one point with the analytic slopes of their
 //! values there. The step of the differences is swept, and the bound of the deviation follows from the sweep. The point is random, bent,
 //! moving and admissible, because at rest many derivatives vanish. Identities that hold for any rod (the symplectic form, tangent against

@@ -25,12 +25,7 @@ pub(crate) fn approach_base(
         .norm()
         .max(base.angular_velocity.norm() * clock.step);
     if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
-        return Err(StepError::NotFinite {
-            node: 0,
-            step,
-            time,
-            quantity: "the given motion of the base",
-        });
+        return Err(not_finite(0, step, time, "the given motion of the base"));
     }
     if angle >= std::f64::consts::FRAC_PI_2 {
         return Err(StepError::BaseTurnTooLarge { step, time, angle });
@@ -96,12 +91,7 @@ pub(crate) fn rotation_error(
             ratio,
         }
     } else {
-        StepError::NotFinite {
-            node,
-            step,
-            time,
-            quantity: "the angular momentum",
-        }
+        not_finite(node, step, time, "the angular momentum")
     }
 }
 

@@ -10,6 +10,8 @@ use std::fmt::Write as _;
 use std::ops::Range;
 use std::path::Path;
 
+use plotters::coord::Shift;
+use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
@@ -217,6 +219,47 @@ fn legend(found: &Tradeoff, usual: &Setting) -> String {
     out + "</ul>\n"
 }
 
+/// A chart of times over errors, both on logarithmic axes.
+type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Decades, Decades>>;
+/// A logarithmic axis whose marks are powers of ten.
+type Decades = WithKeyPoints<LogCoord<f64>>;
+
+/// The style of labels.
+fn label() -> TextStyle<'static> {
+    ("sans-serif", 15).into_font().color(&INK)
+}
+
+/// Draws the axes of a chart of times over errors.
+fn axes<'a>(
+    root: &DrawingArea<SVGBackend<'a>, Shift>,
+    subject: Subject,
+    errors: &Range<f64>,
+    times: &Range<f64>,
+) -> Result<Chart<'a>, Box<dyn std::error::Error>> {
+    let [x_name, y_name] = names_of_axes(subject);
+    let mut chart = ChartBuilder::on(root)
+        .margin(14)
+        .x_label_area_size(52)
+        .y_label_area_size(74)
+        .build_cartesian_2d(
+            errors.clone().log_scale().with_key_points(decades(errors)),
+            times.clone().log_scale().with_key_points(decades(times)),
+        )?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.25))
+        .axis_style(INK)
+        .label_style(label())
+        .x_label_formatter(&|value| format!("{value:e}"))
+        .y_label_formatter(&|value| format!("{value}"))
+        .x_desc(x_name)
+        .y_desc(y_name)
+        .axis_desc_style(label())
+        .draw()?;
+    Ok(chart)
+}
+
 fn draw(
     svg: &mut String,
     size: (u32, u32),
@@ -227,29 +270,9 @@ fn draw(
     times: Range<f64>,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let root = SVGBackend::with_string(svg, size).into_drawing_area();
-    let [x_name, y_name] = names_of_axes(found.subject);
     let (right, top) = (errors.end, times.end);
-    let mut chart = ChartBuilder::on(&root)
-        .margin(14)
-        .x_label_area_size(52)
-        .y_label_area_size(74)
-        .build_cartesian_2d(
-            errors.clone().log_scale().with_key_points(decades(&errors)),
-            times.clone().log_scale().with_key_points(decades(&times)),
-        )?;
-    let text = ("sans-serif", 15).into_font().color(&INK);
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(INK.mix(0.25))
-        .axis_style(INK)
-        .label_style(text.clone())
-        .x_label_formatter(&|value| format!("{value:e}"))
-        .y_label_formatter(&|value| format!("{value}"))
-        .x_desc(x_name)
-        .y_desc(y_name)
-        .axis_desc_style(text.clone())
-        .draw()?;
+    let mut chart = axes(&root, found.subject, &errors, &times)?;
+    let text = label();
     chart.draw_series(LineSeries::new(
         [(found.tolerance, times.start), (found.tolerance, top)],
         INK.stroke_width(2),

@@ -56,6 +56,18 @@ pub(super) fn stress(element: &Element, weights: [f64; 2], start: &Nine, end: &N
     stiffness(element).component_mul(&mean)
 }
 
+/// [`stress`] of all elements between their strains at both ends of a time step.
+pub(super) fn stresses(
+    rod: &Rod,
+    weights: [f64; 2],
+    start: &[Strained],
+    end: &[Strained],
+) -> Vec<Nine> {
+    (rod.elements.iter().zip(start.iter().zip(end)))
+        .map(|(element, (start, end))| stress(element, weights, &start.0, &end.0))
+        .collect()
+}
+
 /// Covector of the configuration of a function `w·Bᵀσ` at a given stress: `E_b E_w (σ·s)`, from a difference of `B` along `w`
 /// that is exact to the fourth order, and the commutator of the fields.
 pub(super) fn bent(

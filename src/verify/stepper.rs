@@ -392,11 +392,7 @@ impl<'a> ReferenceStepper<'a> {
         let (rod, h) = (self.rod, self.clock.step);
         let weight = self.impulse_weight();
         let end = interval::strains(rod, &to.positions, &to.rotations);
-        let stresses: Vec<_> = (rod.elements.iter().zip(stressed.strains.iter().zip(&end)))
-            .map(|(element, (start, end))| {
-                interval::stress(element, stressed.weights, &start.0, &end.0)
-            })
-            .collect();
+        let stresses = interval::stresses(rod, stressed.weights, &stressed.strains, &end);
         let pull = pull(rod, &stressed.strains, &stresses, weight);
         let mut momentum = [0.0f64; 2];
         let residual = (rod.first_free_node()..rod.n_nodes())

@@ -45,7 +45,7 @@ fn curvature_of_coupling<S: Simd>(log: &Logarithm<S>, n: Vec3<S>, y: Vec3<S>) ->
     hess_q * log.c + turned * log.slope + own * q
 }
 
-/// What the helical rule needs of a pose.
+/// The quantities that the helical rule needs of a pose.
 #[derive(Clone, Copy)]
 pub struct HelicalPose<S: Simd> {
     r: Mat3<S>,

@@ -1,4 +1,4 @@
-//! How the dilatation of a rod enters its stress and its inertia.
+//! The laws by which the dilatation of a rod enters its stress and its inertia.
 //!
 //! With the dilatation `e` (current over rest length, the paper's (58)), the section keeps its volume: its area goes like
 //! `1/e`. Stress per [model](RodModel), with `ε = v - v_rest`, `κ = ψ/l - κ_rest`:
@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::{Element, ElementStrain};
 
-/// How axial stretch enters stiffness and inertia.
+/// The law by which axial stretch enters stiffness and inertia.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -44,7 +44,7 @@ impl RodModel {
         }
     }
 
-    /// Whether the stress is the gradient of an energy.
+    /// Tells whether the stress is the gradient of an energy.
     #[inline]
     #[must_use]
     pub fn has_potential(self) -> bool {
@@ -112,7 +112,7 @@ pub(super) struct Stressed {
     thinned: Option<Thinned>,
 }
 
-/// What the stiffness of a section that thins needs.
+/// The quantities that the stiffness of a section that thins needs.
 struct Thinned {
     thinning: Thinning,
     /// `C₁ ε` at both ends and `C₂ κ`.

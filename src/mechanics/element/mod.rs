@@ -11,7 +11,7 @@
 //! * [`StrainRule::Helical`]: one constant strain per element from the exponential of SE(3), `ψ = log(R_aᵀ R_b)`,
 //!   `v = S(ψ) R_aᵀ dx / l`. Arcs and helices are represented exactly; there is no locking.
 //!
-//! What stress follows from a strain is the element's [model](RodModel). Under [`RodModel::Dilatation`] the "energy" is
+//! The element's [model](RodModel) says which stress follows from a strain. Under [`RodModel::Dilatation`] the "energy" is
 //! that of the paper's (86) and the "gradient" its derivative at frozen dilatation, which has no potential.
 
 //!
@@ -32,7 +32,7 @@ use crate::mechanics::lanes::logarithm::Logarithm;
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 use crate::mechanics::rotation::{self, InverseTangentCoefficients, log_tangent};
 
-/// How the strains of an element follow from its two nodes.
+/// The rule by which the strains of an element follow from its two nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -134,19 +134,19 @@ impl StrainRule {
         pose: &ElementPose,
     ) -> (ElementStrain, StrainDerivative) {
         match self {
-            Self::Helical => derivative_of::<Helical>(length, pose),
-            Self::Trapezoidal => derivative_of::<Trapezoidal>(length, pose),
+            Self::Helical => derivative_of::<Helical>(length, &posed::<Helical>(pose)),
+            Self::Trapezoidal => derivative_of::<Trapezoidal>(length, &posed::<Trapezoidal>(pose)),
         }
     }
 }
 
-/// What a rule needs of a pose, in one lane.
+/// Returns the quantities that a rule needs of a pose, in one lane.
 fn posed<R: TangentRule>(pose: &ElementPose) -> R::Pose<Scalar> {
     let [a, b] = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
     pose_of_any_turn::<R>(Vec3::splat(Scalar, &pose.dx), a, b)
 }
 
-/// The same of an element whose ends are turned against each other by any angle up to half a turn.
+/// Returns the quantities that a rule needs of a pose whose ends are turned against each other by any angle up to half a turn.
 pub(crate) fn pose_of_any_turn<R: TangentRule>(
     dx: Vec3<Scalar>,
     a: Mat3<Scalar>,
@@ -170,15 +170,14 @@ fn strain_of<R: TangentRule>(length: f64, pose: &R::Pose<Scalar>) -> ElementStra
 
 fn derivative_of<R: TangentRule>(
     length: f64,
-    pose: &ElementPose,
+    pose: &R::Pose<Scalar>,
 ) -> (ElementStrain, StrainDerivative) {
-    let pose = posed::<R>(pose);
-    let mut rows = R::derivative(&pose);
+    let mut rows = R::derivative(pose);
     if R::END_WEIGHT == 1.0 {
         // The one linear strain is that of both ends.
         rows[1] = rows[0];
     }
-    (strain_of::<R>(length, &pose), nine_by_nine(&rows) / length)
+    (strain_of::<R>(length, pose), nine_by_nine(&rows) / length)
 }
 
 pub(crate) fn nine_by_nine(blocks: &Blocks<Scalar>) -> SMatrix<f64, 9, 9> {
@@ -254,15 +253,14 @@ impl Element {
         pose: &ElementPose,
     ) -> (ElementGradient, ElementStiffness) {
         match rule {
-            StrainRule::Helical => self.stiffness_by::<Helical>(rule, pose),
-            StrainRule::Trapezoidal => self.stiffness_by::<Trapezoidal>(rule, pose),
+            StrainRule::Helical => self.stiffness_by::<Helical>(pose),
+            StrainRule::Trapezoidal => self.stiffness_by::<Trapezoidal>(pose),
         }
     }
 
-    /// Of a section that thins, the stiffness at the given stress and `BᵀTB`, with the [tangent](Self::stress_tangent) `T` of the stress.
+    /// The stiffness of a section that thins is that at the given stress plus `BᵀTB`, with the [tangent](Self::stress_tangent) `T` of the stress.
     fn stiffness_by<R: TangentRule>(
         &self,
-        rule: StrainRule,
         pose: &ElementPose,
     ) -> (ElementGradient, ElementStiffness) {
         let at = posed::<R>(pose);
@@ -273,7 +271,7 @@ impl Element {
             None => nine_by_nine(&R::stiffness_under(&law, &at, &scaled)),
             Some(tangent) => {
                 let none = law.times(Lanes::splat(Scalar, 0.0));
-                let (_, b) = rule.strain_derivative(self.length, pose);
+                let (_, b) = derivative_of::<R>(self.length, &at);
                 nine_by_nine(&R::stiffness_under(&none, &at, &scaled)) + b.transpose() * tangent * b
             }
         };
@@ -310,7 +308,7 @@ impl Element {
         }
     }
 
-    /// What a given stress does on the ends of the element: `Bᵀ` times the stress, [`Self::gradient`] where the
+    /// Returns the pull of a given stress on the ends of the element: `Bᵀ` times the stress, [`Self::gradient`] where the
     /// stress is that of the pose.
     #[must_use]
     pub fn gradient_under(

@@ -12,7 +12,7 @@ use pulp::Simd;
 use super::rule::{Blocks, Law, Stress, TangentRule, Trapezoidal};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 
-/// What the trapezoidal rule needs of a pose.
+/// The quantities that the trapezoidal rule needs of a pose.
 #[derive(Clone, Copy)]
 pub struct TrapezoidalPose<S: Simd> {
     rotations: [Mat3<S>; 2],

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::LaneIntegrator;
 use super::singly::Failure;
 use crate::mechanics::StepError;
-use crate::mechanics::guards::{check_dilatation, check_fold, rotation_error};
+use crate::mechanics::guards::{check_dilatation, check_fold, not_finite, rotation_error};
 use crate::mechanics::inertia::InertiaRule;
 
 impl LaneIntegrator<'_> {
@@ -32,14 +32,7 @@ impl LaneIntegrator<'_> {
         }
         let first_lost = |quantity, is_finite: &dyn Fn(usize) -> bool| {
             let lost = (self.rod.first_free_node()..self.rod.n_nodes()).find(|&q| !is_finite(q));
-            lost.map_or(Ok(()), |node| {
-                Err(StepError::NotFinite {
-                    node,
-                    step,
-                    time,
-                    quantity,
-                })
-            })
+            lost.map_or(Ok(()), |node| Err(not_finite(node, step, time, quantity)))
         };
         let is_number = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
         if !finite {

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::mechanics::actuator::StateView;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::forces::NodalForces;
+use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::rotation_step::TurnedNode;
@@ -205,12 +206,12 @@ pub fn defects(
                 interval.turn.tr_mul(&interval.g)
             };
             if !(linear[row] + angular[row]).iter().all(|c| c.is_finite()) {
-                return Err(StepError::NotFinite {
-                    node: q,
-                    step: k,
-                    time: grid.time(k),
-                    quantity: "the residual of the equations of motion",
-                });
+                return Err(not_finite(
+                    q,
+                    k,
+                    grid.time(k),
+                    "the residual of the equations of motion",
+                ));
             }
         }
         if rule == InertiaRule::End {
@@ -247,11 +248,6 @@ pub(super) fn interval_error(
             ratio: ratio.max(1.0),
         }
     } else {
-        StepError::NotFinite {
-            node,
-            step,
-            time,
-            quantity: "the rotation between two time nodes",
-        }
+        not_finite(node, step, time, "the rotation between two time nodes")
     }
 }

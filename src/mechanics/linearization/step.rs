@@ -6,6 +6,7 @@ use crate::mechanics::actuator::{ActingDerivative, StateView};
 use crate::mechanics::block_tridiagonal::BlockLu;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::ElementStiffness;
+use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::{IntervalWeights, join, scatter, step_matrix};
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
@@ -569,11 +570,13 @@ impl StressDrift {
         let [start_start, start_end, end_start, end_end] = out;
         let step = step_matrix(rod, h, &spin, start_end.iter().copied())
             .factor()
-            .ok_or(StepError::NotFinite {
-                node: rod.first_free_node(),
-                step: k,
-                time: grid.time(k),
-                quantity: "the inverse of the implicit step",
+            .ok_or_else(|| {
+                not_finite(
+                    rod.first_free_node(),
+                    k,
+                    grid.time(k),
+                    "the inverse of the implicit step",
+                )
             })?;
         Ok(Self {
             start_start,

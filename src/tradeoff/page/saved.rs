@@ -9,8 +9,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    COLORS, INK, SIZE, decades, errors_and_times, escaped, milliseconds, names_of_axes, page,
-    picture, sentence,
+    COLORS, INK, SIZE, axes, errors_and_times, escaped, label, milliseconds, page, picture,
+    sentence,
 };
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
@@ -180,28 +180,8 @@ fn draw(
     times: Range<f64>,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let [x_name, y_name] = names_of_axes(saved[0].found.subject);
-    let mut chart = ChartBuilder::on(&root)
-        .margin(14)
-        .x_label_area_size(52)
-        .y_label_area_size(74)
-        .build_cartesian_2d(
-            errors.clone().log_scale().with_key_points(decades(&errors)),
-            times.clone().log_scale().with_key_points(decades(&times)),
-        )?;
-    let text = ("sans-serif", 15).into_font().color(&INK);
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(INK.mix(0.25))
-        .axis_style(INK)
-        .label_style(text.clone())
-        .x_label_formatter(&|value| format!("{value:e}"))
-        .y_label_formatter(&|value| format!("{value}"))
-        .x_desc(x_name)
-        .y_desc(y_name)
-        .axis_desc_style(text.clone())
-        .draw()?;
+    let mut chart = axes(&root, saved[0].found.subject, &errors, &times)?;
+    let text = label();
     let at = |point: &Point| (point.error.unwrap_or(errors.end), 1e3 * point.time());
     for (index, (name, saved)) in names.iter().zip(saved).enumerate() {
         let color = COLORS[index.min(COLORS.len() - 1)];

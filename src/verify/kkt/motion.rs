@@ -279,18 +279,6 @@ impl Conditions<'_> {
         )
     }
 
-    /// Stresses of all elements between two time nodes.
-    pub(in crate::verify) fn stresses(
-        &self,
-        weights: [f64; 2],
-        start: &[Strained],
-        end: &[Strained],
-    ) -> Vec<Nine> {
-        (self.rod().elements.iter().zip(start.iter().zip(end)))
-            .map(|(element, (start, end))| interval::stress(element, weights, &start.0, &end.0))
-            .collect()
-    }
-
     pub(in crate::verify) fn velocity_momentum(&self, k: usize, q: usize) -> Vector3<f64> {
         let change = self.trajectory.positions_at(k + 1)[q] - self.trajectory.positions_at(k)[q];
         change * (self.rod().nodes[q].mass / self.problem.grid.step)
@@ -383,7 +371,7 @@ impl Conditions<'_> {
                 let next = (k < n).then(|| self.strains(k + 1));
                 let after = next.as_ref().map_or_else(
                     || vec![Nine::zeros(); rod.n_elements()],
-                    |next| self.stresses(weights, &here, next),
+                    |next| interval::stresses(rod, weights, &here, next),
                 );
                 for (q, (_, b)) in here.iter().enumerate() {
                     let pull = b.tr_mul(&(stresses[q] + after[q]));

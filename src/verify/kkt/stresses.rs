@@ -27,7 +27,7 @@ impl<'a> StressLink<'a> {
             conditions,
             weights,
             k,
-            stresses: conditions.stresses(weights, &start, &end),
+            stresses: interval::stresses(conditions.rod(), weights, &start, &end),
             start,
             end,
         }
