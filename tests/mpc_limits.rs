@@ -10,11 +10,11 @@ use std::ops::ControlFlow;
 use nalgebra::Vector3;
 use rates::{ROUNDING, Watch};
 use softarm::control::path::{PathEnforcement, RodView};
-use softarm::control::{Bound, Hold, Shape};
-use softarm::mechanics::{TimeGrid, Trajectory};
+use softarm::control::{Bound, Hold, NodeForm, Shape, SharedTerm, StateCost, StateTerm, StateView};
+use softarm::mechanics::{Energy, Rod, TimeGrid, Trajectory};
 use softarm::mpc::{
-    Computing, Contender, EstimatorChoice, Experiment, FallbackSettings, MpcError, MpcSettings,
-    Sensing, SensorChoice, SensorPreset, SensorSettings, Unknowns,
+    Computing, Contender, EstimatorChoice, Experiment, FallbackSettings, MpcSettings, Sensing,
+    SensorChoice, SensorPreset, SensorSettings, Unknowns,
 };
 use softarm::task::{ChannelLimits, Discretization, Limit, LimitKind, Place, Task};
 
@@ -124,16 +124,93 @@ fn cheap_limits_are_paid_for() {
     assert!(dear < 0.003, "{dear}");
 }
 
-/// What a controller cannot see is refused in words.
+/// Of a run: the largest speed of the tip, m/s, and means over its samples of the elastic energy, J, and of the square of the tip's tilt.
+fn measured(scene: &Experiment) -> [f64; 3] {
+    let mut speed: f64 = 0.0;
+    let (mut energy, mut tilt, mut n) = (0.0, 0.0, 0.0);
+    scene
+        .run(Contender::Mpc, &mut |_, closed| {
+            let (rod, state) = (closed.arm().rod(), closed.arm().state());
+            let tip = rod.n_elements();
+            speed = speed.max((state.linear_momentum[tip] / rod.nodes[tip].mass).norm());
+            energy += Energy::of(rod, &state).elastic;
+            let upright = state.configuration.rotations[tip] * Vector3::z() - Vector3::z();
+            tilt += upright.norm_squared();
+            n += 1.0;
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    [speed, energy / n, tilt / n]
+}
+
+/// The path moves at up to 0.157 m/s, on the mean at 0.1: a tip that may move at 0.13 m/s exceeds that by less than a hundredth of its scale.
 #[test]
-fn limits_of_speed_are_refused() {
+fn limits_of_speed_are_kept() {
+    let largest = 0.13;
     let kind = LimitKind::Speed {
         at: Place::Tip,
-        largest: 1.0,
+        largest,
     };
-    let scene = scene(vec![limit(kind, PathEnforcement::Hard)]);
-    let error = scene.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
-    assert!(matches!(error, Err(MpcError::Unsupported(_))), "{error:?}");
+    let free = scene(Vec::new());
+    let scales = free.plant.rod(&free.plant_discretization).unwrap().scales;
+    let [without, ..] = measured(&free);
+    let [with, ..] = measured(&scene(vec![limit(kind, PathEnforcement::Hard)]));
+    let excess = |speed: f64| (speed - largest) * scales.time / scales.length;
+    assert!(excess(without) > 0.02, "{without}");
+    assert!(excess(with) < 0.01, "{with}");
+}
+
+/// `R e₃ - e₃` of the tip.
+#[derive(Debug)]
+struct TipUpright;
+
+impl StateTerm for TipUpright {
+    fn n_values(&self, _: &Rod) -> usize {
+        3
+    }
+
+    fn nodes(&self, rod: &Rod, _: usize) -> Vec<usize> {
+        vec![rod.tip()]
+    }
+
+    fn value(&self, at: &StateView, item: usize) -> f64 {
+        (at.rotations[at.rod.tip()] * Vector3::z() - Vector3::z())[item]
+    }
+
+    // δ(R e₃) = R (ζ × e₃), component i: ζ · (e₃ × Rᵀ e_i)
+    fn gradient(&self, at: &StateView, item: usize) -> NodeForm {
+        let tip = at.rod.tip();
+        let row = at.rotations[tip].transpose() * Vector3::ith(item, 1.0);
+        NodeForm::default().along_rotation(tip, &Vector3::z().cross(&row))
+    }
+}
+
+/// Elastic energy and a term of one's own weigh in a loop as in a solve: their mean over the run falls with their weight, to less than a half where
+/// they are worth more than the path.
+#[test]
+fn costs_over_states_weigh() {
+    let weighed = |energy: f64, tilt: f64| {
+        let mut scene = scene(Vec::new());
+        scene.task.cost.energy = energy;
+        scene.task.cost.terms = vec![StateCost {
+            term: SharedTerm::new(TipUpright),
+            weight: tilt,
+        }];
+        measured(&scene)
+    };
+    let [_, energy, tilt] = weighed(0.0, 0.0);
+    let [_, little_energy, _] = weighed(1e3, 0.0);
+    let [_, least_energy, _] = weighed(1e5, 0.0);
+    let [_, _, little_tilt] = weighed(0.0, 1e2);
+    let [_, _, least_tilt] = weighed(0.0, 1e5);
+    assert!(
+        little_energy < energy && least_energy < 0.5 * energy,
+        "{energy} {little_energy} {least_energy}"
+    );
+    assert!(
+        little_tilt < tilt && least_tilt < 0.5 * tilt,
+        "{tilt} {little_tilt} {least_tilt}"
+    );
 }
 
 /// A loop with bounds on rates: its hold, the limits of force and moment, and what else is different.

@@ -313,11 +313,11 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
     let index = |node: usize, component: usize| {
         (node.checked_sub(first)).map(|free| NODE_COMPONENTS * free + component)
     };
-    for row in program.goal_rows() {
+    let gradients = program.goal_gradients(trajectory);
+    for (row, forms) in program.goal_rows().iter().zip(gradients) {
         if problem.goals[row.goal].time_node == last {
             let radius = problem.goal_radius(row.goal, row.part).unwrap_or(0.0);
             let size = tolerance.max(radius);
-            let forms = program.goal_gradient(trajectory, row);
             let terms = forms.iter().flat_map(|form| &form.terms);
             rows.push(
                 terms

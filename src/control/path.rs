@@ -7,8 +7,8 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
-use super::cost::durations;
 use super::obstacle::Shape;
+use super::residual::durations;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
@@ -221,21 +221,28 @@ pub(super) fn along(
 }
 
 /// `w·(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element.
-pub(super) fn element_form(q: usize, w: &SVector<f64, 9>) -> Vec<FormTerm> {
+pub(super) fn element_form(
+    q: usize,
+    w: &SVector<f64, 9>,
+) -> impl Iterator<Item = FormTerm> + use<> {
     let part = |i: usize| -> Vector3<f64> { w.fixed_rows::<3>(3 * i).into() };
     let dx = part(0);
     along(q, 0, &-dx)
         .chain(along(q + 1, 0, &dx))
         .chain(along(q, 3, &part(1)))
         .chain(along(q + 1, 3, &part(2)))
-        .collect()
 }
 
 /// The symmetric part of a matrix over `(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element, as a second derivative.
 pub(super) fn element_curvature(k: usize, q: usize, matrix: &SMatrix<f64, 9, 9>) -> RowCurvature {
     RowCurvature {
         forms: (0..9)
-            .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
+            .map(|i| {
+                at(
+                    k,
+                    element_form(q, &SVector::<f64, 9>::ith(i, 1.0)).collect(),
+                )
+            })
             .collect(),
         matrix: DMatrix::from_fn(9, 9, |i, j| 0.5 * (matrix[(i, j)] + matrix[(j, i)])),
     }
@@ -316,6 +323,25 @@ impl PathLimit {
         }
     }
 
+    /// Rows of every element, where the limit is one on the strains of elements; the rows of an element follow each other.
+    #[must_use]
+    pub fn rows_per_element(&self) -> Option<usize> {
+        match self {
+            Self::Stretch { .. } | Self::Twist { .. } => Some(2),
+            Self::Curvature { .. } => Some(1),
+            _ => None,
+        }
+    }
+
+    /// Number of time nodes whose states a row depends on: its own, and for speeds the one before.
+    #[must_use]
+    pub fn n_instants(&self) -> usize {
+        match self {
+            Self::Speed { .. } => 2,
+            _ => 1,
+        }
+    }
+
     /// The node, or first node of the element, that an item is about.
     #[must_use]
     pub fn node(&self, rod: &Rod, item: usize) -> usize {
@@ -386,13 +412,18 @@ impl PathLimit {
         Self::point_position(rod_view, k, q, s) - velocity * rod_view.grid.time(k)
     }
 
-    /// Mean velocity of a node over the step that ends at `k`, m/s; zero at the start.
-    fn velocity(rod_view: &RodView, k: usize, node: usize) -> Vector3<f64> {
-        if k == 0 {
+    /// Mean velocity of a node between two time nodes, m/s; zero where they are one.
+    fn velocity(rod_view: &RodView, [from, k]: [usize; 2], node: usize) -> Vector3<f64> {
+        if from == k {
             return Vector3::zeros();
         }
         let x = |k: usize| rod_view.trajectory.positions_at(k)[node];
-        (x(k) - x(k - 1)) / rod_view.grid.step
+        (x(k) - x(from)) / Self::between(rod_view, [from, k])
+    }
+
+    /// Time between two time nodes, s; one step where they are one.
+    fn between(rod_view: &RodView, [from, k]: [usize; 2]) -> f64 {
+        (k - from).max(1) as f64 * rod_view.grid.step
     }
 
     fn curvature_vector(rod_view: &RodView, k: usize, q: usize) -> Vector3<f64> {
@@ -407,9 +438,15 @@ impl PathLimit {
             .curvature
     }
 
-    /// Scaled value of a row at time node `k`.
+    /// Scaled value of a row at time node `k`; speeds are means over the step that ends there.
     #[must_use]
     pub fn value(&self, rod_view: &RodView, k: usize, item: usize) -> f64 {
+        self.value_since(rod_view, [k.saturating_sub(1), k], item)
+    }
+
+    /// [`Self::value`] at the second of two time nodes, with the mean speed between both.
+    #[must_use]
+    pub fn value_since(&self, rod_view: &RodView, [from, k]: [usize; 2], item: usize) -> f64 {
         let excess = match self {
             Self::Clearance {
                 shape,
@@ -439,7 +476,9 @@ impl PathLimit {
                 let kappa = Self::curvature_vector(rod_view, k, item / 2);
                 side(item) * kappa.z - largest
             }
-            Self::Speed { node, largest } => Self::velocity(rod_view, k, *node).norm() - largest,
+            Self::Speed { node, largest } => {
+                Self::velocity(rod_view, [from, k], *node).norm() - largest
+            }
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
         excess / self.scale(rod_view.rod)
@@ -458,6 +497,27 @@ impl PathLimit {
     /// First derivative of a row.
     #[must_use]
     pub fn gradient(&self, rod_view: &RodView, k: usize, item: usize) -> RowGradient {
+        let mut forms = at(k, Vec::new());
+        if self.n_instants() > 1 && k > 0 {
+            forms.extend(at(k - 1, Vec::new()));
+        }
+        let instants = [k.saturating_sub(1), k];
+        self.slopes(rod_view, instants, item, &mut |instant, term| {
+            if let Some(form) = forms.get_mut(instant) {
+                form.terms.push(term);
+            }
+        });
+        forms
+    }
+
+    /// Writes the first derivative of [`Self::value_since`], term by term: the instant (0 the second time node, 1 the first) and the term.
+    pub fn slopes(
+        &self,
+        rod_view: &RodView,
+        [from, k]: [usize; 2],
+        item: usize,
+        write: &mut dyn FnMut(usize, FormTerm),
+    ) {
         let inverse = 1.0 / self.scale(rod_view.rod);
         match self {
             Self::Clearance {
@@ -469,7 +529,7 @@ impl PathLimit {
                 let (q, s, _) = Self::point(*points, item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 let direction = -shape.distance(&x).gradient * inverse;
-                at(k, point_form(q, s, &direction))
+                point_form(q, s, &direction).for_each(|term| write(0, term));
             }
             Self::Stretch { .. } => {
                 let q = item / 2;
@@ -477,27 +537,27 @@ impl PathLimit {
                 let direction =
                     unit(&(x[q + 1] - x[q])) * (side(item) * inverse / rod_view.rod.rest_chords[q]);
                 let terms = along(q, 0, &-direction).chain(along(q + 1, 0, &direction));
-                at(k, terms.collect())
+                terms.for_each(|term| write(0, term));
             }
             Self::Curvature { .. } => {
                 let kappa = Self::curvature_vector(rod_view, k, item);
                 let n = unit(&Vector3::new(kappa.x, kappa.y, 0.0)) * inverse;
-                at(k, strain_form(rod_view, k, item, &n))
+                strain_form(rod_view, k, item, &n).for_each(|term| write(0, term));
             }
-            Self::Twist { .. } => at(
-                k,
-                strain_form(
-                    rod_view,
-                    k,
-                    item / 2,
-                    &(Vector3::z() * (side(item) * inverse)),
-                ),
-            ),
+            Self::Twist { .. } => {
+                let n = Vector3::z() * (side(item) * inverse);
+                strain_form(rod_view, k, item / 2, &n).for_each(|term| write(0, term));
+            }
             Self::Speed { node, .. } => {
-                let n = unit(&Self::velocity(rod_view, k, *node)) * (inverse / rod_view.grid.step);
-                velocity_form(k, *node, &n)
+                let along_motion = unit(&Self::velocity(rod_view, [from, k], *node));
+                let n = along_motion * (inverse / Self::between(rod_view, [from, k]));
+                along(*node, 0, &n).for_each(|term| write(0, term));
+                along(*node, 0, &-n).for_each(|term| write(1, term));
             }
-            Self::Term(term) => at(k, term.gradient(&rod_view.view(k), item).terms),
+            Self::Term(own) => {
+                let form = own.gradient(&rod_view.view(k), item);
+                form.terms.into_iter().for_each(|term| write(0, term));
+            }
         }
     }
 
@@ -516,7 +576,9 @@ impl PathLimit {
                 let (q, s, _) = Self::point(*points, item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 RowCurvature {
-                    forms: axes.map(|axis| at(k, point_form(q, s, &axis))).to_vec(),
+                    forms: axes
+                        .map(|axis| at(k, point_form(q, s, &axis).collect()))
+                        .to_vec(),
                     matrix: dynamic(&(shape.distance(&x).curvature * -inverse)),
                 }
             }
@@ -556,7 +618,7 @@ impl PathLimit {
                 &Matrix3::zeros(),
             ),
             Self::Speed { node, .. } => {
-                let v = Self::velocity(rod_view, k, *node);
+                let v = Self::velocity(rod_view, [k.saturating_sub(1), k], *node);
                 let forms = axes.map(|axis| velocity_form(k, *node, &(axis / rod_view.grid.step)));
                 RowCurvature {
                     forms: forms.to_vec(),
@@ -588,14 +650,14 @@ pub(super) fn term_curvature(
 }
 
 /// `direction · δ` of a point at the fraction `s` of the chord of element `q`.
-fn point_form(q: usize, s: f64, direction: &Vector3<f64>) -> Vec<FormTerm> {
-    if s > 0.0 {
-        along(q, 0, &(direction * (1.0 - s)))
-            .chain(along(q + 1, 0, &(direction * s)))
-            .collect()
-    } else {
-        along(q, 0, direction).collect()
-    }
+fn point_form(
+    q: usize,
+    s: f64,
+    direction: &Vector3<f64>,
+) -> impl Iterator<Item = FormTerm> + use<> {
+    // A point on a node has no share of the next one, which the last node lacks.
+    let next = (s > 0.0).then(|| along(q + 1, 0, &(direction * s)));
+    along(q, 0, &(direction * (1.0 - s))).chain(next.into_iter().flatten())
 }
 
 /// `direction · (δx^k - δx^{k-1})`.
@@ -608,7 +670,12 @@ fn velocity_form(k: usize, node: usize, direction: &Vector3<f64>) -> RowGradient
 }
 
 /// `n · δκ` of an element.
-fn strain_form(rod_view: &RodView, k: usize, q: usize, n: &Vector3<f64>) -> Vec<FormTerm> {
+fn strain_form(
+    rod_view: &RodView,
+    k: usize,
+    q: usize,
+    n: &Vector3<f64>,
+) -> impl Iterator<Item = FormTerm> + use<> {
     element_form(q, &(curvature_rows(rod_view, k, q).transpose() * n))
 }
 

@@ -96,18 +96,17 @@ fn evenly_turned(shape: &Configuration, node: usize, psi: &Vector3<f64>) -> Vect
     })
 }
 
-/// `log(R*ᵀ R)` of a goal of rotation `to`, followed along the motion of its node from the start, where `longer` says by which way: so it goes on beyond half
+/// `log(R*ᵀ R)` of a node at time node `k`, where `R*` is `to`, followed along the motion of its node from the start, where `longer` says by which way: so it goes on beyond half
 /// a turn where the motion does. Within a quarter turn of the goal the node is there by either way.
 pub(super) fn rotation_error(
-    goal: &Goal,
+    node: usize,
     to: &Matrix3<f64>,
-    trajectory: &Trajectory,
+    (trajectory, k): (&Trajectory, usize),
     longer: bool,
 ) -> Vector3<f64> {
-    let off = |k: usize| to.transpose() * trajectory.rotations_at(k)[goal.node];
-    let psi = log(&off(goal.time_node));
-    if psi.norm() > FRAC_PI_2 && is_followed_beyond_half_turn((0..=goal.time_node).map(off), longer)
-    {
+    let off = |k: usize| to.transpose() * trajectory.rotations_at(k)[node];
+    let psi = log(&off(k));
+    if psi.norm() > FRAC_PI_2 && is_followed_beyond_half_turn((0..=k).map(off), longer) {
         other_way(&psi)
     } else {
         psi

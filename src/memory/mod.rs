@@ -8,7 +8,7 @@ mod system;
 pub use self::system::{Available, available};
 
 use crate::control::OptimalControlProblem;
-use crate::control::cost::sample_times;
+use crate::control::residual::cost_residuals;
 use crate::mechanics::Rod;
 use crate::mechanics::sensitivity::TILE;
 use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
@@ -244,27 +244,11 @@ fn n_path_rows(problem: &OptimalControlProblem) -> usize {
         .fold(0, usize::saturating_add)
 }
 
-/// Residuals of the costs over states.
+/// Rows of the costs over states; one that reads the states at two instants counts twice.
 fn n_cost_rows(problem: &OptimalControlProblem) -> usize {
-    let objective = &problem.objective;
-    let energy = if objective.energy > 0.0 {
-        6 * problem.rod.n_elements()
-    } else {
-        0
-    };
-    let followed = (objective.tracking.iter())
-        .map(|track| {
-            // A row of a velocity reads positions at two samples.
-            3 * usize::from(!track.path.is_empty())
-                + 3 * usize::from(!track.rotations.is_empty())
-                + 6 * usize::from(track.speed_weight > 0.0)
-        })
-        .sum::<usize>();
-    let a_time = energy + followed;
-    if a_time == 0 {
-        return 0;
-    }
-    sample_times(problem).len().saturating_mul(a_time)
+    (cost_residuals(problem).iter())
+        .map(|residual| residual.kind.n_rows(&problem.rod) * residual.n_instants())
+        .sum()
 }
 
 /// Numbers of a deviation of the state.

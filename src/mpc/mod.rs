@@ -59,12 +59,12 @@ mod horizon;
 mod knots;
 mod limits;
 mod plant;
+mod rows;
 mod sensor;
 mod serving;
 mod signal;
 mod simulated_arm;
 mod soft_rows;
-mod speeds;
 mod subproblem;
 mod transfer;
 

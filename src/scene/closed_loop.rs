@@ -297,16 +297,9 @@ impl Scene {
     /// What no controller knows.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
-        let energy = (self.objective.as_ref()).is_some_and(|o| o.energy.get() > 0.0);
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
         let refusals = [
-            (
-                "limit",
-                self.limit.iter().any(|limit| limit.speed_max_m_s.is_some()),
-                "a closed loop knows no limits of speed",
-                "leave them out; obstacles and limits of stretch, curvature and twist it knows",
-            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),
@@ -318,12 +311,6 @@ impl Scene {
                 task.is_some_and(|task| task.free_duration.is_some()),
                 "a moving horizon has no free duration",
                 "leave it out; mpc.due_s says when the task is due",
-            ),
-            (
-                "objective.energy",
-                energy,
-                "a closed loop does not weigh elastic energy",
-                "set it to 0",
             ),
             (
                 "control.hold",

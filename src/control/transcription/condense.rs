@@ -2,10 +2,9 @@
 
 use faer::Mat;
 
-use super::rows::{Columns, Gathered, describe};
+use super::rows::{Columns, CostRow, Gathered, describe};
 use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
 use crate::control::acting::ControlCurvature;
-use crate::control::cost::CostRow;
 use crate::control::path::{RowCurvature, RowGradient};
 use crate::mechanics::StateForm;
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
@@ -107,8 +106,8 @@ impl Transcription<'_> {
         let rod_view = self.rod_view(point);
         let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
-        for row in &self.goal_rows {
-            gathered.push(self.goal_gradient(&point.trajectory, row));
+        for gradient in self.goal_gradients(&point.trajectory) {
+            gathered.push(gradient);
         }
         for &row in request.rows {
             gathered.push(self.path_gradient(&rod_view, row));
@@ -201,8 +200,9 @@ impl Transcription<'_> {
                 form
             }));
         };
-        for (row, &y) in self.goal_rows.iter().zip(&multipliers.constraints) {
-            add(self.goal_gradient(&point.trajectory, row), y);
+        let goals = self.goal_gradients(&point.trajectory);
+        for (gradient, &y) in goals.into_iter().zip(&multipliers.constraints) {
+            add(gradient, y);
         }
         for (row, &z) in multipliers.inequalities.iter().enumerate() {
             if z != 0.0 {

@@ -8,18 +8,18 @@ use nalgebra::Vector3;
 
 use crate::control::acting::ActingAlong;
 use crate::control::control_cost::ControlCost;
-use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times, speed_rows};
 use crate::control::path::{
-    PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient, along, at,
-    turn_curvature,
+    PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient,
 };
-use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
-use crate::control::turns::{longer_ways, rotation_error};
+use crate::control::problem::{Component, GoalRow, OptimalControlProblem};
+use crate::control::residual::{
+    Motion as States, Residual, cost_residuals, goal_curvature, goal_residuals,
+};
+use crate::control::turns::longer_ways;
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
-use crate::mechanics::rotation::log_tangent;
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
-use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, TrajectoryTangent};
+use crate::mechanics::{ControlSignal, StateForm, Trajectory, TrajectoryTangent};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Multipliers, Softness, StateLinearization, StateRow,
@@ -33,7 +33,7 @@ mod simulation;
 mod slacks;
 
 pub(super) use self::rows::describe;
-use self::rows::{Columns, WrenchColumn, goal_vector};
+use self::rows::{Columns, CostRow, WrenchColumn};
 use self::sets::convex_sets;
 pub use self::simulation::simulate;
 
@@ -95,8 +95,8 @@ pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
     goal_rows: Vec<GoalRow>,
-    /// Of every goal, whether its orientation is approached by more than half a turn.
-    longer_ways: Vec<bool>,
+    /// Their residuals, three rows each.
+    goals: Vec<Residual>,
     /// Variable of every goal row whose residual has one.
     slack_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
@@ -106,8 +106,8 @@ pub struct Transcription<'a> {
     path_starts: Vec<usize>,
     /// Duration that every time node of every path constraint stands for, s.
     path_durations: Vec<Vec<f64>>,
-    /// Time nodes at which costs over states are sampled, with durations, s.
-    samples: Vec<(usize, f64)>,
+    /// The residuals of the costs over states.
+    costs: Vec<Residual>,
     control_cost: ControlCost,
     relaxation: Option<Relaxation>,
     pub(super) n_controls: usize,
@@ -168,8 +168,10 @@ impl<'a> Transcription<'a> {
                 relaxation.as_ref().map(|relaxation| relaxation.weight),
             ),
             relaxation,
-            samples: sample_times(problem),
-            longer_ways: longer_ways(problem),
+            costs: (cost_residuals(problem).into_iter())
+                .filter(|residual| residual.counts(problem, &problem.grid))
+                .collect(),
+            goals: goal_residuals(problem, Some(&longer_ways(problem))),
             problem,
             components,
             goal_rows,
@@ -298,104 +300,55 @@ impl<'a> Transcription<'a> {
         self.problem.signal(&self.problem.control, &coefficients)
     }
 
-    /// Scaled residuals of the goals, without the variables that some have for them.
-    fn goal_residuals(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
-        self.goal_rows
-            .iter()
-            .map(|row| {
-                let longer = self.longer_ways[row.goal];
-                let vector = goal_vector(self.problem, trajectory, end, row, longer);
-                vector[row.axis] / self.problem.goal_scale(row.part)
-            })
-            .collect()
-    }
-
-    /// The rotation vector of a goal's orientation; 0 where it has none.
-    fn rotation_error(&self, trajectory: &Trajectory, row: &GoalRow) -> Vector3<f64> {
-        let goal = &self.problem.goals[row.goal];
-        let longer = self.longer_ways[row.goal];
-        (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
-            rotation_error(goal, to, trajectory, longer)
-        })
-    }
-
-    /// Derivative of one scaled residual.
-    pub(crate) fn goal_gradient(&self, trajectory: &Trajectory, row: &GoalRow) -> RowGradient {
-        let problem = self.problem;
-        let goal = &problem.goals[row.goal];
-        let (k, node) = (goal.time_node, goal.node);
-        let inertia = &problem.rod.nodes[node];
-        let inverse = 1.0 / problem.goal_scale(row.part);
-        let one = |component: usize, coefficient: f64| {
-            at(
-                k,
-                vec![FormTerm {
-                    node,
-                    component,
-                    coefficient,
-                }],
-            )
-        };
-        match row.part {
-            GoalPart::Position => one(row.axis, inverse),
-            GoalPart::Orientation => {
-                let psi = self.rotation_error(trajectory, row);
-                // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
-                let direction = log_tangent(&psi).column(row.axis) * inverse;
-                at(k, along(node, 3, &direction).collect())
-            }
-            GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),
-            GoalPart::AngularVelocity => one(9 + row.axis, inverse / inertia.rotary[row.axis]),
-            GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vec::new, |stay| {
-                let terms = stay.gradient(vector, row.axis, trajectory.rotations_at(k));
-                let scaled = terms.map(|term| FormTerm {
-                    coefficient: inverse * term.coefficient,
-                    ..term
-                });
-                at(k, scaled.collect())
+    /// The motion of a point with the momenta in which it ends; derivatives of residuals do without these.
+    fn states<'b>(&'b self, trajectory: &'b Trajectory, end: Option<&'b Defects>) -> States<'b> {
+        States {
+            view: RodView {
+                rod: &self.problem.rod,
+                radii: &self.problem.radii,
+                trajectory,
+                grid: self.problem.grid,
+            },
+            momenta: end.map_or([&[], &[]], |end| {
+                [&end.terminal_linear[..], &end.terminal_angular]
             }),
         }
     }
 
-    /// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
-    fn goal_curvature(&self, trajectory: &Trajectory, multipliers: &[f64]) -> Vec<RowCurvature> {
-        let of = |first: usize| Vector3::from_fn(|axis, _| multipliers[first + axis]);
-        let rows = self.goal_rows.iter().enumerate();
-        let mut out: Vec<_> = rows
-            .filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
-            .map(|(first, row)| {
-                let goal = &self.problem.goals[row.goal];
-                let psi = self.rotation_error(trajectory, row);
-                turn_curvature(goal.time_node, goal.node, &psi, &of(first))
-            })
-            .collect();
-        if let Some(stay) = &self.problem.stay {
-            let k = self.problem.goals[stay.goal].time_node;
-            let first = self.goal_rows.len() - 3 * stay.n_vectors();
-            let scale = self.problem.goal_scale(GoalPart::Deviation(0));
-            let y: Vec<_> = (0..stay.n_vectors())
-                .map(|vector| of(first + 3 * vector) / scale)
-                .collect();
-            let r = trajectory.rotations_at(k);
-            out.extend(stay.free_nodes().map(|node| {
-                let turned = stay.on_turn(node, &y);
-                turn_curvature(k, node, &stay.turn(node, &r[node]), &turned)
-            }));
+    /// Scaled residuals of the goals, without the variables that some have for them.
+    fn goal_values(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
+        let states = self.states(trajectory, Some(end));
+        let mut out = Vec::with_capacity(self.goal_rows.len());
+        for residual in &self.goals {
+            residual.values(self.problem, &states, &mut |_, value| out.push(value));
         }
         out
     }
 
-    /// The residuals of the costs over states.
-    fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
-        let rod_view = self.rod_view(point);
-        let at = |&(k, duration): &(usize, f64)| cost_rows(self.problem, &rod_view, k, duration);
-        let between = |pair: &[(usize, f64)]| {
-            let ends = [pair[0].0, pair[1].0];
-            speed_rows(self.problem, &rod_view, ends)
-        };
-        (self.samples.iter().flat_map(at))
-            .chain(self.samples.windows(2).flat_map(between))
+    /// Derivatives of the scaled residuals of the goals, in the order of [`Self::goal_rows`].
+    pub(crate) fn goal_gradients(&self, trajectory: &Trajectory) -> Vec<RowGradient> {
+        let states = self.states(trajectory, None);
+        (self.goals.iter())
+            .flat_map(|residual| residual.gradients(self.problem, &states))
             .collect()
+    }
+
+    /// The rows of the costs over states.
+    fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
+        let states = self.states(&point.trajectory, None);
+        let mut out: Vec<CostRow> = Vec::new();
+        for residual in &self.costs {
+            let first = out.len();
+            let gradients = residual.gradients(self.problem, &states);
+            out.extend(gradients.into_iter().map(|gradient| CostRow {
+                residual: 0.0,
+                gradient,
+            }));
+            residual.values(self.problem, &states, &mut |row, value| {
+                out[first + row].residual = value;
+            });
+        }
+        out
     }
 
     /// Residuals of the goals minus the variables that some have for them.
@@ -488,7 +441,9 @@ impl<'a> Transcription<'a> {
     /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
     fn own_curvature(&self, point: &LiftedPoint, multipliers: &Multipliers) -> Vec<RowCurvature> {
         let rod_view = self.rod_view(point);
-        let mut out = self.goal_curvature(&point.trajectory, &multipliers.constraints);
+        let states = self.states(&point.trajectory, None);
+        let y = &multipliers.constraints;
+        let mut out = goal_curvature(self.problem, &self.goals, &states, y);
         for (row, &y) in multipliers.inequalities.iter().enumerate() {
             if y != 0.0 {
                 let mut curvature = self.path_curvature(&rod_view, row);
@@ -496,9 +451,8 @@ impl<'a> Transcription<'a> {
                 out.push(curvature);
             }
         }
-        for &(k, duration) in &self.samples {
-            out.extend(cost_curvature(self.problem, &rod_view, k, duration));
-        }
+        let costs = self.costs.iter();
+        out.extend(costs.filter_map(|residual| residual.curvature(self.problem, &rod_view)));
         out
     }
 }
@@ -557,7 +511,7 @@ impl LiftedProgram for Transcription<'_> {
         let control = self.signal(&point.variables);
         let motion = self.problem.motion();
         let found = defects(&motion, &point.trajectory, &control).map_err(describe)?;
-        let residuals = self.goal_residuals(&point.trajectory, &found);
+        let residuals = self.goal_values(&point.trajectory, &found);
         let (control_cost, _) = self.control_cost.value(&point.variables);
         let state_cost: f64 = (self.state_costs(point).iter())
             .map(|row| 0.5 * row.residual * row.residual)
@@ -684,9 +638,10 @@ impl LiftedProgram for Transcription<'_> {
                     row
                 })
                 .collect(),
-            constraints: (self.goal_rows.iter().zip(&self.slack_variables))
-                .map(|(goal, soft)| {
-                    let mut row = of_forms(self.goal_gradient(trajectory, goal));
+            constraints: (self.goal_gradients(trajectory).into_iter())
+                .zip(&self.slack_variables)
+                .map(|(gradient, soft)| {
+                    let mut row = of_forms(gradient);
                     row.variables.extend(soft.map(|variable| (variable, -1.0)));
                     row
                 })

@@ -1,42 +1,20 @@
-//! Rows of goals, and forms gathered for one sweep.
+//! Rows of costs, and forms gathered for one sweep.
 
 use faer::Mat;
-use nalgebra::Vector3;
 
 use crate::control::acting::{ActingAlong, own_controls};
 use crate::control::path::RowGradient;
-use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
-use crate::control::turns::rotation_error;
-use crate::mechanics::linearization::Defects;
+use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::sensitivity::ControlColumns;
-use crate::mechanics::{StateForm, StepError, Trajectory};
+use crate::mechanics::{StateForm, StepError};
 use crate::sqp::Failure;
 
-/// A goal's vector before scaling; `longer` tells by which way its orientation is approached.
-pub(super) fn goal_vector(
-    problem: &OptimalControlProblem,
-    trajectory: &Trajectory,
-    end: &Defects,
-    row: &GoalRow,
-    longer: bool,
-) -> Vector3<f64> {
-    let goal = &problem.goals[row.goal];
-    let (k, node) = (goal.time_node, goal.node);
-    let inertia = &problem.rod.nodes[node];
-    let x = trajectory.positions_at(k)[node];
-    match row.part {
-        GoalPart::Position => x - goal.position.unwrap_or(x),
-        GoalPart::Orientation => (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
-            rotation_error(goal, to, trajectory, longer)
-        }),
-        GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
-        GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
-        GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vector3::zeros, |stay| {
-            let momenta = [&end.terminal_linear[..], &end.terminal_angular[..]];
-            let vectors = [trajectory.positions_at(k), momenta[0], momenta[1]];
-            stay.vector(vector, vectors, trajectory.rotations_at(k))
-        }),
-    }
+/// A row of the objective, which costs `½ r²`.
+pub(super) struct CostRow {
+    /// `r`, weights multiplied in.
+    pub(super) residual: f64,
+    /// `δr`
+    pub(super) gradient: RowGradient,
 }
 
 pub(in crate::control) fn describe(error: StepError) -> Failure {
