@@ -7,13 +7,11 @@ use softarm::mpc::{Contender, Outcome};
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 
-/// The scene of the page on scenes, under its heading.
+/// The scene of the tutorial on loops, under its heading.
 fn worked_scene() -> String {
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/scenes.md"));
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/loops.md"));
     let page = page.unwrap();
-    let (_, section) = page
-        .split_once("### A closed loop on a softer arm")
-        .unwrap();
+    let (_, section) = page.split_once("### A scene that holds a target").unwrap();
     let (_, scene) = section.split_once("```toml").unwrap();
     scene.split_once("```").unwrap().0.to_string()
 }

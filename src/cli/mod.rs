@@ -128,8 +128,12 @@ enum Command {
     },
     /// Write the motion of a result for other programs: VTK for ParaView, or one CSV table
     Export(export::ExportArguments),
-    /// Print the JSON Schema of the scene file
-    Schema,
+    /// Print the JSON Schema of the scene file, or the reference of its keys
+    Schema {
+        /// Print the reference in Markdown
+        #[arg(long)]
+        markdown: bool,
+    },
     /// Print the completions of a shell; in bash: source <(softarm completions bash)
     Completions {
         /// The shell
@@ -231,7 +235,7 @@ pub fn run() -> ExitCode {
             Ok(exit::DONE)
         }
         Command::Man { verb } => manual(verb.as_deref(), &console),
-        Command::Schema => schema::run(&console),
+        Command::Schema { markdown } => schema::run(*markdown, &console),
     };
     match outcome.and_then(|code| console.printed().map(|()| code)) {
         Ok(code) => ExitCode::from(code),

@@ -36,15 +36,15 @@ impl Wrench {
     }
 }
 
-/// The frame that a load is given in.
+/// Frame in which a vector is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LoadFrame {
-    /// The load keeps its direction in space.
+    /// The vector keeps its direction in space.
     #[default]
     Spatial,
-    /// The load turns with the node.
+    /// The vector turns with the node.
     Body,
 }
 

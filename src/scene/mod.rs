@@ -18,7 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scenes.md` explains every key.
+//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scene-reference.md` lists every key.
 
 mod accuracy;
 pub mod builtin;
@@ -39,6 +39,8 @@ mod model;
 mod overrides;
 mod path;
 mod reader;
+#[cfg(feature = "schema")]
+mod reference;
 mod refusal;
 mod rows;
 mod section;
@@ -155,6 +157,14 @@ impl Scene {
     #[cfg(feature = "schema")]
     pub fn schema() -> serde_json::Value {
         schemars::schema_for!(Scene).to_value()
+    }
+
+    /// Returns the reference of the scene file in Markdown: every section and key with type, unit, default and description, in
+    /// the words of [`Self::schema`].
+    #[cfg(feature = "schema")]
+    #[must_use]
+    pub fn reference() -> String {
+        reference::page(&Self::schema())
     }
 }
 

@@ -18,9 +18,9 @@ pub enum HessianChoice {
     /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
     #[default]
     Auto,
-    /// Of the objective alone.
+    /// Second derivatives of the objective alone, without those of its residuals.
     GaussNewton,
-    /// Of the Lagrangian.
+    /// Second derivatives of the Lagrangian.
     Exact,
 }
 

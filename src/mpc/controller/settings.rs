@@ -2,18 +2,19 @@
 
 use super::super::error::MpcError;
 
-/// The control that costs no effort.
+/// Control that costs no effort.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum EffortFrom {
-    /// None at all, as in an optimal-control problem: a tip that is held by force stays off its reference by what its weight allows.
+    /// The zero control, as in an optimal-control problem: a tip that is held by force stays off its reference by an
+    /// amount that depends on its weight.
     Zero,
-    /// The force at the tip that holds the model at the reference, its mass moved along, as far as it is actuated: no offset remains for the sake of
-    /// effort. Along a path it may lean on the arm with most of what makes it buckle.
+    /// The force at the tip, as far as it is actuated, that holds the model at the reference and moves its mass along:
+    /// effort then leaves no offset. Along a path this force may be most of the buckling load of the arm.
     Holding,
-    /// Where the reference rests, the force at the tip that holds the model there, if the arm is stable under that force; none where the reference
-    /// moves.
+    /// While the reference rests, the force at the tip (and the moment, if the tip is to be turned as well) that holds
+    /// the model there, if the arm is stable under it, so that effort leaves no offset; zero while the reference moves.
     #[default]
     Auto,
 }

@@ -8,16 +8,16 @@ use super::super::values::{self, Positive};
 use crate::mechanics::LoadFrame;
 use crate::mechanics::rotation::unit;
 
-/// The first node: where it is, how it is turned, and whether it is held or moved.
+/// Pose and motion of the first node.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
-    /// Whether the base is held in place, moved, or free.
+    /// Whether the base is held, driven, or free.
     pub kind: BaseKind,
-    /// Position in m; what a driven base moves from. Default: the origin.
+    /// Position in m; for a driven base, the position from which it moves. Default: the origin.
     pub position_m: [f64; 3],
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -29,16 +29,17 @@ pub struct Base {
     /// `roll_rad`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// The given motion of a driven base.
+    /// Prescribed motion of a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
-/// The given motion of the base: the sum of a uniform motion, curves through tables, and oscillations.
+/// Prescribed motion of the base: the sum of a uniform motion, curves through tables, and oscillations.
 ///
-/// Translations are displacements from `base.position_m`, in space. Rotations are rotation vectors r: the orientation at time t is
-/// exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times exp(r(t)). Parts about different axes add up as vectors.
-/// At t = 0 the arm has its shape where the base is then, and moves with it as a rigid body.
+/// Translations are displacements from `base.position_m` in the spatial frame. Rotations are rotation vectors r: the
+/// orientation at time t is exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times
+/// exp(r(t)). Rotation vectors of several terms add up. At t = 0 the arm has its shape where the base is then, and
+/// moves with it as a rigid body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -51,13 +52,13 @@ pub struct BaseMotion {
     /// starts and ends with zero velocity; constant before and after.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub translation_m: Option<Vec<[f64; 4]>>,
-    /// Rotation vector in rad over time, as [t in s, x, y, z], likewise.
+    /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
-    /// Frame of all rotation vectors: "spatial", or "body", that of the base as it is given, whose third axis is the arm's direction. Default:
-    /// "spatial".
+    /// Frame of all rotation vectors: the spatial one, or that of the base as it is given, whose third axis is the
+    /// arm's direction there.
     pub rotation_frame: LoadFrame,
-    /// Harmonic parts.
+    /// Harmonic terms.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub oscillation: Vec<Oscillation>,
 }
@@ -80,7 +81,7 @@ pub struct Oscillation {
     pub phase_rad: f64,
 }
 
-/// Whether the base is held or moved.
+/// Condition of the first node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]

@@ -8,8 +8,9 @@ use super::super::values::{self, NonNegative, Positive, known};
 use super::{Payload, Section};
 use crate::mpc::{EffortFrom, FallbackSettings, MpcSettings, SensorPreset};
 
-/// Model-predictive control of the arm in simulation, `softarm mpc`. The rod of the scene is the controller's model; `[control]` bounds
-/// what it sends, and `[task]` and `[[objective.track]]` say what it does.
+/// Model-predictive control of an arm, in simulation or, with `softarm mpc --serve`, of a plant in another process. The
+/// rod of the scene is the model of the controller, `[control]` bounds its commands, and `[task]` or
+/// `[[objective.track]]` is its reference.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -20,64 +21,69 @@ pub struct Mpc {
     /// quarter of `time.end_s`, and at least ten periods.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<Positive<values::Duration>>,
-    /// When the task is due in s, positive: the horizon does not go beyond, and shrinks before. Absent: `task.at_s`; without that the horizon
-    /// recedes for ever.
+    /// Time in s at which the task is due, positive: the horizon does not extend beyond it, and shrinks before.
+    /// Afterwards the wrench that holds the target acts, if `task.at_rest = true`. Absent: `task.at_s`; without that
+    /// the horizon recedes for ever.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub due_s: Option<Positive<values::Instant>>,
     /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub block_s: Option<Positive<values::Duration>>,
-    /// After so many blocks of one length the next ones are twice as long, at least 1. Absent: all are equal.
+    /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones
+    /// coarse; at least 1. Absent: all blocks are equal.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub equal_blocks: Option<usize>,
-    /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of `objective.force_scale_n` and
-    /// `moment_scale_n_m`; not negative, default 100.
+    /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of
+    /// `objective.force_scale_n` and `moment_scale_n_m`; not negative, default 100. If the model is coarser than the
+    /// arm, it keeps the controller from reacting to unmodeled fast modes. With a constant hold, which changes by jumps
+    /// alone, a jump costs the lesser of this and of a ramp between the middles of two blocks.
     pub jump: NonNegative<values::Weight>,
-    /// Where effort counts from while the horizon recedes: `"auto"` (default), from what holds the model's tip where its reference rests, if the arm is
-    /// stable under it, and from zero where it moves; `"holding"`, everywhere from what holds it there; or `"zero"`.
+    /// Control from which effort counts while the horizon recedes; before a due time it counts from zero.
     pub effort_from: EffortFrom,
-    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop. Where the horizon recedes,
-    /// the target's place is a track with ten times the default weight instead, and rest comes by itself.
+    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop.
+    /// If the horizon recedes, a track takes the place of the target, with ten times the default weight, or with the
+    /// default weights if there is an orientation too.
     pub target_weight: Positive<values::Weight>,
-    /// Price of a violation of 1, in the scale of its limit, of obstacles and limits that are not `soft` themselves: linear for a second, and
-    /// of half of its square; positive, default 5000. What keeps a limit is the weight of a track times the distance over the length by which
-    /// it holds the node back; far above that, commands jump.
+    /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive,
+    /// default 5000. A limit holds if its price exceeds the weight of a track times the distance, over the length, by
+    /// which the limit keeps the node from its reference. With prices far above that, commands jump.
     pub limit_price: Positive<values::Weight>,
-    /// Gauss-Newton iterations a sample, at least 1, default 1.
+    /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub iterations: usize,
-    /// Time in s after which a command is to be there, positive: no iteration but the first is begun that would end later. Commands then depend on
-    /// the machine. Absent: all iterations are made.
+    /// Time in s from the start of a sample at which its command is due, positive: an iteration other than the first is
+    /// not begun if it would end later. Commands then depend on the machine. Absent: all iterations are made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
-    /// How long the loop runs in s, positive. Absent: `time.end_s`.
+    /// Duration of the loop in s, positive. Absent: `time.end_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<Positive<values::Duration>>,
-    /// From when on distances of the tip from its reference count, in s, not negative. Absent: after the first sample.
+    /// Time in s from which on the errors of the tip count in the summary, not negative. Absent: after the first
+    /// sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub counted_from_s: Option<NonNegative<values::Time>>,
-    /// How long a command takes to be computed, in the loop's own time.
+    /// Computing time of a command in the loop's own time.
     pub computing: Computing,
     /// That time in s, not negative, with `computing = "fixed"`. Absent: one period.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub computing_s: Option<NonNegative<values::Time>>,
-    /// Delay of the actuators that the loop knows of in s, not negative. Absent: that of `[plant.actuator]`.
+    /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator_delay_s: Option<NonNegative<values::Time>>,
-    /// Whether the state is predicted over all delays, to when the command acts. Default: true.
+    /// Whether the state is predicted over all delays, to the time at which the command acts. Default: true.
     pub predict: bool,
-    /// Whether the controller's model takes over the estimated disturbances. Default: true.
+    /// Whether the controller's model includes the estimated disturbances. Default: true.
     pub compensate: bool,
-    /// Seed of the noise. Absent: that of `--seed`.
+    /// Seed of the noise; `--seed` takes precedence. Absent: that of `--seed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u32>,
-    /// What is done where no command can be computed.
+    /// Commands of samples for which no command can be computed. Absent: the defaults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fallback: Option<Fallback>,
 }
 
-/// How long a command takes to be computed, in the loop's own time.
+/// Computing time of a command in the loop's own time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -85,32 +91,33 @@ pub enum Computing {
     /// No time: the command of a sample acts from its beginning.
     #[default]
     None,
-    /// A fixed time, which the loop waits for.
+    /// A fixed time, for which the loop waits.
     Fixed,
-    /// What it takes on this machine: no two runs are the same.
+    /// The time that it takes on this machine: no two runs are the same.
     Measured,
 }
 
-/// What is done where no command can be computed: the plan as it is, then damping at the tip, then a ramp to zero.
+/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
+/// goes to zero along a ramp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Fallback {
-    /// Age in s of an estimate that is still predicted from, positive. Absent: `age_s` of a sensor and two of its periods, of the slowest one, and at
-    /// least 0.1.
+    /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
+    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least 0.1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub patience_s: Option<Positive<values::Duration>>,
     /// Samples in a row that follow the plan, default 10.
     pub plan_samples: usize,
     /// Samples in a row after these that damp the tip where its velocity is known, default 50.
     pub damping_samples: usize,
-    /// Time in s in which a ramp goes to zero, positive, default 0.5.
+    /// Duration in s of the ramp to zero, positive, default 0.5.
     pub ramp_s: Positive<values::Duration>,
     /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
     pub damping: Positive<values::Factor>,
 }
 
-/// The arm as it is, where it differs from the rod that the controller knows.
+/// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -129,21 +136,21 @@ pub struct Plant {
     /// Kelvin-Voigt time in s, not negative. Absent: `damping.internal_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub internal_s: Option<NonNegative<values::Time>>,
-    /// Curvature and twist without stress in 1/m, body frame. Absent: those of `[rod.reference]`.
+    /// Stress-free curvature and twist in 1/m, body frame. Absent: those of `[rod.reference]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_1_m: Option<[f64; 3]>,
     /// Section of a rod that has a material. Absent: `[rod.section]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
-    /// A rigid body at the tip, instead of `[payload]`.
+    /// A rigid body at the tip. Absent: `[payload]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
-    /// What lies between a command and the wrench that acts. Absent: it acts at once and exactly.
+    /// Dynamics and limits of the actuators. Absent: the wrench is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator: Option<PlantActuator>,
 }
 
-/// Actuators that are late, slow and limited.
+/// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -166,16 +173,16 @@ pub struct PlantActuator {
     pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
 }
 
-/// What is measured, how often, how late and with what noise. A standard deviation is that of each of three numbers; 0 is exact, and what has
-/// none, of its own or by `preset`, is not measured.
+/// A sensor with its noise, rate and age. A standard deviation is that of each of three numbers, and 0 is exact; a
+/// quantity without a standard deviation, of its own or by `preset`, is not measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
-    /// A usual sensor, whose numbers count where none is given below.
+    /// Usual sensor, which supplies the keys below that are not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<SensorPreset>,
-    /// Where, as fractions of the arm's length from the base.
+    /// Places of the measurement, as fractions of the length from the base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub places: Option<Vec<f64>>,
     /// Standard deviation of positions in m, not negative.
@@ -199,7 +206,8 @@ pub struct Sensor {
     /// Standard deviation of the moment on the clamp in N m, not negative.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_moment_sigma_n_m: Option<NonNegative<values::Deviation>>,
-    /// Measurements a second, positive. Absent: that of `preset`, or 100.
+    /// Measurements per second, positive. The default of `mpc.fallback.patience_s` depends on it. Absent: that of
+    /// `preset`, or 100.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
     /// Time in s from the instant of a measurement until it is known, not negative. Absent: that of `preset`, or 0.
@@ -207,41 +215,44 @@ pub struct Sensor {
     pub age_s: Option<NonNegative<values::Time>>,
 }
 
-/// How the state becomes known from sensors.
+/// Estimator of the state from sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
-    /// The method.
+    /// Method.
     pub kind: EstimatorKind,
-    /// Number of elements of the estimator's own model, 1 to 5000. Absent: `rod.elements`.
+    /// Number of elements of the estimator's own model, 1 to 5000. The cost of a Kalman filter grows with its third
+    /// power. Ten follow a path as well as more; an arm that stands still may be off by the difference of the two
+    /// models. Absent: `rod.elements`.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
-    /// What is estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or nothing. Absent: for a Kalman filter all
-    /// of them, for an observer nothing.
+    /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
+    /// nothing. Absent: for a Kalman filter all of them, for an observer nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
-    /// How fast the unknown wrenches of a Kalman filter change: the deflection over the length that they cause more or less within a second;
-    /// not negative. Larger, pushes are followed faster, and the noise of sensors with them. Absent: 0.007.
+    /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
+    /// cause within a second; not negative. With a larger rate, the estimate follows pushes faster, and the noise of
+    /// the sensors too. Absent: 0.007.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wrench_change_1_s: Option<NonNegative<values::Rate>>,
 }
 
-/// How the state becomes known.
+/// Method of an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum EstimatorKind {
     /// The true state is known at once; sensors play no part.
     None,
-    /// The model, with forces and moments in proportion to what is measured otherwise than expected.
+    /// The model, with forces and moments in proportion to the difference between measurement and model.
     Observer,
     /// An extended Kalman filter.
     Kalman,
 }
 
-/// What an estimator may find out besides the state.
+/// Unknown that an estimator finds besides the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "snake_case")]

@@ -7,17 +7,17 @@ use serde::{Deserialize, Serialize};
 use super::super::values::{self, NonNegative, Positive, known};
 use crate::control::Hold;
 
-/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
-/// is not named does not act.
+/// Force and moment on the tip, and wrenches on other nodes, as functions of time on blocks of equal duration. A force
+/// or moment that is not named does not act.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Control {
-    /// Number of blocks, at least 1, default 20.
+    /// Number of blocks into which the horizon of the controls is divided, at least 1, default 20.
     #[serde(default = "twenty")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub blocks: usize,
-    /// The course of the controls within a block.
+    /// Course of the controls within a block.
     #[serde(default)]
     pub hold: Hold,
     /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
@@ -44,13 +44,15 @@ pub struct Control {
     /// Couples along the arm. Absent: there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distributed: Option<Distributed>,
-    /// Weights of the feedback gains along the solution. Absent: no gains.
+    /// Weights of the regulator along the solution; the table may be empty. Absent: no gains are computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }
 
-/// A couple per length along the arm, in the body frame of every section: a cubic spline through points at equal distances, whose values may be
-/// chosen, and through 0 at both ends.
+/// A couple per length along the arm, in the body frame of every section, as muscles exert it: a cubic spline through
+/// points at equal distances, whose values are controls, and through 0 at both ends. It does not go with
+/// `[task.free_duration]` or with `solver.qp = "sparse"`. If it is the only actuator, give every `[[objective.track]]`
+/// a weight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -65,7 +67,7 @@ pub struct Distributed {
     pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
-/// What the regulator around the solution weighs.
+/// Weights of the regulator along the solution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]

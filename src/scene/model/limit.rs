@@ -27,13 +27,13 @@ pub struct Obstacle {
     /// A box.
     #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
     pub cuboid: Option<Cuboid>,
-    /// How the obstacle moves, in m/s: what is given is where it is at t = 0. Absent: it stays there.
+    /// Velocity of the obstacle in m/s; its shape is that at t = 0. Absent: it does not move.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_m_s: Option<[f64; 3]>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
     pub margin_m: NonNegative<values::Clearance>,
-    /// The price of coming closer. Absent: never.
+    /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
@@ -91,17 +91,17 @@ pub struct Cuboid {
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
-/// The price of a violation, in the units of the objective: per second and per violation over the rod's length (strains and
-/// angles as they are, speeds over the rod's length per its time scale), `linear` times it and half of `quadratic` times its square. A linear price above
-/// the constraint's multiplier keeps it exactly.
+/// Price of a violation d, in the units of the objective: `linear` times d and `quadratic` times d²/2, per second.
+/// Distances are divided by the length of the arm, curvatures multiplied by it, and speeds divided by length over time
+/// scale; stretch counts as it is. A linear price above the constraint's multiplier enforces the constraint exactly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Price {
-    /// Not negative, default 0.
+    /// Price of a violation of 1 for a second; not negative, default 0.
     #[serde(default)]
     pub linear: NonNegative<values::PriceOfViolation>,
-    /// Not negative, default 0; one of the two is positive.
+    /// Price of half of its square; not negative, default 0; one of the two is positive.
     #[serde(default)]
     pub quadratic: NonNegative<values::PriceOfViolation>,
 }
@@ -114,7 +114,8 @@ pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Least and largest length of an element over its length at rest. The model of the section holds for about [0.7, 1.3].
+    /// Smallest and largest length of an element, over its length at rest. The model of the section holds for about
+    /// [0.7, 1.3].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
@@ -126,10 +127,10 @@ pub struct Limit {
     /// Largest speed of a node in m/s, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
-    /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
+    /// Node whose speed is limited; only with `speed_max_m_s`. Absent: "tip".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
-    /// The price of a violation. Absent: never.
+    /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about

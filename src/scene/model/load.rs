@@ -22,12 +22,12 @@ pub struct Gravity {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
-    /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
-    /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
-    /// only half of the time, as exp(-c t/2).
+    /// Rate α in 1/s, not negative, default 0: the force on every node is -α times mass times velocity, and the moment
+    /// is -α times its angular momentum. A free velocity decays as exp(-α t), and the amplitude of a swing, whose
+    /// energy is kinetic only half of the time, as exp(-α t/2).
     pub viscous_1_s: NonNegative<values::DampingRate>,
-    /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
-    /// It damps a mode of angular frequency ω with the ratio τω/2.
+    /// Kelvin-Voigt time β in s, not negative, default 0: the stress has a term β times stiffness times rate of strain.
+    /// A mode of angular frequency ω then has the damping ratio βω/2.
     pub internal_s: NonNegative<values::Time>,
 }
 
@@ -61,10 +61,10 @@ pub struct DistributedLoad {
     /// Moment in N m per m of the arm's rest length. Default: none.
     #[serde(default)]
     pub moment_n_m_per_m: [f64; 3],
-    /// The frame that force and moment are given in.
+    /// Frame in which force and moment are given.
     #[serde(default)]
     pub frame: LoadFrame,
-    /// Factor on force and moment over time, as in `[[load]]`.
+    /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
@@ -74,8 +74,8 @@ pub struct DistributedLoad {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Load {
-    /// The node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node nearest to a fraction of
-    /// the length.
+    /// Node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node
+    /// nearest to a fraction of the length.
     pub node: LoadNode,
     /// Force in N. Default: none.
     #[serde(default)]
@@ -83,7 +83,7 @@ pub struct Load {
     /// Moment in N m. Default: none.
     #[serde(default)]
     pub moment_n_m: [f64; 3],
-    /// The frame that `force_n` and `moment_n_m` are given in.
+    /// Frame in which `force_n` and `moment_n_m` are given.
     #[serde(default)]
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.

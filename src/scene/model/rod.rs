@@ -21,23 +21,25 @@ pub struct Rod {
     #[serde(default = "first_elements")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     pub elements: usize,
-    /// Largest error of any point of the arm at any time that elements and time step may make, in lengths of the arm, 1e-8 to 0.1; in the
-    /// place of `elements` and `time.step_s`, which are then chosen. Default, where there are no elements: 1e-3.
+    /// Largest error of any point of the arm at any time that elements and time step may make, as a fraction of the
+    /// length, 1e-8 to 0.1. It stands in the place of `elements` and `time.step_s`, which are then chosen, and does not
+    /// go with nodes that are named by an index. Default: 1e-3 if there are no `elements`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Positive<values::Accuracy>>,
-    /// How strains follow from the nodes.
+    /// Rule by which strains follow from the nodes.
     #[serde(default)]
     pub strain: StrainRule,
-    /// How axial stretch enters stiffness and inertia.
+    /// Law by which axial stretch enters stiffness and inertia.
     #[serde(default)]
     pub model: RodModel,
-    /// The rotary inertia of the nodes.
+    /// Rotary inertia of the nodes.
     #[serde(default)]
     pub rotary_inertia: RotaryInertia,
-    /// Radius in m when the rod has no `section`, for pictures and for the distance from obstacles; has no effect on the motion.
+    /// Radius in m of a rod that has no `section`, for pictures and for the distance from obstacles; without effect on
+    /// the motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub display_radius_m: Option<Positive<values::Radius>>,
-    /// What the rod is made of; goes with `section`.
+    /// Material of the rod; goes with `section`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// The circular section; goes with `material`.
@@ -64,8 +66,9 @@ fn first_elements() -> usize {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RotaryInertia {
-    /// That of segments for a slender arm of a material that would take more than a second with that of sections, and five times as
-    /// long; otherwise that of sections. `softarm check` says which, and what it does to the first natural frequency.
+    /// That of segments if the arm is slender, has a material, and would take more than a second and five times as long
+    /// with that of sections; otherwise that of sections. `softarm check` says which, and how it changes the first
+    /// natural frequency.
     #[default]
     Auto,
     /// That of the section.
@@ -75,21 +78,24 @@ pub enum RotaryInertia {
     Segment,
 }
 
-/// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which then count.
+/// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which take
+/// precedence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Material {
-    /// A material by name: the figures below that are not given are its own.
+    /// Name of a material, which supplies the figures below that are not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub youngs_modulus_pa: Option<Positive<values::YoungsModulus>>,
-    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent, both: that of `preset`.
+    /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent: that of `preset`, if
+    /// `shear_modulus_pa` is absent too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub poisson_ratio: Option<PoissonRatio>,
-    /// Shear modulus in Pa, positive; either this or `poisson_ratio`.
+    /// Shear modulus in Pa, positive; either this or `poisson_ratio`. Absent: that of `preset`, if `poisson_ratio` is
+    /// absent too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shear_modulus_pa: Option<Positive<values::ShearModulus>>,
     /// Density in kg/m³, positive. Absent: that of `preset`.

@@ -8,22 +8,25 @@ use super::super::values::{self, NonNegative, Positive, known};
 use super::LoadNode;
 use crate::sqp::{HessianChoice, SqpSettings};
 
-/// What the optimizer makes small.
+/// Terms that the optimizer minimizes, with their weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
-    /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
+    /// Weight in 1/s of half the squared controls, integrated over time; not negative, default 1. It may be 0 with a
+    /// `rate`, or with a price of the duration.
     pub effort: NonNegative<values::Weight>,
-    /// Weight of the squared changes of the controls from block to block; not negative, default 0, in the place of which a loop whose horizon
-    /// recedes has 4 `effort` `mpc.block_s`².
+    /// Weight in s of half the squared rates of change of the controls, integrated over time; not negative, default 0.
+    /// A loop whose horizon recedes has 4 `effort` `mpc.block_s`² in the place of 0.
     pub rate: NonNegative<values::Weight>,
-    /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
+    /// Weight in 1/s of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models
+    /// with dilatation.
     pub energy: NonNegative<values::Weight>,
-    /// Nodes that should follow a path.
+    /// Paths that nodes follow.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub track: Vec<Track>,
-    /// Samples of energy and paths over the horizon, at least 1, default 100.
+    /// Intervals of the integrals of energy and tracks over the horizon, at least 1, default 100. A loop whose horizon
+    /// recedes uses at most two per block.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
@@ -36,22 +39,24 @@ pub struct Objective {
     pub moment_scale_n_m: Option<Positive<values::Moment>>,
 }
 
-/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time, and
-/// `orientation_weight` times half the squared angle from how it should be turned, and `speed_weight` times half the squared difference of its
-/// velocity from that of the path.
+/// A path that a node follows: `weight` times half the squared distance over the squared length, `orientation_weight`
+/// times half the squared angle, and `speed_weight` times half the squared difference of velocities, integrated over
+/// time.
 ///
-/// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
+/// A scene with `[control]` and a track is an optimal-control problem, with or without a `[task]`; without one, the
+/// horizon ends at `time.end_s`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Track {
-    /// Which node. Default: "tip".
+    /// Node that follows. Default: "tip".
     #[serde(default)]
     pub node: LoadNode,
-    /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
+    /// Path as rows [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub path_m: Vec<[f64; 4]>,
-    /// Whether the place of a row of `path_m` holds until the time of the next one, which the node is then to switch to. Default: false.
+    /// Whether the position of a row of `path_m` holds until the time of the next one, to which the node then switches.
+    /// Default: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switches: bool,
     /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that begin
@@ -69,19 +74,22 @@ pub struct Track {
     /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
-    /// How it should be turned, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar first: at constant
-    /// speed about one axis in between, constant before and after. A row alone holds at all times. With a path or without.
+    /// Orientations to follow, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar
+    /// first: at constant speed about one axis in between, constant before and after. A single row holds at all times.
+    /// Rows less than half a turn apart may add up to any turn. With a path or without.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub orientations_wxyz: Vec<[f64; 5]>,
     /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by one part in
     /// 10 000 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_weight: Option<Positive<values::Weight>>,
-    /// Weight of the difference of the node's velocity from that along the path, or of its velocity where there is no path; positive. A speed of the
-    /// length over the time scale, sqrt(rho A L^4/(E I)), counts as 1. Absent: any velocity.
+    /// Weight of the difference of the node's velocity from that along the path, or of its velocity if there is no
+    /// path; positive. Velocities are means from one sample to the next. A speed of the length over the time scale,
+    /// sqrt(rho A L^4/(E I)), counts as 1. Absent: the velocity is free.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_weight: Option<Positive<values::Weight>>,
-    /// Time in s from which on the node should be there, not negative: it meets what moves along the path, and goes along with it. Absent: 0.
+    /// Time in s from which on the node follows, not negative: it meets a target that moves along the path, and goes
+    /// along with it. Absent: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_s: Option<NonNegative<values::Time>>,
 }
@@ -101,8 +109,8 @@ pub struct Circle {
     pub normal: [f64; 3],
     /// Duration of a turn in s, positive.
     pub turn_s: Positive<values::Duration>,
-    /// Where the path begins, in m: it goes over into the circle within `ramp_s`, with the weight 3 p² - 2 p³ of the circle at the part p of
-    /// that time. Absent: on the circle.
+    /// Start of the path in m: it turns into the circle within `ramp_s`, with the weight 3 p² - 2 p³ of the circle at
+    /// the fraction p of that time. Absent: on the circle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the circle, positive; only with `from_m`. Absent: one turn.
@@ -130,8 +138,8 @@ pub struct FigureEight {
     pub normal: [f64; 3],
     /// Duration of a turn in s, positive.
     pub turn_s: Positive<values::Duration>,
-    /// Where the path begins, in m: it goes over into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at the part p of
-    /// that time. Absent: on the figure.
+    /// Start of the path in m: it turns into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at
+    /// the fraction p of that time. Absent: on the figure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the figure, positive; only with `from_m`. Absent: one turn.
@@ -139,36 +147,37 @@ pub struct FigureEight {
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 
-/// How the optimizer works.
+/// Settings of the optimizer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
-    /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
+    /// Largest residual of the optimality conditions at which a solve has converged; positive, default 1e-6.
     pub tolerance: Positive<values::Tolerance>,
-    /// Iterations after which to give up, those of all solves of a start together: its first points, the stages of a continuation, and the solves
-    /// that hold a free duration; at least 1, default 600.
+    /// Limit on the iterations of all solves of a start together: from every initial guess, of the stages of a
+    /// continuation, and at the durations tried for a free final time; at least 1, default 600. A solve that reaches it
+    /// ends as `iteration-limit`.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
-    /// Part of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
-    /// how much is left.
+    /// Fraction of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with
+    /// less to gain is a result, and the certificate says how much is left.
     pub saddle_gain: Positive<values::GainedPart>,
-    /// The second derivatives that the quadratic model uses.
+    /// Second derivatives in the quadratic model.
     pub hessian: HessianChoice,
-    /// How the quadratic subproblems are solved.
+    /// Variables of the quadratic subproblems.
     pub qp: Qp,
-    /// Where the iteration starts.
+    /// Initial guess.
     pub guess: Guess,
-    /// Solve easier problems first, and start each from the one before. Absent: no.
+    /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub continuation: Option<Continuation>,
-    /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
-    /// is written, positive. Absent: no limit.
+    /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
+    /// best iterate is written; a simulation and a loop write the rows that they have. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
 }
 
-/// How the quadratic subproblems are solved; the step is the same.
+/// Variables of the quadratic subproblems; the step is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -180,29 +189,29 @@ pub enum Qp {
     Sparse,
 }
 
-/// Where the iteration starts.
+/// Initial guess of a solve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
-    /// From rest, then, until a solve converges, from static shapes by detours (with obstacles), from those on the way to the task, by a
-    /// detour (without obstacles), and last as `"slow"`.
+    /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on
+    /// the way to the task, a detour (without obstacles), and last the slow motion.
     #[default]
     Auto,
-    /// From static shapes on the way to the task.
+    /// Static shapes on the way to the task.
     Static,
-    /// From the motion under the forces that would hold these shapes.
+    /// The motion under the forces that hold these shapes.
     Slow,
-    /// From the arm at rest and no controls.
+    /// The arm at rest, without controls.
     Rest,
 }
 
-/// What is made easier at first, and the number of problems, the last one included.
+/// Kind of continuation, and the number of problems, the last one included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Continuation {
-    /// The task moves from where the arm starts to where it is.
+    /// The target moves from the initial position of the tip to its own.
     Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
     /// Gravity and loads grow from nothing.
     Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),

@@ -12,24 +12,28 @@ use crate::task::StartShape;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Time {
-    /// Duration in s, from t = 0; not negative.
+    /// Duration of a simulation in s, from t = 0; not negative. A solve ends at `task.at_s`, which is this time by
+    /// default.
     pub end_s: NonNegative<values::Duration>,
-    /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
-    /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
+    /// Time step in s, or "auto": a stable step for this rod and the explicit integrator; for the implicit one 1/40 of
+    /// the period of the third bending mode, or less if the arm must be able to bend into a circle. In a closed loop it
+    /// is the step of the controller's model and may be longer than a sample period; "auto" takes implicit steps of
+    /// half a block, or of less under strong bending, if the horizon recedes and they are faster than explicit ones.
+    /// Default: "auto".
     #[serde(default)]
     pub step_s: TimeStep,
-    /// How a step is taken. Default: "auto".
+    /// Kind of time step. Default: "auto".
     #[serde(default)]
     pub integrator: TimeScheme,
 }
 
-/// How a time step is taken.
+/// Kind of time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
-    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and ten times as long; explicit with a
-    /// step_s that it can take. `softarm check` shows both predictions.
+    /// The kind that is predicted to be faster: implicit only if explicit steps would take more than a second and ten
+    /// times as long; explicit if `step_s` is stable for it. `softarm check` shows both predictions.
     #[default]
     Auto,
     /// Cheap steps that must resolve the fastest elastic wave of an element.
@@ -86,9 +90,10 @@ impl From<TimeStep> for TimeStepKey {
     }
 }
 
-/// State at t = 0: a shape, and a velocity as of a rigid body.
+/// State at t = 0: a shape, and the velocity of a rigid body.
 ///
-/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with its base's.
+/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with the velocity
+/// of its base.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -101,13 +106,14 @@ pub struct Initial {
     pub angular_velocity_rad_s: [f64; 3],
 }
 
-/// What is written.
+/// Contents of the result files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
-    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
-    /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
+    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until
+    /// it divides the interval between rows; with a given step, rows fall on the nearest multiple. Absent: every time
+    /// step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
     /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
