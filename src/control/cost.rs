@@ -11,17 +11,17 @@ use crate::mechanics::element::IntervalStress;
 use crate::mechanics::rotation::log_tangent;
 use crate::mechanics::{Rod, StrainRule};
 
-/// `½ r²` and the gradient of `r`.
+/// A residual `r` of the cost `½ r²`, with its gradient.
 #[derive(Clone, Debug)]
 pub struct CostRow {
-    /// `r`, weights multiplied in.
+    /// `r`, with the square root of the weight as a factor.
     pub residual: f64,
     /// `δr`
     pub gradient: RowGradient,
 }
 
-/// Time nodes at which costs over states are sampled, and the time that each stands for, s: the trapezoidal rule over a
-/// subset of the time nodes as even as possible, both ends included.
+/// Returns the time nodes at which costs on states are sampled, and the duration that each represents, s: the trapezoidal rule over a
+/// subset of the time nodes that is as even as possible, both ends included.
 #[must_use]
 pub fn sample_times(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let objective = &problem.objective;
@@ -35,7 +35,7 @@ pub fn sample_times(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     durations(&nodes, problem.grid.step)
 }
 
-/// Ascending time nodes with the time that each stands for by the trapezoidal rule, s.
+/// Returns the durations that ascending time nodes represent by the trapezoidal rule, s.
 #[must_use]
 pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
     let last = nodes.len().saturating_sub(1);
@@ -50,7 +50,7 @@ pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
         .collect()
 }
 
-/// The residuals at one sample that stands for `duration` seconds.
+/// Returns the residuals at one sample that represents `duration` seconds.
 #[must_use]
 pub fn cost_rows(
     problem: &OptimalControlProblem,
@@ -110,8 +110,8 @@ pub fn cost_rows(
     rows
 }
 
-/// The residuals of velocities that have a price, between two samples that follow each other: of the mean velocity there,
-/// `sqrt(w Δt) T/L ((x_b - x_a) - (x*_b - x*_a))/Δt`. Linear in the states.
+/// Returns the residuals of tracked velocities between two successive samples, by the mean velocity: `sqrt(w Δt) T/L ((x_b - x_a) - (x*_b -
+/// x*_a))/Δt`. They are linear in the states.
 #[must_use]
 pub fn speed_rows(
     problem: &OptimalControlProblem,
@@ -149,12 +149,12 @@ pub fn speed_rows(
     rows
 }
 
-/// Weight of the elastic energy at a sample, 1/J.
+/// Returns the weight of the elastic energy at a sample, 1/J.
 fn energy_weight(problem: &OptimalControlProblem, duration: f64) -> f64 {
     problem.objective.energy * duration / problem.rod.scales.moment
 }
 
-/// Square roots of the energy of one element: `½ Σ r²` is its weighted energy.
+/// Returns residuals `r` of one element for which `½ Σ r²` is its weighted energy.
 fn energy_rows(
     problem: &OptimalControlProblem,
     rod_view: &RodView,
@@ -182,7 +182,7 @@ fn energy_rows(
             });
         }
     };
-    // Both ends carry the same strain under the helical rule.
+    // The helical rule has the same strain at both ends of an element.
     let ends = match rod.strain_rule {
         StrainRule::Helical => 1,
         StrainRule::Trapezoidal => 2,
@@ -200,7 +200,7 @@ fn energy_rows(
     add(6, &element.angular_stiffness, &angular, weight);
 }
 
-/// `Σ r ∇²r` at one sample: of the energy, of orientations to follow, and of terms of one's own.
+/// Returns `Σ r ∇²r` at one sample: of the energy, of tracked orientations, and of user-defined terms.
 #[must_use]
 pub fn cost_curvature(
     problem: &OptimalControlProblem,
