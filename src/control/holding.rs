@@ -129,7 +129,9 @@ impl std::fmt::Display for CannotHold {
                 f,
                 "{controls} independent controls cannot meet the {equations} equations of this goal"
             ),
-            Self::AboveBounds(_) => write!(f, "the wrench that holds it there is beyond the bounds"),
+            Self::AboveBounds(_) => {
+                write!(f, "the wrench that holds it there is beyond the bounds")
+            }
             Self::Drifts => write!(
                 f,
                 "the base is free, and loads move the arm on where no wrench acts"
