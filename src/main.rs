@@ -5,16 +5,16 @@ fn main() -> std::process::ExitCode {
     softarm::cli::run()
 }
 
-/// Size in bytes from which an array is mapped by itself, and goes back to the system when it is freed: that of the states of long motions
-/// and of a regulator's matrices of fine arms. What is smaller comes and goes too often for that.
+/// Size in bytes from which an array is mapped separately and returned to the system when it is freed: that of the states of long motions
+/// and of a regulator's matrices of fine arms. Smaller arrays are allocated too often for that.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MAPPED: i32 = 7 << 18;
-/// Free memory in bytes at the end of the heap that is kept.
+/// Bytes of free memory at the end of the heap that are kept.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const KEPT: i32 = 4 << 20;
 
-/// Fixes two thresholds of the GNU allocator, which else raises them to the largest array that was ever freed and then keeps half as much again
-/// as the program ever used at a time.
+/// Fixes two thresholds of the GNU allocator, which otherwise raises them to the largest array that was ever freed, and then keeps half as
+/// much memory again as the program ever used at a time.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[allow(unsafe_code)]
 fn return_freed_memory() {
@@ -25,6 +25,6 @@ fn return_freed_memory() {
     }
 }
 
-/// Other allocators are left as they are.
+/// Leaves other allocators unchanged.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn return_freed_memory() {}

@@ -1,4 +1,4 @@
-//! The part of `softarm check` that is about a closed loop: horizon, sensors, the time of a sample, and what its reference takes.
+//! The part of `softarm check` about a closed loop: horizon, sensors, the time of a sample, and the wrench for its reference.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -10,17 +10,17 @@ use crate::output::closed_loop::{LoopSensor, LoopSummary, ReferenceSummary};
 use crate::scene::{ClosedLoopSetup, Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 
-/// Samples that are run to see how long one takes; the first is not counted.
+/// Number of samples that are timed; the first one is not counted.
 const SAMPLES: usize = 6;
-/// Time after which the samples are given up, s.
+/// Time limit of these samples, s.
 const PATIENCE: f64 = 5.0;
-/// Fraction of a wrench by which it may exceed a bound for the sake of rounding.
+/// Fraction by which a wrench may exceed a bound, for rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// Figures of the loop that a scene describes and what a user should know before running it; `None` for a scene without `[mpc]`.
+/// Returns the figures of the loop that a scene describes, and concerns about it; `None` for a scene without `[mpc]`.
 ///
 /// # Errors
-/// [`SceneError`] as for the verb `mpc`.
+/// Returns [`SceneError`] as the verb `mpc` does.
 pub(super) fn summarize(
     scene: &Scene,
     source: &SceneSource,
@@ -88,7 +88,7 @@ fn sensor(settings: &SensorSettings) -> LoopSensor {
     }
 }
 
-/// Says that the reference takes more than bounds allow; `None` where it does not.
+/// Says that the reference needs more than the bounds allow; `None` if it does not.
 fn above(need: &ReferenceSummary, setup: &ClosedLoopSetup) -> Option<String> {
     if is_within(need) {
         return None;

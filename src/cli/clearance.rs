@@ -1,4 +1,4 @@
-//! Distances of a simulated arm from the obstacles of its scene, which a simulation does not know.
+//! Distances of a simulated arm from the obstacles of its scene, which the simulation itself does not use.
 
 use nalgebra::Vector3;
 
@@ -8,7 +8,7 @@ use crate::output::summary::ClearanceSummary;
 use crate::scene::Simulation;
 use crate::task::LimitKind;
 
-/// The obstacles, and the least distances so far.
+/// The obstacles, and the smallest distances so far.
 pub(super) struct Clearances {
     obstacles: Vec<Obstacle>,
     radii: Vec<f64>,
@@ -16,11 +16,11 @@ pub(super) struct Clearances {
 
 struct Obstacle {
     name: String,
-    /// Where it is at t = 0.
+    /// Shape and place at t = 0.
     shape: Shape,
-    /// m/s
+    /// Velocity, m/s.
     velocity: Vector3<f64>,
-    /// Points of an element that are looked at.
+    /// Number of points of an element at which the distance is computed.
     points: usize,
     least: ClearanceSummary,
 }
@@ -58,7 +58,7 @@ impl Clearances {
         Self { obstacles, radii }
     }
 
-    /// Looks at the one row of a record.
+    /// Updates the distances with the one row of a record.
     pub(super) fn include(&mut self, row: &MotionRecord) {
         let t = row.t.last().copied().unwrap_or(0.0);
         let n = row.n_nodes;

@@ -37,7 +37,7 @@ pub(super) struct EquilibriumArguments {
     /// Loads that the load factor multiplies
     #[arg(long, value_enum, default_value = "all")]
     vary: Varied,
-    /// Time at which loads with a profile and a driven base are looked at, s
+    /// Time at which loads with a profile and a driven base are evaluated, s
     #[arg(
         long,
         value_name = "S",
@@ -45,7 +45,7 @@ pub(super) struct EquilibriumArguments {
         allow_negative_numbers = true
     )]
     time: f64,
-    /// Force across the tip, over EI/L², that stays as it is: a symmetric arm then buckles gradually, to its side
+    /// Constant force across the tip, divided by EI/L²: with it a symmetric arm buckles gradually, to the side of the force
     #[arg(
         long,
         value_name = "PART",
@@ -70,7 +70,7 @@ impl EquilibriumArguments {
         }
         if !(self.imperfection.is_finite() && self.imperfection.abs() <= 1.0) {
             return refuse(format!(
-                "--imperfection {}: a part of EI/L\u{b2} from -1 to 1; 1e-3 is a small one",
+                "--imperfection {}: a multiple of EI/L\u{b2} from -1 to 1; 1e-3 is a small one",
                 self.imperfection
             ));
         }
@@ -140,7 +140,8 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
     Ok(exit::DONE)
 }
 
-/// The statics of a scene, and the scene with the elements that they are of: with an accuracy, as many as the tip needs.
+/// Returns the statics of a scene, and the scene with the elements for which they were computed: with an accuracy, as many as the tip
+/// needs.
 fn accurate(
     scene: &Scene,
     source: &SceneSource,
@@ -177,7 +178,7 @@ fn refused(scene: &Scene, source: &SceneSource, error: StaticsError) -> CliError
     }
 }
 
-/// The findings in a few lines.
+/// Prints the findings in a few lines.
 fn tell(
     summary: &EquilibriumSummary,
     found: &Statics,

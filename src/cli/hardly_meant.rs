@@ -1,4 +1,4 @@
-//! Numbers of a scene that can be computed with and are hardly meant: a unit was mistaken, or a power of ten.
+//! Values of a scene that can be computed with but are probably mistakes: of a unit, or by a power of ten.
 
 use std::f64::consts::TAU;
 
@@ -7,12 +7,12 @@ use nalgebra::Vector3;
 use crate::mechanics::Rod;
 use crate::scene::{Load, Scene};
 
-/// Turns of a rod under a moment from which that is hardly meant.
+/// Turns of a rod under a moment above which the moment is probably a mistake.
 const MANY_TURNS: f64 = 20.0;
-/// Stretch of a rod under a force from which it is outside of what rods model.
+/// Stretch of a rod under a force above which rod models are not valid.
 const LARGE_STRAIN: f64 = 0.3;
 
-/// A number, the range of what there is, and what that range is.
+/// A value, the range of real values, and the names of the range's ends.
 struct Figure {
     key: &'static str,
     value: f64,
@@ -21,7 +21,7 @@ struct Figure {
     of: &'static str,
 }
 
-/// Warnings of moduli, densities, sizes, weights and loads that are powers of ten away from arms that there are.
+/// Returns warnings about moduli, densities, sizes, weights and loads that are powers of ten away from those of real arms.
 pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
     let material = scene.rod.material.as_ref();
     let modulus = material.and_then(|material| material.youngs_modulus());
@@ -99,7 +99,7 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
     out
 }
 
-/// Says what a load would do to the arm, where that is beyond what is meant.
+/// Describes the effect of a load on the arm if it exceeds the plausible range.
 fn heavy(index: usize, load: &Load, rod: &Rod) -> Option<String> {
     let factors = load
         .profile

@@ -1,4 +1,4 @@
-//! Numbers for readers: four digits with a prefix of the unit, in lines of at most 80 columns.
+//! Formats numbers for readers: four digits with a prefix of the unit, in lines of at most 80 columns.
 
 /// Columns of a line.
 const WIDTH: usize = 80;
@@ -6,12 +6,12 @@ const WIDTH: usize = 80;
 /// Prefixes from 10⁻⁹ to 10⁹, a thousand apart.
 const PREFIXES: [&str; 7] = ["n", "µ", "m", "", "k", "M", "G"];
 
-/// A value with its unit: `12 mm` for 0.012 m. Beyond the prefixes in powers of ten; a mass is given in grams.
+/// Formats a value with its unit: `12 mm` for 0.012 m. Beyond the prefixes, powers of ten are used; a mass is given in grams.
 pub(super) fn quantity(value: f64, unit: &str) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value} {unit}");
     }
-    // What four digits make of it, so that 0.99999 is 1, not 1000 m.
+    // The value rounded to four digits, so that 0.99999 is 1, not 1000 m.
     let rounded: f64 = format!("{value:.3e}").parse().unwrap_or(value);
     let thousands = (rounded.abs().log10() / 3.0 + 1e-12).floor() as i32;
     let Some(prefix) = usize::try_from(thousands + 3)
@@ -24,7 +24,7 @@ pub(super) fn quantity(value: f64, unit: &str) -> String {
     format!("{} {prefix}{unit}", digits(scaled))
 }
 
-/// A mass in kg with the unit that suits it.
+/// Formats a mass in kg with a suitable unit.
 pub(super) fn mass(kilograms: f64) -> String {
     if kilograms.abs() >= 1e3 {
         return format!("{} kg", digits(kilograms));
@@ -32,7 +32,7 @@ pub(super) fn mass(kilograms: f64) -> String {
     quantity(1e3 * kilograms, "g")
 }
 
-/// About four digits, without trailing zeros.
+/// Formats about four digits, without trailing zeros.
 pub(super) fn digits(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
         return format!("{value:.2e}");
@@ -46,7 +46,7 @@ pub(super) fn digits(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
 
-/// A line that begins with a word in a column of its own, broken between words.
+/// Formats an entry that begins with a word in a column of its own, broken between words.
 pub(super) fn entry(word: &str, text: &str) -> String {
     const INDENT: usize = 12;
     let mut out = format!("  {word:<width$}", width = INDENT - 2);

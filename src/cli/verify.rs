@@ -145,7 +145,7 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     })
 }
 
-/// What the certificate says about the files.
+/// Part of the certificate about the files.
 struct Cover {
     checks: Vec<FileCheck>,
     covers: Vec<String>,
@@ -156,7 +156,7 @@ struct Cover {
 /// Growth of disturbances up to the edges of the blocks, without and with feedback.
 type FoundGrowth = Option<[Vec<f64>; 2]>;
 
-/// The files of a result directory beside its solution.
+/// The files of a result directory besides its solution.
 struct Files<'a> {
     directory: &'a Path,
     setup: &'a OptimalControl,
@@ -165,7 +165,7 @@ struct Files<'a> {
 }
 
 impl Files<'_> {
-    /// The check of the solution and of the files, with curvature and growth unless it is to be quick.
+    /// Checks the solution and the files, with curvature and growth unless `quick` is set.
     fn examine(
         &self,
         rows: &[ControlRow],
@@ -177,14 +177,14 @@ impl Files<'_> {
         let cover = self.compare(rows, record, &check)?;
         problem.stop.check().map_err(CheckError::from)?;
         check.items.extend(cover.checks.iter().map(FileCheck::item));
-        // What is rejected already need not be a stationary point.
+        // A rejected solution need not be a stationary point.
         if !quick && check.is_certified() {
             check.deepen(problem, self.solution)?;
         }
         Ok((check, cover))
     }
 
-    /// Compares every file that is there with what it must say.
+    /// Compares every existing file with its required contents.
     fn compare(
         &self,
         rows: &[ControlRow],
@@ -258,7 +258,8 @@ impl Files<'_> {
         Ok(Some(summary))
     }
 
-    /// The gains against those that scene, motion and controls lead to; and the growth of disturbances without and with them.
+    /// Checks the gains against those that follow from scene, motion and controls; returns the growth of disturbances without and with
+    /// them.
     fn feedback(&self, path: &Path) -> Result<(FileCheck, FoundGrowth), CliError> {
         let problem = &self.setup.problem;
         let nothing = |why: &str| {
@@ -286,7 +287,7 @@ impl Files<'_> {
     }
 }
 
-/// Names in the directory that are not among `covered`, sorted; of very many, the first.
+/// Returns the names in the directory that are not among `covered`, sorted; at most [`MOST_NAMES`] of them.
 fn others(directory: &Path, covered: &[String]) -> Result<Vec<String>, CliError> {
     let cannot_read = |error| OutputError::Io {
         path: directory.to_path_buf(),
@@ -309,11 +310,11 @@ fn others(directory: &Path, covered: &[String]) -> Result<Vec<String>, CliError>
     Ok(names)
 }
 
-/// Names that are listed, at most.
+/// Cap on the names that are listed.
 const MOST_NAMES: usize = 100;
-/// Bytes of a summary, at most: of a thousand starts.
+/// Cap on the bytes of a summary: one of a thousand starts.
 const LARGEST_SUMMARY: u64 = 1 << 22;
-/// Bytes of a scene, at most.
+/// Cap on the bytes of a scene.
 const LARGEST_SCENE: u64 = 1 << 20;
 
 fn read_motion(
@@ -343,7 +344,7 @@ fn trajectory_of(record: &MotionRecord) -> Trajectory {
     }
 }
 
-/// The coefficients of the controls in the result directory of a problem.
+/// Reads the coefficients of the controls from the result directory of a problem.
 pub(super) fn read_coefficients(
     directory: &Path,
     problem: &OptimalControlProblem,

@@ -1,7 +1,7 @@
-//! Optimal control of a rod: the problem, its transcription, and the first guess.
+//! Optimal control of a rod: the problem, its transcription, and the initial guess.
 //!
 //! An [`OptimalControlProblem`] comes from [`Task::discretize`](crate::task::Task::discretize); [`search`](fn@search) solves it,
-//! [`holding`] says by which wrench the target is held, and a [`StateTerm`] is a cost or a limit of one's own.
+//! [`holding`] finds the wrench that holds the target, and a [`StateTerm`] is a user-defined cost or limit.
 //!
 //! ```
 //! use nalgebra::Vector3;

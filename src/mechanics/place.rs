@@ -6,7 +6,7 @@ use super::configuration::Configuration;
 use super::rod::Rod;
 use super::rotation::{exp, exp_tangent, log};
 
-/// The pose at the fraction `s` of element `q`.
+/// Returns the pose at the fraction `s` of element `q`.
 pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
     if s == 0.0 {
         return (at.positions[q], at.rotations[q]);
@@ -24,7 +24,7 @@ pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matri
     (x + r * (part * strain), r * exp(&(psi * s)))
 }
 
-/// Arc length of every node over the rod's length.
+/// Returns the arc length of every node divided by the rod's length.
 pub(crate) fn node_places(rod: &Rod) -> Vec<f64> {
     let mut sum = 0.0;
     let mut ends = vec![0.0];
@@ -38,9 +38,9 @@ pub(crate) fn node_places(rod: &Rod) -> Vec<f64> {
     ends
 }
 
-/// The element that a part of the length is on, and the fraction of it, for the [places of the nodes](node_places).
+/// Returns the element at a fraction of the length, and the fraction of the element, given the [places of the nodes](node_places).
 pub(crate) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
-    // A node to rounding is that node.
+    // A place that equals a node up to rounding is that node.
     const SAME: f64 = 1e-12;
     let q = nodes
         .partition_point(|end| *end <= part + SAME)

@@ -1,4 +1,4 @@
-//! The files of a closed loop: its summary, and a row a sample.
+//! The files of a closed loop: its summary, and a row for each sample.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,10 +11,10 @@ use super::OutputError;
 use super::reading::read_text;
 use crate::mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
 
-/// A closed loop before it runs, of which `check` tells.
+/// Figures of a closed loop before it runs, as `check` reports them.
 #[derive(Clone, Debug, Serialize)]
 pub struct LoopSummary {
-    /// Samples that a run has.
+    /// Number of samples of a run.
     pub samples: usize,
     /// Sample period, s.
     pub period_s: f64,
@@ -22,42 +22,42 @@ pub struct LoopSummary {
     pub horizon_s: f64,
     /// Length of a block of the plan, s.
     pub block_s: f64,
-    /// Sensors that an estimator uses; empty where the true state is known.
+    /// Sensors that an estimator uses; empty if the true state is known.
     pub sensors: Vec<LoopSensor>,
-    /// Median time of a sample on this machine, s; absent where the first samples took too long.
+    /// Median time of a sample on this machine, s; absent if the first samples took too long.
     pub sample_s: Option<f64>,
-    /// What holds the tip at its reference where that takes most; absent without a reference of at most ten minutes and where no force acts on the
-    /// tip.
+    /// The wrench that holds the tip at its reference, at the time at which it is largest; absent without a reference of at most ten
+    /// minutes, and if no force acts on the tip.
     pub reference: Option<ReferenceSummary>,
 }
 
 /// A sensor of a loop.
 #[derive(Clone, Debug, Serialize)]
 pub struct LoopSensor {
-    /// Places over the length; empty for one on the clamp.
+    /// Places, divided by the length; empty for a sensor on the clamp.
     pub places: Vec<f64>,
-    /// Measurements a second, Hz.
+    /// Measurements per second, Hz.
     pub rate_hz: f64,
     /// Time until a measurement is known, s.
     pub age_s: f64,
 }
 
-/// The wrench on the tip that holds the model at its reference and moves its mass along.
+/// The wrench on the tip that holds the model at its reference and accelerates its mass along it.
 #[derive(Clone, Debug, Serialize)]
 pub struct ReferenceSummary {
-    /// Time at which it takes most, s.
+    /// Time at which it is largest, s.
     pub at_s: f64,
-    /// Force in space, N.
+    /// Force, spatial frame, N.
     pub force_n: [f64; 3],
-    /// Moment in the body frame, N m.
+    /// Moment, body frame, N m.
     pub moment_n_m: [f64; 3],
-    /// By how much the force exceeds its bound, N; 0 within.
+    /// Excess of the force over its bound, N; 0 within.
     pub force_excess_n: f64,
-    /// By how much the moment exceeds its bound, N m; 0 within.
+    /// Excess of the moment over its bound, N m; 0 within.
     pub moment_excess_n_m: f64,
 }
 
-/// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
+/// Summary of `mpc`. Durations of samples are those of this machine and do not include the first sample.
 #[derive(Clone, Debug, Serialize)]
 pub struct MpcSummary {
     /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
@@ -70,9 +70,9 @@ pub struct MpcSummary {
     pub scene: String,
     /// `completed`, `interrupted`, `deadline` or `failed`.
     pub status: &'static str,
-    /// Why it failed.
+    /// The reason of a failure.
     pub error: Option<String>,
-    /// Samples that ran.
+    /// Number of samples that ran.
     pub samples: usize,
     /// Time between two samples, s.
     pub period_s: f64,
@@ -80,9 +80,9 @@ pub struct MpcSummary {
     pub horizon_s: f64,
     /// Elements of the controller's model.
     pub elements: usize,
-    /// Elements of the arm as it is.
+    /// Elements of the plant.
     pub plant_elements: usize,
-    /// Samples that took longer than the period.
+    /// Number of samples that took longer than the period.
     pub overruns: usize,
     /// Seconds of a whole sample.
     pub sample_s: Percentiles,
@@ -94,69 +94,69 @@ pub struct MpcSummary {
     pub prepare_s: Percentiles,
     /// Seconds of the first sample.
     pub first_sample_s: f64,
-    /// Simulated seconds over seconds of samples.
+    /// Simulated seconds divided by seconds of samples.
     pub real_time_factor: f64,
-    /// From when on errors count, s.
+    /// Time from which errors count, s.
     pub counted_from_s: f64,
     /// Distance of the tip from its reference, m.
     pub tip_error_m: TipError,
-    /// The same over the length of the arm.
+    /// Distance of the tip from its reference, divided by the length of the arm.
     pub tip_error_over_length: TipError,
-    /// Angle of the tip from how it should be turned, rad; absent where nothing asks for it.
+    /// Angle of the tip from its reference orientation, rad; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tip_turn_rad: Option<TipError>,
-    /// Other laws, and this one with parts taken away that may be wrong; empty without `--baselines`.
+    /// Results of other laws, and of this one with its imperfections removed; empty without `--baselines`.
     pub baselines: BTreeMap<&'static str, BaselineSummary>,
-    /// Samples without a command of their own, by the cause.
+    /// Number of samples without a command of their own, by cause.
     pub fallbacks: BTreeMap<String, usize>,
-    /// What was measured beside what the filter expected; absent without one.
+    /// Innovations of the filter; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub innovations: Option<Innovations>,
-    /// Samples with active bounds.
+    /// Number of samples with active bounds.
     pub bounded: usize,
-    /// How nearly the arm kept obstacles and limits, at the ends of samples.
+    /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
-    /// What may be changed where the estimate is in doubt, where commands are late, and where the tip is far from its reference at the end.
+    /// Changes that may help if the estimate is doubtful, commands are late, or the tip ends far from its reference.
     pub advice: Vec<String>,
-    /// How far the model's nodes were from describing the arm's shape at the end, m.
+    /// Error of the arm's shape at the end on the model's nodes, m.
     pub transfer_error_m: f64,
     /// Seed of the noise.
     pub seed: u32,
     /// Time of the whole command, s.
     pub wall_s: f64,
-    /// Where the result is.
+    /// Path of the result directory.
     pub directory: String,
 }
 
-/// Where an arm was nearest to violating a limit, or farthest beyond it.
+/// The place and time at which an arm was nearest to violating a limit, or farthest beyond it.
 #[derive(Clone, Debug, Serialize)]
 pub struct LimitPeak {
     /// Name of the obstacle or limit.
     pub name: String,
-    /// By how much the limit was exceeded, in its unit; negative: what was left.
+    /// Excess over the limit, in its unit; negative within the limit.
     pub excess: f64,
     /// `m`, `1/m`, or nothing.
     pub unit: &'static str,
-    /// When, s.
+    /// Time, s.
     pub at_s: f64,
-    /// At which node of the arm as it is, or in the element after it.
+    /// Node of the plant, or first node of the element.
     pub node: usize,
 }
 
-/// What another law did on the same arm.
+/// Result of another law on the same arm.
 #[derive(Clone, Debug, Serialize)]
 pub struct BaselineSummary {
-    /// As of the summary.
+    /// Status, as in the summary.
     pub status: &'static str,
-    /// Why it failed.
+    /// The reason of a failure.
     pub error: Option<String>,
-    /// Samples that ran.
+    /// Number of samples that ran.
     pub samples: usize,
     /// Distance of the tip from its reference, m.
     pub tip_error_m: TipError,
-    /// The same over the length of the arm.
+    /// Distance of the tip from its reference, divided by the length of the arm.
     pub tip_error_over_length: TipError,
-    /// Angle of the tip from how it should be turned, rad; absent where nothing asks for it.
+    /// Angle of the tip from its reference orientation, rad; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tip_turn_rad: Option<TipError>,
 }
@@ -227,14 +227,14 @@ const COLUMNS: [&str; 62] = [
     "overrun",
 ];
 
-/// Columns from which on two runs of one scene differ: times of this machine.
+/// First of the columns in which two runs of one scene differ: times of this machine.
 pub const FIRST_TIMED_COLUMN: &str = "estimate_ms";
 
-/// Writes one row a sample, with a header; every number in the shortest form that reads back as the same `f64`, what there is not as
-/// nothing.
+/// Writes one row for each sample, with a header; every number in the shortest form that reads back as the same `f64`, absent values as
+/// empty fields.
 ///
 /// # Errors
-/// [`OutputError::Unwritten`].
+/// Returns [`OutputError::Unwritten`].
 pub fn write_samples(path: &Path, samples: &[Sample]) -> Result<(), OutputError> {
     let unwritten = || OutputError::unwritten(path, "cannot write");
     let file = File::create(path).map_err(unwritten())?;
@@ -250,36 +250,36 @@ pub fn write_samples(path: &Path, samples: &[Sample]) -> Result<(), OutputError>
         .map_err(unwritten())
 }
 
-/// What a page shows of a sample: some columns of `samples.csv`.
+/// The columns of `samples.csv` that a page shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SampleRow {
-    /// When the sample began, s.
+    /// Time at which the sample began, s.
     pub t: f64,
-    /// When its command began to act, s.
+    /// Time at which its command began to act, s.
     pub acts_from: f64,
-    /// Where the tip was, m.
+    /// Position of the tip, m.
     pub tip: [f64; 3],
-    /// Where the tip should have been, m.
+    /// Reference position of the tip, m.
     pub reference: Option<[f64; 3]>,
-    /// Distance of the tip from there, m; NaN without a reference.
+    /// Distance of the tip from its reference, m; NaN without a reference.
     pub error: f64,
-    /// Angle of the tip from how it should have been turned, rad; NaN where nothing asks for it.
+    /// Angle of the tip from its reference orientation, rad; NaN without one.
     pub turn: f64,
-    /// First force of the command, spatial, N.
+    /// First force of the command, spatial frame, N.
     pub force: [f64; 3],
     /// First moment of the command, body frame, N m.
     pub moment: [f64; 3],
     /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
     /// damping (1/s), time of internal damping and delay (s).
     pub disturbance: [f64; 14],
-    /// Its standard deviations.
+    /// Standard deviations of the estimated disturbance.
     pub deviation: [f64; 14],
     /// Times of estimation, prediction, feedback, preparation and of the whole sample, ms.
     pub times_ms: [f64; 5],
 }
 
 impl SampleRow {
-    /// Of a sample that was run.
+    /// Returns the row of a sample.
     #[must_use]
     pub fn of(sample: &Sample) -> Self {
         let numbers = |d: &Disturbance| {
@@ -306,7 +306,7 @@ impl SampleRow {
     }
 }
 
-/// Times of the parts of a sample, and of the whole, ms.
+/// Returns the times of the parts of a sample, and of the whole, ms.
 fn milliseconds(sample: &Sample) -> [f64; 5] {
     [
         sample.estimate_s,
@@ -318,13 +318,13 @@ fn milliseconds(sample: &Sample) -> [f64; 5] {
     .map(|s| 1e3 * s)
 }
 
-/// Bytes of a row, at most: fifty numbers.
+/// Upper limit of the bytes of a row of fifty numbers.
 const LARGEST_ROW: u64 = 1 << 11;
 
-/// Reads at most `most` rows of what [`write_samples`] writes, as far as a page shows it.
+/// Reads the columns for a page from at most `most` rows of a file of [`write_samples`].
 ///
 /// # Errors
-/// [`OutputError`] for a missing column, and for a number that is none.
+/// Returns [`OutputError`] for a missing column, and for a field that is not a number.
 pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputError> {
     let malformed = |line: Option<u64>, reason: String| OutputError::Malformed {
         path: path.to_path_buf(),
@@ -340,7 +340,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         (header.iter().position(|known| known == name))
             .ok_or_else(|| malformed(Some(1), format!("no column {name}")))
     };
-    // Columns that follow each other in the file are found by the first of them.
+    // Groups of columns are located by their first one.
     let [
         t,
         acts_from,
@@ -415,7 +415,7 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
     Ok(rows)
 }
 
-/// What stands under [`COLUMNS`].
+/// Returns the fields of [`COLUMNS`] for a sample.
 fn row(sample: &Sample) -> Vec<String> {
     let mut row = Row(Vec::with_capacity(COLUMNS.len()));
     row.numbers(&[sample.t, sample.acts_from, sample.age]);
@@ -492,7 +492,7 @@ impl Row {
 mod tests {
     use super::*;
 
-    /// No column has the name of another, and there are some that are timed.
+    /// Columns have distinct names, and some are timed.
     #[test]
     fn columns_have_names_of_their_own() {
         let names: std::collections::BTreeSet<_> = COLUMNS.into_iter().collect();

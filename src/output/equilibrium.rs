@@ -1,4 +1,4 @@
-//! What `softarm equilibrium` writes: summary, tables of the shape, of what the elements bear, and of the sweep.
+//! The files of `softarm equilibrium`: summary, tables of the shape, of the strains and stresses of elements, and of the sweep.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -23,7 +23,7 @@ pub struct EquilibriumSummary {
     pub command: &'static str,
     /// Name of the scene.
     pub scene: String,
-    /// `found`, or `cut` where the sweep ends before its end.
+    /// `found`, or `cut` if the sweep ends early.
     pub status: &'static str,
     /// Rod model.
     pub model: &'static str,
@@ -31,15 +31,15 @@ pub struct EquilibriumSummary {
     pub strain: &'static str,
     /// Number of elements.
     pub elements: usize,
-    /// Time at which loads and a driven base are looked at, s.
+    /// Time at which loads and a driven base are evaluated, s.
     pub time_s: f64,
     /// Loads that the load factor multiplies: `all`, `loads` or `gravity`.
     pub varied: Varied,
     /// Pose of the tip at load factor 1.
     pub tip: TipPose,
-    /// Distance of the tip from where it is at load factor 0, m.
+    /// Distance of the tip from its place at load factor 0, m.
     pub tip_displacement_m: f64,
-    /// Estimated error of the tip that the elements make, m; absent where twice as many have another equilibrium.
+    /// Estimated error of the tip by the discretization in elements, m; absent if twice as many have another equilibrium.
     pub refined_space_m: Option<f64>,
     /// Length of the polygon of nodes, m.
     pub length_m: f64,
@@ -50,19 +50,19 @@ pub struct EquilibriumSummary {
     pub energy: StaticEnergy,
     /// Wrench of the base on the arm.
     pub base: BaseWrench,
-    /// Largest bending curvature of any element, 1/m, rest curvature included.
+    /// Largest bending curvature of any element, 1/m, including rest curvature.
     pub curvature_max_1_m: f64,
-    /// Largest twist of any element, 1/m, rest twist included.
+    /// Largest twist of any element, 1/m, including rest twist.
     pub twist_max_1_m: f64,
-    /// Stability under the loads as they are.
+    /// Stability under the present loads.
     pub stability: StabilitySummary,
-    /// Tip that the arm comes to when it is pushed a little, where its equilibrium is not stable and another one was found, m.
+    /// Tip position to which the arm moves after a small push, if its equilibrium is not stable and another one was found, m.
     pub goes_to_m: Option<[f64; 3]>,
     /// The load factor at which stability is lost.
     pub buckling: BucklingSummary,
-    /// Equilibria over the load factor.
+    /// Equilibria at the load factors of the sweep.
     pub sweep: Vec<SweepPoint>,
-    /// Why the sweep ends before its end.
+    /// The reason why the sweep ends early.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sweep_cut: Option<String>,
     /// Wall time, s.
@@ -74,31 +74,31 @@ pub struct EquilibriumSummary {
 /// Energy of an arm at rest, J.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StaticEnergy {
-    /// Elastic.
+    /// Elastic energy.
     pub elastic: f64,
-    /// Of gravity.
+    /// Potential energy of gravity.
     pub potential: f64,
 }
 
-/// What the base exerts.
+/// Wrench of the base on the arm.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct BaseWrench {
-    /// Spatial frame, N.
+    /// Force, spatial frame, N.
     pub force_n: [f64; 3],
-    /// Frame of the base, N m.
+    /// Moment, frame of the base, N m.
     pub moment_n_m: [f64; 3],
 }
 
-/// Whether small deviations stay small.
+/// Stability of an equilibrium.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StabilitySummary {
-    /// `stable`; `neutral`, where nothing brings the arm back and nothing grows; `unstable`; or `unknown`.
+    /// `stable`; `neutral`, if there is no restoring force and no growth; `unstable`; or `unknown`.
     pub verdict: &'static str,
-    /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
+    /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
     pub squared_frequency_1_s2: Option<f64>,
     /// Lowest frequency without damping, Hz.
     pub first_frequency_hz: Option<f64>,
-    /// Rate at which small deviations grow, 1/s, damping included.
+    /// Rate at which small deviations grow, 1/s, with damping.
     pub growth_rate_1_s: Option<f64>,
     /// Stiffness of the tip along its softest direction against a dead force, N/m.
     pub tip_stiffness_n_m: Option<f64>,
@@ -107,13 +107,13 @@ pub struct StabilitySummary {
 /// The load factor at which stability is lost.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct BucklingSummary {
-    /// Load factor; absent where none was found.
+    /// Load factor; absent if none was found.
     pub factor: Option<f64>,
     /// `buckling`, `snapping` or `flutter`.
     pub how: Option<Loss>,
-    /// Where none was found, the load factor up to which the equilibria are stable.
+    /// Load factor up to which the equilibria are stable, if no loss was found.
     pub stable_up_to: Option<f64>,
-    /// Where none was found, why no larger factor was looked at: `to-the-end`, `out-of-range`, `not-followed` or `unloaded`.
+    /// The reason why no larger factor was tried, if no loss was found: `to-the-end`, `out-of-range`, `not-followed` or `unloaded`.
     pub why: Option<Kept>,
 }
 
@@ -124,14 +124,14 @@ pub struct SweepPoint {
     pub factor: f64,
     /// Position of the tip, m.
     pub tip_m: [f64; 3],
-    /// Its stability.
+    /// Stability of the equilibrium.
     #[serde(flatten)]
     pub stability: StabilitySummary,
-    /// True where the arm jumped to it, because the equilibria before end at a smaller factor.
+    /// Tells whether the arm jumped to it, because the equilibria before end at a smaller factor.
     pub jumped: bool,
 }
 
-/// Verdict on a stability in a word.
+/// Returns the verdict on a stability in a word.
 fn verdict(stability: Option<&Stability>) -> &'static str {
     match stability {
         None => "unknown",
@@ -175,7 +175,7 @@ impl BucklingSummary {
 }
 
 impl EquilibriumSummary {
-    /// The summary of statics; `names` are those of the scene and of the result directory.
+    /// Creates the summary of statics; `names` are those of the scene and of the result directory.
     #[must_use]
     pub fn of(
         found: &Statics,
@@ -261,7 +261,7 @@ impl EquilibriumSummary {
     }
 }
 
-/// The sweep as a motion, with the load factor in the place of the time.
+/// Returns the sweep as a motion, with the load factor in the place of the time.
 #[must_use]
 pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> MotionRecord {
     let mut record = MotionRecord::empty(found.rod.n_nodes());
@@ -290,7 +290,7 @@ pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> 
 /// Writes `shape.csv`, `elements.csv` and `sweep.csv`.
 ///
 /// # Errors
-/// [`OutputError`] where a file cannot be written.
+/// Returns [`OutputError`] if a file cannot be written.
 pub fn write_tables(
     result: &ResultDirectory,
     rod: &Rod,

@@ -1,4 +1,4 @@
-//! What `softarm tradeoff` writes: summary, table of points, picture, page.
+//! The files that `softarm tradeoff` writes: summary, table of points, picture, page.
 
 mod journal;
 mod saved;
@@ -36,7 +36,7 @@ pub struct TradeoffSummary<'a> {
     pub budget_s: f64,
     /// Wall time, s.
     pub wall_s: f64,
-    /// What was found.
+    /// Result of the sweep.
     #[serde(flatten)]
     pub found: &'a Tradeoff,
     /// The setting of the scene itself.
@@ -45,13 +45,13 @@ pub struct TradeoffSummary<'a> {
     pub directory: String,
 }
 
-/// Writes `points.csv`: one row a setting, in the order in which they were run.
+/// Writes `points.csv`: one row for each setting, in the order in which they were run.
 pub fn write_points(path: &Path, points: &[Point]) -> Result<(), OutputError> {
     let text = table(points).map_err(|error| OutputError::malformed(path, error.to_string()))?;
     std::fs::write(path, text).map_err(OutputError::unwritten(path, "cannot write"))
 }
 
-/// Columns of `points.csv`: their names, and where they stand in the JSON of a point.
+/// Columns of `points.csv`: their names, and their places in the JSON of a point.
 const COLUMNS: [(&str, &str); 26] = [
     ("elements", "/elements"),
     ("strain", "/strain"),
@@ -98,9 +98,9 @@ fn table(points: &[Point]) -> Result<Vec<u8>, csv::Error> {
 
 /// Size of the picture, in its own units.
 const SIZE: (u32, u32) = (960, 600);
-/// The same for a narrow screen, on which its words keep their size.
+/// Size for a narrow screen, on which the text keeps its size.
 const NARROW: (u32, u32) = (420, 470);
-/// Colors that are told apart by most eyes, on light and dark ground.
+/// Colors that most eyes can distinguish, on light and dark ground.
 const COLORS: [RGBColor; 11] = [
     RGBColor(0x1f, 0x77, 0xb4),
     RGBColor(0xe6, 0x6a, 0x00),
@@ -116,7 +116,7 @@ const COLORS: [RGBColor; 11] = [
 ];
 const INK: RGBColor = RGBColor(0x78, 0x78, 0x78);
 
-/// What distinguishes a setting from the usual one besides its elements, in words.
+/// Describes the differences between a setting and the usual one, except for the elements.
 fn family(setting: &Setting, usual: &Setting) -> String {
     let own = Setting {
         elements: usual.elements,
@@ -129,16 +129,16 @@ fn family(setting: &Setting, usual: &Setting) -> String {
     }
 }
 
-/// Error and time of all points, logarithmic: families that differ in their elements alone are lines, the front is marked, and what has no error
-/// stands at the right edge.
+/// Draws error and time of all points on logarithmic axes: families that differ in their elements only are lines, the front is marked, and
+/// points without an error are at the right edge.
 ///
 /// # Errors
-/// A sentence where the picture cannot be drawn.
+/// Returns a sentence if the picture cannot be drawn.
 pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
     sized(found, usual, SIZE)
 }
 
-/// The picture in a size; a narrow one has no legend, for which [`legend`] stands below it.
+/// Draws the picture in a given size; a narrow picture has no legend, and [`legend`] is printed below it.
 fn sized(found: &Tradeoff, usual: &Setting, size: (u32, u32)) -> Result<String, String> {
     let done: Vec<&Point> = (found.points.iter())
         .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
@@ -153,7 +153,7 @@ fn sized(found: &Tradeoff, usual: &Setting, size: (u32, u32)) -> Result<String, 
     Ok(svg)
 }
 
-/// Ranges of the errors and tolerances, over the length, and of the times, in ms, with room around them.
+/// Returns the ranges of errors and tolerances, divided by the length, and of times, in ms, with a margin.
 fn errors_and_times(points: &[&Point], tolerances: &[f64]) -> (Range<f64>, Range<f64>) {
     let range = |values: &mut dyn Iterator<Item = f64>| {
         let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| {
@@ -166,7 +166,7 @@ fn errors_and_times(points: &[&Point], tolerances: &[f64]) -> (Range<f64>, Range
     (range(&mut { errors }), range(&mut { times }))
 }
 
-/// What the picture shows to the right and upward.
+/// Returns the titles of the horizontal and the vertical axis.
 fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     match subject {
         Subject::Motion => [
@@ -184,7 +184,7 @@ fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     }
 }
 
-/// Families of points that differ in their elements alone, in the order of the points.
+/// Returns the families of points that differ in their elements only, in the order of the points.
 fn families(done: &[&Point], usual: &Setting) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for point in done {
@@ -196,12 +196,12 @@ fn families(done: &[&Point], usual: &Setting) -> Vec<String> {
     names
 }
 
-/// The color of a family.
+/// Returns the color of a family.
 fn color_of(index: usize) -> RGBColor {
     COLORS[index.min(COLORS.len() - 1)]
 }
 
-/// The families and their colors, for a picture without a legend of its own.
+/// Returns the families with their colors, for a picture without a legend of its own.
 fn legend(found: &Tradeoff, usual: &Setting) -> String {
     let done: Vec<&Point> = (found.points.iter())
         .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
@@ -219,17 +219,17 @@ fn legend(found: &Tradeoff, usual: &Setting) -> String {
     out + "</ul>\n"
 }
 
-/// A chart of times over errors, both on logarithmic axes.
+/// A chart of times against errors, both on logarithmic axes.
 type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Decades, Decades>>;
-/// A logarithmic axis whose marks are powers of ten.
+/// A logarithmic axis with ticks at powers of ten.
 type Decades = WithKeyPoints<LogCoord<f64>>;
 
-/// The style of labels.
+/// Returns the style of labels.
 fn label() -> TextStyle<'static> {
     ("sans-serif", 15).into_font().color(&INK)
 }
 
-/// Draws the axes of a chart of times over errors.
+/// Draws the axes of a chart of times against errors.
 fn axes<'a>(
     root: &DrawingArea<SVGBackend<'a>, Shift>,
     subject: Subject,
@@ -339,7 +339,7 @@ fn draw(
     Ok(())
 }
 
-/// The powers of ten of a range; with two and five times these, where there are few.
+/// Returns the powers of ten in a range; also two and five times these if there are few.
 fn decades(range: &Range<f64>) -> Vec<f64> {
     let powers = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let wide = range.end / range.start > 1e3;
@@ -356,7 +356,7 @@ fn escaped(text: &str) -> String {
         .replace('>', "&gt;")
 }
 
-/// What is recommended, in a sentence.
+/// Describes the recommended setting in a sentence.
 #[must_use]
 pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
     let tolerance = found.tolerance;
@@ -384,7 +384,7 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
     }
 }
 
-/// The page of a trade-off, which opens without a network.
+/// Returns the page of a trade-off, which opens without a network.
 #[must_use]
 pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
     let mut points: Vec<&Point> = found.points.iter().collect();
@@ -421,7 +421,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
     if let Some(first) = found.features.first() {
         let _ = writeln!(
             features,
-            "<h2>What features of the model cost, {}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th>feature</th><th>with</th>\
+            "<h2>Costs of features of the model, {}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th>feature</th><th>with</th>\
              <th>without</th><th>ratio</th></tr></thead>\n<tbody>",
             first.unit
         );
@@ -477,7 +477,7 @@ pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg:
         .replace("{{style}}", PAGE_STYLE)
 }
 
-/// What errors are measured against, in a paragraph.
+/// Describes the reference of the errors in a paragraph.
 fn measured_against(subject: Subject, reference: &Reference) -> String {
     let Reference {
         elements, error, ..
@@ -498,7 +498,7 @@ fn measured_against(subject: Subject, reference: &Reference) -> String {
     format!("<p>{words}</p>")
 }
 
-/// A table of settings, some of them marked.
+/// Returns a table of settings, some of them marked.
 fn settings<'a>(
     points: impl Iterator<Item = &'a Point> + Clone,
     usual: &Setting,

@@ -21,11 +21,11 @@ pub(in crate::control) fn describe(error: StepError) -> Failure {
     Failure(error.to_string())
 }
 
-/// Rows that are sums of forms, gathered for one sweep in the order of time.
+/// Rows that are sums of forms, gathered in the order of time for one sweep.
 #[derive(Default)]
 pub(super) struct Gathered {
     pub(super) forms: Vec<StateForm>,
-    /// Forms of every row.
+    /// Range of the forms of every row.
     pub(super) rows: Vec<std::ops::Range<usize>>,
 }
 
@@ -36,7 +36,7 @@ impl Gathered {
         self.rows.push(start..self.forms.len());
     }
 
-    /// The forms in the order of time, and where each of them went.
+    /// Returns the forms in the order of time, and the place of each of them.
     pub(super) fn sorted(&self) -> (Vec<StateForm>, Vec<usize>) {
         let mut order: Vec<usize> = (0..self.forms.len()).collect();
         order.sort_by_key(|&i| self.forms[i].time_node);
@@ -48,7 +48,7 @@ impl Gathered {
         (forms, place)
     }
 
-    /// Values of the rows from those of the sorted forms.
+    /// Returns the values of the rows from those of the sorted forms.
     pub(super) fn rows_of(&self, values: &Mat<f64>, place: &[usize]) -> Mat<f64> {
         Mat::from_fn(self.rows.len(), values.ncols(), |i, j| {
             self.rows[i]
@@ -59,7 +59,7 @@ impl Gathered {
     }
 }
 
-/// Newton or newton meter that a variable adds to one component of a node's wrench.
+/// Derivative of one component of a node's wrench along a variable, N or N m.
 pub(super) struct WrenchColumn {
     pub(super) column: usize,
     pub(super) node: usize,
@@ -72,7 +72,7 @@ pub(super) struct Columns<'a> {
     pub(super) problem: &'a OptimalControlProblem,
     pub(super) components: &'a [Component],
     pub(super) acting: Option<&'a ActingAlong<'a>>,
-    /// Of every component, which control of an actuator of one's own it is.
+    /// Control of a user-defined actuator that each component is, if any.
     pub(super) own: Vec<Option<(usize, usize)>>,
 }
 

@@ -95,7 +95,7 @@ pub(super) fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
     out
 }
 
-/// Derivative of `f(h)` at zero to fourth order: Richardson's extrapolation of central differences.
+/// Returns the derivative of `f(h)` at zero to fourth order: Richardson's extrapolation of central differences.
 pub(super) fn derivative<T>(f: impl Fn(f64) -> T) -> T
 where
     T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,

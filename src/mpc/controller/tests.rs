@@ -1,4 +1,4 @@
-//! Tests of the module above.
+//! Tests of the controller's model of the measured state.
 
 use nalgebra::Vector3;
 
@@ -10,7 +10,7 @@ use crate::mechanics::{Material, Rod};
 use crate::mpc::soft_rows::SoftRows;
 use crate::task::{ChannelLimits, Cost, Limit, LimitKind, Place, Target, Track, WrenchActuator};
 
-/// A bent arm whose tip is to stay, still, where it rests: residuals and plan are zero, so that the Gauss-Newton model is exact to first
+/// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first
 /// order.
 fn controller(bound: f64) -> Controller {
     let arm = Arm {
@@ -50,8 +50,8 @@ fn controller(bound: f64) -> Controller {
     Controller::new(&arm, &task, &discretization, &settings).unwrap()
 }
 
-/// What the next iteration makes of a start that deviates by `s` times a tangent: by the linear term of the prepared model, and by a
-/// model that is simulated and linearized anew from there.
+/// The next iteration for a start that deviates by `s` times a tangent: by the linear term of the prepared model, and by a model that is
+/// simulated and linearized anew from there.
 fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Vec<f64>; 2] {
     let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
     let deviation = StateTangent {
@@ -74,9 +74,9 @@ fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Ve
     [linear, anew]
 }
 
-/// The update of the controls by the condensed linear term of the measured state, configuration and momentum, is that of a problem
-/// transcribed anew from that state, to second order in the deviation: halving it divides the difference by four. Residuals are zero
-/// without it, so that the curvature that Gauss-Newton leaves out is of second order as well.
+/// The change of the controls by the condensed linear term of the measured state, configuration and momentum, is that of a problem
+/// transcribed anew from that state, to second order in the deviation: halving the deviation divides the difference by four. Without a
+/// deviation residuals are zero, so that the curvature that Gauss-Newton omits is of second order as well.
 #[test]
 fn measured_states_are_a_parameter() {
     let mut controller = controller(f64::INFINITY);

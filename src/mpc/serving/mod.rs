@@ -9,8 +9,8 @@
 //! server   summary
 //! ```
 //!
-//! Every measurement is answered by one command. Where something is wrong with a line, an `error` line goes before the command, which is then that
-//! of the [fall-back](super::FallbackSettings). `docs/serving.md` has every field.
+//! Every measurement is answered by one command. If a line is faulty, an `error` line precedes the command, which is then that of the
+//! [fallback](super::FallbackSettings). `docs/serving.md` explains every field.
 
 mod intake;
 mod message;
@@ -35,18 +35,18 @@ use crate::output::summary::TOOL;
 
 pub use self::message::Served;
 
-/// Version of the lines. It changes when a field of theirs changes its meaning.
+/// Version of the lines. It changes when the meaning of a field changes.
 pub const SERVING_VERSION: u64 = 1;
-/// Longest line that is read, bytes.
+/// Cap on the length of a line, bytes.
 pub const LONGEST_LINE: usize = 1 << 24;
-/// Samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer.
+/// Cap on the samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer.
 const MOST_SKIPPED: f64 = 100.0;
 
-/// Why a loop cannot be served.
+/// The reason why a loop cannot be served.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// There is no controller.
+    /// The controller could not be created.
     #[error(transparent)]
     Mpc(#[from] MpcError),
     /// A line could not be read or written.
@@ -54,21 +54,22 @@ pub enum ServeError {
     Io(#[from] io::Error),
 }
 
-/// How a served loop ends.
+/// The end of a served loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServingEnd {
-    /// The plant said so.
+    /// The plant said goodbye.
     Bye,
-    /// There is no more input.
+    /// The input ended.
     EndOfInput,
-    /// Whoever serves was told to stop.
+    /// A stop signal ended the server.
     Stopped,
 }
 
-/// Serves one plant until it says goodbye or its lines end; `scene` is the name that it is told.
+/// Serves one plant until it says goodbye or its lines end; `scene` is the name of the scene in the first line.
 ///
 /// # Errors
-/// [`ServeError`] where the controller cannot be made, and where lines cannot be read or written. What is wrong with a line is told to the plant.
+/// Returns [`ServeError`] if the controller cannot be created, or lines cannot be read or written. Faults of a line are reported to the
+/// plant instead.
 pub fn serve(
     experiment: &Experiment,
     scene: &str,
@@ -85,11 +86,11 @@ pub fn serve(
     Ok(server.finish(ServingEnd::EndOfInput)?)
 }
 
-/// Reads a line without its end; one that is longer than [`LONGEST_LINE`] is cut off after the first byte beyond. `false` at the end of the
-/// input.
+/// Reads a line without its end; a line longer than [`LONGEST_LINE`] is cut off after the first excess byte. Returns `false` at the end of
+/// the input.
 ///
 /// # Errors
-/// Those of the input.
+/// Returns errors of the input.
 pub fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<bool> {
     line.clear();
     loop {
@@ -120,9 +121,9 @@ pub struct Server<W> {
     output: W,
     n_lines: usize,
     record: Record,
-    /// From when on distances of the tip count, s.
+    /// Time from which distances of the tip count, s.
     counted_from: f64,
-    /// When the path of the scene ends on its way, s, if the plant was not told so yet.
+    /// Time at which the path of the scene ends while it still moves, s, if the plant has not been told yet.
     path_ends: Option<f64>,
     /// Length of the arm, m.
     length: f64,
@@ -130,7 +131,7 @@ pub struct Server<W> {
     prepared_in: f64,
 }
 
-/// What a summary is made of.
+/// Data for a summary.
 #[derive(Debug, Default)]
 struct Record {
     n_samples: usize,
@@ -139,13 +140,13 @@ struct Record {
     n_overruns: usize,
     /// Seconds of every sample but the first: answer, whole, estimate, feedback, preparation.
     seconds: [Vec<f64>; 5],
-    /// Distances that count, m.
+    /// Distances of the tip that count, m.
     distances: Vec<f64>,
     fallbacks: BTreeMap<String, usize>,
     rotation_change: f64,
 }
 
-/// What a line makes of a sample.
+/// Use of a line in a sample.
 enum Taken {
     State(crate::mechanics::State),
     Measured,
@@ -153,17 +154,17 @@ enum Taken {
 }
 
 impl<W: Write> Server<W> {
-    /// The controller of an experiment, whose arm as it is, actuators and duration play no part, and which greets its plant at once.
+    /// Creates the controller of an experiment, whose plant, actuators and duration are not used, and writes the first line.
     ///
     /// # Errors
-    /// [`ServeError`].
+    /// Returns [`ServeError`] as [`serve`] does.
     pub fn new(experiment: &Experiment, scene: &str, output: W) -> Result<Self, ServeError> {
         let driver = experiment.driver()?;
         let model = driver.controller().rod();
         let mut server = Self {
             intake: Intake::new(model, experiment.sensors(model)),
             counted_from: experiment.counted_from,
-            // One that ends within the loop of the scene is a way to where the tip is then kept.
+            // A path that ends within the loop of the scene leads to a place where the tip then stays.
             path_ends: (driver.controller().path_breaks_off())
                 .filter(|end| *end >= experiment.duration),
             length: model.scales.length,
@@ -200,7 +201,7 @@ impl<W: Write> Server<W> {
         let mut actuators: Vec<_> = (controller.actuators().iter())
             .map(ActuatorLine::of)
             .collect();
-        // What actuators of one's own do to other nodes.
+        // Nodes on which user-defined actuators act.
         for &node in &controller.command().nodes {
             if !actuators.iter().any(|own| own.node == node) {
                 actuators.push(ActuatorLine::unbounded(node));
@@ -228,10 +229,10 @@ impl<W: Write> Server<W> {
         write(&mut self.output, &hello)
     }
 
-    /// Takes one line of the plant, answers it, and prepares the next sample. Breaks off where the plant says goodbye.
+    /// Takes one line of the plant, answers it, and prepares the next sample. Returns `Break` if the plant says goodbye.
     ///
     /// # Errors
-    /// Where the answer cannot be written.
+    /// Returns an error if the answer cannot be written.
     pub fn take(&mut self, line: &[u8]) -> io::Result<ControlFlow<()>> {
         let begin = Instant::now();
         self.n_lines += 1;
@@ -293,10 +294,10 @@ impl<W: Write> Server<W> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Says what the loop amounts to.
+    /// Writes the statistics of the loop.
     ///
     /// # Errors
-    /// Where that cannot be written.
+    /// Returns an error if they cannot be written.
     pub fn finish(mut self, end: ServingEnd) -> io::Result<Served> {
         let record = &self.record;
         let of = |phase: usize| Percentiles::of(record.seconds[phase].iter().copied());
@@ -347,7 +348,7 @@ impl<W: Write> Server<W> {
         self.driver.controller().settings().period
     }
 
-    /// The time of a line that the driver can go on to.
+    /// Returns the time of a line to which the driver can go on.
     fn time(&self, line: &Line) -> Result<f64, Refusal> {
         if let Some(version) = line.version.filter(|version| *version != SERVING_VERSION) {
             let help = "leave it out, or speak the version of the hello line";
@@ -369,7 +370,7 @@ impl<W: Write> Server<W> {
         Ok(t)
     }
 
-    /// Takes over the references and obstacles of a line at time `t`, as far as it gives some; what of them cannot be used.
+    /// Applies the references and obstacles of a line at time `t`, if there are any; returns refusals of those that cannot be used.
     fn follow(&mut self, t: f64, line: &Line) -> Vec<Refusal> {
         let mut refusals = Vec::new();
         let refusal = |field: &str, error: &MpcError, help: &str| {
@@ -390,7 +391,7 @@ impl<W: Write> Server<W> {
             }
         }
         if let Some(rows) = &line.reference_wxyz {
-            // A quaternion of no length is no rotation, and its matrix is not finite.
+            // A zero quaternion is not a rotation, and its matrix is not finite.
             let rotation = |q: [f64; 4]| {
                 if q == [0.0; 4] {
                     Matrix3::from_element(f64::NAN)
@@ -419,7 +420,7 @@ impl<W: Write> Server<W> {
         refusals
     }
 
-    /// What a line says of the arm at time `t`, and what of it cannot be used.
+    /// Returns the use of a line about the arm at time `t`, and refusals of its unusable values.
     fn known(&mut self, t: f64, line: &Line) -> Result<(Taken, Vec<Refusal>), Refusal> {
         if self.driver.estimates() {
             let (measurements, refusals) =
@@ -455,7 +456,7 @@ impl<W: Write> Server<W> {
         write(&mut self.output, &error)
     }
 
-    /// The command of the sample at time `t`, and the preparation of the next.
+    /// Answers with the command of the sample at time `t`, and prepares the next one.
     fn answer(&mut self, begin: Instant, t: f64, taken: Taken) -> io::Result<()> {
         let read = begin.elapsed().as_secs_f64();
         let expected = self.driver.next_sample();
@@ -509,7 +510,7 @@ impl<W: Write> Server<W> {
         Ok(())
     }
 
-    /// The last command again.
+    /// Answers with the last command again.
     fn repeat(&mut self, begin: Instant, t: f64) -> io::Result<()> {
         let line = CommandLine {
             sample: self.driver.next_sample().saturating_sub(1),
@@ -526,7 +527,7 @@ impl<W: Write> Server<W> {
         write(&mut self.output, &line)
     }
 
-    /// The last command, and nothing of how it came to be.
+    /// Returns the last command without the data of a sample.
     fn command(&self, time_s: f64) -> CommandLine {
         let told = self.driver.told();
         let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
@@ -583,7 +584,7 @@ impl<W: Write> Server<W> {
     }
 }
 
-/// A line of the plant.
+/// Parses a line of the plant.
 fn parse(line: &[u8]) -> Result<Line, Refusal> {
     if line.len() > LONGEST_LINE {
         return Err(Refusal::new(
@@ -607,7 +608,7 @@ fn parse(line: &[u8]) -> Result<Line, Refusal> {
     })
 }
 
-/// Writes a line, at once.
+/// Writes a line at once.
 fn write(output: &mut impl Write, line: &impl serde::Serialize) -> io::Result<()> {
     let mut text = serde_json::to_vec(line)?;
     text.push(b'\n');

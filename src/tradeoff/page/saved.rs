@@ -1,4 +1,4 @@
-//! Trade-offs from their result directories: the page of one made anew, and one page of several.
+//! Trade-offs read from their result directories: the page of one, and a page that compares several.
 
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -17,12 +17,12 @@ use crate::output::{
 };
 use crate::tradeoff::{Point, Setting, Tradeoff};
 
-/// A trade-off that was written.
+/// A trade-off read from a result directory.
 #[derive(Debug, Deserialize)]
 pub struct SavedTradeoff {
     /// Name of the scene.
     pub scene: String,
-    /// What was found.
+    /// Result of the sweep.
     #[serde(flatten)]
     pub found: Tradeoff,
     /// The setting of the scene itself.
@@ -32,14 +32,14 @@ pub struct SavedTradeoff {
     pub text: String,
 }
 
-/// Bytes of a scene, at most.
+/// Cap on the bytes of a scene.
 const LARGEST_SCENE: u64 = 1 << 20;
 
 impl SavedTradeoff {
-    /// The trade-off of a result directory with this summary.
+    /// Reads the trade-off of a result directory with the given summary.
     ///
     /// # Errors
-    /// [`OutputError`] for a summary that lacks something, and a scene that is missing.
+    /// Returns [`OutputError`] if the summary lacks a field or the scene is missing.
     pub fn read(directory: &Path, summary: Value) -> Result<Self, OutputError> {
         let path = directory.join("summary.json");
         let saved: Self = serde_json::from_value(summary)
@@ -51,7 +51,7 @@ impl SavedTradeoff {
         Ok(Self { text, ..saved })
     }
 
-    /// The page that the run wrote.
+    /// Returns the page that the run wrote.
     #[must_use]
     pub fn page(&self) -> String {
         let svg = picture(&self.found, &self.usual).unwrap_or_default();
@@ -59,7 +59,7 @@ impl SavedTradeoff {
         page(&self.scene, &self.found, &self.usual, &sentence, &svg)
     }
 
-    /// Points of the front, the fastest first.
+    /// Returns the points of the front, the fastest first.
     fn front(&self) -> Vec<&Point> {
         let mut front: Vec<&Point> = (self.found.points.iter())
             .filter(|point| point.on_front && point.error.is_some_and(|error| error > 0.0))
@@ -70,7 +70,7 @@ impl SavedTradeoff {
     }
 }
 
-/// What is recommended by several trade-offs, and in what their scenes differ.
+/// Returns tables of the recommendations of several trade-offs and of the differences between their scenes.
 #[must_use]
 pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
     type Of = fn(&SavedTradeoff) -> Option<String>;
@@ -124,7 +124,7 @@ pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
     tables
 }
 
-/// The page of several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
+/// Returns the page that compares several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
 #[must_use]
 pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String {
     let mut tables = String::new();
@@ -159,7 +159,10 @@ pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String 
         .replace("{{style}}", PAGE_STYLE)
 }
 
-/// The fronts of several trade-offs; a sentence where there is none to draw.
+/// Draws the fronts of several trade-offs.
+///
+/// # Errors
+/// Returns a sentence if there is none to draw.
 fn fronts(names: &[String], saved: &[SavedTradeoff]) -> Result<String, String> {
     let all: Vec<&Point> = saved.iter().flat_map(SavedTradeoff::front).collect();
     if all.is_empty() {

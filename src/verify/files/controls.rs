@@ -1,4 +1,4 @@
-//! `controls.csv`: the times of the coefficients, recomputed.
+//! The check of `controls.csv`: the times of the coefficients, recomputed.
 
 use super::{ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
@@ -8,8 +8,8 @@ use crate::verify::hold::Spline;
 /// The columns of a wrench.
 const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
-/// Start and end of every row: those of its block, or the time that its coefficient stands for; of the rows after the horizon, with which the
-/// arm stays, also their wrenches. What is applied before is for the conditions of the motion to judge.
+/// Checks start and end of every row: those of its block, or the time of its coefficient; for the rows after the horizon, with which the
+/// arm stays, also their wrenches. The wrenches before are judged by the conditions of the motion.
 #[must_use]
 pub fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck {
     let mut out = FileCheck::of("controls.csv");

@@ -1,27 +1,27 @@
-//! `feedback.npz`: gains along the solution, and what they act on.
+//! The check of `feedback.npz`: gains along the solution, with their rows and reference.
 //!
-//! The regulator is computed again from the scene, the motion and the controls by [`Feedback::along`], which gives the same numbers wherever
-//! it runs but for rounding. It uses the solver's own linearization: of the files that the certificate covers, this is the only one whose
-//! numbers are reproduced rather than checked by other code. Its [recursion](crate::control::feedback::riccati) has tests of its own
+//! The regulator is computed again from the scene, the motion and the controls by [`Feedback::along`], which gives the same numbers on
+//! every machine up to rounding. It uses the solver's own linearization: of the files that the certificate covers, this is the only one
+//! whose numbers are reproduced rather than checked by other code. Its [recursion](crate::control::feedback::riccati) has tests of its own
 //! against dense least squares.
 
 use super::{DERIVED, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
 use crate::output::{NamedArray, feedback_arrays};
 
-/// Part by which norms of products in single precision may differ elsewhere.
+/// Fraction by which norms of products in single precision may differ on another machine.
 const SINGLE: f64 = 2e-3;
 /// Components of a deviation of one node: three each of position, turn, momentum and angular momentum.
 const COMPONENTS: usize = 12;
 
-/// The contents that the file must have.
+/// Returns the required contents of the file.
 #[must_use]
 pub fn expected(problem: &OptimalControlProblem, feedback: &Feedback) -> [NamedArray; 12] {
     feedback_arrays(feedback, problem.grid.duration())
 }
 
-/// Every array against the recomputed one; gains and costs within a part of the largest that acts between the same input and the same kind of
-/// deviation.
+/// Compares every array with the recomputed one; gains and costs within a fraction of the largest value between the same input and the same
+/// kind of deviation.
 #[must_use]
 pub fn check(
     problem: &OptimalControlProblem,
@@ -34,7 +34,7 @@ pub fn check(
     for ((name, shape, expected), (_, _, found)) in expected.iter().zip(found) {
         let width = shape.last().copied().unwrap_or(1).max(1);
         let kind = |i: usize| i % COMPONENTS / 3;
-        // Which numbers are of one size.
+        // Groups of values of the same magnitude.
         let group = |at: usize| match *name {
             "gain" => 4 * (at / width % shape[1]) + kind(at % width),
             "cost_to_go" => 4 * kind(at / width) + kind(at % width),

@@ -1,7 +1,7 @@
 //! The contents of the files of a result directory, compared with recomputed ones.
 //!
-//! Numbers that follow from the scene and the controls are recomputed, and compared within what rounding, or replays on another machine, can
-//! change.
+//! Values that follow from the scene and the controls are recomputed, and compared within the effect of rounding and of replays on another
+//! machine.
 
 pub mod controls;
 pub mod feedback;
@@ -10,7 +10,7 @@ pub mod summary;
 
 use super::CheckItem;
 
-/// Where a file says something else than the solution.
+/// A place at which a file contradicts the solution.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Mismatch {
     /// The file.
@@ -21,7 +21,7 @@ pub struct Mismatch {
     pub found: String,
     /// The recomputed contents.
     pub expected: String,
-    /// Distance of both; absent where they are no numbers.
+    /// Distance of both; absent if they are not numbers.
     pub difference: Option<f64>,
     /// Largest acceptable distance.
     pub allowed: f64,
@@ -45,19 +45,19 @@ impl std::fmt::Display for Mismatch {
     }
 }
 
-/// A file beside what it must say.
+/// Result of the check of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileCheck {
     /// The file.
     pub file: &'static str,
-    /// Largest distance over what is allowed.
+    /// Largest distance divided by the allowed one.
     pub worst: f64,
-    /// The worst place beyond what is allowed.
+    /// The worst place with more than the allowed distance.
     pub mismatch: Option<Mismatch>,
 }
 
 impl FileCheck {
-    /// Of a file about which nothing is known yet.
+    /// Returns the check of a file before any comparison.
     #[must_use]
     pub fn of(file: &'static str) -> Self {
         Self {
@@ -99,7 +99,7 @@ impl FileCheck {
         }
     }
 
-    /// Compares what is no number, or none that may differ.
+    /// Compares a text, or a number that must be equal.
     pub fn word(&mut self, found: &str, expected: &str, place: impl FnOnce() -> String) {
         if found != expected && self.worst < f64::INFINITY {
             self.worst = f64::INFINITY;
@@ -114,7 +114,7 @@ impl FileCheck {
         }
     }
 
-    /// As a criterion of the certificate.
+    /// Returns the check as a criterion of the certificate.
     #[must_use]
     pub fn item(&self) -> CheckItem {
         CheckItem {
@@ -127,7 +127,7 @@ impl FileCheck {
     }
 }
 
-/// A number with all its digits, and no more zeros than one can count.
+/// Formats a number with all its digits and without long runs of zeros.
 fn written(value: f64) -> String {
     const PLAIN: std::ops::Range<f64> = 1e-4..1e9;
     if value == 0.0 || PLAIN.contains(&value.abs()) {
@@ -137,13 +137,13 @@ fn written(value: f64) -> String {
     }
 }
 
-/// Characters of a foreign text that are repeated.
+/// Cap on the characters of a foreign text that are repeated.
 const LONGEST_WORD: usize = 60;
 
-/// Roundings of a few operations.
+/// Rounding of a few operations.
 const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
-/// Part of the length by which positions may differ, and of what passes through of energies and momenta: replays elsewhere, whose
-/// rounding differs.
+/// Fraction of the length by which positions may differ, and of the throughput by which energies and momenta may differ: replays on another
+/// machine, whose rounding differs.
 const ELSEWHERE: f64 = 1e-9;
-/// Part by which what is made of differences of positions may differ elsewhere.
+/// Fraction by which values computed from differences of positions may differ on another machine.
 const DERIVED: f64 = 1e-6;

@@ -1,4 +1,4 @@
-//! `trajectory.npz`: wrenches, energies and dilatations beside the configurations, recomputed.
+//! The check of `trajectory.npz`: wrenches, energies and dilatations of the configurations, recomputed.
 
 use nalgebra::Matrix3;
 
@@ -8,12 +8,11 @@ use crate::mechanics::Wrench;
 use crate::output::MotionRecord;
 use crate::verify::{ForwardCheck, hold};
 
-/// Times, wrenches, energies and dilatations, and whether rotations are rotations.
+/// Checks times, wrenches, energies and dilatations, and that rotations are orthogonal.
 ///
-/// Times and wrenches are those of scene and controls, to rounding; energies, where they are to be compared, are those of the check's own replay;
-/// dilatations are lengths
-/// of the recorded chords over those at rest. Positions and rotations themselves are for the conditions of the motion and the replay to
-/// judge.
+/// Times and wrenches must be those of scene and controls, to rounding; energies, where they are compared, those of the check's own replay;
+/// dilatations are lengths of the recorded chords divided by those at rest. Positions and rotations themselves are judged by the conditions
+/// of the motion and by the replay.
 #[must_use]
 pub fn check(
     problem: &OptimalControlProblem,
@@ -44,7 +43,7 @@ pub fn check(
             ROUNDINGS * problem.grid.duration(),
             || format!("t, row {k}"),
         );
-        // The first actuator is the tip's.
+        // The first actuator is that of the tip.
         let tip = signal.at(k).wrenches.first().copied().unwrap_or_default();
         for axis in 0..3 {
             let at = 3 * k + axis;
@@ -80,7 +79,7 @@ pub fn check(
         let rows = record.rotation[9 * k * record.n_nodes..].chunks_exact(9);
         for (q, r) in rows.take(record.n_nodes).enumerate() {
             let r = Matrix3::from_row_slice(r);
-            // Every step multiplies by one more rotation, each good to rounding.
+            // Every step multiplies by one more rotation, each accurate to rounding.
             let allowed = ROUNDINGS * (k + 1) as f64;
             let off = (r.tr_mul(&r) - Matrix3::identity()).amax();
             out.number(off, 0.0, allowed, || {
