@@ -8,7 +8,7 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::scene::{Scene, SceneError, SceneSource};
-use crate::solve::SavedError;
+use crate::solve::{RecheckError, SavedError};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
@@ -61,6 +61,16 @@ impl From<SavedError> for CliError {
         match error {
             SavedError::Scene(error) => Self::Scene(error),
             SavedError::Output(error) => Self::Output(error),
+        }
+    }
+}
+
+impl From<RecheckError> for CliError {
+    fn from(error: RecheckError) -> Self {
+        match error {
+            RecheckError::Directory(reason) => Self::Directory(reason),
+            RecheckError::Output(error) => Self::Output(error),
+            RecheckError::Check(error) => Self::Check(error),
         }
     }
 }

@@ -10,6 +10,8 @@ mod earlier;
 mod examined;
 mod files;
 mod page;
+#[cfg(feature = "cli")]
+mod recheck;
 mod soft_goals;
 mod solution;
 mod statics;
@@ -28,8 +30,9 @@ pub(crate) use self::{
         SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page,
         simulation_page,
     },
+    recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     step_kind::{help, legend, step_kind},
-    summary::{check_outcome, status_words, summarize},
+    summary::{status_words, summarize},
 };
 
 pub use files::SaveError;

@@ -19,7 +19,7 @@ use crate::mechanics::{ControlSignal, Wrench};
 
 /// A hold over the blocks of a problem.
 #[derive(Clone, Debug)]
-pub(super) struct Spline {
+pub(crate) struct Spline {
     degree: usize,
     /// Edges of the blocks in steps.
     edges: Vec<usize>,
@@ -29,7 +29,7 @@ pub(super) struct Spline {
 
 impl Spline {
     /// That of a problem's control, on its time grid.
-    pub(super) fn of(problem: &OptimalControlProblem) -> Self {
+    pub(crate) fn of(problem: &OptimalControlProblem) -> Self {
         Self::new(
             problem.control.hold,
             problem.control.edges(),
@@ -138,7 +138,7 @@ impl Spline {
     }
 
     /// Start and end of what every coefficient of a constant hold lasts for, s; of the others, the time that it stands for, twice.
-    pub(super) fn intervals(&self) -> Vec<[f64; 2]> {
+    pub(crate) fn intervals(&self) -> Vec<[f64; 2]> {
         (self.times().iter().enumerate())
             .map(|(j, t)| match self.degree {
                 0 => [self.knot(j), self.knot(j + 1)],
@@ -228,7 +228,7 @@ fn lobatto() -> [(f64, f64); 5] {
 }
 
 /// The wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
-pub(super) fn signal(
+pub(crate) fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
     coefficients: &[Wrench],

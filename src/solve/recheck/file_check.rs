@@ -1,18 +1,10 @@
-//! The contents of the files of a result directory, compared with recomputed ones.
-//!
-//! Numbers that follow from the scene and the controls are recomputed, and compared within what rounding, or replays on another machine, can
-//! change.
+//! A file beside its recomputed contents: the worst distance, and where it is.
 
-pub mod controls;
-pub mod feedback;
-pub mod motion;
-pub mod summary;
-
-use super::CheckItem;
+use crate::verify::CheckItem;
 
 /// Where a file says something else than the solution.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Mismatch {
+pub(crate) struct Mismatch {
     /// The file.
     pub file: &'static str,
     /// Column, array or field, with the row.
@@ -47,7 +39,7 @@ impl std::fmt::Display for Mismatch {
 
 /// A file beside what it must say.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FileCheck {
+pub(super) struct FileCheck {
     /// The file.
     pub file: &'static str,
     /// Largest distance over what is allowed.
@@ -128,7 +120,7 @@ impl FileCheck {
 }
 
 /// A number with all its digits, and no more zeros than one can count.
-fn written(value: f64) -> String {
+pub(super) fn written(value: f64) -> String {
     const PLAIN: std::ops::Range<f64> = 1e-4..1e9;
     if value == 0.0 || PLAIN.contains(&value.abs()) {
         format!("{value}")
@@ -141,9 +133,9 @@ fn written(value: f64) -> String {
 const LONGEST_WORD: usize = 60;
 
 /// Roundings of a few operations.
-const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
+pub(super) const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
 /// Part of the length by which positions may differ, and of what passes through of energies and momenta: replays elsewhere, whose
 /// rounding differs.
-const ELSEWHERE: f64 = 1e-9;
+pub(super) const ELSEWHERE: f64 = 1e-9;
 /// Part by which what is made of differences of positions may differ elsewhere.
-const DERIVED: f64 = 1e-6;
+pub(super) const DERIVED: f64 = 1e-6;

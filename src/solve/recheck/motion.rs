@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix3;
 
-use super::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
+use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::Wrench;
 use crate::output::MotionRecord;
@@ -15,7 +15,7 @@ use crate::verify::{ForwardCheck, hold};
 /// of the recorded chords over those at rest. Positions and rotations themselves are for the conditions of the motion and the replay to
 /// judge.
 #[must_use]
-pub fn check(
+pub(super) fn check(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
     check: &ForwardCheck,
