@@ -8,7 +8,7 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::scene::{Scene, SceneError, SceneSource};
-use crate::solve::{RecheckError, SavedError};
+use crate::solve::{RecheckError, SavedError, SimulationError};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
@@ -79,6 +79,16 @@ impl CliError {
     /// What a scene that could not be set up is to the user, who may have ended that.
     pub(super) fn of_scene(error: SceneError, stop: &StopSignal) -> Self {
         stop.raised().map_or(Self::Scene(error), Self::Stopped)
+    }
+
+    /// What a simulation without a result is to the user, who may have ended its setting up.
+    pub(super) fn of_simulation(error: SimulationError, stop: &StopSignal) -> Self {
+        match error {
+            SimulationError::Scene(error) => Self::of_scene(error, stop),
+            SimulationError::Output(error) => Self::Output(error),
+            SimulationError::Step(error) => Self::Step(error),
+            SimulationError::Directory(reason) => Self::Directory(reason),
+        }
     }
 
     /// What a loop that could not begin is to the user, who may have ended that.

@@ -12,6 +12,8 @@ mod files;
 mod page;
 #[cfg(feature = "cli")]
 mod recheck;
+#[cfg(feature = "cli")]
+mod simulation;
 mod soft_goals;
 mod solution;
 mod statics;
@@ -26,11 +28,9 @@ pub(crate) use self::{
     earlier::Earlier,
     examined::Examined,
     files::{IterationRow, iteration_row, write},
-    page::{
-        SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page,
-        simulation_page,
-    },
+    page::{SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
+    simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
     step_kind::{help, legend, step_kind},
     summary::{status_words, summarize},
 };
