@@ -446,6 +446,36 @@ fn summaries_say_what_was_found() {
     }
 }
 
+/// Numbers and words of the summary that no row of the table of tolerances names: compared by their unit, or exactly.
+#[test]
+fn numbers_without_a_rule_of_their_own_are_compared() {
+    let original = Copy::new().json("summary.json");
+    for (pointer, change) in [
+        ("/check/between/0/reference", json!(0.0504)),
+        ("/check/strains/twist_1_m", json!(0.3)),
+        ("/check/criteria/3/holds", json!(false)),
+        ("/check/criteria/3/name", json!("same_grid")),
+        ("/check/criteria/0/unit", json!("m")),
+        ("/tip_angle_rad", json!(1e-3)),
+    ] {
+        let mut summary = original.clone();
+        *summary.pointer_mut(pointer).unwrap() = change;
+        let copy = Copy::new();
+        fs::write(copy.path("summary.json"), summary.to_string()).unwrap();
+        let place = pointer[1..].replace('/', ".");
+        copy.verify().rejects("summary.json", &place);
+    }
+    // A number that is left out where nothing else is left out: as wrong as another one.
+    let mut summary = original.clone();
+    summary["check"]["energy"]
+        .as_object_mut()
+        .unwrap()
+        .remove("work_J");
+    let copy = Copy::new();
+    fs::write(copy.path("summary.json"), summary.to_string()).unwrap();
+    copy.verify().rejects("summary.json", "check.energy.work_J");
+}
+
 /// Counts and indices that are not the problem's: refused at the field, not taken for rows. An obstacle that was removed from the scene shifts
 /// all indices after it.
 #[test]

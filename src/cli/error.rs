@@ -8,7 +8,7 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::scene::{Scene, SceneError, SceneSource};
-use crate::solve::SavedError;
+use crate::solve::{RecheckError, SavedError, SimulationError};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
@@ -65,13 +65,33 @@ impl From<SavedError> for CliError {
     }
 }
 
+impl From<RecheckError> for CliError {
+    fn from(error: RecheckError) -> Self {
+        match error {
+            RecheckError::Directory(reason) => Self::Directory(reason),
+            RecheckError::Output(error) => Self::Output(error),
+            RecheckError::Check(error) => Self::Check(error),
+        }
+    }
+}
+
 impl CliError {
     /// Returns the error of a scene that could not be set up, or the stop if the user ended that.
     pub(super) fn of_scene(error: SceneError, stop: &StopSignal) -> Self {
         stop.raised().map_or(Self::Scene(error), Self::Stopped)
     }
 
-    /// Returns the error of a loop that could not begin, or the stop if the user ended that.
+    /// What a simulation without a result is to the user, who may have ended its setting up.
+    pub(super) fn of_simulation(error: SimulationError, stop: &StopSignal) -> Self {
+        match error {
+            SimulationError::Scene(error) => Self::of_scene(error, stop),
+            SimulationError::Output(error) => Self::Output(error),
+            SimulationError::Step(error) => Self::Step(error),
+            SimulationError::Directory(reason) => Self::Directory(reason),
+        }
+    }
+
+    /// What a loop that could not begin is to the user, who may have ended that.
     pub(super) fn of_loop(error: MpcError, scene: &Scene, source: &SceneSource) -> Self {
         if let MpcError::Stopped(stop) = error {
             return Self::Stopped(stop);

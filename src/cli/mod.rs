@@ -3,7 +3,6 @@
 mod accuracy;
 mod check;
 mod check_loop;
-mod clearance;
 mod console;
 mod derivatives;
 mod equilibrium;

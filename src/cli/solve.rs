@@ -11,7 +11,6 @@ use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
-use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
     Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
@@ -24,7 +23,7 @@ use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{
     Chosen, Earlier, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings,
-    help, iteration_row, legend, status_words, step_kind, summarize, write,
+    help, iteration_row, legend, read_coefficients, status_words, step_kind, summarize, write,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::tradeoff::solve_on_grids;
@@ -412,11 +411,11 @@ fn conclude(
     if let Some(free) = problem.duration {
         console.say(&format!(
             "duration {:.6} s, free between {} and {} s",
-            summary.duration_s, free.shortest, free.longest
+            summary.facts.duration_s, free.shortest, free.longest
         ));
     }
-    show_tracking(&summary.tracking, console);
-    for goal in &summary.soft_goals {
+    show_tracking(&summary.reached.tracking, console);
+    for goal in &summary.reached.soft_goals {
         console.say(&goal.in_words());
     }
     if summary.status != "converged" {
@@ -448,8 +447,8 @@ fn conclude(
         }
     }
     if let (Some(open), Some(closed)) = (
-        summary.open_loop_sensitivity,
-        summary.closed_loop_sensitivity,
+        summary.sensitivities.open_loop_sensitivity,
+        summary.sensitivities.closed_loop_sensitivity,
     ) {
         console.say(&format!(
             "a perturbation grows at most {:.3} times by the end ({:.3} with feedback), {:.3} times on the way ({:.3})",

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
-use crate::verify::files::Mismatch;
 use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
@@ -465,6 +464,13 @@ impl CheckRecord {
 /// The verdict on what there was no time to check.
 pub const NOT_CHECKED: &str = "not checked";
 
+/// Tells of a summary whether the solve was checked: one that was stopped before says that it was not, and nothing about tips and energies.
+#[must_use]
+pub fn was_checked(summary: &serde_json::Value) -> bool {
+    let check = &summary["check"];
+    !check.is_null() && check["verdict"] != NOT_CHECKED
+}
+
 /// Staying after the task, with the last wrench held.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StaysSummary {
@@ -710,6 +716,68 @@ pub struct AttemptSummary {
     pub is_result: bool,
 }
 
+/// End of the tip in the forward simulation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TipEnd {
+    /// Distance of the tip from its target, m.
+    pub tip_error_m: f64,
+    /// Angle from the target orientation, rad.
+    pub tip_angle_rad: f64,
+    /// Speed of the tip at the end, m/s.
+    pub tip_speed_m_s: f64,
+}
+
+/// The part of a summary that follows from the motion and its check.
+#[derive(Clone, Debug, Serialize)]
+pub struct Reached {
+    /// End of the tip; NaN without a check.
+    #[serde(flatten)]
+    pub tip: TipEnd,
+    /// Staying after the task; absent where the arm need not stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stays: Option<StaysSummary>,
+    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tracking: Vec<TrackingError>,
+    /// What soft goals leave; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub soft_goals: Vec<SoftGoalSummary>,
+    /// The forward check; absent when it could not be made.
+    pub check: Option<CheckRecord>,
+}
+
+/// The part of a summary that follows from the regulator.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Sensitivities {
+    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
+    pub open_loop_sensitivity: Option<SensitivitySummary>,
+    /// The same with feedback.
+    pub closed_loop_sensitivity: Option<SensitivitySummary>,
+}
+
+/// The part of a summary that follows from the discrete problem and the multipliers of its target.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProblemFacts {
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time step, s.
+    pub step_s: f64,
+    /// Steps of the horizon.
+    pub steps: usize,
+    /// Duration of the horizon, s: where it is free, the one that was found.
+    pub duration_s: f64,
+    /// Blocks of the control.
+    pub control_blocks: usize,
+    /// Unknowns of the subproblem.
+    pub variables: usize,
+    /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
+    pub multipliers: Vec<f64>,
+}
+
 /// Summary of `solve`.
 #[derive(Clone, Debug, Serialize)]
 pub struct SolveSummary {
@@ -741,23 +809,9 @@ pub struct SolveSummary {
     pub kkt: KktResidual,
     /// Ratio of the last two steps, and the observed order of convergence.
     pub convergence: Convergence,
-    /// Distance of the tip from its target in the forward simulation, m.
-    pub tip_error_m: f64,
-    /// Angle from the target orientation, rad.
-    pub tip_angle_rad: f64,
-    /// Speed of the tip at the end, m/s.
-    pub tip_speed_m_s: f64,
-    /// Staying after the task; absent where the arm need not stay.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub stays: Option<StaysSummary>,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub tracking: Vec<TrackingError>,
-    /// What soft goals leave; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub soft_goals: Vec<SoftGoalSummary>,
-    /// The forward check; absent when it could not be made.
-    pub check: Option<CheckRecord>,
+    /// What the motion reaches, and the check of it.
+    #[serde(flatten)]
+    pub reached: Reached,
     /// How the grid was chosen; absent where the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
@@ -767,10 +821,9 @@ pub struct SolveSummary {
     /// Every how many time nodes the motion of a solve that was stopped has a row, where that is not every one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps_per_row: Option<usize>,
-    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
-    pub open_loop_sensitivity: Option<SensitivitySummary>,
-    /// The same with feedback.
-    pub closed_loop_sensitivity: Option<SensitivitySummary>,
+    /// How perturbations grow.
+    #[serde(flatten)]
+    pub sensitivities: Sensitivities,
     /// Where the tip ends on arms that differ from the model, with and without the gains; absent where no gains were computed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub model_mismatch: Vec<ModelMismatch>,
@@ -788,56 +841,9 @@ pub struct SolveSummary {
     pub attempts: Vec<AttemptSummary>,
     /// The end of every start.
     pub starts: Vec<StartSummary>,
-    /// Rod model.
-    pub model: &'static str,
-    /// Strain rule.
-    pub strain: &'static str,
-    /// Number of elements.
-    pub elements: usize,
-    /// Time step, s.
-    pub step_s: f64,
-    /// Steps of the horizon.
-    pub steps: usize,
-    /// Duration of the horizon, s: where it is free, the one that was found.
-    pub duration_s: f64,
-    /// Blocks of the control.
-    pub control_blocks: usize,
-    /// Unknowns of the subproblem.
-    pub variables: usize,
-    /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
-    pub multipliers: Vec<f64>,
+    /// The discrete problem.
+    #[serde(flatten)]
+    pub facts: ProblemFacts,
     /// The result directory.
     pub directory: String,
-}
-
-/// Summary of `verify`.
-#[derive(Clone, Debug, Serialize)]
-pub struct VerifySummary {
-    /// [`SCHEMA_VERSION`]
-    pub schema_version: u32,
-    /// `verify`
-    pub command: &'static str,
-    /// The directory.
-    pub directory: String,
-    /// The check.
-    pub check: CheckRecord,
-    /// Files that the certificate is about: each says what scene and controls lead to.
-    pub covers: Vec<String>,
-    /// Other files of the directory, which were not looked at.
-    pub not_covered: Vec<String>,
-    /// Fields of `summary.json` that cannot be recomputed, by their dotted paths.
-    pub summary_not_recomputed: Vec<String>,
-    /// Where files say something else than the solution, the worst place of each.
-    pub mismatches: Vec<Mismatch>,
-    /// Distance of the tip from its target in the forward simulation, m.
-    pub tip_error_m: f64,
-    /// Angle from the target orientation, rad.
-    pub tip_angle_rad: f64,
-    /// Speed of the tip at the end, m/s.
-    pub tip_speed_m_s: f64,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub tracking: Vec<TrackingError>,
-    /// Wall time, s.
-    pub wall_s: f64,
 }

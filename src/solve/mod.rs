@@ -10,6 +10,10 @@ mod earlier;
 mod examined;
 mod files;
 mod page;
+#[cfg(feature = "cli")]
+mod recheck;
+#[cfg(feature = "cli")]
+mod simulation;
 mod soft_goals;
 mod solution;
 mod statics;
@@ -24,12 +28,11 @@ pub(crate) use self::{
     earlier::Earlier,
     examined::Examined,
     files::{IterationRow, iteration_row, write},
-    page::{
-        SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page,
-        simulation_page,
-    },
+    page::{SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page},
+    recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
+    simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
     step_kind::{help, legend, step_kind},
-    summary::{check_outcome, status_words, summarize},
+    summary::{status_words, summarize},
 };
 
 pub use files::SaveError;

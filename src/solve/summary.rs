@@ -6,13 +6,15 @@ use super::causes::causes;
 use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
-use crate::control::{Attempt, OptimalControlProblem, SolveLog, observe, tracking_errors};
-use crate::mechanics::Wrench;
+use crate::control::{
+    Attempt, Feedback, OptimalControlProblem, SolveLog, observe, tracking_errors,
+};
+use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{
     AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
     GrowthSummary, LargestDistance, LargestSpeed, MomentumAccount, NOT_CHECKED, NamedConstraint,
-    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SensitivitySummary, SolveSummary,
-    StartSummary, StaysSummary, StrainSummary, TOOL,
+    PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, SecondOrderSummary, Sensitivities,
+    SensitivitySummary, SolveSummary, StartSummary, StaysSummary, StrainSummary, TOOL, TipEnd,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
@@ -72,24 +74,19 @@ pub(crate) fn summarize(
         },
         kkt: outcome.residual,
         convergence: outcome.convergence,
-        tip_error_m: check.map_or(f64::NAN, |check| check.tip_error),
-        tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
-        tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
-        stays: stays(problem, check),
-        tracking: tracking_errors(problem, &outcome.point.trajectory),
-        soft_goals: soft_goals(problem, &outcome.point.trajectory),
+        reached: reached(
+            problem,
+            &outcome.point.trajectory,
+            check,
+            examined.unchecked,
+        ),
         accuracy: None,
-        check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
-            .or_else(|| examined.unchecked.map(CheckRecord::not_checked)),
         progress: match outcome.status {
             SqpStatus::Stopped(_) => Progress::of(&outcome.history),
             _ => None,
         },
         steps_per_row: Some(solution.steps_per_row(examined)).filter(|&steps| steps > 1),
-        open_loop_sensitivity: (examined.feedback.as_ref())
-            .map(|feedback| SensitivitySummary::of(&feedback.open_loop)),
-        closed_loop_sensitivity: (examined.feedback.as_ref())
-            .map(|feedback| SensitivitySummary::of(&feedback.closed_loop)),
+        sensitivities: sensitivities(examined.feedback.as_ref()),
         model_mismatch: examined.mismatches.clone(),
         worst_constraints: solution.worst.clone(),
         qp_backend: outcome.route.name(),
@@ -98,6 +95,54 @@ pub(crate) fn summarize(
         abandoned: solution.attempt.abandoned.clone(),
         attempts: attempts(&solution.attempt),
         starts,
+        facts: problem_facts(problem, &outcome.multipliers.constraints),
+        directory: target.display().to_string(),
+    }
+}
+
+/// What a motion reaches, with its check or the reason why there is none.
+pub(super) fn reached(
+    problem: &OptimalControlProblem,
+    motion: &Trajectory,
+    check: Option<&ForwardCheck>,
+    unchecked: Option<Stop>,
+) -> Reached {
+    Reached {
+        tip: tip_end(check),
+        stays: stays(problem, check),
+        tracking: tracking_errors(problem, motion),
+        soft_goals: soft_goals(problem, motion),
+        check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
+            .or_else(|| unchecked.map(CheckRecord::not_checked)),
+    }
+}
+
+/// End of the tip in the replay of a check; NaN without one.
+pub(super) fn tip_end(check: Option<&ForwardCheck>) -> TipEnd {
+    let [tip_error_m, tip_angle_rad, tip_speed_m_s] = check.map_or([f64::NAN; 3], |check| {
+        [check.tip_error, check.tip_angle, check.tip_speed]
+    });
+    TipEnd {
+        tip_error_m,
+        tip_angle_rad,
+        tip_speed_m_s,
+    }
+}
+
+/// Growth of perturbations, where gains were computed.
+pub(super) fn sensitivities(feedback: Option<&Feedback>) -> Sensitivities {
+    let of = |growth: fn(&Feedback) -> &[f64]| {
+        feedback.map(|feedback| SensitivitySummary::of(growth(feedback)))
+    };
+    Sensitivities {
+        open_loop_sensitivity: of(|feedback| &feedback.open_loop),
+        closed_loop_sensitivity: of(|feedback| &feedback.closed_loop),
+    }
+}
+
+/// The discrete problem, and the multipliers of its target.
+pub(super) fn problem_facts(problem: &OptimalControlProblem, multipliers: &[f64]) -> ProblemFacts {
+    ProblemFacts {
         model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),
         elements: problem.rod.n_elements(),
@@ -105,17 +150,13 @@ pub(crate) fn summarize(
         steps: problem.grid.n_steps,
         duration_s: problem.grid.duration(),
         control_blocks: problem.control.n_blocks(),
-        variables: outcome.point.variables.len(),
-        multipliers: outcome.multipliers.constraints.clone(),
-        directory: target.display().to_string(),
+        variables: problem.n_variables(),
+        multipliers: multipliers.to_vec(),
     }
 }
 
-/// Staying after the task, as the summaries carry it.
-pub(crate) fn stays(
-    problem: &OptimalControlProblem,
-    check: Option<&ForwardCheck>,
-) -> Option<StaysSummary> {
+/// Staying after the task.
+fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Option<StaysSummary> {
     let stay = problem.stay.as_ref()?;
     let held = check.and_then(|check| check.stays.as_ref());
     let holds = |check: &ForwardCheck| {
@@ -146,7 +187,7 @@ pub(crate) fn stays(
 }
 
 /// The check as the summaries carry it.
-pub(crate) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
+pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
     CheckOutcome {
         same_grid_m: check.same_grid,
         same_grid_rad: check.same_grid_turn,

@@ -19,7 +19,7 @@ use crate::mechanics::{ControlSignal, Wrench};
 
 /// A hold over the blocks of a problem.
 #[derive(Clone, Debug)]
-pub(super) struct Spline {
+pub(crate) struct Spline {
     degree: usize,
     /// Edges of the blocks in steps.
     edges: Vec<usize>,
@@ -28,8 +28,8 @@ pub(super) struct Spline {
 }
 
 impl Spline {
-    /// Returns the spline of a problem's control, on its time grid.
-    pub(super) fn of(problem: &OptimalControlProblem) -> Self {
+    /// That of a problem's control, on its time grid.
+    pub(crate) fn of(problem: &OptimalControlProblem) -> Self {
         Self::new(
             problem.control.hold,
             problem.control.edges(),
@@ -137,8 +137,8 @@ impl Spline {
             .collect()
     }
 
-    /// Returns start and end of every coefficient of a constant hold, s; for the other holds twice the time of the coefficient.
-    pub(super) fn intervals(&self) -> Vec<[f64; 2]> {
+    /// Start and end of what every coefficient of a constant hold lasts for, s; of the others, the time that it stands for, twice.
+    pub(crate) fn intervals(&self) -> Vec<[f64; 2]> {
         (self.times().iter().enumerate())
             .map(|(j, t)| match self.degree {
                 0 => [self.knot(j), self.knot(j + 1)],
@@ -227,8 +227,8 @@ fn lobatto() -> [(f64, f64); 5] {
     ]
 }
 
-/// Returns the wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
-pub(super) fn signal(
+/// The wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
+pub(crate) fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
     coefficients: &[Wrench],

@@ -8,10 +8,8 @@ mod acting;
 mod dual;
 mod duration;
 #[doc(hidden)]
-pub mod files;
-#[doc(hidden)]
 pub mod growth;
-mod hold;
+pub(crate) mod hold;
 mod interval;
 #[doc(hidden)]
 pub mod kkt;

@@ -88,7 +88,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         bars: Vec::new(),
         tables: Vec::new(),
         advice: Vec::new(),
-        charts: if crate::verify::files::summary::was_checked(page.summary) {
+        charts: if crate::output::summary::was_checked(page.summary) {
             reaction::optimized(discrete, page.coefficients)
         } else {
             // Of a solve that was stopped nobody waits for another simulation.

@@ -1,18 +1,10 @@
-//! The contents of the files of a result directory, compared with recomputed ones.
-//!
-//! Values that follow from the scene and the controls are recomputed, and compared within the effect of rounding and of replays on another
-//! machine.
+//! A file beside its recomputed contents: the worst distance, and where it is.
 
-pub mod controls;
-pub mod feedback;
-pub mod motion;
-pub mod summary;
-
-use super::CheckItem;
+use crate::verify::CheckItem;
 
 /// A place at which a file contradicts the solution.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Mismatch {
+pub(crate) struct Mismatch {
     /// The file.
     pub file: &'static str,
     /// Column, array or field, with the row.
@@ -47,7 +39,7 @@ impl std::fmt::Display for Mismatch {
 
 /// Result of the check of a file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FileCheck {
+pub(super) struct FileCheck {
     /// The file.
     pub file: &'static str,
     /// Largest distance divided by the allowed one.
@@ -127,8 +119,8 @@ impl FileCheck {
     }
 }
 
-/// Formats a number with all its digits and without long runs of zeros.
-fn written(value: f64) -> String {
+/// A number with all its digits, and no more zeros than one can count.
+pub(super) fn written(value: f64) -> String {
     const PLAIN: std::ops::Range<f64> = 1e-4..1e9;
     if value == 0.0 || PLAIN.contains(&value.abs()) {
         format!("{value}")
@@ -140,10 +132,10 @@ fn written(value: f64) -> String {
 /// Cap on the characters of a foreign text that are repeated.
 const LONGEST_WORD: usize = 60;
 
-/// Rounding of a few operations.
-const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
-/// Fraction of the length by which positions may differ, and of the throughput by which energies and momenta may differ: replays on another
-/// machine, whose rounding differs.
-const ELSEWHERE: f64 = 1e-9;
-/// Fraction by which values computed from differences of positions may differ on another machine.
-const DERIVED: f64 = 1e-6;
+/// Roundings of a few operations.
+pub(super) const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
+/// Part of the length by which positions may differ, and of what passes through of energies and momenta: replays elsewhere, whose
+/// rounding differs.
+pub(super) const ELSEWHERE: f64 = 1e-9;
+/// Part by which what is made of differences of positions may differ elsewhere.
+pub(super) const DERIVED: f64 = 1e-6;

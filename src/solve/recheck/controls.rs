@@ -1,6 +1,6 @@
 //! The check of `controls.csv`: the times of the coefficients, recomputed.
 
-use super::{ELSEWHERE, FileCheck, ROUNDINGS};
+use super::file_check::{ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
 use crate::output::ControlRow;
 use crate::verify::hold::Spline;
@@ -11,7 +11,7 @@ const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 /// Checks start and end of every row: those of its block, or the time of its coefficient; for the rows after the horizon, with which the
 /// arm stays, also their wrenches. The wrenches before are judged by the conditions of the motion.
 #[must_use]
-pub fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck {
+pub(super) fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> FileCheck {
     let mut out = FileCheck::of("controls.csv");
     let allowed = ROUNDINGS * problem.grid.duration();
     let mut intervals = Spline::of(problem).intervals();

@@ -5,7 +5,7 @@
 //! whose numbers are reproduced rather than checked by other code. Its [recursion](crate::control::feedback::riccati) has tests of its own
 //! against dense least squares.
 
-use super::{DERIVED, FileCheck, ROUNDINGS};
+use super::file_check::{DERIVED, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
 use crate::output::{NamedArray, feedback_arrays};
 
@@ -16,14 +16,14 @@ const COMPONENTS: usize = 12;
 
 /// Returns the required contents of the file.
 #[must_use]
-pub fn expected(problem: &OptimalControlProblem, feedback: &Feedback) -> [NamedArray; 12] {
+pub(super) fn expected(problem: &OptimalControlProblem, feedback: &Feedback) -> [NamedArray; 12] {
     feedback_arrays(feedback, problem.grid.duration())
 }
 
 /// Compares every array with the recomputed one; gains and costs within a fraction of the largest value between the same input and the same
 /// kind of deviation.
 #[must_use]
-pub fn check(
+pub(super) fn check(
     problem: &OptimalControlProblem,
     expected: &[NamedArray],
     found: &[NamedArray],

@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix3;
 
-use super::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
+use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::Wrench;
 use crate::output::MotionRecord;
@@ -14,7 +14,7 @@ use crate::verify::{ForwardCheck, hold};
 /// dilatations are lengths of the recorded chords divided by those at rest. Positions and rotations themselves are judged by the conditions
 /// of the motion and by the replay.
 #[must_use]
-pub fn check(
+pub(super) fn check(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
     check: &ForwardCheck,
