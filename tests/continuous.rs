@@ -7,7 +7,7 @@ use softarm::mechanics::{
 };
 use softarm::scene::Scene;
 use softarm::task::{
-    Arm, ChannelLimits, Discretization, DiscretizeError, Limit, LimitKind, Obstruction, Place,
+    Arm, ChannelLimits, Discretization, DiscretizeError, Limit, Obstruction, PathLimit, Place,
     PointLoad, Rest, Start, StartShape, Target, Task, Tolerances, WrenchActuator,
 };
 
@@ -49,20 +49,21 @@ fn posed() -> (Arm, Task, Discretization) {
     task.limits = vec![
         Limit {
             name: "ball".into(),
-            kind: LimitKind::Clearance {
+            kind: PathLimit::Clearance {
                 velocity: Vector3::zeros(),
                 shape: Shape::Sphere {
                     center: Vector3::new(0.5, 0.5, 0.0),
                     radius: 0.1,
                 },
                 margin: 0.01,
+                points: None,
             },
             rate: Some(50.0),
             enforcement: PathEnforcement::Hard,
         },
         Limit {
             name: "speed".into(),
-            kind: LimitKind::Speed {
+            kind: PathLimit::Speed {
                 at: Place::Tip,
                 largest: 5.0,
             },
@@ -287,13 +288,14 @@ fn refusals_are_typed() {
     ));
     assert!(matches!(
         refusal(&|_, task, _| {
-            task.limits[0].kind = LimitKind::Clearance {
+            task.limits[0].kind = PathLimit::Clearance {
                 velocity: Vector3::zeros(),
                 shape: Shape::Sphere {
                     center: Vector3::new(0.0, 0.0, -0.5),
                     radius: 0.1,
                 },
                 margin: 0.0,
+                points: None,
             };
         }),
         DiscretizeError::ViolatedAtStart { limit: 0, .. }

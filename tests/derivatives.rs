@@ -10,7 +10,7 @@ use softarm::derivatives::{Block, Report, Verdict, check, check_motion};
 use softarm::mechanics::linearization::{Motion, StepLinearization};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{TimeScheme, Trajectory};
+use softarm::mechanics::{Place, TimeScheme, Trajectory};
 use softarm::scene::{Scene, builtin};
 
 #[track_caller]
@@ -86,7 +86,6 @@ energy = 0.3
         let set = [format!("time.integrator={integrator}")];
         let (scene, source) = Scene::from_toml("all", scene, &set).unwrap();
         let mut problem = scene.optimal_control(&source).unwrap().problem;
-        let tip = problem.rod.tip();
         let turn = Vector3::new(0.3, -0.4, 0.2);
         problem.objective = Objective {
             tracking: vec![Tracking {
@@ -106,7 +105,7 @@ energy = 0.3
             velocity: Vector3::new(0.1, -0.2, 0.05),
             shape,
             margin: 0.01,
-            points: 2,
+            points: Some(2),
         };
         let limits = [
             (
@@ -136,7 +135,7 @@ energy = 0.3
             (
                 "speed",
                 PathLimit::Speed {
-                    node: tip,
+                    at: Place::Tip,
                     largest: 5.0,
                 },
             ),

@@ -16,7 +16,7 @@ use softarm::mpc::{
     Computing, Contender, EstimatorChoice, Experiment, FallbackSettings, MpcSettings, Sensing,
     SensorChoice, SensorPreset, SensorSettings, Unknowns,
 };
-use softarm::task::{ChannelLimits, Discretization, Limit, LimitKind, Place, Task};
+use softarm::task::{ChannelLimits, Discretization, Limit, PathLimit, Place, Task};
 
 /// A silicone arm whose tip is to go to one side and back, every four seconds.
 fn scene(limits: Vec<Limit>) -> Experiment {
@@ -43,7 +43,7 @@ fn scene(limits: Vec<Limit>) -> Experiment {
     Experiment::new(tracking::arm(1e6), task, discretization, settings)
 }
 
-fn limit(kind: LimitKind, enforcement: PathEnforcement) -> Limit {
+fn limit(kind: PathLimit, enforcement: PathEnforcement) -> Limit {
     Limit {
         name: "limit".into(),
         kind,
@@ -53,7 +53,7 @@ fn limit(kind: LimitKind, enforcement: PathEnforcement) -> Limit {
 }
 
 /// Largest excess of a limit over the run, over the length of the arm or in the limit's own unit, and the largest distance of the tip from its path.
-fn excess(scene: &Experiment, kind: &LimitKind) -> (f64, f64) {
+fn excess(scene: &Experiment, kind: &PathLimit) -> (f64, f64) {
     let rod = scene.plant.rod(&scene.plant_discretization).unwrap();
     let radii = scene.plant.radii_at_nodes(rod.n_elements());
     let on = kind.on(&rod, &radii);
@@ -80,7 +80,7 @@ fn excess(scene: &Experiment, kind: &LimitKind) -> (f64, f64) {
 /// and plant alike, exceeds it by less than a hundredth of its scale.
 #[test]
 fn limits_are_kept() {
-    let post = LimitKind::Clearance {
+    let post = PathLimit::Clearance {
         shape: Shape::Capsule {
             from: Vector3::new(0.11, 0.02, 0.5),
             to: Vector3::new(0.11, 0.02, 1.5),
@@ -88,16 +88,18 @@ fn limits_are_kept() {
         },
         velocity: Vector3::zeros(),
         margin: 0.0,
+        points: None,
     };
-    let ball = LimitKind::Clearance {
+    let ball = PathLimit::Clearance {
         shape: Shape::Sphere {
             center: Vector3::new(0.1, 0.8, 0.95),
             radius: 0.05,
         },
         velocity: Vector3::new(0.0, -0.4, 0.0),
         margin: 0.01,
+        points: None,
     };
-    let bend = LimitKind::Curvature { largest: 0.5 };
+    let bend = PathLimit::Curvature { largest: 0.5 };
     for (name, kind) in [("post", post), ("ball", ball), ("bend", bend)] {
         let (without, _) = excess(&scene(Vec::new()), &kind);
         let limits = vec![limit(kind.clone(), PathEnforcement::Hard)];
@@ -111,7 +113,7 @@ fn limits_are_kept() {
 /// A price below what the detour is worth is paid, and a dear one is not.
 #[test]
 fn cheap_limits_are_paid_for() {
-    let kind = LimitKind::Curvature { largest: 0.5 };
+    let kind = PathLimit::Curvature { largest: 0.5 };
     let at = |price: f64| {
         let soft = PathEnforcement::Soft {
             linear: price,
@@ -147,7 +149,7 @@ fn measured(scene: &Experiment) -> [f64; 3] {
 #[test]
 fn limits_of_speed_are_kept() {
     let largest = 0.13;
-    let kind = LimitKind::Speed {
+    let kind = PathLimit::Speed {
         at: Place::Tip,
         largest,
     };

@@ -21,7 +21,7 @@ use softarm::mpc::{
     Reading, Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal,
     Unknowns,
 };
-use softarm::task::{Limit, LimitKind};
+use softarm::task::{Limit, PathLimit};
 
 /// Commands of the closed loop in the library.
 fn commands_of_the_library(scene: &Experiment) -> Vec<Command> {
@@ -387,13 +387,14 @@ fn orientations_and_obstacles_may_come_with_measurements() {
     let turn = |angle: f64| (0.0, exp(&Vector3::new(0.0, angle, 0.0)));
     let post = |x: f64| Limit {
         name: "post".into(),
-        kind: LimitKind::Clearance {
+        kind: PathLimit::Clearance {
             shape: Shape::Sphere {
                 center: Vector3::new(x, 0.0, 1.0),
                 radius: 0.05,
             },
             velocity: Vector3::zeros(),
             margin: 0.0,
+            points: None,
         },
         rate: None,
         enforcement: PathEnforcement::Hard,

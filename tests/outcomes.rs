@@ -331,8 +331,9 @@ impl Motion {
             for states in self.0.windows(2) {
                 let x = |end: usize| &states[end].configuration.positions;
                 match &path.limit {
-                    PathLimit::Speed { node, largest } => {
-                        let speed = (x(1)[*node] - x(0)[*node]).norm() / problem.grid.step;
+                    PathLimit::Speed { at, largest } => {
+                        let node = at.node(problem.rod.n_elements());
+                        let speed = (x(1)[node] - x(0)[node]).norm() / problem.grid.step;
                         assert!(speed <= 1.01 * largest, "{}: {speed} m/s", path.name);
                     }
                     PathLimit::Clearance { shape, margin, .. } => {

@@ -11,8 +11,8 @@ use softarm::control::{
     ActuatedNode, Bound, Enforcement, Goal, GoalPart, Guess, LiftedPoint, OptimalControlProblem,
     PathConstraint, PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
-use softarm::mechanics::RodParameters;
 use softarm::mechanics::rotation::log;
+use softarm::mechanics::{Place, RodParameters};
 use softarm::scene::Scene;
 use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
@@ -219,7 +219,7 @@ fn reach_past(ball: Option<PathEnforcement>) -> (RodParameters, OptimalControlPr
                     radius: 0.1,
                 },
                 margin: 0.0,
-                points: 3,
+                points: Some(3),
             },
             time_nodes: (0..=n_steps).collect(),
             enforcement,
@@ -331,7 +331,10 @@ fn strains_speeds_and_sets_hold() {
     let free_outcome = solved(&free);
     let tip = free.rod.tip();
     let curvature = |largest| PathLimit::Curvature { largest };
-    let speed = |largest| PathLimit::Speed { node: tip, largest };
+    let speed = |largest| PathLimit::Speed {
+        at: Place::Tip,
+        largest,
+    };
     let limits: [&dyn Fn(f64) -> PathLimit; 2] = [&curvature, &speed];
     for limit in limits {
         let limited = |largest: f64| {

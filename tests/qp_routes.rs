@@ -13,7 +13,7 @@ use softarm::control::{
     Bound, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem, PathConstraint,
     PathEnforcement, PathLimit, Shape, Transcription, first_point,
 };
-use softarm::mechanics::{BaseCondition, Rod, RodModel, RodParameters, StrainRule};
+use softarm::mechanics::{BaseCondition, Place, Rod, RodModel, RodParameters, StrainRule};
 use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
 use softarm::sqp::{
     HessianChoice, LiftedProgram, LinearizationRequest, QpRoute, Softness, SqpSettings, StateRow,
@@ -156,7 +156,7 @@ fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
                 velocity: Vector3::zeros(),
                 shape: ball,
                 margin: 0.0,
-                points: 2,
+                points: Some(2),
             },
             8,
             PathEnforcement::Hard,
@@ -164,7 +164,7 @@ fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
         path(
             "speed",
             PathLimit::Speed {
-                node: 4,
+                at: Place::Tip,
                 largest: 0.8,
             },
             10,

@@ -12,7 +12,7 @@ use softarm::mechanics::{Material, Rod};
 use softarm::scene::Scene;
 use softarm::sqp::SqpSettings;
 use softarm::task::{
-    Arm, ChannelLimits, Discretization, DiscretizeError, Limit, LimitKind, Place, Task, Track,
+    Arm, ChannelLimits, Discretization, DiscretizeError, Limit, PathLimit, Place, Task, Track,
 };
 
 fn arm() -> Arm {
@@ -133,7 +133,7 @@ fn limits_are_kept() {
         let mut task = task();
         task.limits.push(Limit {
             name: "tilt".into(),
-            kind: LimitKind::Term(SharedTerm::new(Tilt {
+            kind: PathLimit::Term(SharedTerm::new(Tilt {
                 largest,
                 error: 0.0,
             })),
@@ -206,7 +206,7 @@ fn the_derivative_check_sees_terms() {
         });
         task.limits.push(Limit {
             name: "tilt".into(),
-            kind: LimitKind::Term(tilt(in_limit)),
+            kind: PathLimit::Term(tilt(in_limit)),
             rate: Some(50.0),
             enforcement: PathEnforcement::Hard,
         });

@@ -12,7 +12,7 @@ use super::residual::durations;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
-use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
+use crate::mechanics::{FormTerm, Place, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 
 /// The quantity that a path constraint limits.
@@ -26,8 +26,9 @@ pub enum PathLimit {
         velocity: Vector3<f64>,
         /// Clearance, m.
         margin: f64,
-        /// Points per element: its first node and others on the chord to the next, evenly spaced.
-        points: usize,
+        /// Points per element: its first node and others on the chord to the next, evenly spaced. `None`: as many as [`PathLimit::on`] a rod
+        /// takes.
+        points: Option<usize>,
     },
     /// Length of an element over that at rest.
     Stretch {
@@ -46,10 +47,10 @@ pub enum PathLimit {
         /// Largest.
         largest: f64,
     },
-    /// Speed of a node, m/s: its mean over the step that ends at the time node.
+    /// Speed of a place, m/s: its mean over the step that ends at the time node.
     Speed {
-        /// The node.
-        node: usize,
+        /// The place on the arm.
+        at: Place,
         /// Largest.
         largest: f64,
     },
@@ -300,6 +301,45 @@ const CHORD_DIP: f64 = 2e-3;
 const MOST_POINTS: usize = 8;
 
 impl PathLimit {
+    /// The limit on a rod whose nodes have these radii in m: with the number of points per element that an obstacle needs.
+    #[must_use]
+    pub fn on(&self, rod: &Rod, radii: &[f64]) -> Self {
+        let mut out = self.clone();
+        if let Self::Clearance {
+            shape,
+            margin,
+            points: points @ None,
+            ..
+        } = &mut out
+        {
+            let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+            let radius = shape.least_radius() + thinnest(radii) + *margin;
+            *points = Some(Self::points_per_element(chord, radius));
+        }
+        out
+    }
+
+    /// Points per element of an obstacle; 1 for all other limits.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        match self {
+            Self::Clearance { points, .. } => points.unwrap_or(1),
+            _ => 1,
+        }
+    }
+
+    /// Size of the limit in its own unit, to which an excess is compared; `None` for obstacles and stretches, whose unit is of order 1, and for
+    /// terms of one's own.
+    #[must_use]
+    pub fn size(&self) -> Option<f64> {
+        match self {
+            Self::Curvature { largest } | Self::Twist { largest } | Self::Speed { largest, .. } => {
+                Some(*largest)
+            }
+            Self::Clearance { .. } | Self::Stretch { .. } | Self::Term(_) => None,
+        }
+    }
+
     /// Points per element such that chords of length `chord` over this number dip into a body of the given radius (the arm's
     /// own and the margin included) by less than 0.2 % of it: `s²/(8 radius)` for points a distance `s` apart; at most 8.
     #[must_use]
@@ -315,7 +355,7 @@ impl PathLimit {
     #[must_use]
     pub fn n_items(&self, rod: &Rod) -> usize {
         match self {
-            Self::Clearance { points, .. } => points * rod.n_elements() + 1,
+            Self::Clearance { .. } => self.points() * rod.n_elements() + 1,
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
             Self::Speed { .. } => 1,
@@ -346,10 +386,10 @@ impl PathLimit {
     #[must_use]
     pub fn node(&self, rod: &Rod, item: usize) -> usize {
         match self {
-            Self::Clearance { points, .. } => item / points,
+            Self::Clearance { .. } => item / self.points(),
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
-            Self::Speed { node, .. } => *node,
+            Self::Speed { at, .. } => at.node(rod.n_elements()),
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -452,9 +492,9 @@ impl PathLimit {
                 shape,
                 velocity,
                 margin,
-                points,
+                ..
             } => {
-                let (q, s, radius) = Self::point(*points, item, rod_view);
+                let (q, s, radius) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 radius + margin - shape.distance(&x).value
             }
@@ -476,8 +516,9 @@ impl PathLimit {
                 let kappa = Self::curvature_vector(rod_view, k, item / 2);
                 side(item) * kappa.z - largest
             }
-            Self::Speed { node, largest } => {
-                Self::velocity(rod_view, [from, k], *node).norm() - largest
+            Self::Speed { at, largest } => {
+                let node = at.node(rod_view.rod.n_elements());
+                Self::velocity(rod_view, [from, k], node).norm() - largest
             }
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
@@ -521,12 +562,9 @@ impl PathLimit {
         let inverse = 1.0 / self.scale(rod_view.rod);
         match self {
             Self::Clearance {
-                shape,
-                velocity,
-                points,
-                ..
+                shape, velocity, ..
             } => {
-                let (q, s, _) = Self::point(*points, item, rod_view);
+                let (q, s, _) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 let direction = -shape.distance(&x).gradient * inverse;
                 point_form(q, s, &direction).for_each(|term| write(0, term));
@@ -548,11 +586,12 @@ impl PathLimit {
                 let n = Vector3::z() * (side(item) * inverse);
                 strain_form(rod_view, k, item / 2, &n).for_each(|term| write(0, term));
             }
-            Self::Speed { node, .. } => {
-                let along_motion = unit(&Self::velocity(rod_view, [from, k], *node));
+            Self::Speed { at, .. } => {
+                let node = at.node(rod_view.rod.n_elements());
+                let along_motion = unit(&Self::velocity(rod_view, [from, k], node));
                 let n = along_motion * (inverse / Self::between(rod_view, [from, k]));
-                along(*node, 0, &n).for_each(|term| write(0, term));
-                along(*node, 0, &-n).for_each(|term| write(1, term));
+                along(node, 0, &n).for_each(|term| write(0, term));
+                along(node, 0, &-n).for_each(|term| write(1, term));
             }
             Self::Term(own) => {
                 let form = own.gradient(&rod_view.view(k), item);
@@ -568,12 +607,9 @@ impl PathLimit {
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         match self {
             Self::Clearance {
-                shape,
-                velocity,
-                points,
-                ..
+                shape, velocity, ..
             } => {
-                let (q, s, _) = Self::point(*points, item, rod_view);
+                let (q, s, _) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 RowCurvature {
                     forms: axes
@@ -617,9 +653,10 @@ impl PathLimit {
                 &(Vector3::z() * (side(item) * inverse)),
                 &Matrix3::zeros(),
             ),
-            Self::Speed { node, .. } => {
-                let v = Self::velocity(rod_view, [k.saturating_sub(1), k], *node);
-                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / rod_view.grid.step)));
+            Self::Speed { at, .. } => {
+                let node = at.node(rod_view.rod.n_elements());
+                let v = Self::velocity(rod_view, [k.saturating_sub(1), k], node);
+                let forms = axes.map(|axis| velocity_form(k, node, &(axis / rod_view.grid.step)));
                 RowCurvature {
                     forms: forms.to_vec(),
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),

@@ -1,10 +1,54 @@
-//! Places between the nodes of a rod, where the strain of an element is taken as constant.
+//! Places on a rod. Between nodes the strain of an element is taken as constant.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
 use super::rod::Rod;
 use super::rotation::{exp, exp_tangent, log};
+
+/// A place along an arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Place {
+    /// The base, where the arm is held.
+    Base,
+    /// Its free end.
+    #[default]
+    Tip,
+    /// The arc coordinate at rest over the length, from 0 at the base to 1 at the tip. A discretization takes the nearest node.
+    Fraction(f64),
+}
+
+impl Place {
+    /// The place of a node of a rod of `elements`.
+    #[must_use]
+    pub fn of_node(node: usize, elements: usize) -> Self {
+        match node {
+            0 => Self::Base,
+            last if last == elements => Self::Tip,
+            _ => Self::Fraction(node as f64 / elements as f64),
+        }
+    }
+
+    /// Arc coordinate at rest over the length.
+    #[must_use]
+    pub fn fraction(self) -> f64 {
+        match self {
+            Self::Base => 0.0,
+            Self::Tip => 1.0,
+            Self::Fraction(s) => s,
+        }
+    }
+
+    /// The nearest node of a rod of `elements`.
+    #[must_use]
+    pub fn node(self, elements: usize) -> usize {
+        match self {
+            Self::Base => 0,
+            Self::Tip => elements,
+            Self::Fraction(s) => ((s * elements as f64).round() as usize).min(elements),
+        }
+    }
+}
 
 /// Returns the pose at the fraction `s` of element `q`.
 pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {

@@ -13,7 +13,7 @@ use crate::control::{self, PathEnforcement, Shape};
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{self, BaseCondition, LoadFrame, MotionCurve, SectionProfile};
 use crate::sqp::SqpSettings;
-use crate::task::{self, ChannelLimits, Hardness, LimitKind, Place, Problem, Rest, Target};
+use crate::task::{self, ChannelLimits, Hardness, PathLimit, Place, Problem, Rest, Target};
 
 /// A part of a problem that no scene can say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -65,7 +65,7 @@ impl Scene {
         if task.limits[obstacles..].iter().any(is_obstacle) {
             return Err(DescribeError("its obstacles come behind other limits"));
         }
-        let is_own = |limit: &task::Limit| matches!(limit.kind, LimitKind::Term(_));
+        let is_own = |limit: &task::Limit| matches!(limit.kind, PathLimit::Term(_));
         if !task.cost.terms.is_empty() || task.limits.iter().any(is_own) {
             return Err(DescribeError("it has terms of its own"));
         }
@@ -423,7 +423,7 @@ fn control(problem: &Problem) -> Result<Control, DescribeError> {
 }
 
 fn is_obstacle(limit: &task::Limit) -> bool {
-    matches!(limit.kind, LimitKind::Clearance { .. })
+    matches!(limit.kind, PathLimit::Clearance { .. })
 }
 
 fn price(enforcement: PathEnforcement) -> Option<Price> {
@@ -448,10 +448,11 @@ fn obstacle(limit: &task::Limit) -> Obstacle {
         soft: price(limit.enforcement),
         rate_hz: limit.rate.map(known),
     };
-    if let LimitKind::Clearance {
+    if let PathLimit::Clearance {
         shape,
         velocity,
         margin,
+        ..
     } = limit.kind
     {
         out.margin_m = known(margin);
@@ -504,11 +505,11 @@ fn described_limit(limit: &task::Limit, at: &impl Fn(Place) -> LoadNode) -> Limi
         rate_hz: limit.rate.map(known),
     };
     match limit.kind {
-        LimitKind::Clearance { .. } | LimitKind::Term(_) => {}
-        LimitKind::Stretch { least, largest } => out.stretch = Some([least, largest]),
-        LimitKind::Curvature { largest } => out.curvature_max_1_m = Some(known(largest)),
-        LimitKind::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
-        LimitKind::Speed { at: place, largest } => {
+        PathLimit::Clearance { .. } | PathLimit::Term(_) => {}
+        PathLimit::Stretch { least, largest } => out.stretch = Some([least, largest]),
+        PathLimit::Curvature { largest } => out.curvature_max_1_m = Some(known(largest)),
+        PathLimit::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
+        PathLimit::Speed { at: place, largest } => {
             out.speed_max_m_s = Some(known(largest));
             out.node = Some(at(place));
         }

@@ -21,8 +21,8 @@ use crate::mechanics::{
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{
-    Arm, ChannelLimits, Cost, Discretization, DistributedCouple, Hardness, Limit, LimitKind,
-    OwnActuator, Place, PointLoad, Problem, Rest, Start, Staying, Target, Task, Tolerances, Track,
+    Arm, ChannelLimits, Cost, Discretization, DistributedCouple, Hardness, Limit, OwnActuator,
+    PathLimit, Place, PointLoad, Problem, Rest, Start, Staying, Target, Task, Tolerances, Track,
     WrenchActuator,
 };
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
@@ -537,15 +537,15 @@ impl Scene {
         });
         let limits = self.limit.iter().filter_map(|limit| {
             let kind = if let Some([least, largest]) = limit.stretch {
-                LimitKind::Stretch { least, largest }
+                PathLimit::Stretch { least, largest }
             } else if let Some(largest) = limit.curvature_max_1_m.map(Number::get) {
-                LimitKind::Curvature { largest }
+                PathLimit::Curvature { largest }
             } else if let Some(largest) = limit.twist_max_1_m.map(Number::get) {
-                LimitKind::Twist { largest }
+                PathLimit::Twist { largest }
             } else {
                 let at = limit.node.unwrap_or_default().place(self.rod.elements);
                 let largest = limit.speed_max_m_s?.get();
-                LimitKind::Speed { at, largest }
+                PathLimit::Speed { at, largest }
             };
             Some(Limit {
                 name: limit.name(),
@@ -680,11 +680,12 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     }
 }
 
-fn clearance(obstacle: &model::Obstacle) -> Option<LimitKind> {
-    Some(LimitKind::Clearance {
+fn clearance(obstacle: &model::Obstacle) -> Option<PathLimit> {
+    Some(PathLimit::Clearance {
         shape: shape(obstacle)?,
         velocity: (obstacle.velocity_m_s).map_or_else(Vector3::zeros, Vector3::from),
         margin: obstacle.margin_m.get(),
+        points: None,
     })
 }
 

@@ -314,10 +314,7 @@ impl<'a> Watch<'a> {
                         thickness.max(FLAT_REFERENCE * rod.scales.length)
                     }
                 }
-                PathLimit::Stretch { .. } | PathLimit::Term(_) => 1.0,
-                PathLimit::Curvature { largest }
-                | PathLimit::Twist { largest }
-                | PathLimit::Speed { largest, .. } => *largest,
+                other => other.size().unwrap_or(1.0),
             };
             let nodes = &constraint.time_nodes;
             let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
@@ -326,10 +323,7 @@ impl<'a> Watch<'a> {
             if constraint.enforcement != PathEnforcement::Hard {
                 continue;
             }
-            let mut limit = constraint.limit.clone();
-            if let PathLimit::Speed { node, .. } = &mut limit {
-                *node *= factor;
-            }
+            let limit = constraint.limit.clone();
             // A constraint that holds at the end also holds while the arm stays.
             let end = if problem.stay.is_some() && *last == problem.grid.n_steps {
                 f64::INFINITY

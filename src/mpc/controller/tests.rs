@@ -8,7 +8,7 @@ use crate::control::{
 };
 use crate::mechanics::{Material, Rod};
 use crate::mpc::soft_rows::SoftRows;
-use crate::task::{ChannelLimits, Cost, Limit, LimitKind, Place, Target, Track, WrenchActuator};
+use crate::task::{ChannelLimits, Cost, Limit, PathLimit, Place, Target, Track, WrenchActuator};
 
 /// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first
 /// order.
@@ -148,7 +148,7 @@ fn slopes_of_all_rows_agree_with_differences() {
         (0.0, Vector3::new(0.1, 0.2, 0.9)),
         (0.2, Vector3::new(0.2, 0.1, 0.8)),
     ];
-    let limit = |kind: LimitKind| Limit {
+    let limit = |kind: PathLimit| Limit {
         name: "limit".into(),
         kind,
         rate: None,
@@ -172,22 +172,23 @@ fn slopes_of_all_rows_agree_with_differences() {
             ..Target::default()
         }],
         limits: vec![
-            limit(LimitKind::Clearance {
+            limit(PathLimit::Clearance {
                 shape,
                 velocity,
                 margin,
+                points: None,
             }),
-            limit(LimitKind::Stretch {
+            limit(PathLimit::Stretch {
                 least: 0.9,
                 largest: 1.1,
             }),
-            limit(LimitKind::Curvature { largest: 1.5 }),
-            limit(LimitKind::Twist { largest: 0.5 }),
-            limit(LimitKind::Speed {
+            limit(PathLimit::Curvature { largest: 1.5 }),
+            limit(PathLimit::Twist { largest: 0.5 }),
+            limit(PathLimit::Speed {
                 at: Place::Tip,
                 largest: 0.1,
             }),
-            limit(LimitKind::Term(SharedTerm::new(TipTilt))),
+            limit(PathLimit::Term(SharedTerm::new(TipTilt))),
         ],
         actuators: vec![WrenchActuator {
             at: Place::Tip,
@@ -226,7 +227,7 @@ fn slopes_of_all_rows_agree_with_differences() {
     let n_limits = controller.horizon.n_limit_rows();
     let mut soft = SoftRows::new(n, n_limits);
     controller.horizon.write_limits(&mut soft);
-    let mut values = |controller: &mut Controller, plan: &[f64]| {
+    let values = |controller: &mut Controller, plan: &[f64]| {
         controller.horizon.roll_out(plan).unwrap();
         let mut limits = vec![0.0; n_limits];
         controller.horizon.write_limit_values(&still, &mut limits);

@@ -6,7 +6,6 @@ use crate::control::{PathLimit, Shape};
 use crate::output::MotionRecord;
 use crate::output::summary::ClearanceSummary;
 use crate::scene::Simulation;
-use crate::task::LimitKind;
 
 /// The obstacles, and the smallest distances so far.
 pub(super) struct Clearances {
@@ -31,16 +30,13 @@ impl Clearances {
         let radii = setup.arm.radii_at_nodes(rod.n_elements());
         let obstacles = (setup.resolved.limits().into_iter())
             .filter_map(|limit| {
-                let LimitKind::Clearance {
+                let PathLimit::Clearance {
                     shape, velocity, ..
                 } = &limit.kind
                 else {
                     return None;
                 };
-                let points = match limit.kind.on(rod, &radii) {
-                    PathLimit::Clearance { points, .. } => points,
-                    _ => 1,
-                };
+                let points = limit.kind.on(rod, &radii).points();
                 Some(Obstacle {
                     shape: *shape,
                     velocity: *velocity,
