@@ -301,20 +301,27 @@ const CHORD_DIP: f64 = 2e-3;
 const MOST_POINTS: usize = 8;
 
 impl PathLimit {
-    /// The limit on a rod whose nodes have these radii in m: with the number of points per element that an obstacle needs.
+    /// The limit on a rod whose nodes have these radii in m: at a node of that rod, and with the number of points per element that an obstacle
+    /// needs. Finer rods have a node at the same place.
     #[must_use]
     pub fn on(&self, rod: &Rod, radii: &[f64]) -> Self {
         let mut out = self.clone();
-        if let Self::Clearance {
-            shape,
-            margin,
-            points: points @ None,
-            ..
-        } = &mut out
-        {
-            let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
-            let radius = shape.least_radius() + thinnest(radii) + *margin;
-            *points = Some(Self::points_per_element(chord, radius));
+        match &mut out {
+            Self::Clearance {
+                shape,
+                margin,
+                points: points @ None,
+                ..
+            } => {
+                let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+                let radius = shape.least_radius() + thinnest(radii) + *margin;
+                *points = Some(Self::points_per_element(chord, radius));
+            }
+            Self::Speed { at, .. } => {
+                let elements = rod.n_elements();
+                *at = Place::of_node(at.node(elements), elements);
+            }
+            _ => {}
         }
         out
     }

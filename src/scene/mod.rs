@@ -23,8 +23,6 @@
 mod accuracy;
 pub mod builtin;
 mod check;
-mod check_closed_loop;
-mod check_control;
 mod closed_loop;
 mod csv_path;
 mod describe;
@@ -178,7 +176,7 @@ fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, Stri
         "obstacle" => Some(("obstacle", model::obstacle_name(name.as_deref(), index))),
         "limit" => {
             let is_given = |key: &str| item.get(key).is_some();
-            Some(("limit", model::limit_name(name.as_deref(), is_given)))
+            Some(("limit", model::Limit::name_by(name.as_deref(), is_given)))
         }
         _ => None,
     }

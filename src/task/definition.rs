@@ -175,6 +175,14 @@ pub struct Limit {
     pub enforcement: PathEnforcement,
 }
 
+impl Limit {
+    /// Tells whether the limit keeps the arm clear of an obstacle.
+    #[must_use]
+    pub fn is_obstacle(&self) -> bool {
+        matches!(self.kind, PathLimit::Clearance { .. })
+    }
+}
+
 /// Limits of one of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChannelLimits {

@@ -4,9 +4,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, Fraction, NonNegative};
-use crate::mechanics::LoadFrame;
-use crate::task::Place;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
+use crate::mechanics::{self, LoadFrame, NodeInertia};
+use crate::task::{Place, PointLoad};
 
 /// Uniform gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -132,6 +133,25 @@ enum RodEnd {
 }
 
 impl LoadNode {
+    /// The place of the node in an arm that is written with so many elements.
+    pub(in crate::scene) fn place(self, elements: usize) -> Place {
+        match self {
+            Self::Tip => Place::Tip,
+            Self::Base => Place::Base,
+            Self::Index(node) => Place::of_node(node, elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()),
+        }
+    }
+
+    /// The node of a rod of so many elements that is nearest to a place.
+    pub(in crate::scene) fn of(place: Place, elements: usize) -> Self {
+        match place.node(elements) {
+            0 => Self::Base,
+            tip if tip == elements => Self::Tip,
+            node => Self::Index(node),
+        }
+    }
+
     /// Index of the node in a rod of `elements`.
     pub fn index(self, elements: usize) -> usize {
         match self {
@@ -163,4 +183,123 @@ impl From<LoadNode> for LoadNodeKey {
             LoadNode::Fraction(fraction) => LoadNodeKey::Fraction(fraction),
         }
     }
+}
+
+impl Keys<'_> {
+    /// `list` is the section's name.
+    pub(in crate::scene) fn check_load(
+        &self,
+        list: &str,
+        load: &Load,
+        index: usize,
+        elements: usize,
+    ) -> Checked {
+        let key = |name: &str| format!("{list}.{index}.{name}");
+        self.node(&key("node"), load.node, elements)?;
+        self.finite(&key("force_n"), &load.force_n)?;
+        self.finite(&key("moment_n_m"), &load.moment_n_m)?;
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&key("profile"), profile, "a constant load")
+        })
+    }
+
+    pub(in crate::scene) fn check_distributed_load(
+        &self,
+        load: &DistributedLoad,
+        index: usize,
+    ) -> Checked {
+        let key = |name: &str| format!("distributed_load.{index}.{name}");
+        let (from, to) = (load.from.get(), load.to.get());
+        if to <= from {
+            let message = format!("{} does not come after from, {}", digits(to), digits(from));
+            return Err(self
+                .source
+                .error_at(&key("to"), message, None)
+                .expecting("expected a larger fraction, up to 1 (tip)"));
+        }
+        self.finite(&key("force_n_per_m"), &load.force_n_per_m)?;
+        self.finite(&key("moment_n_m_per_m"), &load.moment_n_m_per_m)?;
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&key("profile"), profile, "a constant load")
+        })
+    }
+}
+
+impl Load {
+    /// The load of an arm that is written with so many elements.
+    pub(in crate::scene) fn of_arm(&self, elements: usize) -> PointLoad {
+        PointLoad {
+            at: self.node.place(elements),
+            force: self.force_n.into(),
+            moment: self.moment_n_m.into(),
+            frame: self.frame,
+            profile: points(&self.profile),
+        }
+    }
+
+    /// The keys of a load.
+    pub(in crate::scene) fn describing(load: &PointLoad, elements: usize) -> Self {
+        Self {
+            node: LoadNode::of(load.at, elements),
+            force_n: load.force.into(),
+            moment_n_m: load.moment.into(),
+            frame: load.frame,
+            profile: rows(&load.profile),
+        }
+    }
+}
+
+impl DistributedLoad {
+    /// The load of an arm.
+    pub(in crate::scene) fn of_arm(&self) -> mechanics::DistributedLoad {
+        mechanics::DistributedLoad {
+            from: self.from.get(),
+            to: self.to.get(),
+            force: self.force_n_per_m.into(),
+            moment: self.moment_n_m_per_m.into(),
+            frame: self.frame,
+            profile: points(&self.profile),
+        }
+    }
+
+    /// The keys of a load.
+    pub(in crate::scene) fn describing(load: &mechanics::DistributedLoad) -> Self {
+        Self {
+            from: known(load.from),
+            to: known(load.to),
+            force_n_per_m: load.force.into(),
+            moment_n_m_per_m: load.moment.into(),
+            frame: load.frame,
+            profile: rows(&load.profile),
+        }
+    }
+}
+
+impl Payload {
+    /// The inertia of the tip.
+    pub(in crate::scene) fn of_arm(&self) -> NodeInertia {
+        NodeInertia {
+            mass: self.mass_kg.get(),
+            rotary: self.inertia_kg_m2.map(Number::get).into(),
+        }
+    }
+
+    /// The keys of an inertia of the tip.
+    pub(in crate::scene) fn describing(payload: NodeInertia) -> Self {
+        Self {
+            mass_kg: known(payload.mass),
+            inertia_kg_m2: <[f64; 3]>::from(payload.rotary).map(known),
+        }
+    }
+}
+
+/// Points of a profile.
+fn points(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
+    let points = profile.iter().flatten();
+    points.map(|&[t, factor]| (t, factor)).collect()
+}
+
+/// Rows of a profile; `None` where it is constant.
+fn rows(points: &[(f64, f64)]) -> Option<Vec<[f64; 2]>> {
+    (!points.is_empty()).then(|| points.iter().map(|&(t, factor)| [t, factor]).collect())
 }

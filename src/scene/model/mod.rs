@@ -1,26 +1,38 @@
 //! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
 
 mod base;
-mod closed_loop;
 mod control;
+mod estimator;
+pub(super) mod geometry;
 mod limit;
 mod load;
+mod mpc;
+mod objective;
+mod plant;
 mod rod;
+mod sensor;
 mod solver;
 mod task;
 mod time;
 
-pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
-pub use self::closed_loop::{
-    Computing, Estimator, EstimatorKind, Fallback, Mpc, Plant, PlantActuator, Sensor, Unknown,
-};
+pub use self::base::{Base, BaseKind};
+pub(super) use self::base::{base_motion, described_motion};
+pub(super) use self::control::described_control;
 pub use self::control::{Actuator, Bound, Control, Distributed, Feedback};
+pub use self::estimator::{Estimator, EstimatorKind, Unknown};
+pub(super) use self::limit::obstacle_name;
 pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
-pub(super) use self::limit::{limit_name, obstacle_name};
 pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
+pub use self::mpc::{Computing, Fallback, Mpc};
+pub use self::objective::{Circle, FigureEight, Objective, Track};
+pub use self::plant::{Plant, PlantActuator};
 pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
-pub use self::solver::{Circle, Continuation, FigureEight, Guess, Objective, Qp, Solver, Track};
+pub(super) use self::rod::{describe_section, rotary_inertia};
+pub use self::sensor::Sensor;
+pub use self::solver::{Continuation, Guess, Qp, Solver};
 pub use self::task::{AtRest, FreeDuration, Task, Via};
+pub(super) use self::task::{described_targets, described_task};
+pub(super) use self::time::integrator;
 pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
 
 #[cfg(feature = "schema")]

@@ -4,8 +4,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Positive};
-use crate::task::StartShape;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Positive, digits};
+use super::BaseKind;
+use crate::mechanics;
+use crate::task::{MOST_STEPS, StartShape};
 
 /// Duration and time step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -120,3 +123,82 @@ pub struct Output {
     /// of momentum and power, of a solve with its controls among the loads. Default: false.
     pub diagnostics: bool,
 }
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
+        for (name, velocity) in [
+            ("initial.velocity_m_s", &initial.velocity_m_s),
+            (
+                "initial.angular_velocity_rad_s",
+                &initial.angular_velocity_rad_s,
+            ),
+        ] {
+            self.finite(name, velocity)?;
+            if *velocity == [0.0; 3] {
+                continue;
+            }
+            let (message, help) = match base {
+                BaseKind::Free => continue,
+                BaseKind::Clamped => (
+                    "a clamped arm cannot start as a moving rigid body",
+                    "set base.kind = \"free\", or \"driven\" with a base.motion",
+                ),
+                BaseKind::Driven => (
+                    "an arm on a driven base starts with the velocity of its base",
+                    "give the velocity in base.motion",
+                ),
+            };
+            return Err(self.source.error_at(name, message, Some(help.to_string())));
+        }
+        Ok(())
+    }
+
+    pub(in crate::scene) fn check_time(&self, time: &Time) -> Checked {
+        let end = time.end_s.get();
+        let is_long_enough = |key: &'static str, seconds: f64| {
+            if seconds == 0.0 || seconds >= SHORTEST_TIME {
+                return Ok(());
+            }
+            let message = format!("{} s is too short a time for a step", digits(seconds));
+            let expected = format!("expected at least {} s", digits(SHORTEST_TIME));
+            Err((self.source.error_at(key, message, None)).expecting(expected))
+        };
+        is_long_enough("time.end_s", end)?;
+        let TimeStep::Seconds(step) = time.step_s else {
+            return Ok(());
+        };
+        self.positive("time.step_s", step, "time step", "seconds")?;
+        is_long_enough("time.step_s", step)?;
+        if end > 0.0 && step > end {
+            let message = format!(
+                "a step of {} s is longer than time.end_s, {} s",
+                digits(step),
+                digits(end)
+            );
+            return Err(self.source.error_at("time.step_s", message, None));
+        }
+        if end / step > MOST_STEPS {
+            let message = format!(
+                "makes {} steps up to time.end_s, {} s",
+                digits(end / step),
+                digits(end)
+            );
+            return Err(self
+                .source
+                .error_at("time.step_s", message, None)
+                .expecting(format!("expected at most {} steps", digits(MOST_STEPS))));
+        }
+        Ok(())
+    }
+}
+
+/// The rod's integrator, by its name in scenes.
+pub(in crate::scene) fn integrator(scheme: mechanics::TimeScheme) -> TimeScheme {
+    match scheme {
+        mechanics::TimeScheme::Explicit => TimeScheme::Explicit,
+        mechanics::TimeScheme::Implicit => TimeScheme::Implicit,
+    }
+}
+
+/// Times shorter than this, s, are typing errors rather than wishes: momenta of a step overflow.
+const SHORTEST_TIME: f64 = 1e-200;
