@@ -71,7 +71,7 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
 /// The same for rods whose elements are unlike. Their fastest waves cannot leave the fastest elements, as the thin end of a tapered
 /// rod, and a moment there that keeps its direction in space, which is not conservative (Ziegler 1968), makes weakly damped ones grow.
-/// Long steps exaggerate their growth (`tests/published_frequencies.rs`); the waves of a uniform rod die out with any stable step.
+/// Long steps exaggerate their growth (`tests/statics_and_modes/published_frequencies.rs`); the waves of a uniform rod die out with any stable step.
 const UNLIKE_STEP_FRACTION: f64 = 0.55;
 /// Ratio of the highest frequencies of two elements above which they are unlike.
 const UNLIKE: f64 = 1.1;
