@@ -70,7 +70,7 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
 /// Fraction of [`stable_step`] for rods with unequal elements. Their fastest waves cannot leave the fastest elements, such as the thin end
 /// of a tapered rod, and a moment there with a fixed direction in space, which is not conservative (Ziegler 1968), amplifies weakly damped
-/// ones. Long steps exaggerate this growth (`tests/published_frequencies.rs`); the waves of a uniform rod decay with any stable step.
+/// ones. Long steps exaggerate this growth (`tests/statics_and_modes/published_frequencies.rs`); the waves of a uniform rod decay with any stable step.
 const UNLIKE_STEP_FRACTION: f64 = 0.55;
 /// Elements are unequal if the ratio of two of their highest frequencies exceeds this.
 const UNLIKE: f64 = 1.1;
