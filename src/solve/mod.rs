@@ -3,6 +3,8 @@
 mod causes;
 #[cfg(feature = "cli")]
 mod choice;
+#[cfg(feature = "cli")]
+mod closed_loop;
 mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
@@ -24,11 +26,12 @@ mod summary;
 pub(crate) use self::{
     causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
+    closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
     earlier::Earlier,
     examined::Examined,
     files::{IterationRow, iteration_row, write},
-    page::{SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page},
+    page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
     step_kind::{help, legend, step_kind},
