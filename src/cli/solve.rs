@@ -7,7 +7,6 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
@@ -21,6 +20,7 @@ use crate::memory::of_solve;
 use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
+use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
     Chosen, Earlier, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings,
     help, iteration_row, legend, read_coefficients, status_words, step_kind, summarize, write,

@@ -15,6 +15,8 @@ mod page;
 #[cfg(feature = "cli")]
 mod recheck;
 #[cfg(feature = "cli")]
+pub(crate) mod scene_check;
+#[cfg(feature = "cli")]
 mod simulation;
 mod soft_goals;
 mod solution;
