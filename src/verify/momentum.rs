@@ -19,15 +19,18 @@ use crate::control::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
 /// By how much a motion misses the balance of momentum over its worst step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct MomentumBalance {
     /// N s
+    #[serde(rename = "linear_n_s")]
     pub linear: f64,
     /// N m s, about the origin.
+    #[serde(rename = "angular_n_m_s")]
     pub angular: f64,
     /// The larger of both, each over what rounding explains.
     pub over_rounding: f64,
     /// Time, s.
+    #[serde(rename = "time_s")]
     pub time: f64,
 }
 

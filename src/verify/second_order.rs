@@ -36,7 +36,7 @@ impl Extremum {
 }
 
 /// Smallest curvature of the Lagrangian over the critical subspace.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SecondOrder {
     /// Smallest eigenvalue found: objective per squared scaled control.
     pub eigenvalue: f64,
@@ -53,6 +53,7 @@ pub struct SecondOrder {
     pub products: usize,
     /// What the Lagrangian falls by along the eigenvector, in the better of both ways, where the curvature is negative beyond its error; 0
     /// elsewhere.
+    #[serde(skip)]
     pub gain: f64,
 }
 
