@@ -32,11 +32,11 @@ pub(crate) use self::{
     diagnostics::diagnostics,
     earlier::Earlier,
     examined::Examined,
-    files::{IterationRow, iteration_row, write},
+    files::write,
     page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
-    step_kind::{help, legend, step_kind},
+    step_kind::{help, legend},
     summary::{status_words, summarize},
 };
 

@@ -37,10 +37,11 @@ impl HessianChoice {
 }
 
 /// What was put into the subproblem.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianKind {
     /// Gauss-Newton.
+    #[default]
     GaussNewton,
     /// Exact; positive definite as it is where constraints and active sets leave the variables free.
     Exact,

@@ -55,9 +55,8 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// How much a subproblem may violate rows that it has not seen.
     pub(super) fn row_tolerance(&self) -> f64 {
-        let off = (self.trace.history.last()).map_or(1.0, |row| {
-            row.residual.stationarity.max(row.residual.feasibility)
-        });
+        let off =
+            (self.trace.history.last()).map_or(1.0, |row| row.stationarity.max(row.feasibility));
         (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
     }
 
