@@ -4,16 +4,16 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::check::warnings;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::quantity::{digits, entry, quantity};
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::{Kept, LoadPath, Loss, Varied};
 use crate::output::equilibrium::{EquilibriumSummary, sweep_record, write_tables};
+use crate::output::quantity::{digits, entry, quantity};
 use crate::output::{ResultKind, RunDirectory, render_report};
 use crate::scene::{Scene, SceneSource};
+use crate::solve::scene_check::warnings;
 use crate::solve::{Statics, StaticsError, StaticsOptions, equilibrium_page, statics};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};

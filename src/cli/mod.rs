@@ -2,18 +2,15 @@
 
 mod accuracy;
 mod check;
-mod check_loop;
 mod console;
 mod derivatives;
 mod equilibrium;
 mod error;
 mod example;
 mod export;
-mod hardly_meant;
 mod memory;
 mod mpc;
 mod progress;
-mod quantity;
 mod report;
 mod schema;
 mod serve;

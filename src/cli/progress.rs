@@ -105,7 +105,7 @@ impl LiveStarts {
                 "start {start:3}  iteration {:4}  objective {:12.5e}  KKT residual {:8.1e}",
                 record.iteration,
                 record.objective,
-                record.residual.max()
+                record.residual().max()
             ));
         }
         self.count(&state);

@@ -3,13 +3,13 @@
 use std::time::Instant;
 
 use super::accuracy::of_simulation as accurate;
-use super::check::{output_size, size_warning, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::memory::of_simulation;
 use crate::output::summary::{Range, SimulateSummary};
 use crate::scene::Scene;
+use crate::solve::scene_check::{output_size, size_warning, warnings};
 use crate::solve::{End, Simulated, SimulationEvent, SimulationRun, causes, stands_by_symmetry};
 use crate::stop::Stop;
 

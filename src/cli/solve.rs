@@ -7,7 +7,6 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
@@ -21,9 +20,10 @@ use crate::memory::of_solve;
 use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
 use crate::output::{OutputError, ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
+use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
-    Chosen, Earlier, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings,
-    help, iteration_row, legend, read_coefficients, status_words, step_kind, summarize, write,
+    Chosen, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
+    read_coefficients, status_words, summarize, write,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::tradeoff::solve_on_grids;
@@ -200,10 +200,7 @@ fn attempt(
                 }
             }
             SearchEvent::Row { start, row } => {
-                let event = IterationEvent {
-                    start: *start,
-                    row: iteration_row(row),
-                };
+                let event = IterationEvent { start: *start, row };
                 match &live {
                     None => {
                         console.event("iteration", &event);
@@ -332,12 +329,12 @@ fn table_row(row: &IterationRecord) -> String {
         "{:4} {:12.6e} {:9.1e} {:8.1e} {:8.1e} {:8.1e} {:8.1e} {:5} {:3} {:7.2}",
         row.iteration,
         row.objective,
-        row.residual.stationarity,
-        row.residual.feasibility,
-        row.residual.complementarity,
+        row.stationarity,
+        row.feasibility,
+        row.complementarity,
         row.step_norm,
         row.trust_radius,
-        step_kind(row),
+        row.step,
         row.qp_iterations,
         row.elapsed
     )
@@ -349,7 +346,7 @@ struct IterationEvent<'a> {
     /// Number of the start, from 0.
     start: usize,
     #[serde(flatten)]
-    row: IterationRow<'a>,
+    row: &'a IterationRecord,
 }
 
 /// What `--json-lines` prints of a start that has ended, of several; nothing is checked yet.

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, Write as _};
 use std::path::Path;
 
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::OutputError;
@@ -57,7 +58,31 @@ pub struct ReferenceSummary {
     pub moment_excess_n_m: f64,
 }
 
-/// Summary of `mpc`. Durations of samples are those of this machine and do not include the first sample.
+/// Fraction of a wrench by which it may exceed a bound for the sake of rounding.
+const ROUNDING: f64 = 1e-6;
+
+impl ReferenceSummary {
+    /// Size of the force, N.
+    #[must_use]
+    pub fn force(&self) -> f64 {
+        Vector3::from(self.force_n).norm()
+    }
+
+    /// Size of the moment, N m.
+    #[must_use]
+    pub fn moment(&self) -> f64 {
+        Vector3::from(self.moment_n_m).norm()
+    }
+
+    /// Tells whether the wrench is within its bounds.
+    #[must_use]
+    pub fn is_within(&self) -> bool {
+        self.force_excess_n <= ROUNDING * self.force()
+            && self.moment_excess_n_m <= ROUNDING * self.moment()
+    }
+}
+
+/// Summary of `mpc`. Durations of samples are those of this machine; the first sample is not among them.
 #[derive(Clone, Debug, Serialize)]
 pub struct MpcSummary {
     /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)

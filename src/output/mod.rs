@@ -18,6 +18,8 @@ mod feedback;
 mod motion;
 mod multipliers;
 mod npz;
+#[cfg(feature = "cli")]
+pub(crate) mod quantity;
 mod reading;
 #[cfg(feature = "cli")]
 pub(crate) mod replace;

@@ -3,10 +3,10 @@
 use super::closed_loop::LoopSummary;
 use crate::control::{Abandoned, ModelMismatch, TrackingError};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::sqp::{Convergence, KktResidual, Progress};
 use crate::stop::Stop;
-use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -440,7 +440,7 @@ impl SensitivitySummary {
 #[serde(untagged)]
 pub enum CheckRecord {
     /// It was made.
-    Made(Box<CheckOutcome>),
+    Made(Value),
     /// It was not made, or not to its end.
     NotChecked {
         /// `not checked`
@@ -466,7 +466,7 @@ pub const NOT_CHECKED: &str = "not checked";
 
 /// Tells of a summary whether the solve was checked: one that was stopped before says that it was not, and nothing about tips and energies.
 #[must_use]
-pub fn was_checked(summary: &serde_json::Value) -> bool {
+pub fn was_checked(summary: &Value) -> bool {
     let check = &summary["check"];
     !check.is_null() && check["verdict"] != NOT_CHECKED
 }
@@ -511,162 +511,6 @@ pub struct LargestDistance {
 pub struct LargestSpeed {
     /// m/s
     pub max: f64,
-}
-
-/// Outcome of the forward check, in the summary.
-#[derive(Clone, Debug, Serialize)]
-pub struct CheckOutcome {
-    /// Distance of the solution from its replay, m.
-    pub same_grid_m: f64,
-    /// Distance of its rotations from those of the replay, as the norm of the difference of two matrices.
-    pub same_grid_rad: f64,
-    /// Estimated error in time, m.
-    pub refined_time_m: f64,
-    /// Estimated error in space, m.
-    pub refined_space_m: f64,
-    /// Observed order in time.
-    pub order_time: Option<f64>,
-    /// Observed order in space; absent where only one refinement was made.
-    pub order_space: Option<f64>,
-    /// Value of the objective, recomputed.
-    pub objective: f64,
-    /// Hard path constraints between nodes and samples.
-    pub between: Vec<BetweenSummary>,
-    /// Extremes of the strains.
-    pub strains: StrainSummary,
-    /// Recomputed optimality conditions.
-    pub kkt: KktResidual,
-    /// The same by parts, with the worst row of each by name.
-    pub kkt_parts: Vec<KktPart>,
-    /// Energy account of the replay.
-    pub energy: EnergyAccount,
-    /// Momentum balance of the replay.
-    pub momentum: MomentumAccount,
-    /// Curvature of the Lagrangian; absent where it was not examined.
-    pub second_order: Option<SecondOrderSummary>,
-    /// Growth of small disturbances over the horizon; absent where it was not examined.
-    pub growth: Option<GrowthSummary>,
-    /// `certified`, or `rejected`.
-    pub verdict: &'static str,
-    /// Names of the criteria that failed.
-    pub failed: Vec<&'static str>,
-    /// Every criterion with its value and its limit, in the order of the terminal.
-    pub criteria: Vec<CriterionSummary>,
-}
-
-/// A criterion of the certificate.
-#[derive(Clone, Debug, Serialize)]
-pub struct CriterionSummary {
-    /// Its name.
-    pub name: &'static str,
-    /// The value that was found, in `unit`.
-    pub value: f64,
-    /// The largest value that is acceptable, in `unit`.
-    pub limit: f64,
-    /// Unit of both; empty for pure numbers.
-    pub unit: &'static str,
-    /// Whether it holds.
-    pub holds: bool,
-    /// Its meaning, in a sentence.
-    pub meaning: &'static str,
-}
-
-/// A path constraint at its worst on the finest replay.
-#[derive(Clone, Debug, Serialize)]
-pub struct BetweenSummary {
-    /// Name of the constraint.
-    pub name: String,
-    /// Excess over the limit; negative inside.
-    pub excess: f64,
-    /// Unit of the excess.
-    pub unit: &'static str,
-    /// The value that the certificate compares it with.
-    pub reference: f64,
-    /// Place, as a fraction of the arm's length.
-    pub along: f64,
-    /// Time, s.
-    pub time_s: f64,
-}
-
-/// Extremes of the strains over a motion.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct StrainSummary {
-    /// Least and largest length of an element over that at rest.
-    pub stretch: [f64; 2],
-    /// Largest bending curvature, 1/m.
-    pub curvature_1_m: f64,
-    /// Largest twist, 1/m.
-    pub twist_1_m: f64,
-}
-
-/// Energy account, J.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct EnergyAccount {
-    /// Work of control and loads.
-    #[serde(rename = "work_J")]
-    pub work: f64,
-    /// Change of the energy.
-    #[serde(rename = "change_J")]
-    pub change: f64,
-    /// Taken by damping.
-    #[serde(rename = "dissipation_J")]
-    pub dissipation: f64,
-    /// What does not add up, over what passed through.
-    pub relative_residual: f64,
-    /// The same with the step halved, over itself: about 1/4.
-    pub halving_ratio: f64,
-    /// Largest residual on the way with the step halved, over the largest one; 0 where there is next to none.
-    pub halving_ratio_largest: f64,
-}
-
-/// By how much a motion misses the balance of momentum over its worst step.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct MomentumAccount {
-    /// Linear, N s.
-    pub linear_n_s: f64,
-    /// Angular about the origin, N m s.
-    pub angular_n_m_s: f64,
-    /// The larger of both, each over what rounding explains.
-    pub over_rounding: f64,
-    /// Time, s.
-    pub time_s: f64,
-}
-
-/// Smallest curvature of the Lagrangian, in scaled controls, over the directions that active constraints leave free.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct SecondOrderSummary {
-    /// `minimum`, `degenerate`, or `not a minimum`.
-    pub verdict: &'static str,
-    /// Smallest eigenvalue.
-    pub eigenvalue: f64,
-    /// Its error.
-    pub error: f64,
-    /// Largest eigenvalue that was found.
-    pub largest: f64,
-    /// Dimension of the subspace.
-    pub dimension: usize,
-    /// Independent gradients that are held.
-    pub held: usize,
-    /// Products of the Hessian with a direction.
-    pub products: usize,
-    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
-    pub gain: f64,
-}
-
-/// What small disturbances become at the end of the horizon without feedback.
-#[derive(Clone, Debug, Serialize)]
-pub struct GrowthSummary {
-    /// Largest factor, in the norm of the energy.
-    pub amplification: f64,
-    /// Energy of a disturbance of one percent of the initial state.
-    #[serde(rename = "disturbance_J")]
-    pub disturbance: f64,
-    /// Largest displacement of the tip that it causes, m.
-    pub tip_from_state_m: f64,
-    /// How far an error of one percent of the largest force and moment that are used moves the tip, at most.
-    pub tip_from_control_m: f64,
-    /// In words.
-    pub sentence: String,
 }
 
 /// A constraint by name, with how far it is from holding.

@@ -7,7 +7,6 @@ use serde::Serialize;
 use super::examined::{Examined, Spent, beside};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::Solution;
-use super::step_kind::step_kind;
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem, SolveLog};
 use crate::mechanics::{Energy, State, Wrench};
@@ -17,7 +16,6 @@ use crate::output::{
     render_report, write_controls, write_feedback,
 };
 use crate::scene::{DescribeError, Scene};
-use crate::sqp::IterationRecord;
 
 /// Why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
@@ -159,53 +157,11 @@ fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec
         .collect()
 }
 
-/// A row of `iterations.csv`, and of the lines of JSON.
+/// The solve that an iteration is of, in a row of `iterations.csv`.
 #[derive(Serialize)]
-pub(crate) struct IterationRow<'a> {
-    iteration: usize,
-    objective: f64,
-    stationarity: f64,
-    feasibility: f64,
-    complementarity: f64,
-    infeasibility: f64,
-    step_norm: f64,
-    trust_radius: f64,
-    kind: String,
-    elastic_weight: f64,
-    slack: f64,
-    linearized_rows: usize,
-    working_rows: usize,
-    contraction: Option<f64>,
-    qp_iterations: u32,
-    elapsed_s: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    attempt: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    from: Option<&'a str>,
-}
-
-/// What an iteration did.
-pub(crate) fn iteration_row<'a>(row: &IterationRecord) -> IterationRow<'a> {
-    IterationRow {
-        iteration: row.iteration,
-        objective: row.objective,
-        stationarity: row.residual.stationarity,
-        feasibility: row.residual.feasibility,
-        complementarity: row.residual.complementarity,
-        infeasibility: row.infeasibility,
-        step_norm: row.step_norm,
-        trust_radius: row.trust_radius,
-        kind: step_kind(row),
-        elastic_weight: row.elastic_weight,
-        slack: row.slack,
-        linearized_rows: row.linearized_rows,
-        working_rows: row.working_rows,
-        contraction: row.contraction,
-        qp_iterations: row.qp_iterations,
-        elapsed_s: row.elapsed,
-        attempt: None,
-        from: None,
-    }
+struct OfAttempt<'a> {
+    attempt: usize,
+    from: &'a str,
 }
 
 /// The rows of all attempts, one after the other.
@@ -214,16 +170,14 @@ fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError>
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
     };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
-    let rows = (solves.iter().enumerate())
-        .flat_map(|(number, solve)| solve.rows.iter().map(move |row| (number, solve, row)));
-    for (number, solve, row) in rows {
-        writer
-            .serialize(IterationRow {
-                attempt: Some(number + 1),
-                from: Some(&solve.from),
-                ..iteration_row(row)
-            })
-            .map_err(cannot_write)?;
+    for (number, solve) in solves.iter().enumerate() {
+        for row in &solve.rows {
+            let attempt = OfAttempt {
+                attempt: number + 1,
+                from: &solve.from,
+            };
+            writer.serialize((row, attempt)).map_err(cannot_write)?;
+        }
     }
     writer
         .flush()

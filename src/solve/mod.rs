@@ -3,6 +3,8 @@
 mod causes;
 #[cfg(feature = "cli")]
 mod choice;
+#[cfg(feature = "cli")]
+mod closed_loop;
 mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
@@ -12,6 +14,8 @@ mod files;
 mod page;
 #[cfg(feature = "cli")]
 mod recheck;
+#[cfg(feature = "cli")]
+pub(crate) mod scene_check;
 #[cfg(feature = "cli")]
 mod simulation;
 mod soft_goals;
@@ -24,14 +28,15 @@ mod summary;
 pub(crate) use self::{
     causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
+    closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
     earlier::Earlier,
     examined::Examined,
-    files::{IterationRow, iteration_row, write},
-    page::{SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page},
+    files::write,
+    page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
-    step_kind::{help, legend, step_kind},
+    step_kind::{help, legend},
     summary::{status_words, summarize},
 };
 

@@ -151,7 +151,7 @@ impl Solution {
     fn is_doubtful(&self) -> bool {
         let outcome = &self.attempt.outcome;
         let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
-        match last.map(|row| row.hessian) {
+        match last.map(|row| row.step.hessian) {
             None | Some(HessianKind::Exact) => false,
             Some(HessianKind::Convexified) => true,
             Some(HessianKind::GaussNewton | HessianKind::Proximal) => {

@@ -1,6 +1,6 @@
 //! The column `kind` of the iteration table.
 
-use crate::sqp::{HessianKind, IterationRecord, Leave};
+use crate::sqp::{IterationRecord, Leave};
 
 /// Every letter and word of the column with its meaning, in the order in which they are explained.
 pub(crate) const MEANINGS: [(&str, &str); 9] = [
@@ -15,25 +15,9 @@ pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("-", "no step: the end of the attempt"),
 ];
 
-/// Kind of the step that left a point: a letter for the Hessian, one for the states, and a `+` for every correction; or a word where it
-/// was left otherwise.
+/// Kind of the step that left a point.
 pub(crate) fn step_kind(row: &IterationRecord) -> String {
-    let word = match row.left {
-        Leave::Step => None,
-        Leave::Settled => Some("settle"),
-        Leave::End => Some("-"),
-    };
-    if let Some(word) = word {
-        return word.into();
-    }
-    let hessian = match row.hessian {
-        HessianKind::GaussNewton => 'g',
-        HessianKind::Exact => 'x',
-        HessianKind::Convexified => 'c',
-        HessianKind::Proximal => 'p',
-    };
-    let states = if row.rolled_out { 'r' } else { 'l' };
-    format!("{hessian}{states}{}", "+".repeat(row.corrections))
+    row.step.to_string()
 }
 
 /// All of it, for the help of `solve`.
@@ -55,7 +39,7 @@ pub(crate) fn legend(rows: &[IterationRecord]) -> String {
         let is_letter = sign.len() == 1 && sign != "-";
         (kinds.iter().zip(rows)).any(|(kind, row)| {
             if is_letter {
-                row.left == Leave::Step && kind.contains(sign)
+                row.step.left == Leave::Step && kind.contains(sign)
             } else {
                 kind == sign
             }
@@ -71,34 +55,14 @@ pub(crate) fn legend(rows: &[IterationRecord]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sqp::KktResidual;
+    use crate::sqp::HessianKind;
 
     /// Whatever leaves a point, every sign of its kind is explained, and nothing is explained twice.
     #[test]
     fn every_kind_is_explained() {
-        let mut row = IterationRecord {
-            iteration: 0,
-            objective: 0.0,
-            residual: KktResidual {
-                stationarity: 0.0,
-                feasibility: 0.0,
-                complementarity: 0.0,
-            },
-            infeasibility: 0.0,
-            step_norm: 1.0,
-            contraction: None,
-            left: Leave::Step,
-            hessian: HessianKind::GaussNewton,
-            corrections: 2,
-            rolled_out: false,
-            trust_radius: 1.0,
-            elastic_weight: 1.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
-        };
+        let mut row = IterationRecord::default();
+        row.step.left = Leave::Step;
+        row.step.corrections = 2;
         let explained = |sign: &str| MEANINGS.iter().filter(|(known, _)| *known == sign).count();
         for hessian in [
             HessianKind::GaussNewton,
@@ -107,14 +71,14 @@ mod tests {
             HessianKind::Proximal,
         ] {
             for rolled_out in [false, true] {
-                (row.hessian, row.rolled_out) = (hessian, rolled_out);
+                (row.step.hessian, row.step.rolled_out) = (hessian, rolled_out);
                 for letter in step_kind(&row).chars() {
                     assert_eq!(explained(&letter.to_string()), 1, "{letter}");
                 }
             }
         }
         for left in [Leave::Settled, Leave::End] {
-            row.left = left;
+            row.step.left = left;
             assert_eq!(explained(&step_kind(&row)), 1, "{left:?}");
         }
     }

@@ -2,6 +2,9 @@
 
 use std::path::Path;
 
+use serde::Serialize;
+use serde_json::Value;
+
 use super::causes::causes;
 use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
@@ -11,13 +14,14 @@ use crate::control::{
 };
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{
-    AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
-    GrowthSummary, LargestDistance, LargestSpeed, MomentumAccount, NOT_CHECKED, NamedConstraint,
-    PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, SecondOrderSummary, Sensitivities,
-    SensitivitySummary, SolveSummary, StartSummary, StaysSummary, StrainSummary, TOOL, TipEnd,
+    AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
+    PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, SensitivitySummary,
+    SolveSummary, StartSummary, StaysSummary, TOOL, TipEnd,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
+use crate::verify::growth::Growth;
+use crate::verify::second_order::SecondOrder;
 use crate::verify::{CheckItem, ForwardCheck};
 
 /// The solves of the start that the result is from.
@@ -112,7 +116,7 @@ pub(super) fn reached(
         stays: stays(problem, check),
         tracking: tracking_errors(problem, motion),
         soft_goals: soft_goals(problem, motion),
-        check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
+        check: (check.map(|check| CheckRecord::Made(check_outcome(check))))
             .or_else(|| unchecked.map(CheckRecord::not_checked)),
     }
 }
@@ -187,81 +191,74 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
 }
 
 /// The check as the summaries carry it.
-pub(super) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
-    CheckOutcome {
-        same_grid_m: check.same_grid,
-        same_grid_rad: check.same_grid_turn,
-        refined_time_m: check.refined_time,
-        refined_space_m: check.refined_space,
-        order_time: check.order_time,
-        order_space: check.order_space,
-        objective: check.objective,
-        between: (check.between.iter())
-            .map(|between| BetweenSummary {
-                name: between.name.clone(),
-                excess: between.excess,
-                unit: between.unit,
-                reference: between.reference,
-                along: between.along,
-                time_s: between.time,
-            })
-            .collect(),
-        strains: StrainSummary {
-            stretch: [check.strains.least_stretch, check.strains.largest_stretch],
-            curvature_1_m: check.strains.curvature,
-            twist_1_m: check.strains.twist,
-        },
-        kkt: check.kkt,
-        kkt_parts: check.kkt_parts.to_vec(),
-        energy: EnergyAccount {
-            work: check.energy.work,
-            change: check.energy.change,
-            dissipation: check.energy.dissipation,
-            relative_residual: check.energy.relative(),
-            halving_ratio: check.energy_ratio,
-            halving_ratio_largest: check.energy_halving,
-        },
-        momentum: MomentumAccount {
-            linear_n_s: check.momentum.linear,
-            angular_n_m_s: check.momentum.angular,
-            over_rounding: check.momentum.over_rounding,
-            time_s: check.momentum.time,
-        },
-        second_order: check.second_order.as_ref().map(|found| SecondOrderSummary {
+pub(super) fn check_outcome(check: &ForwardCheck) -> Value {
+    serde_json::to_value(CheckOutcome {
+        check,
+        second_order: (check.second_order.as_ref()).map(|found| JudgedCurvature {
             verdict: found.extremum().name(),
-            eigenvalue: found.eigenvalue,
-            error: found.error,
-            largest: found.largest,
-            dimension: found.dimension,
-            held: found.held,
-            products: found.products,
+            found,
             gain: check.gain_over_objective(found),
         }),
-        growth: check.growth.as_ref().map(|growth| GrowthSummary {
-            amplification: growth.amplification,
-            disturbance: growth.disturbance,
-            tip_from_state_m: growth.tip_from_state,
-            tip_from_control_m: growth.tip_from_control,
+        growth: check.growth.as_ref().map(|growth| WordedGrowth {
+            growth,
             sentence: growth.sentence(),
         }),
         verdict: check.verdict(),
-        failed: check
-            .items
-            .iter()
+        failed: (check.items.iter())
             .filter(|item| !item.holds())
             .map(|item| item.name)
             .collect(),
         criteria: (check.items.iter())
-            .map(|item| CriterionSummary {
-                name: item.name,
-                value: item.value,
-                limit: item.limit,
-                unit: item.unit,
+            .map(|item| JudgedItem {
+                item,
                 holds: item.holds(),
                 meaning: item.meaning,
             })
             .collect(),
-    }
+    })
+    .unwrap_or_default()
+}
+
+/// The object `check` of a summary.
+#[derive(Serialize)]
+struct CheckOutcome<'a> {
+    #[serde(flatten)]
+    check: &'a ForwardCheck,
+    /// Curvature of the Lagrangian; absent where it was not examined.
+    second_order: Option<JudgedCurvature<'a>>,
+    /// Growth of small disturbances over the horizon; absent where it was not examined.
+    growth: Option<WordedGrowth<'a>>,
+    /// `certified`, or `rejected`.
+    verdict: &'static str,
+    /// Names of the criteria that failed.
+    failed: Vec<&'static str>,
+    /// Every criterion with its value and its limit, in the order of the terminal.
+    criteria: Vec<JudgedItem<'a>>,
+}
+
+#[derive(Serialize)]
+struct JudgedCurvature<'a> {
+    /// `minimum`, `degenerate`, or `not a minimum`.
+    verdict: &'static str,
+    #[serde(flatten)]
+    found: &'a SecondOrder,
+    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
+    gain: f64,
+}
+
+#[derive(Serialize)]
+struct WordedGrowth<'a> {
+    #[serde(flatten)]
+    growth: &'a Growth,
+    sentence: String,
+}
+
+#[derive(Serialize)]
+struct JudgedItem<'a> {
+    #[serde(flatten)]
+    item: &'a CheckItem,
+    holds: bool,
+    meaning: &'static str,
 }
 
 /// The status in a word, and what else there is to say.

@@ -36,11 +36,12 @@ impl HessianChoice {
     }
 }
 
-/// Hessian of a subproblem.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+/// What was put into the subproblem.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianKind {
     /// Gauss-Newton.
+    #[default]
     GaussNewton,
     /// Exact Hessian, which is positive definite on the directions that constraints and active sets leave free.
     Exact,

@@ -1,5 +1,7 @@
 //! The report of a solve: its iterations and its status.
 
+use serde::{Serialize, Serializer};
+
 use super::hessian::HessianKind;
 use super::kept_states::QpRoute;
 use super::kkt::{KktResidual, Multipliers};
@@ -23,7 +25,7 @@ pub enum SqpStatus {
 }
 
 /// How an iteration left its point.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leave {
     /// The solve ended at the point.
@@ -35,22 +37,10 @@ pub enum Leave {
     Settled,
 }
 
-/// One row of the iteration table: a point, and the step that left it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct IterationRecord {
-    /// Index of the iteration, from 0.
-    pub iteration: usize,
-    /// `J` at the point, with the penalties of soft inequalities.
-    pub objective: f64,
-    /// KKT residual at the point.
-    pub residual: KktResidual,
-    /// Infeasibility that the filter uses.
-    pub infeasibility: f64,
-    /// Norm of the step of the variables from this point; 0 in the last row.
-    pub step_norm: f64,
-    /// Norm of this step divided by that of the last step before it.
-    pub contraction: Option<f64>,
-    /// How the iteration left the point.
+/// The kind of a step: how its point was left, and with which model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepKind {
+    /// How the point was left.
     pub left: Leave,
     /// Hessian of the step.
     pub hessian: HessianKind,
@@ -58,19 +48,72 @@ pub struct IterationRecord {
     pub corrections: usize,
     /// Tells whether the states after the step are a rollout of the variables rather than a linear step.
     pub rolled_out: bool,
+}
+
+/// A letter for the Hessian, one for the states, and a `+` for every correction; or a word where the point was left otherwise.
+impl std::fmt::Display for StepKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.left {
+            Leave::Step => {}
+            Leave::Settled => return f.pad("settle"),
+            Leave::End => return f.pad("-"),
+        }
+        let hessian = match self.hessian {
+            HessianKind::GaussNewton => 'g',
+            HessianKind::Exact => 'x',
+            HessianKind::Convexified => 'c',
+            HessianKind::Proximal => 'p',
+        };
+        let states = if self.rolled_out { 'r' } else { 'l' };
+        f.pad(&format!(
+            "{hessian}{states}{}",
+            "+".repeat(self.corrections)
+        ))
+    }
+}
+
+impl Serialize for StepKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// One row of the iteration table, and of `iterations.csv`: the point, and the step that left it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct IterationRecord {
+    /// Counted from 0.
+    pub iteration: usize,
+    /// `J` at the point, with the price of soft inequalities.
+    pub objective: f64,
+    /// Stationarity of the [KKT residual](Self::residual) at the point.
+    pub stationarity: f64,
+    /// Feasibility of the KKT residual.
+    pub feasibility: f64,
+    /// Complementarity of the KKT residual.
+    pub complementarity: f64,
+    /// Infeasibility that the globalization works on.
+    pub infeasibility: f64,
+    /// Norm of the step of the variables from here; 0 in the last row.
+    pub step_norm: f64,
     /// Trust radius of the step.
     pub trust_radius: f64,
+    /// Kind of the step.
+    #[serde(rename = "kind")]
+    pub step: StepKind,
     /// Elastic weight of the subproblem.
     pub elastic_weight: f64,
-    /// Sum of the slacks of the subproblem.
+    /// Violation that the subproblem leaves.
     pub slack: f64,
     /// Number of linearized inequalities.
     pub linearized_rows: usize,
     /// Number of inequalities in Clarabel's problem.
     pub working_rows: usize,
-    /// Interior-point iterations of the subproblems.
+    /// Norm of this step over that of the last one before it.
+    pub contraction: Option<f64>,
+    /// Interior-point iterations of the subproblem.
     pub qp_iterations: u32,
     /// Seconds since the start.
+    #[serde(rename = "elapsed_s")]
     pub elapsed: f64,
 }
 
@@ -85,21 +128,21 @@ impl IterationRecord {
         Self {
             iteration,
             objective,
-            residual,
+            stationarity: residual.stationarity,
+            feasibility: residual.feasibility,
+            complementarity: residual.complementarity,
             infeasibility,
-            step_norm: 0.0,
-            contraction: None,
-            left: Leave::End,
-            hessian: HessianKind::GaussNewton,
-            corrections: 0,
-            rolled_out: false,
-            trust_radius: 0.0,
-            elastic_weight: 0.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// KKT residual at the point.
+    #[must_use]
+    pub fn residual(&self) -> KktResidual {
+        KktResidual {
+            stationarity: self.stationarity,
+            feasibility: self.feasibility,
+            complementarity: self.complementarity,
         }
     }
 }

@@ -44,7 +44,7 @@ impl Progress {
             [of(&history[..before]), of(history)]
         };
         let infeasibility = least(|row| row.infeasibility);
-        let residual = least(|row| row.residual.max());
+        let residual = least(|row| row.residual().max());
         let falls = |[from, to]: [f64; 2]| to < PROGRESS * from;
         Some(Self {
             trend: if falls(infeasibility) || falls(residual) {
@@ -81,33 +81,13 @@ impl Progress {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sqp::hessian::HessianKind;
-    use crate::sqp::kkt::KktResidual;
-    use crate::sqp::outcome::Leave;
 
     fn row(infeasibility: f64, stationarity: f64) -> IterationRecord {
         IterationRecord {
-            iteration: 0,
-            objective: 0.0,
-            residual: KktResidual {
-                stationarity,
-                feasibility: infeasibility,
-                complementarity: 0.0,
-            },
+            stationarity,
+            feasibility: infeasibility,
             infeasibility,
-            step_norm: 0.0,
-            contraction: None,
-            hessian: HessianKind::GaussNewton,
-            corrections: 0,
-            rolled_out: false,
-            trust_radius: 1.0,
-            elastic_weight: 0.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
-            left: Leave::Step,
+            ..IterationRecord::default()
         }
     }
 

@@ -210,7 +210,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             }
             // The multipliers of a subproblem with slack are limited by the elastic weight and are no estimate of those of the program.
             HessianChoice::Auto => (self.trace.history.last()).is_some_and(|last| {
-                last.slack <= NEGLIGIBLE && last.hessian != HessianKind::Proximal
+                last.slack <= NEGLIGIBLE && last.step.hessian != HessianKind::Proximal
             }),
         }
     }
@@ -476,7 +476,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) {
         let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_region.radius);
         if let Some(row) = self.trace.history.last_mut() {
-            row.hessian = kind;
+            row.step.hessian = kind;
             row.slack = solution.slack;
             row.linearized_rows = linearization.rows.len();
             row.working_rows = solution.working.len();

@@ -33,15 +33,15 @@ impl Trace {
             .map(|row| row.step_norm)
             .find(|&step| step > 0.0);
         if let Some(row) = self.history.last_mut() {
-            row.left = if length > 0.0 {
+            row.step.left = if length > 0.0 {
                 Leave::Step
             } else {
                 Leave::Settled
             };
             row.step_norm = length;
             row.contraction = before.map(|before| length / before);
-            row.corrections = accepted.corrections;
-            row.rolled_out = accepted.rolled_out;
+            row.step.corrections = accepted.corrections;
+            row.step.rolled_out = accepted.rolled_out;
         }
     }
 }

@@ -14,19 +14,23 @@ use super::probe::{Probe, roll_out};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{BaseCondition, Rod, State};
 
-/// Effects of small disturbances at the end of the horizon.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What small disturbances become at the end of the horizon.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Growth {
     /// Largest ratio of the sizes of a deviation at the end and at the start.
     pub amplification: f64,
     /// Energy of a deviation of one percent at the start, J: 1e-4 of `½ EI/L`.
+    #[serde(rename = "disturbance_J")]
     pub disturbance: f64,
-    /// Largest displacement of the tip at the end by such a deviation, m.
+    /// How far such a deviation moves the tip at the end, at most, m.
+    #[serde(rename = "tip_from_state_m")]
     pub tip_from_state: f64,
-    /// Upper bound of the displacement of the tip by an error of 1 % in every coefficient of the control, relative to the largest
-    /// coefficient of its force or moment, m.
+    /// The same for an error of one percent in every coefficient of the control, of the largest that this force or moment has, m: a
+    /// bound.
+    #[serde(rename = "tip_from_control_m")]
     pub tip_from_control: f64,
     /// Length of the rod, m.
+    #[serde(skip)]
     pub length: f64,
 }
 

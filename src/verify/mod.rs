@@ -28,14 +28,15 @@ mod stay;
 mod stepper;
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, TipMotion, refine};
-pub use self::replay::{EnergyBalance, Replay, replay};
-use self::replay::{Simulation, account, halving};
+pub use self::replay::{EnergyAccount, EnergyBalance, Replay, replay};
+use self::replay::{Simulation, account};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 pub use self::stay::StayReplay;
@@ -113,7 +114,7 @@ impl Default for CheckLimits {
 }
 
 /// One line of the certificate.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckItem {
     /// Short name, as in the summary.
     pub name: &'static str,
@@ -124,6 +125,7 @@ pub struct CheckItem {
     /// Unit of both; empty for pure numbers.
     pub unit: &'static str,
     /// The meaning of the criterion, in a sentence.
+    #[serde(skip)]
     pub meaning: &'static str,
 }
 
@@ -182,62 +184,74 @@ impl CheckItem {
     }
 }
 
-/// The certificate of a solution.
-#[derive(Clone, Debug)]
+/// The certificate of a solution. It serializes to the object `check` of a summary, but for verdicts.
+#[derive(Clone, Debug, Serialize)]
 pub struct ForwardCheck {
-    /// Recomputed optimality conditions.
-    pub kkt: KktResidual,
-    /// Parts of the conditions, with the worst row of each.
-    pub kkt_parts: [KktPart; 5],
     /// Largest distance of any node at any time between the solution and its replay, m.
+    #[serde(rename = "same_grid_m")]
     pub same_grid: f64,
-    /// Largest distance of any rotation at any time between the solution and its replay, as the norm of the difference of both matrices.
+    /// Largest such distance of any rotation, as the norm of the difference of both matrices.
+    #[serde(rename = "same_grid_rad")]
     pub same_grid_turn: f64,
-    /// Value of the objective, recomputed.
-    pub objective: f64,
     /// Estimated error of any node at any time from the time step, m: see [`refinement::ErrorEstimate`].
+    #[serde(rename = "refined_time_m")]
     pub refined_time: f64,
     /// Estimated error of any node at any time from the elements, m.
+    #[serde(rename = "refined_space_m")]
     pub refined_space: f64,
     /// Observed order in time, about 2.
     pub order_time: Option<f64>,
-    /// Observed order in space, about 2 where the elements are shorter than the shape's own features.
+    /// Observed order in space, about 2 where the elements are shorter than the shape's own features; absent where only one refinement was made.
     pub order_space: Option<f64>,
+    /// Value of the objective, recomputed.
+    pub objective: f64,
     /// Worst violation of every hard path constraint between nodes and samples, on the finest replay.
     pub between: Vec<Between>,
     /// Extremes of the strains.
     pub strains: PeakStrains,
-    /// Distance of the replayed tip from a target position, m; 0 without one.
-    pub tip_error: f64,
-    /// Angle between the replayed tip and a target orientation, rad; 0 without one.
-    pub tip_angle: f64,
-    /// Speed of the replayed tip at the end, m/s.
-    pub tip_speed: f64,
-    /// Angular speed of the replayed tip at the end, rad/s.
-    pub tip_spin: f64,
-    /// Motion of the tip of the finest rod.
-    pub finest_tip: TipMotion,
-    /// The motion after the task under the last wrench, if the arm stays.
-    pub stays: Option<StayReplay>,
+    /// Recomputed optimality conditions.
+    pub kkt: KktResidual,
+    /// The same by parts, with the worst row of each.
+    pub kkt_parts: [KktPart; 5],
     /// Work in, change of energy and dissipation of the replay.
-    pub energy: EnergyBalance,
-    /// Energy residual with the step halved divided by the residual itself: about 1/4.
-    pub energy_ratio: f64,
-    /// Ratio of the largest residuals on the way, at common times, with the step halved and without.
-    pub energy_halving: f64,
+    pub energy: EnergyAccount,
     /// Momentum balance of the replay.
     pub momentum: MomentumBalance,
     /// Curvature of the Lagrangian; absent until [`Self::deepen`].
+    #[serde(skip)]
     pub second_order: Option<SecondOrder>,
-    /// Fraction of the objective that may be left to gain at a saddle.
-    pub saddle_gain: f64,
     /// Growth of small disturbances; absent until [`Self::deepen`].
+    #[serde(skip)]
     pub growth: Option<Growth>,
+    /// Distance of the replayed tip from a target position, m; 0 without one.
+    #[serde(skip)]
+    pub tip_error: f64,
+    /// Angle between the replayed tip and a target orientation, rad; 0 without one.
+    #[serde(skip)]
+    pub tip_angle: f64,
+    /// Speed of the replayed tip at the end, m/s.
+    #[serde(skip)]
+    pub tip_speed: f64,
+    /// Angular speed of the replayed tip at the end, rad/s.
+    #[serde(skip)]
+    pub tip_spin: f64,
+    /// Motion of the tip of the finest rod.
+    #[serde(skip)]
+    pub finest_tip: TipMotion,
+    /// The motion after the task with the last wrench held, where the arm stays.
+    #[serde(skip)]
+    pub stays: Option<StayReplay>,
+    /// Part of the objective that may be left to gain at a saddle.
+    #[serde(skip)]
+    pub saddle_gain: f64,
     /// Largest violation of a bound, N or N m.
+    #[serde(skip)]
     pub bound_violation: f64,
     /// The replay on the same grid; its trajectory, which is the solution's to within `same_grid`, is left out.
+    #[serde(skip)]
     pub replay: Replay,
-    /// Every criterion with its limit.
+    /// Every criterion with its limit, in the order of the terminal.
+    #[serde(skip)]
     pub items: Vec<CheckItem>,
 }
 
@@ -470,9 +484,7 @@ pub fn forward_check(
         tip_spin: 0.0,
         finest_tip: refinement.tip,
         stays: refinement.stays,
-        energy: same.balance,
-        energy_ratio: half.balance.residual() / same.balance.residual(),
-        energy_halving: halving(&same.balance, &half.balance),
+        energy: EnergyAccount::of(same.balance, &half.balance),
         momentum,
         second_order: None,
         saddle_gain: limits.saddle_gain,
@@ -616,14 +628,14 @@ fn items(
         ),
         item(
             "energy",
-            check.energy.relative(),
+            check.energy.relative_residual,
             limits.energy,
             "",
             "work in minus change of energy minus dissipation, over the energy that passed through",
         ),
         item(
             "energy_halving",
-            check.energy_halving,
+            check.energy.halving_ratio_largest,
             limits.energy_halving,
             "",
             "largest such residual with the step halved over itself: 1/4 of a method of second order",
@@ -640,8 +652,8 @@ fn items(
         // Without a potential there is no energy to balance.
         items.retain(|item| !item.name.starts_with("energy"));
     }
-    if check.energy.relative() <= SMALL_ENERGY * limits.energy {
-        // A residual this small may come from the shortest waves, which shorter steps only resolve.
+    if check.energy.relative_residual <= SMALL_ENERGY * limits.energy {
+        // As small as this it may be what the shortest waves do, which shorter steps only resolve.
         items.retain(|item| item.name != "energy_halving");
     }
     if let Some(between) = (check.between.iter())

@@ -18,16 +18,19 @@ use super::kkt::motion::{Conditions, Gradient, kick, momentum_after};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
-/// Residual of a motion in the balance of momentum at its worst step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// By how much a motion misses the balance of momentum over its worst step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct MomentumBalance {
-    /// Linear momentum, N s.
+    /// N s
+    #[serde(rename = "linear_n_s")]
     pub linear: f64,
-    /// Angular momentum about the origin, N m s.
+    /// N m s, about the origin.
+    #[serde(rename = "angular_n_m_s")]
     pub angular: f64,
     /// The larger of both, each divided by the effect of rounding.
     pub over_rounding: f64,
     /// Time, s.
+    #[serde(rename = "time_s")]
     pub time: f64,
 }
 

@@ -1,6 +1,7 @@
 //! Errors in time and space with their observed orders, and path constraints between nodes and samples, from replays on finer grids.
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use super::kkt::worse;
 use super::limits::{Measure, Pose};
@@ -35,19 +36,20 @@ impl ErrorEstimate {
 }
 
 /// Worst violation of a path constraint between its nodes and samples.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Between {
     /// Name of the constraint.
     pub name: String,
     /// Excess over the limit in its own unit; negative inside.
     pub excess: f64,
-    /// Quantity with which the excess is compared, in the same unit: radius of obstacle and arm together, or the limit itself.
-    pub reference: f64,
-    /// Unit of both.
+    /// Unit of the excess.
     pub unit: &'static str,
+    /// The value that the excess is compared with, in the same unit: radius of obstacle and arm together, or the limit itself.
+    pub reference: f64,
     /// Place, as a fraction of the arm's length.
     pub along: f64,
     /// Time, s.
+    #[serde(rename = "time_s")]
     pub time: f64,
 }
 
@@ -394,15 +396,15 @@ impl<'a> Watch<'a> {
 const FLAT_REFERENCE: f64 = 0.05;
 
 /// Extremes of the strains over a motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PeakStrains {
-    /// Smallest length of an element divided by that at rest.
-    pub least_stretch: f64,
-    /// Largest length of an element divided by that at rest.
-    pub largest_stretch: f64,
+    /// Least and largest length of an element over that at rest.
+    pub stretch: [f64; 2],
     /// Largest bending curvature, 1/m.
+    #[serde(rename = "curvature_1_m")]
     pub curvature: f64,
     /// Largest twist, 1/m.
+    #[serde(rename = "twist_1_m")]
     pub twist: f64,
 }
 
@@ -411,8 +413,7 @@ impl PeakStrains {
     #[must_use]
     pub fn of(rod: &Rod, trajectory: &Trajectory, stop: &StopSignal) -> Self {
         let mut out = Self {
-            least_stretch: f64::INFINITY,
-            largest_stretch: 0.0,
+            stretch: [f64::INFINITY, 0.0],
             curvature: 0.0,
             twist: 0.0,
         };
@@ -425,8 +426,7 @@ impl PeakStrains {
                 let stretch = (x[q + 1] - x[q]).norm() / rod.rest_chords[q];
                 let pose = Rod::element_pose(q, x, r);
                 let kappa = rod.strain_rule.strain(element.length, &pose).curvature;
-                out.least_stretch = out.least_stretch.min(stretch);
-                out.largest_stretch = out.largest_stretch.max(stretch);
+                out.stretch = [out.stretch[0].min(stretch), out.stretch[1].max(stretch)];
                 out.curvature = out.curvature.max(kappa.xy().norm());
                 out.twist = out.twist.max(kappa.z.abs());
             }

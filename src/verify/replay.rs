@@ -13,18 +13,23 @@ use crate::mechanics::{
 };
 use crate::stop::StopSignal;
 
-/// Energy balance of a motion, J.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Energy account of a motion, J.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EnergyBalance {
-    /// Work of the control, of the loads on the tip and the other nodes, and of the drive of the base.
+    /// Work of the control, of the loads on the tip and the other nodes, and of what drives the base.
+    #[serde(rename = "work_J")]
     pub work: f64,
     /// Kinetic, elastic and potential energy at the end minus those at the start.
+    #[serde(rename = "change_J")]
     pub change: f64,
     /// Energy taken by the damping.
+    #[serde(rename = "dissipation_J")]
     pub dissipation: f64,
-    /// Largest of the work, the energies and the dissipation during the motion, with which the residual is compared.
+    /// Largest of the work, the energies and the dissipation on the way: what the residual is compared with.
+    #[serde(skip)]
     pub throughput: f64,
-    /// Largest residual during the motion.
+    /// Largest residual on the way.
+    #[serde(skip)]
     pub largest_residual: f64,
 }
 
@@ -42,7 +47,32 @@ impl EnergyBalance {
     }
 }
 
-/// A forward simulation under given wrenches, with its energy balance.
+/// Energy account of a replay beside that with the step halved.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct EnergyAccount {
+    /// Work, change and dissipation.
+    #[serde(flatten)]
+    pub balance: EnergyBalance,
+    /// The part that does not add up, over what passed through.
+    pub relative_residual: f64,
+    /// The residual with the step halved, over itself: about 1/4.
+    pub halving_ratio: f64,
+    /// Largest residual on the way with the step halved, over the largest one, at common times; 0 where there is next to none.
+    pub halving_ratio_largest: f64,
+}
+
+impl EnergyAccount {
+    pub(super) fn of(balance: EnergyBalance, halved: &EnergyBalance) -> Self {
+        Self {
+            relative_residual: balance.relative(),
+            halving_ratio: halved.residual() / balance.residual(),
+            halving_ratio_largest: halving(&balance, halved),
+            balance,
+        }
+    }
+}
+
+/// A forward simulation under given wrenches, with its accounts.
 #[derive(Clone, Debug)]
 pub struct Replay {
     /// Configurations at every time node.

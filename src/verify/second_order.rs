@@ -36,8 +36,8 @@ impl Extremum {
     }
 }
 
-/// The smallest curvature of the Lagrangian over the critical subspace.
-#[derive(Clone, Debug, PartialEq)]
+/// Smallest curvature of the Lagrangian over the critical subspace.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SecondOrder {
     /// Smallest eigenvalue found: objective per squared scaled control.
     pub eigenvalue: f64,
@@ -52,8 +52,9 @@ pub struct SecondOrder {
     pub held: usize,
     /// Number of products of the Hessian with a direction.
     pub products: usize,
-    /// Decrease of the Lagrangian along the eigenvector, in the better of both directions, if the curvature is negative beyond its error;
-    /// otherwise 0.
+    /// What the Lagrangian falls by along the eigenvector, in the better of both ways, where the curvature is negative beyond its error; 0
+    /// elsewhere.
+    #[serde(skip)]
     pub gain: f64,
 }
 

@@ -746,13 +746,13 @@ fn lifted_steps_are_left_to_long_ones() {
     let (mut short, mut again) = (0, 0);
     for x in [0.05, 0.1] {
         for row in steps(HessianChoice::Auto, x) {
-            if row.hessian.is_second_order() && row.step_norm < 0.1 {
-                assert!(row.rolled_out, "{x}: {:e}", row.step_norm);
+            if row.step.hessian.is_second_order() && row.step_norm < 0.1 {
+                assert!(row.step.rolled_out, "{x}: {:e}", row.step_norm);
                 short += 1;
             }
         }
         for pair in steps(HessianChoice::GaussNewton, x).windows(2) {
-            if pair[0].rolled_out && !pair[1].rolled_out {
+            if pair[0].step.rolled_out && !pair[1].step.rolled_out {
                 assert!(pair[1].step_norm < pair[0].step_norm);
                 again += 1;
             }

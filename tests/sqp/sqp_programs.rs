@@ -608,7 +608,7 @@ fn lifted_and_reduced_agree() {
             outcome
                 .history
                 .iter()
-                .any(|row| !row.rolled_out && row.step_norm > 0.0),
+                .any(|row| !row.step.rolled_out && row.step_norm > 0.0),
             "a lifted step should be taken"
         );
     }
@@ -640,7 +640,7 @@ fn convergence_is_quadratic() {
             },
         );
         let residuals: Vec<f64> = (outcome.history.iter())
-            .map(|row| row.residual.stationarity.max(row.infeasibility))
+            .map(|row| row.stationarity.max(row.infeasibility))
             .collect();
         println!("{name}: {residuals:?}");
         assert_eq!(outcome.status, SqpStatus::Converged, "{name}");
@@ -648,7 +648,7 @@ fn convergence_is_quadratic() {
         for (row, pair) in outcome.history.iter().zip(residuals.windows(2)) {
             // Or all the way at once.
             let is_near = pair[0] < 1e-2 || pair[1] < 1e-9;
-            if row.hessian == HessianKind::Exact && row.slack < 1e-8 && is_near {
+            if row.step.hessian == HessianKind::Exact && row.slack < 1e-8 && is_near {
                 seen += 1;
                 assert!(
                     pair[1] < 100.0 * pair[0] * pair[0] + 1e-9,

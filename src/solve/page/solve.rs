@@ -274,9 +274,9 @@ pub(in crate::solve) fn iteration(number: usize, row: &IterationRecord) -> Repor
         attempt: number + 1,
         iteration: row.iteration,
         objective: row.objective,
-        stationarity: row.residual.stationarity,
-        feasibility: row.residual.feasibility,
-        complementarity: row.residual.complementarity,
+        stationarity: row.stationarity,
+        feasibility: row.feasibility,
+        complementarity: row.complementarity,
         step_norm: row.step_norm,
         kind: step_kind(row),
     }

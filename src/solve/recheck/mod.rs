@@ -127,7 +127,7 @@ impl VerifySummary {
 
     /// Of a check that was made.
     pub fn of(directory: &Path, found: &Rechecked, wall_s: f64) -> Self {
-        let check = CheckRecord::Made(Box::new(check_outcome(&found.check)));
+        let check = CheckRecord::Made(check_outcome(&found.check));
         Self::new(directory, check, Some(found), wall_s)
     }
 

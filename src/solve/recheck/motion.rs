@@ -30,7 +30,7 @@ pub(super) fn check(
         ROUNDINGS * largest(|u| u.moment.amax()),
     ];
     let weight: f64 = rod.nodes.iter().map(|node| node.mass).sum::<f64>() * rod.gravity.norm();
-    let allowed_energy = DERIVED * check.energy.throughput
+    let allowed_energy = DERIVED * check.energy.balance.throughput
         + ELSEWHERE * weight * rod.scales.length
         + ROUNDINGS
             * (check.replay.energies.iter()).fold(0.0, |m, e| f64::max(m, e.potential.abs()));

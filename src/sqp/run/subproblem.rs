@@ -56,9 +56,8 @@ impl<P: LiftedProgram> Run<'_, P> {
 
     /// Returns the violation that a subproblem may leave in rows outside its working set.
     pub(super) fn row_tolerance(&self) -> f64 {
-        let off = (self.trace.history.last()).map_or(1.0, |row| {
-            row.residual.stationarity.max(row.residual.feasibility)
-        });
+        let off =
+            (self.trace.history.last()).map_or(1.0, |row| row.stationarity.max(row.feasibility));
         (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
     }
 

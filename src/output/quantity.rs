@@ -6,8 +6,8 @@ const WIDTH: usize = 80;
 /// Prefixes from 10⁻⁹ to 10⁹, a thousand apart.
 const PREFIXES: [&str; 7] = ["n", "µ", "m", "", "k", "M", "G"];
 
-/// Formats a value with its unit: `12 mm` for 0.012 m. Beyond the prefixes, powers of ten are used; a mass is given in grams.
-pub(super) fn quantity(value: f64, unit: &str) -> String {
+/// A value with its unit: `12 mm` for 0.012 m. Beyond the prefixes in powers of ten; a mass is given in grams.
+pub(crate) fn quantity(value: f64, unit: &str) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value} {unit}");
     }
@@ -24,16 +24,16 @@ pub(super) fn quantity(value: f64, unit: &str) -> String {
     format!("{} {prefix}{unit}", digits(scaled))
 }
 
-/// Formats a mass in kg with a suitable unit.
-pub(super) fn mass(kilograms: f64) -> String {
+/// A mass in kg with the unit that suits it.
+pub(crate) fn mass(kilograms: f64) -> String {
     if kilograms.abs() >= 1e3 {
         return format!("{} kg", digits(kilograms));
     }
     quantity(1e3 * kilograms, "g")
 }
 
-/// Formats about four digits, without trailing zeros.
-pub(super) fn digits(value: f64) -> String {
+/// About four digits, without trailing zeros.
+pub(crate) fn digits(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
         return format!("{value:.2e}");
     }
@@ -46,8 +46,8 @@ pub(super) fn digits(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
 
-/// Formats an entry that begins with a word in a column of its own, broken between words.
-pub(super) fn entry(word: &str, text: &str) -> String {
+/// A line that begins with a word in a column of its own, broken between words.
+pub(crate) fn entry(word: &str, text: &str) -> String {
     const INDENT: usize = 12;
     let mut out = format!("  {word:<width$}", width = INDENT - 2);
     let mut column = INDENT;

@@ -1,21 +1,18 @@
-//! The part of `softarm check` about a closed loop: horizon, sensors, the time of a sample, and the wrench for its reference.
+//! A closed loop before it runs: horizon, sensors, the time of a sample, and what its reference takes.
 
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use super::console::{Console, stop_signal};
-use super::quantity::{digits, entry, quantity};
 use crate::mpc::{Contender, MpcError, Percentiles, SensorSettings};
 use crate::output::closed_loop::{LoopSensor, LoopSummary, ReferenceSummary};
+use crate::output::quantity::{digits, quantity};
 use crate::scene::{ClosedLoopSetup, Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 
 /// Number of samples that are timed; the first one is not counted.
 const SAMPLES: usize = 6;
-/// Time limit of these samples, s.
-const PATIENCE: f64 = 5.0;
-/// Fraction by which a wrench may exceed a bound, for rounding.
-const ROUNDING: f64 = 1e-6;
+/// Time after which the samples are given up.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Returns the figures of the loop that a scene describes, and concerns about it; `None` for a scene without `[mpc]`.
 ///
@@ -24,11 +21,12 @@ const ROUNDING: f64 = 1e-6;
 pub(super) fn summarize(
     scene: &Scene,
     source: &SceneSource,
+    until: &dyn Fn(Duration) -> StopSignal,
 ) -> Result<Option<(LoopSummary, Vec<String>)>, SceneError> {
     if scene.mpc.is_none() {
         return Ok(None);
     }
-    let stop = stop_signal(Some(Instant::now() + Duration::from_secs_f64(PATIENCE)));
+    let stop = until(PATIENCE);
     let setup = match scene.closed_loop(source, 0, &stop) {
         Err(_) if stop.is_raised() => return Ok(None),
         setup => setup?,
@@ -90,7 +88,7 @@ fn sensor(settings: &SensorSettings) -> LoopSensor {
 
 /// Says that the reference needs more than the bounds allow; `None` if it does not.
 fn above(need: &ReferenceSummary, setup: &ClosedLoopSetup) -> Option<String> {
-    if is_within(need) {
+    if need.is_within() {
         return None;
     }
     let actuators = &setup.experiment.task.actuators;
@@ -105,81 +103,7 @@ fn above(need: &ReferenceSummary, setup: &ClosedLoopSetup) -> Option<String> {
     Some(format!(
         "[control]: to hold the tip at its reference at t = {} s takes a force of {} and a moment of {} on it, which is above the bounds: {what}",
         digits(need.at_s),
-        quantity(norm(need.force_n), "N"),
-        quantity(norm(need.moment_n_m), "N m"),
+        quantity(need.force(), "N"),
+        quantity(need.moment(), "N m"),
     ))
-}
-
-fn norm(vector: [f64; 3]) -> f64 {
-    vector.iter().map(|value| value * value).sum::<f64>().sqrt()
-}
-
-fn is_within(need: &ReferenceSummary) -> bool {
-    need.force_excess_n <= ROUNDING * norm(need.force_n)
-        && need.moment_excess_n_m <= ROUNDING * norm(need.moment_n_m)
-}
-
-/// Prints the figures.
-pub(super) fn say(summary: &LoopSummary, console: &Console) {
-    let say = |word: &str, text: &str| console.say(&entry(word, text));
-    say(
-        "loop",
-        &format!(
-            "{} samples of {}; a horizon of {} in blocks of {}",
-            summary.samples,
-            quantity(summary.period_s, "s"),
-            quantity(summary.horizon_s, "s"),
-            quantity(summary.block_s, "s")
-        ),
-    );
-    if let Some(seconds) = summary.sample_s {
-        say(
-            "sample",
-            &format!(
-                "takes {} of {} on this machine, now",
-                quantity(seconds, "s"),
-                quantity(summary.period_s, "s")
-            ),
-        );
-    }
-    if summary.sensors.is_empty() {
-        say("sensors", "none: the true state is known at once");
-    }
-    for sensor in &summary.sensors {
-        let places: Vec<_> = sensor.places.iter().map(|place| digits(*place)).collect();
-        let at = if places.is_empty() {
-            "on the clamp".to_string()
-        } else {
-            format!("at {} of the length", places.join(", "))
-        };
-        say(
-            "sensor",
-            &format!(
-                "{at}, {} times a second, known after {}",
-                digits(sensor.rate_hz),
-                quantity(sensor.age_s, "s")
-            ),
-        );
-    }
-    if let Some(need) = &summary.reference {
-        let moment = norm(need.moment_n_m);
-        let turn = if moment > 0.0 {
-            format!(" and {}", quantity(moment, "N m"))
-        } else {
-            String::new()
-        };
-        let verdict = if is_within(need) {
-            "within the bounds"
-        } else {
-            "ABOVE THE BOUNDS"
-        };
-        say(
-            "reference",
-            &format!(
-                "held by at most {}{turn} on the tip, at t = {}: {verdict}",
-                quantity(norm(need.force_n), "N"),
-                quantity(need.at_s, "s")
-            ),
-        );
-    }
 }
