@@ -18,7 +18,7 @@ use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
 use crate::verify::{CheckItem, ForwardCheck};
 
-/// The solves of the start that the result is from.
+/// Returns the solves from the start that led to the result.
 fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     let of = |(number, solve): (usize, &SolveLog)| AttemptSummary {
         from: solve.from.clone(),
@@ -29,7 +29,7 @@ fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     attempt.solves.iter().enumerate().map(of).collect()
 }
 
-/// The summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
+/// Returns the summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
 pub(crate) fn summarize(
     scene: &str,
     solution: &Solution,
@@ -111,7 +111,7 @@ pub(crate) fn summarize(
     }
 }
 
-/// Staying after the task, as the summaries carry it.
+/// Returns the part of the summaries that is about staying after the task; `None` where the task ends with the motion.
 pub(crate) fn stays(
     problem: &OptimalControlProblem,
     check: Option<&ForwardCheck>,
@@ -145,7 +145,7 @@ pub(crate) fn stays(
     })
 }
 
-/// The check as the summaries carry it.
+/// Returns the result of a check in the form of the summaries.
 pub(crate) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
     CheckOutcome {
         same_grid_m: check.same_grid,
@@ -223,7 +223,7 @@ pub(crate) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
     }
 }
 
-/// The status in a word, and what else there is to say.
+/// Returns the name of a status, and a message about its cause or remedy if there is one.
 pub(crate) fn status_words(
     status: &SqpStatus,
     worst: &[NamedConstraint],
@@ -257,11 +257,11 @@ pub(crate) fn status_words(
     }
 }
 
-/// What helps where a solve did not converge, or the check rejects it.
+/// Returns advice for a solve that did not converge, or that the check rejects for its discretization errors.
 fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
     let (problem, outcome) = (&solution.problem.discrete, &solution.attempt.outcome);
     let converged = outcome.status == SqpStatus::Converged;
-    // What the check rejects for another reason than its errors has a remedy of its own.
+    // A rejection for another reason than the discretization errors has a remedy of its own.
     let is_unresolved = |check: &ForwardCheck| {
         let fails =
             |name: &str| (check.items.iter()).any(|item| item.name == name && !item.holds());
@@ -286,7 +286,7 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
             outcome.residual.feasibility, outcome.residual.stationarity
         )
     });
-    // Nobody waits for statics after a deadline.
+    // The statics take long, so they are left out after a deadline.
     let motion = if problem.stop.is_raised() {
         Vec::new()
     } else {
