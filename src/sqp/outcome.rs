@@ -22,7 +22,7 @@ pub enum SqpStatus {
     Failed(String),
 }
 
-/// How an iteration left its point.
+/// Kind of transition from the point of an iteration to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leave {
@@ -50,7 +50,7 @@ pub struct IterationRecord {
     pub step_norm: f64,
     /// Norm of this step divided by that of the last step before it.
     pub contraction: Option<f64>,
-    /// How the iteration left the point.
+    /// Kind of transition to the next point.
     pub left: Leave,
     /// Hessian of the step.
     pub hessian: HessianKind,

@@ -266,7 +266,7 @@ pub enum Contender {
     Mpc,
     /// The controller's plan without any measurement.
     OpenLoop,
-    /// The same plan with a linear-quadratic regulator about its motion.
+    /// That plan with a linear-quadratic regulator about its motion.
     Regulator,
     /// A spring and a damper at the tip, and the force that holds the model at the reference.
     TipPd,
