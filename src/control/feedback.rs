@@ -67,7 +67,7 @@ pub enum FeedbackError {
     Weight {
         /// Field of [`FeedbackWeights`].
         name: &'static str,
-        /// Its value.
+        /// Value of the weight.
         value: f64,
         /// Allowed values.
         expected: &'static str,

@@ -305,11 +305,11 @@ impl ForwardCheck {
 /// Kind of a replay, for errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayKind {
-    /// On the solution's own grid.
+    /// Replay on the grid of the solution.
     SameGrid,
-    /// With shorter time steps.
+    /// Replay with shorter time steps.
     ShorterSteps,
-    /// With more elements.
+    /// Replay with more elements.
     MoreElements,
     /// Replay of slightly perturbed controls or states.
     Perturbed,

@@ -95,7 +95,7 @@ pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
     goal_rows: Vec<GoalRow>,
-    /// For every goal, whether its orientation is approached by more than half a turn.
+    /// `true` for every goal whose orientation is approached by more than half a turn.
     longer_ways: Vec<bool>,
     /// Variable of every goal row that has one for its residual.
     slack_variables: Vec<Option<usize>>,
