@@ -235,7 +235,7 @@ mod tests {
 
     /// Nothing is known before a part is done; later, the remaining parts take the average time of the finished ones, including waiting.
     #[test]
-    fn time_left_is_that_of_the_parts_that_are_not_done() {
+    fn time_left_follows_from_the_average_of_finished_parts() {
         let began = Instant::now();
         let at = |seconds| began + Duration::from_secs(seconds);
         let mut countdown = Countdown::new(4, began);
@@ -252,7 +252,7 @@ mod tests {
 
     /// The remaining time is the predicted one minus the elapsed one; afterwards nothing is promised.
     #[test]
-    fn predictions_run_out() {
+    fn time_left_is_not_promised_beyond_the_prediction() {
         let left = |elapsed| left_of(Duration::from_secs(90), Duration::from_secs(elapsed));
         assert_eq!(left(20), "about 70 s left");
         assert!(left(90).starts_with("nearly done") && left(500).starts_with("nearly done"));

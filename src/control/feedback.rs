@@ -67,7 +67,7 @@ pub enum FeedbackError {
     Weight {
         /// Field of [`FeedbackWeights`].
         name: &'static str,
-        /// Its value.
+        /// Value of the weight.
         value: f64,
         /// Allowed values.
         expected: &'static str,
@@ -111,7 +111,7 @@ pub struct Feedback {
     pub cost_to_go: Mat<f64>,
     /// Largest growth of the norm of a deviation from the start to each edge of the blocks, without feedback.
     pub open_loop: Vec<f64>,
-    /// The same growth with feedback.
+    /// Largest such growth with feedback.
     pub closed_loop: Vec<f64>,
 }
 

@@ -105,7 +105,7 @@ pub enum CannotHold {
         /// Number of equations.
         equations: usize,
     },
-    /// Only controls beyond their bounds hold the target; those nearest to the bounds are given.
+    /// The target is held only by controls beyond their bounds; the controls nearest to the bounds are given.
     AboveBounds(Box<Held>),
     /// The equilibrium at the target is unstable.
     Unstable(Box<Held>),

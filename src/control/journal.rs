@@ -16,7 +16,7 @@ pub struct SolveLog {
     pub from: String,
     /// Rows of its iterations, in order.
     pub rows: Vec<IterationRecord>,
-    /// How the solve ended, in words.
+    /// Reason for the end of the solve, in words.
     pub ended: String,
 }
 

@@ -227,7 +227,7 @@ mod tests {
             let x = Vector3::from(x);
             for shape in shapes() {
                 let found = shape.distance(&x);
-                // 400 points of a segment of length below 1 m: the nearest is off by less than half a spacing squared over d.
+                // 400 points of a segment of length below 1 m: the nearest is off by less than `½ s²/d`, with the spacing `s`.
                 prop_assert!((found.value - brute_force(&shape, &x)).abs() < 2e-3);
                 prop_assert!((found.gradient.norm() - 1.0).abs() < 1e-12);
                 let h = 1e-5;

@@ -33,7 +33,7 @@ pub struct Stay {
     pub distance: f64,
     /// Largest eigenvalue of the tip's compliance, m/N.
     pub compliance: f64,
-    /// Tells whether deviations do not grow; under a body moment they may, by no more than [`Self::ROOM`].
+    /// Tells whether deviations do not grow; under a body moment they may, by no more than `Stay::ROOM`.
     pub is_stable: bool,
     modes: SlowModes,
     first_free_node: usize,

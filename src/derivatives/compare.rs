@@ -201,7 +201,7 @@ mod tests {
 
     /// Without any difference, and for a derivative that is not finite, the verdict is wrong; if everything is zero, there is none.
     #[test]
-    fn nothing_passes_for_lack_of_numbers() {
+    fn missing_numbers_do_not_pass() {
         let none = compare(&mut |_| None, &[vec![1.0]], 1e-12).expect("a verdict");
         assert_eq!(none.verdict(), Verdict::Wrong);
         let nan = compare(&mut |s| Some(vec![vec![s]]), &[vec![f64::NAN]], 1e-12);

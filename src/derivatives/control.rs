@@ -196,7 +196,7 @@ fn objective_block(
     let values = |there: &LiftedPoint| Some(vec![vec![program.evaluate(there).ok()?.objective]]);
     Ok(gather(
         name,
-        "gradient over the controls by the adjoint, and simulations",
+        "gradient with respect to the controls by the adjoint, and simulations",
         along_variables(program, point, rng, ROUNDING, &slopes, &values),
     ))
 }
@@ -422,7 +422,7 @@ fn hessian_block(
     };
     Ok(gather(
         "hessian",
-        "exact Hessian of the Lagrangian over the controls, and gradients by the adjoint",
+        "exact Hessian of the Lagrangian with respect to the controls, and gradients by the adjoint",
         along_variables(program, point, rng, HESSIAN_ROUNDING, &slopes, &values),
     ))
 }

@@ -211,7 +211,7 @@ mod tests {
 
     /// A map transformed to `z` and back is the same map; along `z` it gives the same as along the deviation.
     #[test]
-    fn maps_go_over_and_back() {
+    fn transformed_maps_are_recovered() {
         let rod = rod();
         let norm = EnergyNorm::at(&rod, &rod.rest).expect("positive");
         let n = NODE_COMPONENTS * rod.n_elements();

@@ -233,11 +233,11 @@ fn continued(
 /// Decision about an equilibrium that was found on a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Passage {
-    /// The path continues from it.
+    /// The path continues from the equilibrium.
     On,
-    /// It is the last one.
+    /// The equilibrium is the last one.
     End,
-    /// It is not on the path, and a shorter stride is tried.
+    /// The equilibrium is not on the path, and a shorter stride is tried.
     Refused,
 }
 

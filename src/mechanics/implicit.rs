@@ -21,7 +21,7 @@
 //! with the drift, gravity, loads and viscous damping of the [explicit step](super::stepper), whose elastic forces are
 //! part of `f` under [`TimeScheme::Explicit`]. There Kelvin-Voigt damping leaves the stable step as it is: the roots of
 //! `(1 + z) λ² - (2 - h²ω²) λ + (1 - z)`, `z = τ h ω²/2`, are in the unit circle up to `h ω = 2` for any `τ`.
-//! Follower loads stay explicit, so a stiff one (force over arm length near `m/h²`) limits the step of both schemes.
+//! Follower loads stay explicit, so a stiff one (with force divided by arm length near `m/h²`) limits the step of both schemes.
 //!
 //! Under stress the implicit step has a limit nevertheless, because the change of `Bᵀ` at a given stress, the geometric stiffness `K_σ`,
 //! still acts at the time nodes. A wave that the step does not resolve changes its sign at every step, and its amplitude `y` obeys `(M +

@@ -18,13 +18,13 @@ use super::rod::Rod;
 /// The ends of an interval at which the inertia follows the dilatation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InertiaRule {
-    /// Neither: inertia at rest.
+    /// Neither end: the inertia is that of the rod at rest.
     Constant,
-    /// Both: that of the start where the interval leaves, that of the end where it arrives.
+    /// Both ends: the momentum that leaves the start has the inertia of the start, the momentum that arrives at the end that of the end.
     Both,
-    /// The start, with the kinetic reaction there.
+    /// The start only, with the kinetic reaction there.
     Start,
-    /// The end, with the kinetic reaction there.
+    /// The end only, with the kinetic reaction there.
     End,
 }
 

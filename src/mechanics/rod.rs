@@ -44,11 +44,11 @@ pub struct NodeInertia {
 /// Kind of the rotary inertia of nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RotaryInertia {
-    /// That of the section, `ρI` per length.
+    /// Inertia of the section, `ρI` per length.
     #[default]
     Section,
-    /// That of the section plus that of the length of rod that belongs to a node, `ρI + ρA l²/12` about all three axes, with `l` the length
-    /// of an element.
+    /// Inertia of the section plus that of the length of rod that belongs to a node, `ρI + ρA l²/12` about all three axes, with `l` the
+    /// length of an element.
     ///
     /// About the transverse axes it is the inertia of a rigid piece of rod as long as an element; about the rod's own axis the same amount
     /// is added, an isotropic approximation like that of the Abaqus Theory Manual ("Mass and inertia for Timoshenko beams"). It vanishes

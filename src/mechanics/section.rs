@@ -66,7 +66,7 @@ impl Section {
 /// The cross-section as a function of the arc coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SectionProfile {
-    /// The same section everywhere.
+    /// One section along the whole rod.
     Uniform(Section),
     /// Full circles whose radius changes linearly from base to tip.
     TaperedCircle {

@@ -519,7 +519,7 @@ mod tests {
 
     /// Columns have distinct names, and some are timed.
     #[test]
-    fn columns_have_names_of_their_own() {
+    fn columns_have_distinct_names() {
         let names: std::collections::BTreeSet<_> = COLUMNS.into_iter().collect();
         assert_eq!(names.len(), COLUMNS.len());
         assert!(names.contains(FIRST_TIMED_COLUMN));

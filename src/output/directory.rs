@@ -319,7 +319,7 @@ mod tests {
     /// A summary is one of softarm if it has a version of its layout, one of the commands, and the tool's name; or, without a tool, the
     /// keys that only softarm wrote before it named itself.
     #[test]
-    fn summaries_of_others_are_told_apart() {
+    fn foreign_summaries_are_recognized() {
         let kind = |summary: Value| ResultKind::of_summary(&summary);
         let named = |tool: &str, command: &str| json!({"schema_version": 1, "tool": tool, "command": command});
         assert_eq!(kind(named("softarm", "solve")), Some(ResultKind::Solve));

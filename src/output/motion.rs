@@ -562,7 +562,7 @@ pub(super) mod tests {
     /// Archives with false headers: an array of gigabytes of zeros in some kilobytes, a header of four gigabytes, one nested a thousand
     /// levels deep, too many arrays, numbers of four bytes, and column order. All are refused by name, and none is unpacked.
     #[test]
-    fn archives_that_lie_are_refused() {
+    fn archives_with_false_headers_are_refused() {
         use std::io::Write as _;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectory.npz");

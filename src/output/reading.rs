@@ -11,11 +11,11 @@ use super::OutputError;
 /// The reason why a file of a user or of a result is not read.
 #[derive(Debug)]
 pub(crate) enum Unreadable {
-    /// The system refuses to read it.
+    /// The system refuses to read the file.
     Io(io::Error),
-    /// It is not a regular file; the name of its kind is given.
+    /// The file is not a regular one; the name of its kind is given.
     Kind(&'static str),
-    /// It has at least the first number of bytes, and may have at most the second.
+    /// The file has at least the first number of bytes, and may have at most the second.
     Large(u64, u64),
 }
 

@@ -24,13 +24,13 @@ pub(super) const EXPORT_MARK: &str = "<!-- made by softarm export -->";
 /// Evidence that an existing file was written by softarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Own {
-    /// None: it belongs to the user.
+    /// No evidence: the file belongs to the user.
     Nothing,
     /// A page of softarm.
     Page,
     /// A picture or a data file of `softarm export`.
     Export,
-    /// Not needed: the user named this file to be changed.
+    /// No evidence is needed: the user named this file to be changed.
     Everything,
 }
 
@@ -65,7 +65,7 @@ pub struct Writer {
 
 /// The object at a path, with links followed.
 enum Found {
-    /// Nothing; a file is to be created at this path.
+    /// No object; a file is to be created at this path.
     Nothing(PathBuf),
     /// A regular file at this path.
     File(PathBuf, Metadata),

@@ -13,7 +13,7 @@ use super::summary::{SCHEMA_VERSION, TOOL};
 const LOCK_FILE: &str = "lock";
 /// Folder in which the files of a result are written.
 const DRAFT: &str = "draft";
-/// The same folder once they are all written: its files belong into the result directory.
+/// Name of that folder after all files are written, when they belong into the result directory.
 const READY: &str = "ready";
 /// Names of the files with which a [`READY`] folder began, one a line.
 const MANIFEST: &str = "manifest";

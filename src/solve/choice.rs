@@ -9,28 +9,28 @@ use crate::sqp::{SqpSettings, SqpStatus};
 use crate::task::Problem;
 use crate::verify::ForwardCheck;
 
-/// What a search ends with.
+/// Result of a search.
 pub(crate) struct Chosen {
     pub solution: Solution,
     pub examined: Examined,
-    /// How all starts fared.
+    /// Status and verdict of every start.
     pub starts: Vec<StartSummary>,
-    /// The checks of all attempts, and the gains of the result.
+    /// Time spent on the checks of all attempts and on the gains of the result.
     pub spent: Spent,
 }
 
-/// What is examined, and how.
+/// Extent of the examination of solutions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Examination<'a> {
-    /// Weights of the regulator around a converged solution; none where there should be none.
+    /// Weights of the regulator around a converged solution; `None` for no regulator.
     pub feedback: Option<&'a FeedbackWeights>,
-    /// Whether the second-order condition and the growth of disturbances are examined in any case.
+    /// `true` to examine the second-order condition and the growth of disturbances in any case.
     pub deep: bool,
-    /// Threads.
+    /// Number of threads.
     pub n_threads: usize,
 }
 
-/// The best attempt that the check certifies, or else the best.
+/// Returns the best converged attempt that the check certifies, or else the best attempt.
 pub(crate) fn choose(
     problem: &Problem,
     settings: &SqpSettings,
@@ -56,7 +56,7 @@ pub(crate) fn choose(
             iterations: attempt.iterations(),
             verdict: None,
         };
-        // Worse than a certified one, or not converged while another is: nothing to check.
+        // An attempt that is worse than a certified one, or not converged where another one is chosen, need not be checked.
         let worth =
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
@@ -71,7 +71,7 @@ pub(crate) fn choose(
         }
         starts.push(start);
     }
-    // Those that nobody waited for.
+    // Starts whose attempts were never begun, as the work was stopped before.
     let missing = (0..n_starts).filter(|at| !starts.iter().any(|start| start.start == *at));
     let missing: Vec<usize> = missing.collect();
     starts.extend(missing.into_iter().map(|start| StartSummary {

@@ -17,10 +17,10 @@ use crate::output::{
 };
 use crate::scene::{DescribeError, Scene};
 
-/// Why a solution was not saved.
+/// Reason why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
 pub enum SaveError {
-    /// The problem is none that a scene can describe.
+    /// A scene cannot describe the problem.
     #[error(transparent)]
     Describe(#[from] DescribeError),
     /// The files could not be written.
@@ -28,10 +28,10 @@ pub enum SaveError {
     Output(#[from] OutputError),
 }
 
-/// Name of the scene of a problem that was posed in a program.
+/// Scene name of a problem that was posed in a program.
 const PROGRAM: &str = "program";
 
-/// Writes a solution as the result directory `target`.
+/// Writes a solution as the result directory `target` and returns the directory.
 pub(super) fn save(
     solution: &Solution,
     examined: &Examined,
@@ -52,7 +52,7 @@ pub(super) fn save(
     Ok(directory.publish(|result| write(result, &scene, solution, examined, &summary, 1))?)
 }
 
-/// Writes every file of a solution whose scene, resolved, is this text.
+/// Writes every file of a solution. `scene` is the text of its scene with all defaults filled in.
 pub(crate) fn write(
     directory: &ResultDirectory,
     scene: &str,
@@ -101,7 +101,7 @@ pub(crate) fn write(
     motion.and(rest)
 }
 
-/// The solution's own configurations, with the energies of its replay.
+/// Returns the configurations of the solution with the energies of its replay.
 fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     let problem = &solution.problem.discrete;
     let trajectory = solution.trajectory();
@@ -122,14 +122,14 @@ fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     record
 }
 
-/// A row per coefficient and actuator: per block of a constant hold, per knot, with equal times, of a linear one, per control point
-/// of a spline; and where the arm stays, one per actuator for the time after the horizon.
+/// Returns one row per coefficient and actuator: per block of a constant hold; per knot of a linear hold or control point of a spline, with
+/// two equal times. Where the arm stays after the task, one row per actuator follows for the time after the horizon.
 fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec<ControlRow> {
     let edges = problem.control.edge_times();
     let times = problem.control.coefficient_times();
     let n = problem.actuators.len();
     let end = problem.grid.duration();
-    // Where the arm stays, its last wrenches are held for a time.
+    // The last wrenches are held for a time where the arm stays.
     let held = (problem.stay.iter())
         .flat_map(|stay| (stay.wrenches.iter()).map(|u| (u, (end, end + stay.seconds))));
     (coefficients.iter().enumerate())
@@ -164,7 +164,7 @@ struct OfAttempt<'a> {
     from: &'a str,
 }
 
-/// The rows of all attempts, one after the other.
+/// Writes the iterations of all attempts, one attempt after the other.
 fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError> {
     let cannot_write = |error: csv::Error| {
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))

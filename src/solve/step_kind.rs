@@ -2,11 +2,11 @@
 
 use crate::sqp::{IterationRecord, Leave};
 
-/// Every letter and word of the column with its meaning, in the order in which they are explained.
+/// Signs of the column and their meanings, in the order in which they are explained.
 pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
-    ("c", "exact Hessian, its negative curvature turned round"),
+    ("c", "exact Hessian, its negative curvature reversed"),
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),
@@ -20,7 +20,7 @@ pub(crate) fn step_kind(row: &IterationRecord) -> String {
     row.step.to_string()
 }
 
-/// All of it, for the help of `solve`.
+/// Returns the explanation of all signs for the help of `solve`.
 #[cfg(feature = "cli")]
 pub(crate) fn help() -> String {
     let entry = |(sign, meaning): &(&str, &str)| format!("  {sign:8} {meaning}");
@@ -31,7 +31,7 @@ pub(crate) fn help() -> String {
     )
 }
 
-/// The signs that some rows have, with their meanings, in one line.
+/// Returns the explanation of the signs that occur in `rows`, in one line.
 #[cfg(feature = "cli")]
 pub(crate) fn legend(rows: &[IterationRecord]) -> String {
     let kinds: Vec<String> = rows.iter().map(step_kind).collect();
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
     use crate::sqp::HessianKind;
 
-    /// Whatever leaves a point, every sign of its kind is explained, and nothing is explained twice.
+    /// Every sign of a kind is explained exactly once.
     #[test]
     fn every_kind_is_explained() {
         let mut row = IterationRecord::default();

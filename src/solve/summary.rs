@@ -24,7 +24,7 @@ use crate::verify::growth::Growth;
 use crate::verify::second_order::SecondOrder;
 use crate::verify::{CheckItem, ForwardCheck};
 
-/// The solves of the start that the result is from.
+/// Returns the solves from the start that led to the result.
 fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     let of = |(number, solve): (usize, &SolveLog)| AttemptSummary {
         from: solve.from.clone(),
@@ -35,7 +35,7 @@ fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     attempt.solves.iter().enumerate().map(of).collect()
 }
 
-/// The summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
+/// Returns the summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
 pub(crate) fn summarize(
     scene: &str,
     solution: &Solution,
@@ -261,7 +261,7 @@ struct JudgedItem<'a> {
     meaning: &'static str,
 }
 
-/// The status in a word, and what else there is to say.
+/// Returns the name of a status, and a message about its cause or remedy if there is one.
 pub(crate) fn status_words(
     status: &SqpStatus,
     worst: &[NamedConstraint],
@@ -295,11 +295,11 @@ pub(crate) fn status_words(
     }
 }
 
-/// What helps where a solve did not converge, or the check rejects it.
+/// Returns advice for a solve that did not converge, or that the check rejects for its discretization errors.
 fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
     let (problem, outcome) = (&solution.problem.discrete, &solution.attempt.outcome);
     let converged = outcome.status == SqpStatus::Converged;
-    // What the check rejects for another reason than its errors has a remedy of its own.
+    // A rejection for another reason than the discretization errors has a remedy of its own.
     let is_unresolved = |check: &ForwardCheck| {
         let fails =
             |name: &str| (check.items.iter()).any(|item| item.name == name && !item.holds());
@@ -324,7 +324,7 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
             outcome.residual.feasibility, outcome.residual.stationarity
         )
     });
-    // Nobody waits for statics after a deadline.
+    // The statics take long, so they are left out after a deadline.
     let motion = if problem.stop.is_raised() {
         Vec::new()
     } else {

@@ -70,7 +70,7 @@ mod tests {
 
     /// A ball of differences: the difference ends on the sphere in its old direction, the mean of the two stays.
     #[test]
-    fn difference_returns() {
+    fn differences_are_shortened_to_the_sphere() {
         let rows = (0..2).map(|i| vec![(i + 2, 1.0), (i, -1.0)]).collect();
         let set = ConvexSet::Ball { rows, radius: 1.0 };
         let v = into_balls(vec![0.0, 0.0, 3.0, 4.0], std::iter::once(&set));

@@ -4,10 +4,10 @@ use super::kkt::Multipliers;
 use super::program::{Evaluation, LiftedProgram};
 use super::settings::{MERIT_ROUNDING, NEGLIGIBLE};
 
-const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
-const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
-const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ
-const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
+const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ: Ipopt's `gamma_theta`
+const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ: Ipopt's `gamma_phi`
+const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ: Ipopt's `s_phi`
+const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ: Ipopt's `s_theta`
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
 const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max / θ₀; Ipopt's `theta_max_fact` is 1e4, which is too wide where recursions amplify
 const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min / θ₀: Ipopt's `theta_min_fact`

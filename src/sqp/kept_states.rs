@@ -5,10 +5,11 @@ use faer::Mat;
 /// Form in which Clarabel gets the quadratic subproblem. Both forms have the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum QpRoute {
-    /// Over the variables alone: small and dense.
+    /// Quadratic program in the variables alone: small and dense.
     #[default]
     Condensed,
-    /// With states and their equations: large and sparse. Programs that do not provide them are solved condensed.
+    /// Quadratic program in variables and states, with the state equations: large and sparse. Programs that do not provide these equations
+    /// are solved condensed.
     Sparse,
 }
 

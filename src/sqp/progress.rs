@@ -12,7 +12,7 @@ const WINDOW: usize = 10;
 pub enum Trend {
     /// Over the last iterations, the infeasibility or the KKT residual of the best point fell by a tenth or more.
     Falling,
-    /// Both fell by less than a tenth.
+    /// Both residuals fell by less than a tenth.
     Stalled,
 }
 

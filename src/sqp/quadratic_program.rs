@@ -50,7 +50,7 @@ pub struct QuadraticProgram<'a> {
     pub row_tolerance: f64,
     /// Signal that ends the solve early.
     pub stop: Option<&'a StopSignal>,
-    /// The same rows with the states in them, which replace the condensed rows on the sparse route.
+    /// These rows with the states in them, which replace the condensed rows on the sparse route.
     pub states: Option<KeptStates<'a>>,
     /// Multipliers of a similar subproblem, those of the inequalities by their place. If its active set is also that of this one, the
     /// solution needs no interior point.

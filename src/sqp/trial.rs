@@ -18,7 +18,7 @@ const SHORTER: f64 = 0.5;
 pub struct Accepted<P: LiftedProgram> {
     /// The new point.
     pub point: P::Point,
-    /// Its values.
+    /// Values at the new point.
     pub evaluation: Evaluation<P::Defects>,
     /// Tells whether the states are a rollout of the variables rather than a linear step.
     pub rolled_out: bool,
@@ -28,9 +28,9 @@ pub struct Accepted<P: LiftedProgram> {
 
 /// Values of a refused rollout. The point itself is not kept, because it is larger than all other data together.
 pub struct Refused {
-    /// Its constraints `c`.
+    /// Equality constraints `c`.
     pub constraints: Vec<f64>,
-    /// Its inequalities `h`.
+    /// Inequalities `h`.
     pub inequalities: Vec<f64>,
     /// [`LiftedProgram::infeasibility`]
     pub infeasibility: f64,

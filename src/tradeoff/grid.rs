@@ -218,7 +218,7 @@ pub enum End {
     TooLong {
         /// The required grid.
         wanted: Grid,
-        /// Its predicted time, s.
+        /// Predicted time of work on this grid, s.
         seconds: f64,
     },
     /// The error of a grid could not be determined.

@@ -339,7 +339,7 @@ mod tests {
         /// Any hold over any blocks: the solver's tables agree with the recursion, and tables whose effort or rate are off by one part in a
         /// million in any one entry that matters do not.
         #[test]
-        fn the_solver_holds_what_the_definition_says(
+        fn tables_of_the_solver_agree_with_the_definition(
             hold in 0..3usize,
             blocks in 1..9usize,
             more in 0..30usize,

@@ -275,7 +275,7 @@ impl ForwardCheck {
                 value: self.gain_over_objective(&found),
                 limit: self.saddle_gain,
                 unit: "",
-                meaning: "what is left to gain along the most negative curvature of the Lagrangian, over the objective: a saddle",
+                meaning: "possible gain along the most negative curvature of the Lagrangian, divided by the objective: a saddle",
             }
         } else {
             CheckItem {
@@ -283,7 +283,7 @@ impl ForwardCheck {
                 value: -found.eigenvalue,
                 limit: found.error,
                 unit: "",
-                meaning: "minus the smallest curvature of the Lagrangian over what active constraints leave free: beyond its error, a saddle",
+                meaning: "minus the smallest curvature of the Lagrangian in the directions that active constraints leave free: beyond its error, a saddle",
             }
         });
         self.second_order = Some(found);
@@ -317,11 +317,11 @@ impl ForwardCheck {
 /// Kind of a replay, for errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayKind {
-    /// On the solution's own grid.
+    /// Replay on the grid of the solution.
     SameGrid,
-    /// With shorter time steps.
+    /// Replay with shorter time steps.
     ShorterSteps,
-    /// With more elements.
+    /// Replay with more elements.
     MoreElements,
     /// Replay of slightly perturbed controls or states.
     Perturbed,
@@ -501,7 +501,7 @@ pub fn forward_check(
             value: found,
             limit: limits.duration,
             unit: "",
-            meaning: "derivative of the Lagrangian along a free duration, from motions that last longer and shorter, over its largest term",
+            meaning: "derivative of the Lagrangian along a free duration, from motions that last longer and shorter, divided by its largest term",
         });
     }
     Ok(check)
@@ -581,7 +581,7 @@ fn items(
             check.kkt.stationarity,
             limits.kkt,
             "",
-            "gradient of the Lagrangian, recomputed from the energy itself, over its largest term",
+            "gradient of the Lagrangian, recomputed from the energy itself, divided by its largest term",
         ),
         item(
             "kkt.feasibility",
@@ -631,21 +631,21 @@ fn items(
             check.energy.relative_residual,
             limits.energy,
             "",
-            "work in minus change of energy minus dissipation, over the energy that passed through",
+            "work in minus change of energy minus dissipation, divided by the energy that passed through",
         ),
         item(
             "energy_halving",
             check.energy.halving_ratio_largest,
             limits.energy_halving,
             "",
-            "largest such residual with the step halved over itself: 1/4 of a method of second order",
+            "largest energy residual with the step halved, divided by the largest one: 1/4 for a method of second order",
         ),
         item(
             "momentum",
             check.momentum.over_rounding,
             1.0,
             "",
-            "impulse in minus change of linear and angular momentum over any step, over what rounding explains",
+            "impulse in minus change of linear and angular momentum over any step, divided by the effect of rounding",
         ),
     ];
     if !problem.rod.model.has_potential() {
@@ -671,7 +671,7 @@ fn items(
             between,
             limits.between,
             "",
-            "largest violation of a path constraint anywhere on the finest replay, over the radius or the limit itself",
+            "largest violation of a path constraint anywhere on the finest replay, divided by the radius or by the limit",
         ));
     }
     let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {
@@ -748,14 +748,14 @@ fn items(
                 tip.speed,
                 speed + limits.rest[0] * tip.highest_speed,
                 "m/s",
-                "speed of the tip at the end on a finer grid, where it should stop, beside the highest before",
+                "speed of the tip at the end on a finer grid, where it should stop",
             ));
             items.push(item(
                 "refined_spin_rad_s",
                 tip.spin,
                 spin + limits.rest[1] * tip.highest_spin,
                 "rad/s",
-                "angular speed of the tip at the end on a finer grid, beside the highest before",
+                "angular speed of the tip at the end on a finer grid, where it should stop",
             ));
         }
     }

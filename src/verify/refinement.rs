@@ -444,7 +444,7 @@ mod tests {
     /// A wire bent as far as its step allows: the finer rod's step allows it as well. With the inertia of sections a quarter of the step
     /// suffices for a quarter of the length, with that of segments an eighth.
     #[test]
-    fn finer_rods_are_replayed_with_steps_that_they_bear() {
+    fn finer_rods_are_replayed_with_stable_steps() {
         let steel = Material::isotropic(200e9, 0.3, 7850.0);
         let wire = Arm::cylinder(&steel, 0.3, 0.5e-3);
         for (inertia, expected) in [(RotaryInertia::Section, 4), (RotaryInertia::Segment, 8)] {

@@ -44,7 +44,7 @@ mod tests {
     proptest! {
         /// Any ascending nodes: the durations are those of the solver, and add up to the time between the first and the last.
         #[test]
-        fn durations_are_the_solvers(gaps in prop::collection::vec(1..50usize, 0..20), step in 1e-6..1.0f64) {
+        fn durations_equal_those_of_the_solver(gaps in prop::collection::vec(1..50usize, 0..20), step in 1e-6..1.0f64) {
             let mut nodes = vec![3];
             for gap in gaps {
                 nodes.push(nodes[nodes.len() - 1] + gap);

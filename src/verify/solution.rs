@@ -44,7 +44,7 @@ impl<'a> SolutionMultipliers<'a> {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {found}, but the problem has {expected}")]
 pub struct SolutionError {
-    /// Its place: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
+    /// Place of the value: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
     pub place: String,
     /// The value or size that was found.
     pub found: String,

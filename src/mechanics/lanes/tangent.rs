@@ -141,7 +141,7 @@ pub struct Spin<S: Simd> {
     pub inertia: Mat3<S>,
     /// `M Θ⁻¹`: derivative of the angular momentum after the drift.
     pub arriving: Mat3<S>,
-    /// As [`Drift::level`].
+    /// Level of the rotation, as in [`Drift::level`].
     pub level: Lanes<S>,
     pub margin: Lanes<S>,
 }

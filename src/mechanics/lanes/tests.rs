@@ -161,7 +161,7 @@ fn every_vector_length_gives_the_same_bits() {
 /// Memory that is retuned to another step and to a softer rod with a heavier tip and more damping moves exactly as memory created for them,
 /// with and without internal damping, also if the tip was as heavy as its neighbors.
 #[test]
-fn retuned_memory_is_that_of_the_other_rod() {
+fn retuned_memory_moves_as_new_memory() {
     let cases = [
         (TimeScheme::Explicit, 0.0, false),
         (TimeScheme::Explicit, 3e-3, false),

@@ -67,7 +67,7 @@ pub enum Known<'a> {
     State(&'a State),
     /// The measurements that were [put](Driver::put), for the estimator.
     Measurements,
-    /// Nothing is known, for the given reason.
+    /// No state and no measurement, for the given reason.
     Nothing(Cause),
 }
 

@@ -74,7 +74,7 @@ pub enum Sensing {
 pub enum SensorChoice {
     /// A common kind of sensor.
     Preset(SensorPreset),
-    /// Other settings.
+    /// A sensor with the given settings.
     Own(SensorSettings),
 }
 
@@ -266,7 +266,7 @@ pub enum Contender {
     Mpc,
     /// The controller's plan without any measurement.
     OpenLoop,
-    /// The same plan with a linear-quadratic regulator about its motion.
+    /// The plan of [`OpenLoop`](Self::OpenLoop) with a linear-quadratic regulator about its motion.
     Regulator,
     /// A spring and a damper at the tip, and the force that holds the model at the reference.
     TipPd,

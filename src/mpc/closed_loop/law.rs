@@ -20,8 +20,9 @@ pub enum Law {
     Mpc,
     /// The controller's plan for its undisturbed model, without any measurement.
     OpenLoop,
-    /// The same plan with a linear law on the deviation from its motion: the first command of the linear-quadratic regulator over the
-    /// horizon (the controller's quadratic program with the measured deviation, about a plan that no measurement changes).
+    /// The plan of [`OpenLoop`](Self::OpenLoop) with a linear law on the deviation from its motion: the first command of the
+    /// linear-quadratic regulator over the horizon (the controller's quadratic program with the measured deviation, about a plan that no
+    /// measurement changes).
     Regulator,
     /// A force at the tip: the force that holds the model at the reference, plus a spring and a damper towards the reference.
     Tip(TipGains),

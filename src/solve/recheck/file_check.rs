@@ -114,7 +114,7 @@ impl FileCheck {
             value: self.worst,
             limit: 1.0,
             unit: "",
-            meaning: "largest distance of what the file says from what follows from scene and controls, over what rounding and replays elsewhere can change",
+            meaning: "largest difference between the file and the values that follow from scene and controls, divided by the difference that rounding and a replay elsewhere can make",
         }
     }
 }

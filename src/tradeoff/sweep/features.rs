@@ -14,7 +14,7 @@ use crate::sqp::SqpSettings;
 /// A feature of the model, and its cost.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FeatureCost {
-    /// Its name.
+    /// Name of the feature.
     pub feature: String,
     /// Tells whether the scene has the feature.
     pub in_scene: bool,

@@ -133,7 +133,7 @@ mod tests {
 
     /// Powers are recovered from points that follow them, and undetermined exponents are absent.
     #[test]
-    fn powers_are_found() {
+    fn exponents_are_recovered() {
         let rows: Vec<(Vec<f64>, f64)> = (1..6)
             .map(|k| (vec![1.0, f64::from(k).ln()], 2.0 - 1.5 * f64::from(k).ln()))
             .collect();

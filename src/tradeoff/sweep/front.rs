@@ -65,7 +65,7 @@ pub(super) mod tests {
     /// Random points: exactly those are on the front for which no other is better in error or time without being worse in the other; failed
     /// points never are.
     #[test]
-    fn fronts_are_what_nothing_beats() {
+    fn fronts_are_the_undominated_points() {
         let mut random = fastrand::Rng::with_seed(7);
         for _ in 0..50 {
             let mut points: Vec<Point> = (0..20)

@@ -80,8 +80,8 @@ pub(in crate::verify) fn control_cost(
     (cost, gradient)
 }
 
-/// An active bound on the scaled coefficients: `rows` are its normals, over (coefficient and actuator, channel, axis), and `curvature` is
-/// the second derivative of `multiplier × bound` over three of them.
+/// An active bound on the scaled vector of a channel of a coefficient of an actuator, or on its change. `normals` are the unit normals of
+/// the bound, and `curvature` is the second derivative of `multiplier × bound` with respect to the vector.
 pub(in crate::verify) struct ActiveBound {
     /// Index of the coefficient; for a rate that of the later one, from which the earlier one is subtracted.
     pub(in crate::verify) at: usize,
