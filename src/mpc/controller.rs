@@ -2,6 +2,7 @@
 
 mod bounds;
 mod effort;
+mod issued;
 mod outlet;
 mod settings;
 mod step_length;
@@ -12,6 +13,7 @@ use std::time::Instant;
 use nalgebra::{Matrix3, Vector3};
 
 pub use self::effort::ReferenceNeed;
+pub use self::issued::Issued;
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
@@ -85,7 +87,7 @@ pub struct SampleRecord {
 /// A model-predictive controller on the full rod.
 ///
 /// A sample has two phases (Diehl et al. 2005): [`feedback`](Self::feedback) embeds the measured state, configuration and momentum, in the
-/// linearized model, solves one quadratic program and takes the full step; [`prepare`](Self::prepare) predicts the state of the next sample
+/// linearized model, solves one quadratic program and takes the full step; [`Issued::prepare`] predicts the state of the next sample
 /// under the command that was sent, moves the horizon, simulates the plan and linearizes it. Both reuse memory that is allocated once.
 #[derive(Debug)]
 pub struct Controller {
@@ -396,7 +398,7 @@ impl Controller {
         (0..=grid.n_steps).map(move |k| (grid.time(k), self.horizon.position(k, node).into()))
     }
 
-    /// Sets the disturbance that the model expects from the next [preparation](Self::prepare) on: its wrenches act in every predicted
+    /// Sets the disturbance that the model expects from the next [preparation](Issued::prepare) on: its wrenches act in every predicted
     /// motion, and its stiffness, payload and damping change the model. Effort is then measured from the control that cancels the wrench at
     /// the tip and the weight of the payload, as far as it is actuated, so that it causes no offset.
     ///
@@ -609,13 +611,13 @@ impl Controller {
     }
 
     /// Issues the plan as it is as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be
-    /// the expected one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
-    pub fn plan_alone(&mut self, start: f64) -> &Command {
+    /// the expected one.
+    pub fn plan_alone(&mut self, start: f64) -> Issued<'_> {
         self.state.clone_from(&self.horizon.start);
         self.trusted.copy_from_slice(&self.plan);
         self.planned = None;
         self.issue(start);
-        &self.command
+        Issued(self)
     }
 
     /// Issues a command from `start` (s) on that does not come from the plan.
@@ -679,10 +681,9 @@ impl Controller {
     /// Runs both phases: computes the command for the measured state, then prepares the next sample.
     ///
     /// # Errors
-    /// As [`feedback`](Self::feedback) and [`prepare`](Self::prepare).
+    /// As [`feedback`](Self::feedback) and [`Issued::prepare`].
     pub fn step(&mut self, measured: &State) -> Result<&Command, MpcError> {
-        self.feedback(measured)?;
-        self.prepare()?;
+        self.feedback(measured)?.prepare()?;
         Ok(&self.command)
     }
 
@@ -692,7 +693,7 @@ impl Controller {
     /// # Errors
     /// Returns [`MpcError::Measurement`] for a state that is not finite or of another size, with the plan left unchanged;
     /// [`MpcError::Subproblem`]; and with more than one iteration [`MpcError::Rollout`].
-    pub fn feedback(&mut self, measured: &State) -> Result<&Command, MpcError> {
+    pub fn feedback(&mut self, measured: &State) -> Result<Issued<'_>, MpcError> {
         let begin = Instant::now();
         self.check(measured)?;
         self.state.clone_from(measured);
@@ -715,7 +716,7 @@ impl Controller {
         }
         self.issue(self.horizon.grid.start);
         self.record.feedback_s = begin.elapsed().as_secs_f64();
-        Ok(&self.command)
+        Ok(Issued(self))
     }
 
     /// Responds to a measured state with the first command of the linearized model, within the bounds: that of a linear-quadratic regulator
@@ -747,7 +748,7 @@ impl Controller {
     ///
     /// # Errors
     /// Returns [`MpcError::Rollout`] if the model's motion breaks down.
-    pub fn prepare(&mut self) -> Result<(), MpcError> {
+    pub(super) fn prepare(&mut self) -> Result<(), MpcError> {
         let begin = Instant::now();
         self.predict()?;
         let next = self.command.end;

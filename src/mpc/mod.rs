@@ -44,8 +44,8 @@
 //! let mut plant = RodPlant::new(&rod, start, settings.period, stable_step(&rod), controller.rod());
 //! for _ in 0..3 {
 //!     let command = controller.feedback(&plant.measure())?;
-//!     plant.apply(command)?;
-//!     controller.prepare()?;
+//!     plant.apply(&command)?;
+//!     command.prepare()?;
 //! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -71,10 +71,13 @@ mod transfer;
 pub use closed_loop::{
     Action, Cause, ClosedLoop, Computing, Contender, Driver, EstimatorChoice, Experiment,
     FallbackSettings, Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles,
-    Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
+    Responded, Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains,
+    Unknowns,
 };
 pub(crate) use controller::with_long_steps;
-pub use controller::{Command, Controller, EffortFrom, MpcSettings, ReferenceNeed, SampleRecord};
+pub use controller::{
+    Command, Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord,
+};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

@@ -18,9 +18,9 @@ fn samples_allocate_nothing() {
             state.clone_from(controller.expected());
             state.linear_momentum[3] += Vector3::new(1e-3, 0.0, -1e-3);
             let before = count();
-            controller.feedback(&state).unwrap();
+            let issued = controller.feedback(&state).unwrap();
             let feedback = count() - before;
-            controller.prepare().unwrap();
+            issued.prepare().unwrap();
             let both = count() - before;
             assert_eq!((feedback, both), (0, 0), "{largest_force} sample {sample}");
         }

@@ -76,8 +76,8 @@ fn closed_loops_retrace_the_optimum() {
             Stepper::new(&rod, controller.model_step(), controller.expected().clone());
         let mut used_bounds = false;
         for sample in 1..=20 {
-            let command = controller.feedback(&stepper.state()).unwrap().clone();
-            used_bounds |= controller.record().subproblem.iterations > 0;
+            let command = controller.feedback(&stepper.state()).unwrap();
+            used_bounds |= command.record().subproblem.iterations > 0;
             let (force, _) = apply(&mut stepper, &command, steps);
             assert!(force <= largest_force);
             let here = stepper.position(rod.tip());
@@ -86,7 +86,7 @@ fn closed_loops_retrace_the_optimum() {
             let gap = (here - Vector3::from(there)).norm();
             assert!(gap < 1e-6, "{largest_force} sample {sample}: {gap:e}");
             if sample < 20 {
-                controller.prepare().unwrap();
+                command.prepare().unwrap();
             }
         }
         assert_eq!(used_bounds, is_active);

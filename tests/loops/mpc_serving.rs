@@ -347,7 +347,7 @@ fn long_lines_are_read_in_blocks() {
             time: 0.0,
             signals: vec![signal; 200],
         });
-        driver.respond(0.0, Known::Measurements);
+        let _ = driver.respond(0.0, Known::Measurements);
         let force = |command: &Command| command.to[0].force;
         let together = force(driver.told());
         let change = (together - force(&calm)).norm();

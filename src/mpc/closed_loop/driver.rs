@@ -8,6 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::fallback::Fallback;
 use super::law::TipLaw;
+use super::responded::Responded;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
 use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Command, Controller};
@@ -24,7 +25,7 @@ const MOST_FAILURES: usize = 3;
 ///
 /// ```text
 /// put       every measurement that has become known, if there is an estimator
-/// respond   estimate, prediction over the delays, feedback
+/// respond   estimate, prediction over the delays, feedback: a Responded
 /// told      the command, for the actuators
 /// prepare   the next sample, after the command has been sent
 /// ```
@@ -229,8 +230,8 @@ impl Driver {
     /// counted in [`next_sample`](Self::next_sample): the last command acts meanwhile, constant after its end, and the controller restarts.
     ///
     /// The tip of the sample and its reference belong to the time of the last knowledge, [`known_at`](Self::known_at); the reference is
-    /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`prepare`](Self::prepare).
-    pub fn respond(&mut self, t: f64, known: Known) -> Sample {
+    /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`Responded::prepare`].
+    pub fn respond(&mut self, t: f64, known: Known) -> Responded<'_> {
         self.begin = Instant::now();
         let period = self.controller.settings().period;
         let index = (t / period).round() as usize;
@@ -307,13 +308,15 @@ impl Driver {
         };
         self.send(sample.acts_from);
         sample.note_command(&self.sent[self.sent.len() - 1], self.controller.record());
-        sample
+        Responded {
+            driver: self,
+            sample,
+        }
     }
 
     /// Returns the predicted position of the model's tip at the end of the last command, m, from the state for which it was computed;
     /// `None` if that state is unknown or the motion breaks down.
-    #[must_use]
-    pub fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
+    pub(super) fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
         if sample.fallback.is_some() {
             return None;
         }
@@ -328,7 +331,7 @@ impl Driver {
     }
 
     /// Prepares the next sample, and stores the duration of the whole present one.
-    pub fn prepare(&mut self, sample: &mut Sample) {
+    pub(super) fn prepare(&mut self, sample: &mut Sample) {
         let clock = Instant::now();
         self.prepare_controller();
         sample.prepare_s = clock.elapsed().as_secs_f64();
@@ -428,8 +431,10 @@ impl Driver {
     fn controlled(&mut self, acts_from: f64) -> Result<(), Cause> {
         self.find_again(acts_from)?;
         let issued = self.controller.feedback(&self.state);
-        issued.map_err(|error| Cause::of_controller(&error))?;
-        Ok(())
+        // The sample is prepared once its command has been sent.
+        issued
+            .map(|_| ())
+            .map_err(|error| Cause::of_controller(&error))
     }
 
     /// Lets the controller issue the response of the regulator about the plan's own motion to the present state.

@@ -195,7 +195,7 @@ impl Fallback {
             Cause::NoMeasurement | Cause::BadMeasurement | Cause::Estimate
         );
         if self.in_a_row <= plan {
-            controller.plan_alone(start);
+            let _ = controller.plan_alone(start);
             Action::Plan
         } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
             controller.steer(start, Aim::Tip(self.damped(controller.rod(), state)));

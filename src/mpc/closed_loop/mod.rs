@@ -17,6 +17,7 @@ mod driver;
 mod experiment;
 mod fallback;
 mod law;
+mod responded;
 mod sample;
 #[cfg(test)]
 mod tests;
@@ -33,6 +34,7 @@ pub use self::experiment::{
 };
 pub use self::fallback::{Action, Cause, FallbackSettings};
 pub use self::law::{Law, TipGains};
+pub use self::responded::Responded;
 pub use self::sample::{Innovations, Percentiles, Sample, Tally, TipError};
 use super::controller::{Command, Controller};
 use super::error::MpcError;
@@ -216,19 +218,24 @@ impl<'a> ClosedLoop<'a> {
         let tip = self.arm.tip();
         let turns = self.controller().reference_rotation(t).is_some();
         let rotation = turns.then(|| self.arm.tip_rotation());
-        let mut sample = if self.driver.estimates() {
+        let responded = if self.driver.estimates() {
             self.deliver(t);
             self.driver.respond(t, Known::Measurements)
         } else {
             let state = self.arm.state_on_model();
             self.driver.respond(t, Known::State(&state))
         };
-        sample.tip = tip.into();
-        sample.reference = self.controller().reference(t);
-        sample.turn =
-            rotation.and_then(|rotation| self.controller().turn_from_reference(t, &rotation));
-        self.arm.send(self.driver.told());
-        self.driver.prepare(&mut sample);
+        let controller = responded.controller();
+        let reference = controller.reference(t);
+        let turn = rotation.and_then(|rotation| controller.turn_from_reference(t, &rotation));
+        self.arm.send(responded.told());
+        // A simulated arm knows where its tip really is.
+        let sample = Sample {
+            tip: tip.into(),
+            reference,
+            turn,
+            ..responded.prepare()
+        };
         self.move_on(self.driver.next_sample() as f64 * period)?;
         Ok(sample)
     }

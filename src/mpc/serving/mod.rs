@@ -460,7 +460,7 @@ impl<W: Write> Server<W> {
     fn answer(&mut self, begin: Instant, t: f64, taken: Taken) -> io::Result<()> {
         let read = begin.elapsed().as_secs_f64();
         let expected = self.driver.next_sample();
-        let mut sample = match &taken {
+        let mut responded = match &taken {
             Taken::State(state) => self.driver.respond(t, Known::State(state)),
             Taken::Measured => self.driver.respond(t, Known::Measurements),
             Taken::Unusable if self.driver.estimates() => {
@@ -471,11 +471,12 @@ impl<W: Write> Server<W> {
                 self.driver.respond(t, why)
             }
         };
-        let n_skipped = self.driver.next_sample() - expected;
+        let n_skipped = responded.next_sample() - expected;
         self.record.n_skipped += n_skipped;
+        let sample = responded.sample();
         let is_known = sample.fallback.is_none() || !matches!(taken, Taken::Unusable);
         let tip = is_known.then(|| TipLine {
-            time_s: self.driver.known_at(),
+            time_s: responded.known_at(),
             position_m: sample.tip,
             reference_m: sample.reference,
         });
@@ -484,8 +485,9 @@ impl<W: Write> Server<W> {
             action: action.to_string(),
         });
         let disturbance =
-            (self.driver.estimates()).then(|| DisturbanceLine::of(self.driver.disturbance()));
-        let predicted_tip_m = self.driver.predicted_tip(&sample).map(Into::into);
+            (responded.estimates()).then(|| DisturbanceLine::of(responded.disturbance()));
+        let predicted_tip_m = responded.predicted_tip().map(Into::into);
+        let sample = responded.sample();
         let phases_s = Phases {
             read,
             estimate: sample.estimate_s,
@@ -500,11 +502,11 @@ impl<W: Write> Server<W> {
             skipped_samples: n_skipped,
             disturbance,
             phases_s,
-            ..self.command(sample.t)
+            ..command(&responded, sample.t, self.intake.rotation_change)
         };
         write(&mut self.output, &line)?;
         let answered = begin.elapsed().as_secs_f64();
-        self.driver.prepare(&mut sample);
+        let sample = responded.prepare();
         self.prepared_in = sample.prepare_s;
         self.note(&sample, answered);
         Ok(())
@@ -522,38 +524,9 @@ impl<W: Write> Server<W> {
                 read: begin.elapsed().as_secs_f64(),
                 ..Phases::default()
             },
-            ..self.command(t)
+            ..command(&self.driver, t, self.intake.rotation_change)
         };
         write(&mut self.output, &line)
-    }
-
-    /// Returns the last command without the data of a sample.
-    fn command(&self, time_s: f64) -> CommandLine {
-        let told = self.driver.told();
-        let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
-            .map(|(&node, (from, to))| WrenchLine {
-                node,
-                force_from_n: from.force.into(),
-                force_to_n: to.force.into(),
-                moment_from_n_m: from.moment.into(),
-                moment_to_n_m: to.moment.into(),
-            })
-            .collect();
-        CommandLine {
-            kind: "command",
-            sample: self.driver.next_sample(),
-            time_s,
-            from_s: told.start,
-            to_s: told.end,
-            wrenches,
-            fallback: None,
-            tip: None,
-            predicted_tip_m: None,
-            rotation_change: self.intake.rotation_change,
-            skipped_samples: 0,
-            disturbance: None,
-            phases_s: Phases::default(),
-        }
     }
 
     fn note(&mut self, sample: &Sample, answered: f64) {
@@ -614,4 +587,33 @@ fn write(output: &mut impl Write, line: &impl serde::Serialize) -> io::Result<()
     text.push(b'\n');
     output.write_all(&text)?;
     output.flush()
+}
+
+/// Returns the last command without the data of a sample.
+fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> CommandLine {
+    let told = driver.told();
+    let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
+        .map(|(&node, (from, to))| WrenchLine {
+            node,
+            force_from_n: from.force.into(),
+            force_to_n: to.force.into(),
+            moment_from_n_m: from.moment.into(),
+            moment_to_n_m: to.moment.into(),
+        })
+        .collect();
+    CommandLine {
+        kind: "command",
+        sample: driver.next_sample(),
+        time_s,
+        from_s: told.start,
+        to_s: told.end,
+        wrenches,
+        fallback: None,
+        tip: None,
+        predicted_tip_m: None,
+        rotation_change,
+        skipped_samples: 0,
+        disturbance: None,
+        phases_s: Phases::default(),
+    }
 }
