@@ -52,13 +52,7 @@ pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;
 pub use error::SceneError;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
-pub use model::{
-    Actuator, Base, BaseKind, Bound, Capsule, Circle, Computing, Continuation, Control, Cuboid,
-    Damping, Estimator, EstimatorKind, Fallback, Feedback, FigureEight, Gravity, Guess, HalfSpace,
-    Inertia, Initial, Limit, Load, LoadNode, Material, Mpc, Objective, Obstacle, Output, Plant,
-    PlantActuator, Price, Reference, Rod, RotaryInertia, Scene, Section, Sensor, Solver, Sphere,
-    Stiffness, Task, Time, TimeScheme, TimeStep, Track, Unknown, Via,
-};
+pub use model::*;
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
 pub use values::{Fraction, NonNegative, PoissonRatio, Positive};

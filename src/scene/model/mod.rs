@@ -15,25 +15,19 @@ mod solver;
 mod task;
 mod time;
 
-pub use self::base::{Base, BaseKind};
-pub(super) use self::base::{base_motion, described_motion};
-pub(super) use self::control::described_control;
-pub use self::control::{Actuator, Bound, Control, Distributed, Feedback};
-pub use self::estimator::{Estimator, EstimatorKind, Unknown};
-pub(super) use self::limit::obstacle_name;
-pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
-pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
-pub use self::mpc::{Computing, Fallback, Mpc};
-pub use self::objective::{Circle, FigureEight, Objective, Track};
-pub use self::plant::{Plant, PlantActuator};
-pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
-pub(super) use self::rod::{describe_section, rotary_inertia};
-pub use self::sensor::Sensor;
-pub use self::solver::{Continuation, Guess, Qp, Solver};
-pub use self::task::{AtRest, FreeDuration, Task, Via};
-pub(super) use self::task::{described_targets, described_task};
-pub(super) use self::time::integrator;
-pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
+pub use self::base::*;
+pub use self::control::*;
+pub use self::estimator::*;
+pub use self::limit::*;
+pub use self::load::*;
+pub use self::mpc::*;
+pub use self::objective::*;
+pub use self::plant::*;
+pub use self::rod::*;
+pub use self::sensor::*;
+pub use self::solver::*;
+pub use self::task::*;
+pub use self::time::*;
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
