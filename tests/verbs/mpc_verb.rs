@@ -423,8 +423,6 @@ fn refusals_name_their_keys() {
         ("sensor", &["sensor=[]"]),
         ("disturbance.0.node", &["disturbance=[{node = 17}]"]),
         ("control.hold", &["control.hold=cubic"]),
-        ("limit", &["limit=[{speed_max_m_s = 1.5}]"]),
-        ("objective.energy", &["objective.energy=1"]),
         (
             "objective.track.0.circle",
             &["objective.track.0.path_m=[[0, 0, 0, 1]]"],
