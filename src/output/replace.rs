@@ -235,11 +235,12 @@ fn is_stream(_: FileType) -> bool {
 fn stream(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.write(true);
-    // Held while the file is opened once more: opening must not wait, but writing to a full pipe may.
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // Held while the file is opened once more: only opening is not to wait, writing to a full pipe is.
+    #[cfg(unix)]
     let _held = {
         use std::os::unix::fs::OpenOptionsExt as _;
-        options.clone().custom_flags(libc::O_NONBLOCK).open(path)?
+        let at_once = rustix::fs::OFlags::NONBLOCK.bits().cast_signed();
+        options.clone().custom_flags(at_once).open(path)?
     };
     options.open(path)
 }

@@ -908,7 +908,7 @@ impl Desk {
             .unwrap();
         let started = std::time::Instant::now();
         while !ready() {
-            if started.elapsed().as_secs() > 60 || child.try_wait().unwrap().is_some() {
+            if started.elapsed() > tool::HANGS || child.try_wait().unwrap().is_some() {
                 let _ = child.kill();
                 panic!("ended, or never ready: {arguments:?}");
             }

@@ -11,15 +11,13 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
-use tool::{DONE, SCENE, STOPPED, UNWRITTEN, USAGE};
+use tool::{DONE, HANGS, SCENE, STOPPED, UNWRITTEN, USAGE};
 
 /// A folder of its own with a scene in it, which is solved and simulated in a blink.
 struct Desk {
     folder: TempDir,
 }
 
-/// How long anything may take before a test gives up.
-const PATIENCE: Duration = Duration::from_secs(120);
 /// An unreachable tolerance: a solve of `SCENE` that ends only when it is stopped.
 const ENDLESS: [&str; 4] = [
     "--set",
@@ -70,7 +68,7 @@ impl Desk {
             .unwrap();
         let started = Instant::now();
         while !ready() {
-            if started.elapsed() > PATIENCE || child.try_wait().unwrap().is_some() {
+            if started.elapsed() > HANGS || child.try_wait().unwrap().is_some() {
                 let _ = child.kill();
                 panic!("ended, or never ready: {arguments:?}");
             }
@@ -412,14 +410,15 @@ fn a_place_that_is_taken_does_not_lose_a_solve() {
         &ENDLESS[..],
     ]
     .concat();
-    let lock = desk.path(".run.running/lock");
-    let child = desk.start(&solve, || lock.exists());
-    // The lock is there a moment before the place is looked at.
-    std::thread::sleep(std::time::Duration::from_millis(300));
+    let mut child = desk.start(&solve, || true);
+    // The place is looked at before the first iteration.
+    let talk = first_row(&mut child);
     fs::create_dir(desk.path("run")).unwrap();
     fs::write(desk.path("run/letters"), "mine").unwrap();
     signal(&child, "INT");
-    let run = Run::of(&child.wait_with_output().unwrap()).exits(UNWRITTEN);
+    let mut output = child.wait_with_output().unwrap();
+    output.stderr = talk.join().unwrap().into_bytes();
+    let run = Run::of(&output).exits(UNWRITTEN);
     run.says(&["no result of softarm", "the result is in"]);
     let summary: Value = serde_json::from_str(&run.stdout).unwrap();
     let place = PathBuf::from(summary["directory"].as_str().unwrap());
@@ -473,9 +472,9 @@ fn requests_to_end_are_heard() {
     }
 }
 
-/// Reads the talk of a solve up to the first row of its table, and goes on reading it in the background.
+/// Reads the talk of a solve up to the first row of its table, and goes on reading it in the background: what follows.
 #[cfg(unix)]
-fn first_row(child: &mut Child) {
+fn first_row(child: &mut Child) -> std::thread::JoinHandle<String> {
     use std::io::BufRead as _;
     let mut lines = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
     lines
@@ -483,7 +482,7 @@ fn first_row(child: &mut Child) {
         .map(Result::unwrap)
         .find(|line| line.trim_start().starts_with("1 "))
         .unwrap();
-    std::thread::spawn(move || lines.for_each(drop));
+    std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>().join("\n"))
 }
 
 /// Whether this process, and so what it starts, ignores SIGHUP.
@@ -520,7 +519,7 @@ fn ignored_hangups_stay_ignored() {
     let wait_for = |ready: &dyn Fn() -> bool| {
         let started = Instant::now();
         while !ready() {
-            assert!(started.elapsed() < PATIENCE);
+            assert!(started.elapsed() < HANGS);
             std::thread::sleep(Duration::from_millis(5));
         }
     };

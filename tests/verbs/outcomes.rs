@@ -22,10 +22,7 @@ use softarm::mechanics::{State, Stepper, Wrench};
 use softarm::scene::Scene;
 use softarm::sqp::{SqpStatus, solve};
 use tempfile::TempDir;
-use tool::{DONE, INFEASIBLE, NOT_CONVERGED, NUMERICAL, REJECTED, SCENE, STOPPED, USAGE};
-
-/// A run that takes longer hangs: the slowest takes seconds.
-const HANGS: Duration = Duration::from_secs(300);
+use tool::{DONE, HANGS, INFEASIBLE, NOT_CONVERGED, NUMERICAL, REJECTED, SCENE, STOPPED, USAGE};
 
 /// Where the arm is at the start.
 const STAY: &str = "task.position_m=[0.0, 0.0, 1.0]";
