@@ -136,17 +136,16 @@ impl<'a> Page<'a> {
     fn section(&mut self, table: Entry<'a>) {
         let heading = table.heading();
         self.text += &format!("\n## `{heading}`\n");
-        let (at_key, about) = (description(table.at_key), description(table.value));
-        let is_repeated = at_key.is_empty() || about.starts_with(at_key.trim_end_matches('.'));
-        if !is_repeated {
-            self.paragraph(&at_key);
-        }
+        let (meaning, default) = meaning_and_default(table.at_key);
         if let Some(first) = self.heading_of(table.definition) {
-            let words = format!("Its keys are those of {}.", link(first));
+            let words = format!("{meaning} Its keys are those of {}.", link(first));
             return self.paragraph(&words);
         }
-        for part in about.split("\n\n") {
+        for part in description(table.value).split("\n\n") {
             self.paragraph(part);
+        }
+        if default != "none" {
+            self.paragraph(&format!("Default: {default}."));
         }
         self.sections.push((table.definition, heading));
         self.keys(&table);

@@ -27,13 +27,13 @@ pub struct Control {
     /// Course of the controls within a block.
     #[serde(default)]
     pub hold: Hold,
-    /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
+    /// Largest tip force in N; `inf` is unbounded, and 0 is no force. Absent: there is no tip force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
-    /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
+    /// Components (x, y, z) of that force that act, under a bound on the norm as well. Absent: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
-    /// Largest tip moment in N m; `inf` is unbounded. Absent, or 0: there is no tip moment.
+    /// Largest tip moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no tip moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
@@ -105,13 +105,13 @@ impl Default for Feedback {
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
-    /// Largest force in N; `inf` is unbounded. Absent, or 0: there is no force.
+    /// Largest force in N; `inf` is unbounded, and 0 is no force. Absent: there is no force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
-    /// Largest moment in N m; `inf` is unbounded. Absent, or 0: there is no moment.
+    /// Largest moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.

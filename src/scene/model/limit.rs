@@ -42,13 +42,13 @@ pub struct Obstacle {
     /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
-    /// 1000 times of a longer motion; the check looks between them.
+    /// Times per second at which the clearance is enforced, positive; the check looks between them. Absent: every time
+    /// step, or about 1000 times of a longer motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
-/// A sphere.
+/// All points within a distance of a center.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -59,7 +59,7 @@ pub struct Sphere {
     pub radius_m: Positive<values::Radius>,
 }
 
-/// A cylinder with round ends.
+/// All points within a distance of a segment: a cylinder with round ends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -139,8 +139,8 @@ pub struct Limit {
     /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
-    /// 1000 times of a longer motion; the check looks between them.
+    /// Times per second at which the limit is enforced, positive; the check looks between them. Absent: every time
+    /// step, or about 1000 times of a longer motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }

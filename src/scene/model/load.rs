@@ -45,15 +45,15 @@ pub struct Payload {
     pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
 }
 
-/// A prescribed force and moment per rest length on a part of the arm.
+/// A prescribed force and moment per rest length on a section of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
-    /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
     #[serde(default)]
     pub from: Fraction,
-    /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
+    /// End of the loaded section, as a fraction, after `from`. Default: 1, the tip.
     #[serde(default = "Fraction::one")]
     pub to: Fraction,
     /// Force in N per m of the arm's rest length. Default: none.

@@ -9,8 +9,9 @@ use super::super::values::{self, NonNegative, Number, Positive, known};
 use crate::mechanics::Rod;
 use crate::mpc::{SensorPreset, SensorSettings};
 
-/// A sensor with its noise, rate and age. A standard deviation is that of each of three numbers, and 0 is exact; a
-/// quantity without a standard deviation, of its own or by `preset`, is not measured.
+/// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
+/// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
+/// measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -18,28 +19,28 @@ pub struct Sensor {
     /// Usual sensor, which supplies the keys below that are not given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<SensorPreset>,
-    /// Places of the measurement, as fractions of the length from the base.
+    /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub places: Option<Vec<f64>>,
-    /// Standard deviation of positions in m, not negative.
+    /// Standard deviation of positions in m, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_sigma_m: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of rotations in rad, not negative.
+    /// Standard deviation of rotations in rad, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_sigma_rad: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of velocities in m/s, not negative.
+    /// Standard deviation of velocities in m/s, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_sigma_m_s: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of angular velocities in rad/s, not negative.
+    /// Standard deviation of angular velocities in rad/s, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angular_velocity_sigma_rad_s: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of curvatures and twist in 1/m, not negative.
+    /// Standard deviation of curvatures and twist in 1/m, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_sigma_1_m: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of the force on the clamp in N, not negative.
+    /// Standard deviation of the force on the clamp in N, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_force_sigma_n: Option<NonNegative<values::Deviation>>,
-    /// Standard deviation of the moment on the clamp in N m, not negative.
+    /// Standard deviation of the moment on the clamp in N m, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_moment_sigma_n_m: Option<NonNegative<values::Deviation>>,
     /// Measurements per second, positive. The default of `mpc.fallback.patience_s` depends on it. Absent: that of

@@ -119,8 +119,8 @@ pub struct Output {
     /// step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
-    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
-    /// of momentum and power, of a solve with its controls among the loads. Default: false.
+    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of
+    /// the base, balances of momentum and power; the controls of a solve count among the loads. Default: false.
     pub diagnostics: bool,
 }
 
