@@ -74,6 +74,9 @@ pub use solve::solve;
 /// The linear algebra whose types this library takes and returns, in the version that it is built with.
 pub use nalgebra;
 
+/// Name of the program, by which its results and its lines of JSON say who wrote them.
+pub(crate) const TOOL: &str = "softarm";
+
 /// The README's example, compiled and run by the tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -11,7 +11,7 @@ use crate::stop::Stop;
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
 /// The program that writes a result, as the summary in a result directory names it.
-pub const TOOL: &str = "softarm";
+pub const TOOL: &str = crate::TOOL;
 
 /// Summary of `check`.
 #[derive(Clone, Debug, Serialize)]

@@ -9,6 +9,8 @@ mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
 mod earlier;
+#[cfg(feature = "cli")]
+mod equilibrium;
 mod examined;
 mod files;
 mod page;
@@ -31,6 +33,7 @@ pub(crate) use self::{
     closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
     earlier::Earlier,
+    equilibrium::{EquilibriumSummary, sweep_record, write_tables},
     examined::Examined,
     files::write,
     page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},

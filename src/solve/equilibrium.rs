@@ -3,21 +3,21 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::summary::{Range, TipPose};
-use super::{MotionRecord, OutputError, ResultDirectory};
+use super::statics::{Statics, StaticsOptions};
 use crate::mechanics::diagnostics::ElementStress;
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{
     Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied, Wrench,
 };
-use crate::solve::{Statics, StaticsOptions};
+use crate::output::summary::{Range, SCHEMA_VERSION, TOOL, TipPose};
+use crate::output::{MotionRecord, OutputError, ResultDirectory};
 
 /// `summary.json` of `softarm equilibrium`.
 #[derive(Clone, Debug, Serialize)]
-pub struct EquilibriumSummary {
-    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+pub(crate) struct EquilibriumSummary {
+    /// [`SCHEMA_VERSION`]
     pub schema_version: u32,
-    /// [`TOOL`](super::summary::TOOL)
+    /// [`TOOL`]
     pub tool: &'static str,
     /// `equilibrium`
     pub command: &'static str,
@@ -73,7 +73,7 @@ pub struct EquilibriumSummary {
 
 /// Energy of an arm at rest, J.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct StaticEnergy {
+pub(crate) struct StaticEnergy {
     /// Elastic.
     pub elastic: f64,
     /// Of gravity.
@@ -82,7 +82,7 @@ pub struct StaticEnergy {
 
 /// What the base exerts.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct BaseWrench {
+pub(crate) struct BaseWrench {
     /// Spatial frame, N.
     pub force_n: [f64; 3],
     /// Frame of the base, N m.
@@ -91,7 +91,7 @@ pub struct BaseWrench {
 
 /// Whether small deviations stay small.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct StabilitySummary {
+pub(crate) struct StabilitySummary {
     /// `stable`; `neutral`, where nothing brings the arm back and nothing grows; `unstable`; or `unknown`.
     pub verdict: &'static str,
     /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
@@ -106,7 +106,7 @@ pub struct StabilitySummary {
 
 /// The load factor at which stability is lost.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct BucklingSummary {
+pub(crate) struct BucklingSummary {
     /// Load factor; absent where none was found.
     pub factor: Option<f64>,
     /// `buckling`, `snapping` or `flutter`.
@@ -119,7 +119,7 @@ pub struct BucklingSummary {
 
 /// An equilibrium of the sweep.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct SweepPoint {
+pub(crate) struct SweepPoint {
     /// Load factor.
     pub factor: f64,
     /// Position of the tip, m.
@@ -215,8 +215,8 @@ impl EquilibriumSummary {
         });
         let start = found.sweep.first().unwrap_or(own);
         EquilibriumSummary {
-            schema_version: super::summary::SCHEMA_VERSION,
-            tool: super::summary::TOOL,
+            schema_version: SCHEMA_VERSION,
+            tool: TOOL,
             command: "equilibrium",
             scene,
             status: if found.cut.is_some() { "cut" } else { "found" },
@@ -263,7 +263,11 @@ impl EquilibriumSummary {
 
 /// The sweep as a motion, with the load factor in the place of the time.
 #[must_use]
-pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> MotionRecord {
+pub(crate) fn sweep_record(
+    found: &Statics,
+    rod_at: impl Fn(f64) -> Rod,
+    time: f64,
+) -> MotionRecord {
     let mut record = MotionRecord::empty(found.rod.n_nodes());
     for LoadedShape { factor, shape, .. } in &found.sweep {
         let rod = rod_at(*factor);
@@ -291,7 +295,7 @@ pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> 
 ///
 /// # Errors
 /// [`OutputError`] where a file cannot be written.
-pub fn write_tables(
+pub(crate) fn write_tables(
     result: &ResultDirectory,
     rod: &Rod,
     own: &Configuration,
