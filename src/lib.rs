@@ -73,6 +73,9 @@ pub use solve::solve;
 /// The linear algebra crate whose types this library uses in its interface, in the version with which it is built.
 pub use nalgebra;
 
+/// Name of the program, by which its results and its lines of JSON say who wrote them.
+pub(crate) const TOOL: &str = "softarm";
+
 /// The README's example, compiled and run by the tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

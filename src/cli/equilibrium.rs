@@ -9,12 +9,14 @@ use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::{Kept, LoadPath, Loss, Varied};
-use crate::output::equilibrium::{EquilibriumSummary, sweep_record, write_tables};
 use crate::output::quantity::{digits, entry, quantity};
 use crate::output::{ResultKind, RunDirectory, render_report};
 use crate::scene::{Scene, SceneSource};
 use crate::solve::scene_check::warnings;
-use crate::solve::{Statics, StaticsError, StaticsOptions, equilibrium_page, statics};
+use crate::solve::{
+    EquilibriumSummary, Statics, StaticsError, StaticsOptions, equilibrium_page, statics,
+    sweep_record, write_tables,
+};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 use crate::tradeoff::accurate_statics;

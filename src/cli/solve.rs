@@ -17,13 +17,13 @@ use crate::control::{
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
-use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
-use crate::output::{OutputError, ResultKind, RunDirectory};
+use crate::output::summary::{NOT_CHECKED, SolveSummary};
+use crate::output::{ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
     Chosen, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
-    read_coefficients, status_words, summarize, write,
+    publish, read_coefficients, start_not_begun, start_summary, status_words, summarize,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::tradeoff::solve_on_grids;
@@ -118,27 +118,13 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             let warn = |error| console.warn(&format!("no diagnostics.npz: {error}"));
             found.map_err(warn).ok()
         });
-    let resolved = setup.resolved.to_toml();
-    let written = directory.publish_or_rescue(|result| {
-        let summary = SolveSummary {
-            directory: result.place().display().to_string(),
-            ..summary.clone()
-        };
-        if let Some(diagnostics) = &diagnostics {
-            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
-        }
-        write(
-            result,
-            &resolved,
-            &solution,
-            &examined,
-            &summary,
-            global.n_threads(),
-        )
-    });
-    if let Err(OutputError::Elsewhere { place, .. }) = &written {
-        summary.directory = place.display().to_string();
-    }
+    let written = publish(
+        directory,
+        (&setup, diagnostics.as_ref()),
+        (&solution, &examined),
+        &mut summary,
+        global.n_threads(),
+    );
     if arguments.starts == 1 {
         let rows: Vec<_> = (solution.attempt.solves.iter())
             .flat_map(|solve| &solve.rows)
@@ -226,7 +212,8 @@ fn attempt(
             }
             SearchEvent::StartEnds { start, found } => {
                 if let Some(live) = &live {
-                    let summary = start_summary(*start, *found);
+                    let summary =
+                        found.map_or_else(|_| start_not_begun(*start, "failed"), start_summary);
                     let converged = summary.status == "converged";
                     live.end(*start, converged.then_some(summary.objective));
                     live.beside(|| {
@@ -347,28 +334,6 @@ struct IterationEvent<'a> {
     start: usize,
     #[serde(flatten)]
     row: &'a IterationRecord,
-}
-
-/// What `--json-lines` prints of a start that has ended, of several; nothing is checked yet.
-fn start_summary(start: usize, found: Result<&Attempt, &GuessError>) -> StartSummary {
-    match found {
-        Ok(attempt) => StartSummary {
-            start,
-            from: attempt.from,
-            status: status_words(&attempt.outcome.status, &[]).0,
-            objective: attempt.outcome.objective,
-            iterations: attempt.iterations(),
-            verdict: None,
-        },
-        Err(_) => StartSummary {
-            start,
-            from: "not begun",
-            status: "failed",
-            objective: f64::NAN,
-            iterations: 0,
-            verdict: None,
-        },
-    }
 }
 
 /// A start that has ended, of several.

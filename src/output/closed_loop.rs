@@ -186,73 +186,117 @@ pub struct BaselineSummary {
     pub tip_turn_rad: Option<TipError>,
 }
 
-/// Columns of `samples.csv`; from [`FIRST_TIMED_COLUMN`] on they are times of this machine.
-const COLUMNS: [&str; 62] = [
-    "t",
-    "acts_from",
-    "age",
-    "tip_x",
-    "tip_y",
-    "tip_z",
-    "reference_x",
-    "reference_y",
-    "reference_z",
-    "error",
-    "turn",
-    "innovation_n",
-    "innovation_rms",
-    "innovation_normalized",
-    "innovation_distance",
-    "innovation_refused",
-    "predicted_cost",
-    "iterations",
-    "subproblem_iterations",
-    "subproblem_converged",
-    "fx",
-    "fy",
-    "fz",
-    "mx",
-    "my",
-    "mz",
-    "cause",
-    "action",
-    "estimated_tip_fx",
-    "estimated_tip_fy",
-    "estimated_tip_fz",
-    "estimated_tip_mx",
-    "estimated_tip_my",
-    "estimated_tip_mz",
-    "estimated_distributed_x",
-    "estimated_distributed_y",
-    "estimated_distributed_z",
-    "estimated_stiffness",
-    "estimated_payload",
-    "estimated_viscous",
-    "estimated_internal",
-    "estimated_delay",
-    "deviation_tip_fx",
-    "deviation_tip_fy",
-    "deviation_tip_fz",
-    "deviation_tip_mx",
-    "deviation_tip_my",
-    "deviation_tip_mz",
-    "deviation_distributed_x",
-    "deviation_distributed_y",
-    "deviation_distributed_z",
-    "deviation_stiffness",
-    "deviation_payload",
-    "deviation_viscous",
-    "deviation_internal",
-    "deviation_delay",
-    "estimate_ms",
-    "predict_ms",
-    "feedback_ms",
-    "prepare_ms",
-    "sample_ms",
-    "overrun",
+/// Columns of `samples.csv`, each with its name and its text; the last ones, from [`FIRST_TIMED_COLUMN`] on, are times of this machine.
+struct Columns(Vec<Column>);
+
+/// A column: its name, and what a sample has in it.
+type Column = (String, Box<dyn Fn(&Sample) -> String>);
+
+/// Parts of a disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous damping (1/s),
+/// time of internal damping and delay (s).
+const PARTS: [Named<Disturbance>; 14] = [
+    ("tip_fx", |d| d.tip.force.x),
+    ("tip_fy", |d| d.tip.force.y),
+    ("tip_fz", |d| d.tip.force.z),
+    ("tip_mx", |d| d.tip.moment.x),
+    ("tip_my", |d| d.tip.moment.y),
+    ("tip_mz", |d| d.tip.moment.z),
+    ("distributed_x", |d| d.distributed.x),
+    ("distributed_y", |d| d.distributed.y),
+    ("distributed_z", |d| d.distributed.z),
+    ("stiffness", |d| d.stiffness),
+    ("payload", |d| d.payload),
+    ("viscous", |d| d.viscous),
+    ("internal", |d| d.internal),
+    ("delay", |d| d.delay),
 ];
 
-/// First of the columns in which two runs of one scene differ: times of this machine.
+/// Times of the parts of a sample, and of the whole, s.
+const TIMES: [Named<Sample>; 5] = [
+    ("estimate_ms", |s| s.estimate_s),
+    ("predict_ms", |s| s.predict_s),
+    ("feedback_ms", |s| s.feedback_s),
+    ("prepare_ms", |s| s.prepare_s),
+    ("sample_ms", |s| s.sample_s),
+];
+
+/// A number of something, with its name.
+type Named<T> = (&'static str, fn(&T) -> f64);
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+impl Columns {
+    fn new() -> Self {
+        let mut out = Self(Vec::new());
+        out.number("t", |s| Some(s.t));
+        out.number("acts_from", |s| Some(s.acts_from));
+        out.number("age", |s| Some(s.age));
+        out.vector("tip_", |s| Some(s.tip));
+        out.vector("reference_", |s| s.reference);
+        out.number("error", |s| s.reference.map(|_| s.tip_error()));
+        out.number("turn", |s| s.turn);
+        out.text("innovation_n", |s| s.innovation.map(|found| found.n));
+        out.number("innovation_rms", |s| s.innovation.map(|found| found.rms));
+        out.number("innovation_normalized", |s| s.innovation?.normalized);
+        out.number("innovation_distance", |s| s.innovation?.distance);
+        out.text("innovation_refused", |s| {
+            s.innovation.map(|found| found.refused)
+        });
+        out.number("predicted_cost", |s| Some(s.predicted_cost));
+        out.text("iterations", |s| Some(s.iterations));
+        out.text("subproblem_iterations", |s| Some(s.subproblem.iterations));
+        out.text("subproblem_converged", |s| Some(s.subproblem.converged));
+        out.vector("f", |s| Some(s.wrench.force.into()));
+        out.vector("m", |s| Some(s.wrench.moment.into()));
+        out.text("cause", |s| {
+            s.fallback.as_ref().map(|(cause, _)| cause.to_string())
+        });
+        out.text("action", |s| {
+            s.fallback.as_ref().map(|(_, action)| action.to_string())
+        });
+        for (name, part) in PARTS {
+            out.number(format!("{ESTIMATED}{name}"), move |s| {
+                Some(part(&s.disturbance))
+            });
+        }
+        for (name, part) in PARTS {
+            out.number(format!("{DEVIATION}{name}"), move |s| {
+                Some(part(&s.deviation))
+            });
+        }
+        for (name, seconds) in TIMES {
+            out.number(name, move |s| Some(1e3 * seconds(s)));
+        }
+        out.text("overrun", |s| Some(s.is_overrun));
+        out
+    }
+
+    /// Adds a column of numbers, which is empty where there is none.
+    fn number(&mut self, name: impl Into<String>, of: impl Fn(&Sample) -> Option<f64> + 'static) {
+        let text = move |s: &Sample| of(s).map_or_else(String::new, |number| format!("{number:?}"));
+        self.0.push((name.into(), Box::new(text)));
+    }
+
+    /// Adds a column of counts, words or truth values.
+    fn text<T: ToString + 'static>(&mut self, name: &str, of: fn(&Sample) -> Option<T>) {
+        let text = move |s: &Sample| of(s).map_or_else(String::new, |value| value.to_string());
+        self.0.push((name.into(), Box::new(text)));
+    }
+
+    /// Adds three columns, for the axes.
+    fn vector(&mut self, stem: &str, of: fn(&Sample) -> Option<[f64; 3]>) {
+        for (axis, name) in AXES.into_iter().enumerate() {
+            self.number(format!("{stem}{name}"), move |s| Some(of(s)?[axis]));
+        }
+    }
+}
+
+/// Beginning of the names of what is estimated.
+const ESTIMATED: &str = "estimated_";
+/// Beginning of the names of its standard deviations.
+const DEVIATION: &str = "deviation_";
+
+/// Columns from which on two runs of one scene differ: times of this machine.
 pub const FIRST_TIMED_COLUMN: &str = "estimate_ms";
 
 /// Writes one row for each sample, with a header; every number in the shortest form that reads back as the same `f64`, absent values as
@@ -264,8 +308,10 @@ pub fn write_samples(path: &Path, samples: &[Sample]) -> Result<(), OutputError>
     let unwritten = || OutputError::unwritten(path, "cannot write");
     let file = File::create(path).map_err(unwritten())?;
     let mut writer = csv::Writer::from_writer(file);
+    let Columns(columns) = Columns::new();
+    let row = |sample| columns.iter().map(move |(_, text)| text(sample));
     let written = writer
-        .write_record(COLUMNS)
+        .write_record(columns.iter().map(|(name, _)| name))
         .and_then(|()| (samples.iter()).try_for_each(|sample| writer.write_record(row(sample))));
     written.map_err(|error| unwritten()(io::Error::other(error)))?;
     writer
@@ -307,14 +353,6 @@ impl SampleRow {
     /// Returns the row of a sample.
     #[must_use]
     pub fn of(sample: &Sample) -> Self {
-        let numbers = |d: &Disturbance| {
-            let mut out = [0.0; 14];
-            out[..3].copy_from_slice(d.tip.force.as_slice());
-            out[3..6].copy_from_slice(d.tip.moment.as_slice());
-            out[6..9].copy_from_slice(d.distributed.as_slice());
-            out[9..].copy_from_slice(&[d.stiffness, d.payload, d.viscous, d.internal, d.delay]);
-            out
-        };
         Self {
             t: sample.t,
             acts_from: sample.acts_from,
@@ -324,26 +362,14 @@ impl SampleRow {
             turn: sample.turn.unwrap_or(f64::NAN),
             force: sample.wrench.force.into(),
             moment: sample.wrench.moment.into(),
-            disturbance: numbers(&sample.disturbance),
-            deviation: numbers(&sample.deviation),
-            times_ms: milliseconds(sample),
+            disturbance: PARTS.map(|(_, part)| part(&sample.disturbance)),
+            deviation: PARTS.map(|(_, part)| part(&sample.deviation)),
+            times_ms: TIMES.map(|(_, seconds)| 1e3 * seconds(sample)),
         }
     }
 }
 
-/// Returns the times of the parts of a sample, and of the whole, ms.
-fn milliseconds(sample: &Sample) -> [f64; 5] {
-    [
-        sample.estimate_s,
-        sample.predict_s,
-        sample.feedback_s,
-        sample.prepare_s,
-        sample.sample_s,
-    ]
-    .map(|s| 1e3 * s)
-}
-
-/// Upper limit of the bytes of a row of fifty numbers.
+/// Bytes of a row, at most: fifty numbers.
 const LARGEST_ROW: u64 = 1 << 11;
 
 /// Reads the columns for a page from at most `most` rows of a file of [`write_samples`].
@@ -365,152 +391,48 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
         (header.iter().position(|known| known == name))
             .ok_or_else(|| malformed(Some(1), format!("no column {name}")))
     };
-    // Groups of columns are located by their first one.
-    let [
-        t,
-        acts_from,
-        tip,
-        reference,
-        error,
-        turn,
-        force,
-        estimated,
-        deviation,
-        times,
-    ] = [
-        "t",
-        "acts_from",
-        "tip_x",
-        "reference_x",
-        "error",
-        "turn",
-        "fx",
-        "estimated_tip_fx",
-        "deviation_tip_fx",
-        "estimate_ms",
-    ]
-    .map(column);
-    let (t, acts_from, tip) = (t?, acts_from?, tip?);
-    let (reference, error, turn) = (reference?, error?, turn?);
-    let (force, estimated, deviation, times) = (force?, estimated?, deviation?, times?);
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(broken)?;
         let line = record.position().map(csv::Position::line);
-        let text = |at: usize| record.get(at).unwrap_or_default();
-        let number = |at: usize| {
-            text(at).parse::<f64>().map_err(|_| {
-                let name = header.get(at).unwrap_or_default();
-                malformed(line, format!("{name}: `{}` is not a number", text(at)))
-            })
+        let text = |name: &str| Ok(record.get(column(name)?).unwrap_or_default());
+        let number = |name: &str| {
+            let text = text(name)?;
+            (text.parse::<f64>())
+                .map_err(|_| malformed(line, format!("{name}: `{text}` is not a number")))
         };
-        let three = |at| Ok([number(at)?, number(at + 1)?, number(at + 2)?]);
-        let has_reference = !text(reference).is_empty();
-        let known = |at: usize| {
-            if text(at).is_empty() {
-                Ok(f64::NAN)
-            } else {
-                number(at)
-            }
+        let known = |name: &str| match text(name)? {
+            "" => Ok(f64::NAN),
+            _ => number(name),
         };
+        let three = |stem: &str| {
+            let [x, y, z] = AXES.map(|axis| number(&format!("{stem}{axis}")));
+            Ok([x?, y?, z?])
+        };
+        let has_reference = !text("reference_x")?.is_empty();
         let mut row = SampleRow {
-            t: number(t)?,
-            acts_from: number(acts_from)?,
-            tip: three(tip)?,
-            reference: has_reference.then(|| three(reference)).transpose()?,
-            error: known(error)?,
-            turn: known(turn)?,
-            force: three(force)?,
-            moment: three(force + 3)?,
+            t: number("t")?,
+            acts_from: number("acts_from")?,
+            tip: three("tip_")?,
+            reference: has_reference.then(|| three("reference_")).transpose()?,
+            error: known("error")?,
+            turn: known("turn")?,
+            force: three("f")?,
+            moment: three("m")?,
             disturbance: [0.0; 14],
             deviation: [0.0; 14],
             times_ms: [0.0; 5],
         };
-        for (i, value) in row.disturbance.iter_mut().enumerate() {
-            *value = number(estimated + i)?;
+        for (i, (name, _)) in PARTS.iter().enumerate() {
+            row.disturbance[i] = number(&format!("{ESTIMATED}{name}"))?;
+            row.deviation[i] = number(&format!("{DEVIATION}{name}"))?;
         }
-        for (i, value) in row.deviation.iter_mut().enumerate() {
-            *value = number(deviation + i)?;
-        }
-        for (i, value) in row.times_ms.iter_mut().enumerate() {
-            *value = number(times + i)?;
+        for (i, (name, _)) in TIMES.iter().enumerate() {
+            row.times_ms[i] = number(name)?;
         }
         rows.push(row);
     }
     Ok(rows)
-}
-
-/// Returns the fields of [`COLUMNS`] for a sample.
-fn row(sample: &Sample) -> Vec<String> {
-    let mut row = Row(Vec::with_capacity(COLUMNS.len()));
-    row.numbers(&[sample.t, sample.acts_from, sample.age]);
-    row.numbers(&sample.tip);
-    match &sample.reference {
-        Some(reference) => {
-            row.numbers(reference);
-            row.numbers(&[sample.tip_error()]);
-        }
-        None => row.nothing(4),
-    }
-    row.optional(sample.turn);
-    match &sample.innovation {
-        Some(innovation) => {
-            row.0.push(innovation.n.to_string());
-            row.numbers(&[innovation.rms]);
-            row.optional(innovation.normalized);
-            row.optional(innovation.distance);
-            row.0.push(innovation.refused.to_string());
-        }
-        None => row.nothing(5),
-    }
-    row.numbers(&[sample.predicted_cost]);
-    row.0.push(sample.iterations.to_string());
-    row.0.push(sample.subproblem.iterations.to_string());
-    row.0.push(sample.subproblem.converged.to_string());
-    row.numbers(sample.wrench.force.as_slice());
-    row.numbers(sample.wrench.moment.as_slice());
-    match &sample.fallback {
-        Some((cause, action)) => row.0.extend([cause.to_string(), action.to_string()]),
-        None => row.nothing(2),
-    }
-    row.disturbance(&sample.disturbance);
-    row.disturbance(&sample.deviation);
-    row.numbers(&milliseconds(sample));
-    row.0.push(sample.is_overrun.to_string());
-    row.0
-}
-
-struct Row(Vec<String>);
-
-impl Row {
-    fn numbers(&mut self, numbers: &[f64]) {
-        self.0
-            .extend(numbers.iter().map(|number| format!("{number:?}")));
-    }
-
-    fn optional(&mut self, number: Option<f64>) {
-        match number {
-            Some(number) => self.numbers(&[number]),
-            None => self.nothing(1),
-        }
-    }
-
-    fn nothing(&mut self, n: usize) {
-        self.0.extend(std::iter::repeat_n(String::new(), n));
-    }
-
-    fn disturbance(&mut self, disturbance: &Disturbance) {
-        self.numbers(disturbance.tip.force.as_slice());
-        self.numbers(disturbance.tip.moment.as_slice());
-        self.numbers(disturbance.distributed.as_slice());
-        self.numbers(&[
-            disturbance.stiffness,
-            disturbance.payload,
-            disturbance.viscous,
-            disturbance.internal,
-            disturbance.delay,
-        ]);
-    }
 }
 
 #[cfg(test)]
@@ -519,9 +441,11 @@ mod tests {
 
     /// Columns have distinct names, and some are timed.
     #[test]
-    fn columns_have_distinct_names() {
-        let names: std::collections::BTreeSet<_> = COLUMNS.into_iter().collect();
-        assert_eq!(names.len(), COLUMNS.len());
+    fn columns_have_names_of_their_own() {
+        let Columns(columns) = Columns::new();
+        let names: std::collections::BTreeSet<_> =
+            columns.iter().map(|(name, _)| &name[..]).collect();
+        assert_eq!(names.len(), columns.len());
         assert!(names.contains(FIRST_TIMED_COLUMN));
     }
 }

@@ -6,9 +6,6 @@ pub mod closed_loop;
 mod controls;
 mod diagnostics;
 mod directory;
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod equilibrium;
 mod error;
 #[cfg(feature = "cli")]
 #[doc(hidden)]

@@ -5,13 +5,13 @@ use crate::control::{Abandoned, ModelMismatch, TrackingError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::sqp::{Convergence, KktResidual, Progress};
+use crate::sqp::{Convergence, KktResidual, PhaseTimes, Progress};
 use crate::stop::Stop;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
 /// The program that writes a result, as the summary in a result directory names it.
-pub const TOOL: &str = "softarm";
+pub const TOOL: &str = crate::TOOL;
 
 /// Summary of `check`.
 #[derive(Clone, Debug, Serialize)]
@@ -401,14 +401,9 @@ pub struct Level {
 /// Seconds per phase of a solve.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct PhaseSummary {
-    /// Linearization, sensitivities and condensing of the states.
-    pub linearize: f64,
-    /// Hessian of the subproblem.
-    pub condense: f64,
-    /// Subproblems.
-    pub qp: f64,
-    /// Trial points and corrections.
-    pub globalize: f64,
+    /// The solver's own phases.
+    #[serde(flatten)]
+    pub solver: PhaseTimes,
     /// The forward check.
     pub certify: f64,
     /// Feedback gains and sensitivity; with several threads beside the check.

@@ -2,7 +2,7 @@
 
 use super::examined::{Examined, Spent, examine};
 use super::solution::Solution;
-use super::summary::status_words;
+use super::summary::{start_not_begun, start_summary, status_words};
 use crate::control::{Attempt, FeedbackWeights};
 use crate::output::summary::{NOT_CHECKED, StartSummary};
 use crate::sqp::{SqpSettings, SqpStatus};
@@ -48,15 +48,8 @@ pub(crate) fn choose(
     for attempt in attempts {
         let settled =
             (chosen.as_ref()).is_some_and(|(solution, examined, _)| certified(solution, examined));
-        let mut start = StartSummary {
-            start: attempt.start,
-            from: attempt.from,
-            status: status_words(&attempt.outcome.status, &[]).0,
-            objective: attempt.outcome.objective,
-            iterations: attempt.iterations(),
-            verdict: None,
-        };
-        // An attempt that is worse than a certified one, or not converged where another one is chosen, need not be checked.
+        let mut start = start_summary(&attempt);
+        // Worse than a certified one, or not converged while another is: nothing to check.
         let worth =
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
         if worth {
@@ -74,16 +67,10 @@ pub(crate) fn choose(
     // Starts whose attempts were never begun, as the work was stopped before.
     let missing = (0..n_starts).filter(|at| !starts.iter().any(|start| start.start == *at));
     let missing: Vec<usize> = missing.collect();
-    starts.extend(missing.into_iter().map(|start| StartSummary {
-        start,
-        from: "not begun",
-        status: (problem.discrete.stop.raised()).map_or("failed", |stop| {
-            status_words(&SqpStatus::Stopped(stop), &[]).0
-        }),
-        objective: f64::NAN,
-        iterations: 0,
-        verdict: None,
-    }));
+    let status = (problem.discrete.stop.raised()).map_or("failed", |stop| {
+        status_words(&SqpStatus::Stopped(stop), &[]).0
+    });
+    starts.extend((missing.into_iter()).map(|start| start_not_begun(start, status)));
     starts.sort_by_key(|start| start.start);
     let Some((solution, examined, feedback)) = chosen else {
         unreachable!("a search has at least one attempt")

@@ -10,11 +10,15 @@ use super::solution::Solution;
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem, SolveLog};
 use crate::mechanics::{Energy, State, Wrench};
+#[cfg(feature = "cli")]
+use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
     render_report, write_controls, write_feedback,
 };
+#[cfg(feature = "cli")]
+use crate::scene::OptimalControl;
 use crate::scene::{DescribeError, Scene};
 
 /// Reason why a solution was not saved.
@@ -52,8 +56,37 @@ pub(super) fn save(
     Ok(directory.publish(|result| write(result, &scene, solution, examined, &summary, 1))?)
 }
 
-/// Writes every file of a solution. `scene` is the text of its scene with all defaults filled in.
-pub(crate) fn write(
+/// Publishes the result of a scene's solve by way of `directory`, or rescues it to another place; the summary names the place. Returns the directory.
+///
+/// # Errors
+/// [`OutputError::Elsewhere`] where the result went to another place, and [`OutputError`] where no place takes it.
+#[cfg(feature = "cli")]
+pub(crate) fn publish(
+    directory: RunDirectory,
+    (setup, diagnostics): (&OptimalControl, Option<&DiagnosticsRecord>),
+    (solution, examined): (&Solution, &Examined),
+    summary: &mut SolveSummary,
+    n_threads: usize,
+) -> Result<PathBuf, OutputError> {
+    let scene = setup.resolved.to_toml();
+    let written = directory.publish_or_rescue(|result| {
+        let summary = SolveSummary {
+            directory: result.place().display().to_string(),
+            ..summary.clone()
+        };
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
+        }
+        write(result, &scene, solution, examined, &summary, n_threads)
+    });
+    if let Err(OutputError::Elsewhere { place, .. }) = &written {
+        summary.directory = place.display().to_string();
+    }
+    written
+}
+
+/// Writes every file of a solution whose scene, resolved, is this text.
+fn write(
     directory: &ResultDirectory,
     scene: &str,
     solution: &Solution,

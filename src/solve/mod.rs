@@ -9,6 +9,8 @@ mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
 mod earlier;
+#[cfg(feature = "cli")]
+mod equilibrium;
 mod examined;
 mod files;
 mod page;
@@ -31,13 +33,14 @@ pub(crate) use self::{
     closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
     earlier::Earlier,
+    equilibrium::{EquilibriumSummary, sweep_record, write_tables},
     examined::Examined,
-    files::write,
+    files::publish,
     page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
     step_kind::{help, legend},
-    summary::{status_words, summarize},
+    summary::{start_not_begun, start_summary, status_words, summarize},
 };
 
 pub use files::SaveError;

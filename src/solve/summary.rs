@@ -69,10 +69,7 @@ pub(crate) fn summarize(
         wall_s: wall,
         iteration_s: median_iteration(&outcome.history),
         phases_s: PhaseSummary {
-            linearize: outcome.phases.linearize,
-            condense: outcome.phases.condense,
-            qp: outcome.phases.qp,
-            globalize: outcome.phases.globalize,
+            solver: outcome.phases,
             certify: spent.certify,
             feedback: spent.feedback,
         },
@@ -261,7 +258,31 @@ struct JudgedItem<'a> {
     meaning: &'static str,
 }
 
-/// Returns the name of a status, and a message about its cause or remedy if there is one.
+/// A start that has ended; nothing is checked yet.
+pub(crate) fn start_summary(attempt: &Attempt) -> StartSummary {
+    StartSummary {
+        start: attempt.start,
+        from: attempt.from,
+        status: status_words(&attempt.outcome.status, &[]).0,
+        objective: attempt.outcome.objective,
+        iterations: attempt.iterations(),
+        verdict: None,
+    }
+}
+
+/// A start without a first point, or that nobody waited for.
+pub(crate) fn start_not_begun(start: usize, status: &'static str) -> StartSummary {
+    StartSummary {
+        start,
+        from: "not begun",
+        status,
+        objective: f64::NAN,
+        iterations: 0,
+        verdict: None,
+    }
+}
+
+/// The status in a word, and what else there is to say.
 pub(crate) fn status_words(
     status: &SqpStatus,
     worst: &[NamedConstraint],

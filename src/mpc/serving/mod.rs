@@ -31,7 +31,6 @@ use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, 
 use super::error::MpcError;
 use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::from_quaternion;
-use crate::output::summary::TOOL;
 
 pub use self::message::Served;
 
@@ -210,7 +209,7 @@ impl<W: Write> Server<W> {
         let hello = Hello {
             kind: "hello",
             version: SERVING_VERSION,
-            tool: TOOL,
+            tool: crate::TOOL,
             scene,
             period_s: settings.period,
             first_command_from_s: self.driver.settings().lead(),

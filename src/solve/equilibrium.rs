@@ -3,21 +3,21 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::summary::{Range, TipPose};
-use super::{MotionRecord, OutputError, ResultDirectory};
+use super::statics::{Statics, StaticsOptions};
 use crate::mechanics::diagnostics::ElementStress;
 use crate::mechanics::rotation::quaternion;
 use crate::mechanics::{
     Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied, Wrench,
 };
-use crate::solve::{Statics, StaticsOptions};
+use crate::output::summary::{Range, SCHEMA_VERSION, TOOL, TipPose};
+use crate::output::{MotionRecord, OutputError, ResultDirectory};
 
 /// `summary.json` of `softarm equilibrium`.
 #[derive(Clone, Debug, Serialize)]
-pub struct EquilibriumSummary {
-    /// [`SCHEMA_VERSION`](super::summary::SCHEMA_VERSION)
+pub(crate) struct EquilibriumSummary {
+    /// [`SCHEMA_VERSION`]
     pub schema_version: u32,
-    /// [`TOOL`](super::summary::TOOL)
+    /// [`TOOL`]
     pub tool: &'static str,
     /// `equilibrium`
     pub command: &'static str,
@@ -73,8 +73,8 @@ pub struct EquilibriumSummary {
 
 /// Energy of an arm at rest, J.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct StaticEnergy {
-    /// Elastic energy.
+pub(crate) struct StaticEnergy {
+    /// Elastic.
     pub elastic: f64,
     /// Potential energy of gravity.
     pub potential: f64,
@@ -82,8 +82,8 @@ pub struct StaticEnergy {
 
 /// Wrench of the base on the arm.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct BaseWrench {
-    /// Force, spatial frame, N.
+pub(crate) struct BaseWrench {
+    /// Spatial frame, N.
     pub force_n: [f64; 3],
     /// Moment, frame of the base, N m.
     pub moment_n_m: [f64; 3],
@@ -91,8 +91,8 @@ pub struct BaseWrench {
 
 /// Stability of an equilibrium.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct StabilitySummary {
-    /// `stable`; `neutral`, if there is no restoring force and no growth; `unstable`; or `unknown`.
+pub(crate) struct StabilitySummary {
+    /// `stable`; `neutral`, where nothing brings the arm back and nothing grows; `unstable`; or `unknown`.
     pub verdict: &'static str,
     /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
     pub squared_frequency_1_s2: Option<f64>,
@@ -106,8 +106,8 @@ pub struct StabilitySummary {
 
 /// The load factor at which stability is lost.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct BucklingSummary {
-    /// Load factor; absent if none was found.
+pub(crate) struct BucklingSummary {
+    /// Load factor; absent where none was found.
     pub factor: Option<f64>,
     /// `buckling`, `snapping` or `flutter`.
     pub how: Option<Loss>,
@@ -119,7 +119,7 @@ pub struct BucklingSummary {
 
 /// An equilibrium of the sweep.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct SweepPoint {
+pub(crate) struct SweepPoint {
     /// Load factor.
     pub factor: f64,
     /// Position of the tip, m.
@@ -215,8 +215,8 @@ impl EquilibriumSummary {
         });
         let start = found.sweep.first().unwrap_or(own);
         EquilibriumSummary {
-            schema_version: super::summary::SCHEMA_VERSION,
-            tool: super::summary::TOOL,
+            schema_version: SCHEMA_VERSION,
+            tool: TOOL,
             command: "equilibrium",
             scene,
             status: if found.cut.is_some() { "cut" } else { "found" },
@@ -263,7 +263,11 @@ impl EquilibriumSummary {
 
 /// Returns the sweep as a motion, with the load factor in the place of the time.
 #[must_use]
-pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> MotionRecord {
+pub(crate) fn sweep_record(
+    found: &Statics,
+    rod_at: impl Fn(f64) -> Rod,
+    time: f64,
+) -> MotionRecord {
     let mut record = MotionRecord::empty(found.rod.n_nodes());
     for LoadedShape { factor, shape, .. } in &found.sweep {
         let rod = rod_at(*factor);
@@ -290,8 +294,8 @@ pub fn sweep_record(found: &Statics, rod_at: impl Fn(f64) -> Rod, time: f64) -> 
 /// Writes `shape.csv`, `elements.csv` and `sweep.csv`.
 ///
 /// # Errors
-/// Returns [`OutputError`] if a file cannot be written.
-pub fn write_tables(
+/// [`OutputError`] where a file cannot be written.
+pub(crate) fn write_tables(
     result: &ResultDirectory,
     rod: &Rod,
     own: &Configuration,
