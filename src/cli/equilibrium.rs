@@ -107,7 +107,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         console.warn(&warning);
     }
     if scene.task.is_some() || scene.control.is_some() {
-        console.warn("[task] and [control] play no part in statics: `softarm check` says what holds a target, and a [[load]] is a wrench of your choice");
+        console.warn("[task] and [control] play no part in statics: `softarm check` computes the wrench that holds a target, and a [[load]] prescribes a wrench");
     }
     if arm.loads.iter().any(|load| !load.profile.is_empty()) {
         console.warn(&format!(
@@ -264,7 +264,7 @@ fn tell(
     say("loads", &words);
     if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
         console.warn(&format!(
-            "at load factor {} the sweep goes on from another equilibrium: the one before ends at a smaller factor",
+            "at load factor {} the sweep continues on another equilibrium, because the previous one ends at a smaller factor",
             digits(jump.factor)
         ));
     }

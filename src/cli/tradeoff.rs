@@ -207,7 +207,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     Ok(match (stop.raised(), &found.recommended) {
         (Some(stop), _) => {
             console.always(&format!(
-                "{stop}; what was run is written, and --resume goes on"
+                "{stop}; the points so far are written, and --resume continues the sweep"
             ));
             exit::STOPPED
         }

@@ -105,7 +105,7 @@ impl std::fmt::Display for Observation {
                 scale,
             } => write!(
                 f,
-                "the moment of {moment:.2e} N m on node {node} bends mainly its own section and costs {price:.1e} of what the forces do: \
+                "the moment of {moment:.2e} N m on node {node} bends mainly its own section and costs {price:.1e} times as much as the forces: \
                  objective.moment_scale_n_m = {scale:.1e}, or a bound on it"
             ),
         }

@@ -164,7 +164,7 @@ pub enum NotFound {
     )]
     FreeBase,
     /// The search would take too long.
-    #[error("the elements or actuators are too many to look at in passing")]
+    #[error("too many elements or actuators for a search that takes about a second")]
     TooLarge,
     /// No shape with the tip at the goal was found.
     #[error("no shape at rest whose tip is there: {0}")]

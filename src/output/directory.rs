@@ -144,7 +144,7 @@ impl ResultKind {
         if !path.is_file() {
             return Err(OutputError::refused(
                 directory,
-                "no result of softarm: there is no summary.json in it; `softarm solve SCENE --out DIR` makes one",
+                "no result of softarm, because it has no summary.json; `softarm solve SCENE --out DIR` writes one",
             ));
         }
         let text = read_text(&path, LARGEST_SUMMARY)?;

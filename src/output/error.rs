@@ -60,7 +60,7 @@ pub enum OutputError {
     },
     /// A simulation could not write its result, and can be resumed.
     #[error(
-        "{source}; what was computed is kept in {}: the same command with --resume goes on from there",
+        "{source}; the computed rows are kept in {}; the same command with --resume continues from there",
         folder.display()
     )]
     Kept {

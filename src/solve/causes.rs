@@ -111,7 +111,7 @@ fn breakdown(rod: &Rod) -> Option<String> {
             StrainRule::Trapezoidal => "",
         };
         format!(
-            "the model \"dilatation\" has no energy to keep and may be what broke down{finer}; set rod.model = \"consistent\", the same law of \
+            "the model \"dilatation\" conserves no energy and may be the cause of the breakdown{finer}; set rod.model = \"consistent\", the same law of \
              stretch derived from one action"
         )
     })

@@ -12,6 +12,9 @@ use crate::output::DiagnosticsRecord;
 
 /// Computes diagnostics at every time node of the motion under the controls, in the form in which a simulation of the same motion writes
 /// them.
+///
+/// # Errors
+/// [`StepError`] of the integrator.
 #[cfg(feature = "cli")]
 pub(crate) fn diagnostics(
     problem: &OptimalControlProblem,
@@ -25,6 +28,9 @@ pub(crate) fn diagnostics(
 }
 
 /// Passes time, diagnostics and power at every `stride`-th time node and at the last one of the motion under the controls to `see`.
+///
+/// # Errors
+/// [`StepError`] of the integrator.
 pub(super) fn visit(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],

@@ -34,7 +34,7 @@ impl Earlier {
         let [elements, before] = [problem, earlier].map(|p| p.rod.n_elements());
         let found = |(index, actuator): (usize, &ActuatedNode)| {
             if index >= n_wrenches {
-                // Controls of custom actuators follow those of the nodes.
+                // Controls of user-defined actuators follow those of the nodes.
                 return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
             }
             let same = |other: &ActuatedNode| other.node * elements == actuator.node * before;

@@ -186,7 +186,7 @@ impl Solution {
     }
 
     /// Simulates the [regulator](Self::regulator) and the controls alone on arms whose stiffness, mass or damping is off by 1, 5 and 20 %.
-    /// Returns an empty list where an actuator is a custom one.
+    /// Returns an empty list where an actuator is user-defined.
     ///
     /// # Errors
     /// [`StepError::Stopped`] where the problem's signal stops it.

@@ -1,4 +1,7 @@
 //! A filter on (infeasibility, objective) with a switching condition, which decides about trial points.
+//!
+//! After Wächter and Biegler (2006), the filter line search of Ipopt, with Ipopt's constants except for `LARGEST_INFEASIBILITY` and
+//! `SUFFICIENT_DECREASE`.
 
 use super::kkt::Multipliers;
 use super::program::{Evaluation, LiftedProgram};

@@ -167,7 +167,7 @@ pub enum EstimateError {
     },
     /// The measurement is older than one that was used.
     #[error(
-        "a measurement of t = {time} s came after the estimate had gone to {estimate} s; hold back what is known early (Inbox) or drop it"
+        "a measurement of t = {time} s came after the estimate had gone to {estimate} s; hold early measurements back (Inbox) or drop this one"
     )]
     Late {
         /// Time of the measurement, s.

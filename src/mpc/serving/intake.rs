@@ -153,7 +153,7 @@ impl Intake {
             return Err(Refusal::new(
                 "readings",
                 format!("{n} of them, and a line may have {MOST_READINGS}"),
-                "give fewer places, or what a sensor reads between two samples as its mean",
+                "give fewer places, or one mean of the readings of a sensor between two samples",
             ));
         }
         let mut readings: Vec<(String, ReadingLine)> = (line.readings.iter().flatten().enumerate())
@@ -175,7 +175,7 @@ impl Intake {
             if time < known_at - 1e-9 {
                 refusals.push(Refusal::new(
                     format!("{name}.time_s"),
-                    format!("{time} s lies before what the estimate has used already, {known_at} s"),
+                    format!("{time} s lies before the last measurement that the estimate has used, {known_at} s"),
                     "the reading is dropped; give age_s of its sensor in the scene, so that nothing newer is used before it",
                 ));
                 continue;

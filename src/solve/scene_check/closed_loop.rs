@@ -96,12 +96,12 @@ fn above(need: &ReferenceSummary, setup: &ClosedLoopSetup) -> Option<String> {
         || !setup.experiment.task.own_actuators.is_empty()
         || actuators.iter().any(|actuator| actuator.moment.acts());
     let what = if others {
-        "what else acts has to do the rest, or the tip stays behind"
+        "other actuators must provide the rest, or the tip does not reach the reference"
     } else {
-        "the tip stays behind there"
+        "the tip does not reach the reference there"
     };
     Some(format!(
-        "[control]: to hold the tip at its reference at t = {} s takes a force of {} and a moment of {} on it, which is above the bounds: {what}",
+        "[control]: to hold the tip at its reference at t = {} s takes a force of {} and a moment of {} on the tip, which is above the bounds: {what}",
         digits(need.at_s),
         quantity(need.force(), "N"),
         quantity(need.moment(), "N m"),

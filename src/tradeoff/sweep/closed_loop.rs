@@ -293,8 +293,8 @@ impl Work<'_, '_> {
                     .filter_map(|point| point.error)
                     .fold(f64::INFINITY, f64::min);
                 self.finding(format!(
-                    "no setting meets a tolerance of {tolerance:e}: the best of {} has {best:.1e} (root mean square, over {duration} s); what is left is \
-                     of the task, the sensors and what the model does not know of the arm",
+                    "no setting meets a tolerance of {tolerance:e}: the best of {} has {best:.1e} (root mean square, over {duration} s); the remaining error \
+                     comes from the task, the sensors and the difference between model and arm",
                     self.points.len()
                 ));
             }
