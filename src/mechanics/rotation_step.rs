@@ -71,39 +71,14 @@ impl TurnedNode {
         momentum(self.rate, self.f, self.inverse_alpha, sign)
     }
 
-    fn slope(&self, sign: f64) -> Mat3<Scalar> {
-        momentum_slope(
-            self.rate,
-            self.f,
-            self.inverse_alpha,
-            self.momentum(sign),
-            sign,
-        )
-    }
-
     /// Angular momentum in the frame before the step.
     pub fn momentum_before(&self) -> Vector3<f64> {
         self.momentum(1.0).vector()
     }
 
-    /// Its derivative along `f`.
-    pub fn slope_before(&self) -> Matrix3<f64> {
-        self.slope(1.0).matrix()
-    }
-
     /// Angular momentum in the frame after the step.
     pub fn momentum_after(&self) -> Vector3<f64> {
         self.momentum(-1.0).vector()
-    }
-
-    /// Its derivative along `f`.
-    pub fn slope_after(&self) -> Matrix3<f64> {
-        self.slope(-1.0).matrix()
-    }
-
-    /// Angular momentum before the step per body rotation at its end.
-    pub fn spin_inertia(&self) -> Matrix3<f64> {
-        spin_inertia(self.slope(1.0), self.f).matrix()
     }
 }
 
