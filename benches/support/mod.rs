@@ -4,10 +4,8 @@
 use std::time::Instant;
 
 use softarm::mechanics::curvature::Multipliers;
-use softarm::mechanics::linearization::{
-    AdjointSweep, Motion, RightHandSide, adjoint_sweep, defects,
-};
-use softarm::mechanics::sensitivity::{ControlColumns, sensitivities};
+use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide};
+use softarm::mechanics::sensitivity::{ControlColumns, adjoint, defects, sensitivities};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
     ControlSignal, FormTerm, LaneIntegrator, Rod, State, StateForm, Stepper, TimeGrid, Trajectory,
@@ -220,7 +218,7 @@ impl<'a> SensitivityCase<'a> {
             control: None,
         };
         let end: Vec<_> = (0..12).map(|component| form(n_steps, component)).collect();
-        let adjoint = adjoint_sweep(&motion, &trajectory, &end).expect("a rod at rest");
+        let adjoint = adjoint(&motion, &trajectory, &end, 1).expect("a rod at rest");
         Self {
             rod,
             grid,

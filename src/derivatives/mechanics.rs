@@ -7,10 +7,9 @@ use super::compare::{Groups, compare};
 use super::point::vector;
 use super::{Block, gather};
 use crate::mechanics::element::ElementPose;
-use crate::mechanics::linearization::{
-    Motion, RightHandSide, StateTangent, StepLinearization, tangent_sweep,
-};
+use crate::mechanics::linearization::{Motion, RightHandSide, StateTangent};
 use crate::mechanics::rotation::exp;
+use crate::mechanics::sensitivity::{LinearizedStep, carried, linearized_steps};
 use crate::mechanics::{
     ControlSignal, Rod, State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
 };
@@ -106,11 +105,7 @@ pub(super) fn loads(rod: &Rod, state: &State, seed: u64) -> Option<Block> {
     )
 }
 
-/// Linearizes one time node.
-pub type Linearize<'a> =
-    dyn Fn(&Motion, &Trajectory, usize) -> Result<StepLinearization, StepError> + 'a;
-
-/// Number of steps: both parities of the `consistent` model, a half kick at either end and a whole one between.
+/// Two steps: both parities of the `consistent` model, a half kick at either end and a whole one between.
 const STEPS: usize = 2;
 
 /// Simulates two steps from a state under a constant wrench on the tip.
@@ -130,8 +125,8 @@ fn two_steps(
     Ok((trajectory, integrator.state()))
 }
 
-/// Compares two steps that `linearize` linearizes with two steps of the integrator: along positions, rotations, momenta, force and moment
-/// on the tip, each by itself, and separately in the resulting positions, rotations and momenta.
+/// Compares two linearized steps, each of which `change` may change, with two steps of the integrator: positions, rotations, momenta, force and moment on
+/// the tip, each by itself, and each of the first four in what comes out.
 ///
 /// # Errors
 /// Returns [`StepError`] if the steps cannot be taken or linearized.
@@ -139,7 +134,7 @@ pub fn step_linearization(
     rod: &Rod,
     time_step: f64,
     state: &State,
-    linearize: &Linearize,
+    change: &dyn Fn(&mut LinearizedStep),
     seed: u64,
 ) -> Result<Option<Block>, StepError> {
     let rng = &mut Rng::with_seed(seed);
@@ -168,6 +163,8 @@ pub fn step_linearization(
         let part = |part: usize| tangent.part(part)[free.clone()].iter().flatten();
         (0..4).map(|i| part(i).copied().collect()).collect()
     };
+    let mut steps = linearized_steps(&motion, &trajectory)?;
+    steps.iter_mut().for_each(change);
     let mut found = Vec::new();
     for input in 0..6 {
         let mut change = StateTangent::zeros(rod.n_nodes());
@@ -181,13 +178,8 @@ pub fn step_linearization(
                 }
             }
         }
-        let slopes = tangent_sweep(
-            &motion,
-            |k| linearize(&motion, &trajectory, k),
-            Some(&RightHandSide::at_start(change.clone(), STEPS)),
-            &constant(wrench),
-            |_, _| {},
-        )?;
+        let start = RightHandSide::at_start(change.clone(), STEPS);
+        let slopes = carried(&motion, &trajectory, &steps, &start, &constant(wrench));
         let mut stepped = |s: f64| {
             let moved = state.retract(&change.scaled(s));
             let control = constant(Wrench {

@@ -25,7 +25,7 @@ use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Scalar;
 
-use super::configuration::{Trajectory, TrajectoryTangent};
+use super::configuration::Trajectory;
 use super::element::rule::DIFFERENCE_STEP;
 use super::element::{
     Displacement, Element, ElementPose, ElementStiffness, Helical, Law, StrainRule, TangentRule,
@@ -35,11 +35,9 @@ use super::implicit::IntervalWeights;
 use super::lanes;
 use super::lanes::curved::{CurvedEnd, StressBlocks};
 use super::lanes::vector::{Mat3, Vec3};
-use super::linearization::{AdjointSweep, Motion, StepLinearization};
+use super::linearization::{AdjointSweep, Motion};
 use super::load::LoadFrame;
-use super::rod::Rod;
 use super::rotation::exp;
-use super::step_error::StepError;
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
 pub type ElementCurvature = SMatrix<f64, 9, 9>;
@@ -47,7 +45,7 @@ pub type ElementCurvature = SMatrix<f64, 9, 9>;
 /// Second derivative along the rotations `(ζ_k, ζ_{k+1})` of one node at the two ends of an interval; symmetric.
 pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 
-/// Multipliers of the equations of motion, as [`adjoint_sweep`](super::linearization::adjoint_sweep) takes and
+/// Multipliers of the equations of motion, as [`adjoint`](super::sensitivity::adjoint) takes and
 /// returns them for the same motion and trajectory; unit: that of the functional per unit of momentum.
 #[derive(Clone, Copy, Debug)]
 pub struct Multipliers<'a> {
@@ -104,18 +102,6 @@ pub struct NodeCurvature {
     pub rotation: Matrix3<f64>,
 }
 
-/// The terms of the second derivative that belong to time node `k` and to the interval that follows it.
-#[derive(Clone, Debug)]
-pub struct StepCurvature {
-    /// `weight λ·δ²` of the elastic forces at `k`, element by element; none under
-    /// [`TimeScheme::Implicit`](super::TimeScheme::Implicit).
-    pub elements: Vec<ElementCurvature>,
-    /// The same of the loads.
-    pub loads: Vec<NodeCurvature>,
-    /// The interval that follows.
-    pub interval: IntervalCurvature,
-}
-
 /// The terms that belong to the interval from one time node to the next; empty after the last.
 #[derive(Clone, Debug, Default)]
 pub struct IntervalCurvature {
@@ -137,68 +123,9 @@ pub struct StressCurvature {
     pub end: ElementCurvature,
 }
 
-impl StepCurvature {
-    /// The terms of time node `k` (`0..=N`); `linearization` is that of the same time node.
-    #[must_use]
-    pub fn at(
-        motion: &Motion,
-        trajectory: &Trajectory,
-        linearization: &StepLinearization,
-        multipliers: &Multipliers,
-        k: usize,
-    ) -> Self {
-        let rod = motion.rod;
-        let weight = linearization.kick.weight;
-        let positions = trajectory.positions_at(k);
-        let rotations = trajectory.rotations_at(k);
-        let weighted = |q| {
-            let (linear, angular) = multipliers.at(motion, k, q);
-            (weight * linear, weight * angular)
-        };
-        let elements = (rod.elements.iter().zip(&linearization.elements).enumerate())
-            .map(|(q, (element, stiffness))| {
-                let (linear_a, angular_a) = weighted(q);
-                let (linear_b, angular_b) = weighted(q + 1);
-                // The element pulls a with +F and b with -F, and turns them with -M.
-                element_curvature(
-                    element,
-                    rod.strain_rule,
-                    &Rod::element_pose(q, positions, rotations),
-                    stiffness,
-                    &stack(&(linear_a - linear_b), &-angular_a, &-angular_b),
-                )
-            })
-            .collect();
-        Self {
-            elements,
-            loads: load_curvatures(motion, trajectory, multipliers, k),
-            interval: IntervalCurvature::at(motion, trajectory, multipliers, k),
-        }
-    }
-
-    /// The bilinear form on two directions, each given by its parts at `k` and at `k + 1`.
-    fn form(&self, a: &Slice, b: &Slice) -> f64 {
-        let mut sum = 0.0;
-        for (q, element) in self.elements.iter().enumerate() {
-            sum += a.element(q).dot(&(element * b.element(q)));
-        }
-        for load in &self.loads {
-            sum += a.rotations[load.node].dot(&(load.rotation * b.rotations[load.node]));
-        }
-        for (q, inertia) in self.interval.inertia.iter().enumerate() {
-            sum += a.interval(q).dot(&(inertia * b.interval(q)));
-        }
-        for (q, stress) in self.interval.stress.iter().enumerate() {
-            let ([here, there], [other, beyond]) = (a.both(q), b.both(q));
-            sum += here.dot(&(stress.start * other + stress.cross * beyond))
-                + there.dot(&(stress.cross.tr_mul(&other) + stress.end * beyond));
-        }
-        sum
-    }
-}
-
 /// The terms of the loads at time node `k`.
-pub(super) fn load_curvatures(
+#[must_use]
+pub fn load_curvatures(
     motion: &Motion,
     trajectory: &Trajectory,
     multipliers: &Multipliers,
@@ -221,83 +148,6 @@ pub(super) fn load_curvatures(
                 node: load.node,
                 rotation,
             }
-        })
-        .collect()
-}
-
-impl IntervalCurvature {
-    /// The interval from `k` to `k + 1`.
-    #[must_use]
-    pub fn at(
-        motion: &Motion,
-        trajectory: &Trajectory,
-        multipliers: &Multipliers,
-        k: usize,
-    ) -> Self {
-        if k >= motion.grid.n_steps {
-            return Self::default();
-        }
-        let stress = IntervalWeights::of(motion.rod, motion.grid.step)
-            .map_or_else(Vec::new, |weights| {
-                stress_curvatures(motion, trajectory, multipliers, weights, k)
-            });
-        Self {
-            inertia: inertia_curvatures(motion, trajectory, multipliers, k),
-            stress,
-        }
-    }
-}
-
-fn stress_curvatures(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    multipliers: &Multipliers,
-    weights: IntervalWeights,
-    k: usize,
-) -> Vec<StressCurvature> {
-    let rod = motion.rod;
-    (rod.elements.iter().enumerate())
-        .map(|(q, element)| {
-            let half_step = 0.5 * motion.grid.step;
-            let end = |k: usize, weight: f64, [a, b]: [(Vector3<f64>, Vector3<f64>); 2]| {
-                let covector = stack(&(a.0 - b.0), &-a.1, &-b.1) * weight;
-                let pose =
-                    Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k));
-                (pose, covector)
-            };
-            let leaving = [q, q + 1].map(|q| multipliers.at(motion, k, q));
-            let arriving = [q, q + 1].map(|q| multipliers.arriving(motion, k + 1, q));
-            let ends = [
-                end(k, half_step * motion.kick(k).impulse, leaving),
-                end(k + 1, half_step * motion.arriving_impulse(), arriving),
-            ];
-            stress_curvature(element, rod.strain_rule, weights, &ends)
-        })
-        .collect()
-}
-
-/// The inertia terms of every node over the interval from `k` to `k + 1`.
-fn inertia_curvatures(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    multipliers: &Multipliers,
-    k: usize,
-) -> Vec<InertiaCurvature> {
-    let [leaving, arriving] = motion.inertia(trajectory, k);
-    let ends = trajectory
-        .rotations_at(k)
-        .iter()
-        .zip(trajectory.rotations_at(k + 1));
-    ends.zip(leaving.iter().zip(&arriving))
-        .enumerate()
-        .map(|(q, ((before, after), (leaving, arriving)))| {
-            inertia_curvature(
-                [leaving, arriving],
-                motion.grid.step,
-                &before.tr_mul(after),
-                &multipliers.at(motion, k, q).1,
-                &multipliers.arriving(motion, k + 1, q).1,
-            )
         })
         .collect()
 }
@@ -432,107 +282,4 @@ pub fn inertia_curvature(
 pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3<f64> {
     let outer = covector * vector.transpose();
     0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
-}
-
-/// Second derivative of the Lagrangian, with the [own](OwnCurvature) one of the functional as far as it is given, along every pair
-/// of `directions`: symmetric, in their order; the unit is that of the functional per unit of both directions.
-///
-/// The clear counterpart and test oracle of
-/// [`sensitivities`](super::sensitivity::sensitivities), and the form for directions of any kind.
-///
-/// # Errors
-/// [`StepError`] where the trajectory cannot be linearized.
-pub fn lagrangian_curvature(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    multipliers: &Multipliers,
-    directions: &[TrajectoryTangent],
-) -> Result<Mat<f64>, StepError> {
-    let n = motion.rod.n_nodes();
-    let mut curvature = Mat::zeros(directions.len(), directions.len());
-    for k in 0..=motion.grid.n_steps {
-        let linearization = StepLinearization::at(motion, trajectory, k)?;
-        let step = StepCurvature::at(motion, trajectory, &linearization, multipliers, k);
-        let slices: Vec<Slice> = (directions.iter())
-            .map(|direction| Slice {
-                positions: &direction.positions[k * n..][..n],
-                rotations: &direction.rotations[k * n..][..n],
-                next_positions: direction.positions.get((k + 1) * n..).unwrap_or_default(),
-                next: direction.rotations.get((k + 1) * n..).unwrap_or_default(),
-            })
-            .collect();
-        for (j, b) in slices.iter().enumerate() {
-            for (i, a) in slices[..=j].iter().enumerate() {
-                curvature[(i, j)] += step.form(a, b);
-                for own in own_within(multipliers.own, k..k + 1) {
-                    curvature[(i, j)] += own.form(a, b);
-                }
-            }
-        }
-    }
-    for j in 0..directions.len() {
-        for i in 0..j {
-            curvature[(j, i)] = curvature[(i, j)];
-        }
-    }
-    Ok(curvature)
-}
-
-/// One time node of a direction, and the next.
-struct Slice<'a> {
-    positions: &'a [Vector3<f64>],
-    rotations: &'a [Vector3<f64>],
-    next_positions: &'a [Vector3<f64>],
-    next: &'a [Vector3<f64>],
-}
-
-impl OwnCurvature {
-    fn form(&self, a: &Slice, b: &Slice) -> f64 {
-        let mut sum = 0.0;
-        for (i, &row) in self.rows.iter().enumerate() {
-            for (j, &column) in self.rows.iter().enumerate() {
-                sum += self.matrix[(i, j)] * a.component(row) * b.component(column);
-            }
-        }
-        sum
-    }
-}
-
-impl Slice<'_> {
-    fn component(&self, (node, component): (usize, usize)) -> f64 {
-        [self.positions, self.rotations][component / 3][node][component % 3]
-    }
-
-    fn element(&self, q: usize) -> SVector<f64, 9> {
-        stack(
-            &(self.positions[q + 1] - self.positions[q]),
-            &self.rotations[q],
-            &self.rotations[q + 1],
-        )
-    }
-
-    /// Element `q` at both time nodes.
-    fn both(&self, q: usize) -> [SVector<f64, 9>; 2] {
-        let there = stack(
-            &(self.next_positions[q + 1] - self.next_positions[q]),
-            &self.next[q],
-            &self.next[q + 1],
-        );
-        [self.element(q), there]
-    }
-
-    fn interval(&self, q: usize) -> SVector<f64, 6> {
-        let mut both = SVector::<f64, 6>::zeros();
-        both.fixed_rows_mut::<3>(0).copy_from(&self.rotations[q]);
-        both.fixed_rows_mut::<3>(3).copy_from(&self.next[q]);
-        both
-    }
-}
-
-fn stack(a: &Vector3<f64>, b: &Vector3<f64>, c: &Vector3<f64>) -> SVector<f64, 9> {
-    let mut out = SVector::<f64, 9>::zeros();
-    out.fixed_rows_mut::<3>(0).copy_from(a);
-    out.fixed_rows_mut::<3>(3).copy_from(b);
-    out.fixed_rows_mut::<3>(6).copy_from(c);
-    out
 }

@@ -33,10 +33,7 @@
 //! only, so that the Jacobian is block-tridiagonal: momentum per motion of every node, plus `h/2 β B_kᵀ C B_{k+1}` of every element, not
 //! symmetric. Momenta are then computed from the forces, so that linear momentum is preserved whatever the last residual is.
 
-use nalgebra::{Matrix3, SVector, Vector3, Vector6};
-
-use super::block_tridiagonal::BlockTridiagonal;
-use super::element::{Element, ElementStiffness, ElementStrain, IntervalStress};
+use super::element::{Element, ElementStrain, IntervalStress};
 use super::rod::Rod;
 use super::time::TimeScheme;
 
@@ -74,47 +71,4 @@ impl IntervalWeights {
     ) -> IntervalStress {
         element.interval_stress([start, end], [self.start, self.end])
     }
-}
-
-pub(super) fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
-    Vector6::new(
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-    )
-}
-
-/// Distributes a covector `(F, M_a, M_b)` of `(δx_b - δx_a, η_a, η_b)` to the free nodes of element `q`.
-pub(super) fn scatter(
-    first_free_node: usize,
-    q: usize,
-    covector: &SVector<f64, 9>,
-    mut add: impl FnMut(usize, Vector3<f64>, Vector3<f64>),
-) {
-    let force: Vector3<f64> = covector.fixed_rows::<3>(0).into();
-    if q >= first_free_node {
-        add(q, -force, covector.fixed_rows::<3>(3).into());
-    }
-    add(q + 1, force, covector.fixed_rows::<3>(6).into());
-}
-
-/// Returns the derivative of the equations of a step, in momentum units, along the configuration at its end: `m/h` and the given spin
-/// inertia of every free node, and the given couplings (with respect to `(δx_b - δx_a, η_a, η_b)`) of every element.
-pub(super) fn step_matrix(
-    rod: &Rod,
-    h: f64,
-    spin_inertia: &[Matrix3<f64>],
-    couplings: impl Iterator<Item = ElementStiffness>,
-) -> BlockTridiagonal {
-    let first = rod.first_free_node();
-    let mut matrix = BlockTridiagonal::zeros(rod.n_nodes() - first);
-    for (block, q) in matrix.diagonal.iter_mut().zip(first..) {
-        let linear = Matrix3::from_diagonal_element(rod.nodes[q].mass / h);
-        block.fixed_view_mut::<3, 3>(0, 0).copy_from(&linear);
-        block
-            .fixed_view_mut::<3, 3>(3, 3)
-            .copy_from(&spin_inertia[q]);
-    }
-    for (q, k) in couplings.enumerate() {
-        matrix.add_element(first, q, &k);
-    }
-    matrix
 }

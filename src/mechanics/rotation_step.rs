@@ -70,39 +70,14 @@ impl TurnedNode {
         momentum(self.rate, self.f, self.inverse_alpha, sign)
     }
 
-    fn slope(&self, sign: f64) -> Mat3<Scalar> {
-        momentum_slope(
-            self.rate,
-            self.f,
-            self.inverse_alpha,
-            self.momentum(sign),
-            sign,
-        )
-    }
-
-    /// Returns the angular momentum in the frame before the step.
+    /// Angular momentum in the frame before the step.
     pub fn momentum_before(&self) -> Vector3<f64> {
         self.momentum(1.0).vector()
     }
 
-    /// Returns its derivative along `f`.
-    pub fn slope_before(&self) -> Matrix3<f64> {
-        self.slope(1.0).matrix()
-    }
-
-    /// Returns the angular momentum in the frame after the step.
+    /// Angular momentum in the frame after the step.
     pub fn momentum_after(&self) -> Vector3<f64> {
         self.momentum(-1.0).vector()
-    }
-
-    /// Returns its derivative along `f`.
-    pub fn slope_after(&self) -> Matrix3<f64> {
-        self.slope(-1.0).matrix()
-    }
-
-    /// Returns the derivative of the angular momentum before the step along the body rotation at its end.
-    pub fn spin_inertia(&self) -> Matrix3<f64> {
-        spin_inertia(self.slope(1.0), self.f).matrix()
     }
 }
 

@@ -1,15 +1,16 @@
 //! The linearized discrete equations of motion as sparse rows over all configurations, none of them eliminated.
 //!
-//! Unknowns are `δx/L` (spatial frame) and `ζ` (body frame) of every free node at the time nodes `1..=N`, with `L` the rod's length. With
-//! the drift of [`NodeDrift`] the momenta of an interval are `δp = (m/h)(δx⁺ - δx)` and `δg = Θ⁻¹(ζ⁺ - Fᵀζ)`, and `M δg` at its end; the
-//! rows are the paper's (77) and (81), linearized, times `h/(mL)` and `Θ`, so that the configuration at the end of the step has the
-//! coefficient 1 in each.
+//! Unknowns are `δx/L` (spatial) and `ζ` (body) of every free node at the time nodes `1..=N`, `L` the rod's length. With the drift of
+//! [`NodeDrift`](super::sensitivity::NodeDrift) the momenta of an interval are `δp = (m/h)(δx⁺ - δx)` and `δg = Θ⁻¹(ζ⁺ - Fᵀζ)`, and
+//! `M δg` where they arrive; the rows are the paper's (77) and (81), linearized, times `h/(mL)` and `Θ`: the configuration at the end
+//! of the step has the coefficient 1 in each.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::forms::StateForm;
 use super::implicit::IntervalWeights;
-use super::linearization::{Motion, NodeDrift, StepLinearization};
+use super::linearization::Motion;
+use super::sensitivity::{LinearizedStep, NodeDrift, linearized_steps};
 use super::{RodModel, StepError, Trajectory};
 
 /// A linear function of configurations and wrenches.
@@ -52,8 +53,8 @@ impl MotionRow {
 /// A motion linearized at all time nodes.
 #[derive(Clone, Debug)]
 pub struct SparseMotion {
-    steps: Vec<StepLinearization>,
-    /// Maps from the rotation of a step to the angular momentum at its end, `M Θ⁻¹`, for every interval and node.
+    steps: Vec<LinearizedStep>,
+    /// What takes the rotation added in a step to the angular momentum that arrives: `M Θ⁻¹`, of every interval and node.
     arriving: Vec<Vec<Matrix3<f64>>>,
     n_nodes: usize,
     first_free_node: usize,
@@ -79,14 +80,12 @@ impl SparseMotion {
         if Self::unknowns_per_time_node(motion).is_none() {
             return Ok(None);
         }
-        let steps = (0..=motion.grid.n_steps)
-            .map(|k| StepLinearization::at(motion, trajectory, k))
-            .collect::<Result<Vec<_>, _>>()?;
+        let steps = linearized_steps(motion, trajectory)?;
         let arriving = (steps.iter())
             .map(|step| {
                 let of_node = |drift: &NodeDrift| {
-                    let inverse = drift.theta.try_inverse().unwrap_or_else(Matrix3::zeros);
-                    drift.momentum * inverse
+                    let inverse = matrix(&drift.theta).try_inverse();
+                    matrix(&drift.momentum) * inverse.unwrap_or_else(Matrix3::zeros)
                 };
                 step.drifts.iter().map(of_node).collect()
             })
@@ -119,10 +118,10 @@ impl SparseMotion {
                 for axis in 0..3 {
                     let mut row = MotionRow::default();
                     self.put(&mut row, k + 1, node, 3 + axis, 1.0);
-                    let carried = drift.turn_transposed.row(axis).transpose();
+                    let carried = Vector3::from(drift.turn_transposed[axis]);
                     self.put_rotation(&mut row, k, node, &-carried);
                     for (part, other) in kicked.iter().enumerate() {
-                        row.add(-drift.theta[(axis, part)], other);
+                        row.add(-drift.theta[axis][part], other);
                     }
                     out.push(row);
                 }
@@ -160,8 +159,7 @@ impl SparseMotion {
         if node < self.first_free_node {
             return row;
         }
-        row.add(step.kick.decay, &self.arriving(k, node, component));
-        let weight = step.kick.weight;
+        row.add(step.decay, &self.arriving(k, node, component));
         let axis = component % 3;
         // Rows of the stiffness: the pull of an element at its start is opposite to that at its end.
         let next = (step.elements.get(node))
@@ -172,29 +170,23 @@ impl SparseMotion {
         });
         for (q, stiffness, sign, of_row) in next.into_iter().chain(last) {
             for part in 0..3 {
-                let pull = sign * weight * stiffness[(of_row, part)] * self.length;
+                let pull = sign * stiffness[of_row][part] * self.length;
                 self.put(&mut row, k, q + 1, part, pull);
                 self.put(&mut row, k, q, part, -pull);
                 for end in 0..2 {
-                    let twist = sign * weight * stiffness[(of_row, 3 + 3 * end + part)];
+                    let twist = sign * stiffness[of_row][3 + 3 * end + part];
                     self.put(&mut row, k, q + end, 3 + part, twist);
                 }
             }
         }
-        for load in step.loads.iter().filter(|load| load.node == node) {
-            let turned = if component < 3 {
-                &load.force
-            } else {
-                &load.moment
-            };
-            let turned: Vector3<f64> = turned.row(axis).transpose() * weight;
-            self.put_rotation(&mut row, k, node, &turned);
+        for (_, turned) in step.loads.iter().filter(|load| load.0 == node) {
+            self.put_rotation(&mut row, k, node, &Vector3::from(turned[component]));
         }
         row.wrenches.push(WrenchTerm {
             time_node: k,
             node,
             component,
-            coefficient: weight,
+            coefficient: step.weight,
         });
         row
     }
@@ -213,7 +205,7 @@ impl SparseMotion {
         } else {
             let inertia = self.arriving[before][node].row(component - 3).transpose();
             self.put_rotation(&mut row, k, node, &inertia);
-            let carried = -drift.turn_transposed.tr_mul(&inertia);
+            let carried = -matrix(&drift.turn_transposed).tr_mul(&inertia);
             self.put_rotation(&mut row, before, node, &carried);
         }
         row
@@ -234,4 +226,8 @@ impl SparseMotion {
         let at = (k - 1) * n_free + node - self.first_free_node;
         row.states.push((6 * at + component, coefficient));
     }
+}
+
+fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, j| rows[i][j])
 }

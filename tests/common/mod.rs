@@ -2,6 +2,8 @@
 #![allow(dead_code)]
 
 pub mod extremes;
+pub mod plain;
+pub mod plain_curvature;
 pub mod published;
 pub mod tasks;
 

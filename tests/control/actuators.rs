@@ -2,6 +2,7 @@
 
 use crate::common;
 
+use common::plain::{self, Plain};
 use common::{Dice, busy_arm, methods, random_signal, random_tangent, random_trajectory};
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
@@ -9,7 +10,7 @@ use softarm::control::{
     Bound, Channel, FreeDuration, LiftedPoint, OptimalControlProblem, Transcription, simulated,
 };
 use softarm::derivatives::{Verdict, check};
-use softarm::mechanics::linearization::{Motion, adjoint_sweep, defects, forward_sweep};
+use softarm::mechanics::linearization::Motion;
 use softarm::mechanics::rotation::{exp, hat};
 use softarm::mechanics::sensitivity::{self, adjoint, direction};
 use softarm::mechanics::{
@@ -624,23 +625,24 @@ fn kernels_equal_the_clear_code() {
             .map(|k| StateForm::of_covector(*k, &random_tangent(&rod, &mut dice)))
             .collect();
         let found = adjoint(&motion, &trajectory, &forms, 1).unwrap();
-        let clear = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+        let plain = Plain::along(&motion, &trajectory);
+        let clear = plain.adjoint_sweep(&forms);
         let without = Motion {
             control: None,
             ..motion
         };
-        let without = adjoint_sweep(&without, &trajectory, &forms).unwrap();
+        let without = Plain::along(&without, &trajectory).adjoint_sweep(&forms);
         assert!(close(&found.linear, &clear.linear), "{case}");
         assert!(close(&found.angular, &clear.angular), "{case}");
         assert!(!close(&clear.linear, &without.linear), "{case}");
         let change = random_signal(&rod, grid.n_steps, [2.0, 0.2], &mut dice);
         let (found, _) = direction(&motion, &trajectory, None, &change, 1).unwrap();
-        let (clear, end) = forward_sweep(&motion, &trajectory, None, &change).unwrap();
+        let (clear, end) = plain.forward_sweep(None, &change);
         assert!(close(&found.positions, &clear.positions), "{case}");
         assert!(close(&found.rotations, &clear.rotations), "{case}");
         // Forward and backward are transposes: the last form on the answer is the control's change on the covectors.
         let last = StateForm::of_covector(grid.n_steps, &random_tangent(&rod, &mut dice));
-        let covectors = adjoint_sweep(&motion, &trajectory, std::slice::from_ref(&last)).unwrap();
+        let covectors = plain.adjoint_sweep(std::slice::from_ref(&last));
         let paired: f64 = (0..=grid.n_steps)
             .flat_map(|k| {
                 change
@@ -659,7 +661,7 @@ fn kernels_equal_the_clear_code() {
             "{case}: {paired} {value}"
         );
         let found = sensitivity::defects(&motion, &trajectory, &control).unwrap();
-        let clear = defects(&motion, &trajectory, &control).unwrap();
+        let clear = plain::defects(&motion, &trajectory, &control);
         assert!(close(&found.linear, &clear.linear), "{case}");
         assert!(close(&found.angular, &clear.angular), "{case}");
     }

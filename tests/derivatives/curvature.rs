@@ -3,6 +3,8 @@
 
 use crate::common;
 
+use common::plain::Plain;
+use common::plain_curvature::lagrangian_curvature;
 use common::{
     Dice, Method, RULES, bases, busy_arm, exact_methods, laws, random_sources, random_state,
     random_trajectory,
@@ -10,16 +12,16 @@ use common::{
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use softarm::mechanics::curvature::{
-    Multipliers, OwnCurvature, element_curvature, inertia_curvature, lagrangian_curvature,
-    load_curvature, stress_curvature,
+    Multipliers, OwnCurvature, element_curvature, inertia_curvature, load_curvature,
+    stress_curvature,
 };
 use softarm::mechanics::element::{Element, ElementPose, ElementStrain};
 use softarm::mechanics::implicit::IntervalWeights;
-use softarm::mechanics::linearization::{
-    AdjointSweep, Motion, RightHandSide, StateTangent, adjoint_sweep, defects, forward_sweep,
-};
+use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use softarm::mechanics::rotation::{exp, log, log_tangent, vee};
-use softarm::mechanics::sensitivity::{ControlColumns, Sensitivities, sensitivities};
+use softarm::mechanics::sensitivity::{
+    ControlColumns, Sensitivities, adjoint, defects, sensitivities,
+};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
     BaseCondition, ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm,
@@ -415,7 +417,7 @@ impl Case {
 
     fn sweep(&self, trajectory: &Trajectory, n_threads: usize) -> Sensitivities {
         let motion = self.motion();
-        let adjoint = adjoint_sweep(&motion, trajectory, &self.forms).unwrap();
+        let adjoint = adjoint(&motion, trajectory, &self.forms, 1).unwrap();
         let multipliers = Multipliers {
             adjoint: &adjoint,
             own: &self.own,
@@ -501,7 +503,7 @@ impl Case {
     fn gradient(&self, control: &ControlSignal, start: &Trajectory) -> Vec<f64> {
         let trajectory = self.roll_out(control);
         let forms = self.forms_at(&trajectory, start);
-        let adjoint = adjoint_sweep(&self.motion(), &trajectory, &forms).unwrap();
+        let adjoint = adjoint(&self.motion(), &trajectory, &forms, 1).unwrap();
         self.blocks.gradient(&self.motion(), &adjoint)
     }
 
@@ -626,22 +628,21 @@ fn fast_reduction_equals_the_clear_one() {
             }
             let motion = case.motion();
             let nothing = case.blocks.nothing();
+            let plain = Plain::along(&motion, &trajectory);
             let sweep = |sources: Option<&RightHandSide>, change: &ControlSignal| {
-                forward_sweep(&motion, &trajectory, sources, change)
-                    .unwrap()
-                    .0
+                plain.forward_sweep(sources, change).0
             };
             let mut columns: Vec<_> = (0..case.blocks.n_columns())
                 .map(|j| sweep(None, &case.blocks.added(&nothing, j, 1.0)))
                 .collect();
             let sources = case.sources(&trajectory);
             columns.extend(sources.each_ref().map(|s| sweep(Some(s), &nothing)));
-            let adjoint = adjoint_sweep(&motion, &trajectory, &case.forms).unwrap();
+            let adjoint = plain.adjoint_sweep(&case.forms);
             let multipliers = Multipliers {
                 adjoint: &adjoint,
                 own: &case.own,
             };
-            let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns).unwrap();
+            let clear = lagrangian_curvature(&motion, &trajectory, &multipliers, &columns);
             let n = case.blocks.n_columns();
             let tolerance = if method.internal_damping == 0.0 {
                 2e-9
@@ -678,7 +679,8 @@ fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
             (forms[0].terms).retain(|term| term.component < 6);
             let trajectory = random_trajectory(&case.rod, &case.initial, case.grid, &mut Dice(6));
             let motion = case.motion();
-            let adjoint = adjoint_sweep(&motion, &trajectory, &case.forms).unwrap();
+            let plain = Plain::along(&motion, &trajectory);
+            let adjoint = plain.adjoint_sweep(&case.forms);
             let multipliers = Multipliers {
                 adjoint: &adjoint,
                 own: &case.own,
@@ -689,7 +691,7 @@ fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
             let zero = case.blocks.nothing();
             for j in 0..case.blocks.n_columns() {
                 let change = case.blocks.added(&zero, j, 1.0);
-                let (direction, _) = forward_sweep(&motion, &trajectory, None, &change).unwrap();
+                let (direction, _) = plain.forward_sweep(None, &change);
                 // A size at which the largest rotation is one: the chart's own unit.
                 let unit = 1.0 / direction.largest_rotation();
                 let value = |s: f64| {

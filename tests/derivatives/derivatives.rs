@@ -7,10 +7,10 @@ use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Objective, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking};
 use softarm::derivatives::mechanics::step_linearization;
 use softarm::derivatives::{Block, Report, Verdict, check, check_motion};
-use softarm::mechanics::linearization::{Motion, StepLinearization};
 use softarm::mechanics::rotation::exp;
+use softarm::mechanics::sensitivity::LinearizedStep;
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{Place, TimeScheme, Trajectory};
+use softarm::mechanics::{Place, TimeScheme};
 use softarm::scene::{Scene, builtin};
 
 #[track_caller]
@@ -177,62 +177,60 @@ energy = 0.3
     }
 }
 
+/// Makes matrices wrong.
+fn spoilt<const N: usize>(matrices: &mut [[[f64; N]; N]]) {
+    for entry in matrices.as_flattened_mut().as_flattened_mut() {
+        *entry *= 1.0 + 1e-6;
+    }
+}
+
 /// What makes a linearized step wrong.
-type Spoil = fn(&mut StepLinearization);
+type Spoil = fn(&mut LinearizedStep);
 
 /// Every law and integrator passes; a relative error of 1e-6 in any matrix of one linearized step is called wrong.
 #[test]
 fn wrong_linearizations_are_seen() {
-    let spoil: [(&str, Spoil); 5] = [
-        ("stiffness", |step| {
-            for stiffness in &mut step.elements {
-                *stiffness *= 1.0 + 1e-6;
-            }
-        }),
+    let spoil: [(&str, Spoil); 6] = [
+        ("stiffness", |step| spoilt(&mut step.elements)),
         ("mobility", |step| {
             for drift in &mut step.drifts {
                 drift.mobility *= 1.0 + 1e-6;
             }
+            for node in &mut step.solve.nodes {
+                node.mass_rate *= 1.0 + 1e-6;
+            }
         }),
         ("theta", |step| {
             for drift in &mut step.drifts {
-                drift.theta *= 1.0 + 1e-6;
+                spoilt(std::slice::from_mut(&mut drift.theta));
             }
         }),
         ("momentum", |step| {
             for drift in &mut step.drifts {
-                drift.momentum *= 1.0 + 1e-6;
+                spoilt(std::slice::from_mut(&mut drift.momentum));
+            }
+            for node in &mut step.solve.nodes {
+                spoilt(std::slice::from_mut(&mut node.spin));
             }
         }),
-        ("stress", |step| {
-            if let Some(stress) = &mut step.stress_drift {
-                for matrix in &mut stress.end_end {
-                    *matrix *= 1.0 + 1e-6;
-                }
-            }
-        }),
+        ("coupling", |step| spoilt(&mut step.solve.coupling)),
+        ("pivots", |step| spoilt(&mut step.solve.pivots)),
     ];
     for method in methods() {
         let rod = method.rod(busy_arm(method.rule, 4));
         let state = random_state(&rod, 0.05, 0.5, &mut Dice(3));
         let h = 0.5 * stable_step(&rod);
         let judge = |spoil: Spoil| {
-            let linearize = |motion: &Motion, trajectory: &Trajectory, k: usize| {
-                let mut step = StepLinearization::at(motion, trajectory, k)?;
-                spoil(&mut step);
-                Ok(step)
-            };
-            let found = step_linearization(&rod, h, &state, &linearize, 5).unwrap();
+            let found = step_linearization(&rod, h, &state, &spoil, 5).unwrap();
             found.unwrap()
         };
         let right = judge(|_| {});
         assert_eq!(right.verdict, Verdict::Ok, "{method:?} {right:?}");
         for (what, spoil) in spoil {
+            let solved = method.scheme == TimeScheme::Implicit || method.internal_damping > 0.0;
             let absent = match what {
-                "stress" => method.scheme == TimeScheme::Explicit && method.internal_damping == 0.0,
-                "stiffness" => method.scheme == TimeScheme::Implicit,
-                // A step that is solved for takes its rotation from the stress drift's own factors.
-                "theta" => method.scheme == TimeScheme::Implicit || method.internal_damping > 0.0,
+                "coupling" | "pivots" => !solved,
+                "theta" => solved,
                 _ => false,
             };
             if absent {

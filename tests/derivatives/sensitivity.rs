@@ -1,24 +1,23 @@
-//! The fast sensitivity sweeps against the clear ones, and those against the motion itself.
+//! The sensitivity sweeps against plain ones on dense matrices, and those against the motion itself.
 
 use crate::common;
 
+use common::plain::{self, Plain};
 use common::{
     Dice, bases, busy_arm, methods, random_signal, random_sources, random_state, random_tangent,
     random_trajectory,
 };
 use faer::Mat;
 use nalgebra::Vector3;
-use softarm::mechanics::linearization::{
-    Motion, RightHandSide, StateTangent, adjoint_sweep, defects, form_values, forward_sweep,
-};
-use softarm::mechanics::rotation::{cay_inverse, log};
+use softarm::mechanics::linearization::{Motion, RightHandSide, StateTangent};
+use softarm::mechanics::rotation::{cay_inverse, exp, log};
 use softarm::mechanics::sensitivity::{
     self, ControlColumns, Route, Sensitivities, adjoint, direction, sensitivities,
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm, Stepper, TimeGrid,
-    TimeScheme, Trajectory, Wrench,
+    Configuration, ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm,
+    Stepper, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 
 /// Blocks of constant control, six components on each of some nodes, with the mean of both sides where blocks meet.
@@ -118,7 +117,7 @@ fn both_routes_equal_the_clear_sweep() {
                 initial: &initial,
                 control: None,
             };
-            let d = defects(&motion, &trajectory, &ControlSignal::default()).unwrap();
+            let d = plain::defects(&motion, &trajectory, &ControlSignal::default());
             let sources = [
                 RightHandSide::against(&d),
                 random_sources(&rod, grid.n_steps, 1e-3, &mut dice),
@@ -167,8 +166,9 @@ fn both_routes_equal_the_clear_sweep() {
             assert_same(&reverse, &run(&forms, 3));
             assert_same(&forward, &run(&many, 3));
 
+            let plain = Plain::along(&motion, &trajectory);
             let clear = |sources: Option<&RightHandSide>, change: &ControlSignal| {
-                form_values(&motion, &trajectory, sources, change, &forms).unwrap()
+                plain.form_values(sources, change, &forms)
             };
             let mut expected: Vec<Vec<f64>> = (0..blocks.n_columns())
                 .map(|column| clear(None, &blocks.signal(column)))
@@ -238,6 +238,7 @@ fn single_sweeps_equal_the_clear_ones() {
                 control: None,
             };
             let case = format!("{method:?} {base:?}");
+            let plain = Plain::along(&motion, &trajectory);
             for (times, n_threads) in [
                 (vec![], 1),
                 (vec![40], 2),
@@ -248,7 +249,7 @@ fn single_sweeps_equal_the_clear_ones() {
                     .map(|k| StateForm::of_covector(*k, &random_tangent(&rod, &mut dice)))
                     .collect();
                 let found = adjoint(&motion, &trajectory, &forms, n_threads).unwrap();
-                let clear = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+                let clear = plain.adjoint_sweep(&forms);
                 assert!(close(&found.linear, &clear.linear), "{case}");
                 assert!(close(&found.angular, &clear.angular), "{case}");
                 assert!(
@@ -262,7 +263,7 @@ fn single_sweeps_equal_the_clear_ones() {
             }
             let change = random_signal(&rod, grid.n_steps, [2.0, 0.2], &mut dice);
             let found = sensitivity::defects(&motion, &trajectory, &change).unwrap();
-            let clear = defects(&motion, &trajectory, &change).unwrap();
+            let clear = plain::defects(&motion, &trajectory, &change);
             assert!(close(&found.linear, &clear.linear), "{case}");
             assert!(close(&found.angular, &clear.angular), "{case}");
             assert!(
@@ -277,14 +278,67 @@ fn single_sweeps_equal_the_clear_ones() {
             for (sources, n_threads) in [(None, 1), (Some(&sources), 3)] {
                 let (found, end) =
                     direction(&motion, &trajectory, sources, &change, n_threads).unwrap();
-                let (clear, clear_end) =
-                    forward_sweep(&motion, &trajectory, sources, &change).unwrap();
+                let (clear, clear_end) = plain.forward_sweep(sources, &change);
                 assert!(close(&found.positions, &clear.positions), "{case}");
                 assert!(close(&found.rotations, &clear.rotations), "{case}");
                 assert!(close(&end.linear, &clear_end.linear), "{case}");
                 assert!(close(&end.angular, &clear_end.angular), "{case}");
             }
         }
+    }
+}
+
+/// The same along motions with an element that is bent by 2.1 rad, at one time node by 2.5, where its linearization is found by itself.
+#[test]
+fn sharply_bent_elements_are_linearized() {
+    for method in methods() {
+        let rod = method.rod(busy_arm(method.rule, 5));
+        let grid = TimeGrid {
+            start: 0.0,
+            step: 0.5 * stable_step(&rod),
+            n_steps: 20,
+        };
+        let initial = State::at_rest(rod.rest.clone());
+        let mut dice = Dice(16);
+        let mild = random_trajectory(&rod, &initial, grid, &mut dice);
+        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), grid.n_steps + 1);
+        for k in 0..=grid.n_steps {
+            let mut shape = Configuration {
+                positions: mild.positions_at(k).to_vec(),
+                rotations: mild.rotations_at(k).to_vec(),
+            };
+            let bend = if k == 11 { 2.5 } else { 2.1 };
+            let axis = Vector3::new(0.6, -0.8, 0.3).normalize();
+            shape.rotations[rod.tip()] = shape.rotations[rod.tip() - 1] * exp(&(axis * bend));
+            trajectory.push(&shape);
+        }
+        let motion = Motion {
+            stop: None,
+            rod: &rod,
+            grid,
+            initial: &initial,
+            control: None,
+        };
+        let far = |found: &[Vector3<f64>], plain: &[Vector3<f64>]| {
+            let size = plain.iter().fold(0.0f64, |m, v| m.max(v.amax()));
+            let error = (found.iter().zip(plain)).fold(0.0f64, |m, (a, b)| m.max((a - b).amax()));
+            error / size
+        };
+        let plain = Plain::along(&motion, &trajectory);
+        let change = random_signal(&rod, grid.n_steps, [2.0, 0.2], &mut dice);
+        let forms = [StateForm::of_covector(20, &random_tangent(&rod, &mut dice))];
+        let found = adjoint(&motion, &trajectory, &forms, 1).unwrap();
+        let expected = plain.adjoint_sweep(&forms);
+        assert!(far(&found.linear, &expected.linear) < 1e-11, "{method:?}");
+        assert!(far(&found.angular, &expected.angular) < 1e-11, "{method:?}");
+        let (found, _) = direction(&motion, &trajectory, None, &change, 1).unwrap();
+        let (expected, _) = plain.forward_sweep(None, &change);
+        assert!(far(&found.positions, &expected.positions) < 1e-11);
+        assert!(far(&found.rotations, &expected.rotations) < 1e-11);
+        let found = sensitivity::defects(&motion, &trajectory, &change).unwrap();
+        let expected = plain::defects(&motion, &trajectory, &change);
+        assert!(far(&found.linear, &expected.linear) < 1e-11, "{method:?}");
+        assert!(far(&found.angular, &expected.angular) < 1e-11, "{method:?}");
     }
 }
 
@@ -325,7 +379,8 @@ fn covectors_of_the_start_equal_the_clear_sweep() {
             assert_eq!(found.route, Route::Reverse);
             let start = found.start.expect("the reverse route ends with them");
             let sum = adjoint(&motion, &trajectory, &forms, 1).unwrap().start;
-            let clear_sum = adjoint_sweep(&motion, &trajectory, &forms).unwrap().start;
+            let plain = Plain::along(&motion, &trajectory);
+            let clear_sum = plain.adjoint_sweep(&forms).start;
 
             let first = rod.first_free_node();
             let sum: Vec<f64> = sum.components_from(first).collect();
@@ -344,8 +399,7 @@ fn covectors_of_the_start_equal_the_clear_sweep() {
                 part[component / 3][node][component % 3] = 1.0;
                 let unit = RightHandSide::at_start(unit, grid.n_steps);
                 let still = ControlSignal::default();
-                let values =
-                    form_values(&motion, &trajectory, Some(&unit), &still, &forms).unwrap();
+                let values = plain.form_values(Some(&unit), &still, &forms);
                 for (i, value) in values.into_iter().enumerate() {
                     expected[(i, column)] = value;
                 }
@@ -584,6 +638,7 @@ fn forms_are_derivatives_of_the_simulation() {
                 initial: &initial,
                 control: None,
             };
+            let plain = Plain::along(&motion, &reference);
             let from_configurations = rod.model == RodModel::Standard
                 && rod.scheme == TimeScheme::Explicit
                 && rod.internal_damping == 0.0;
@@ -615,8 +670,7 @@ fn forms_are_derivatives_of_the_simulation() {
                                 }],
                             })
                             .collect();
-                        let values =
-                            form_values(&motion, &reference, None, &change, &forms).unwrap();
+                        let values = plain.form_values(None, &change, &forms);
                         let value = Vector3::from_column_slice(&values);
                         worst = worst.max((value - difference).norm());
                         largest = largest.max(value.norm());

@@ -2,6 +2,7 @@
 
 use crate::common;
 
+use common::plain::Plain;
 use common::{
     Dice, Method, bases, busy_arm, methods, random_signal, random_sources, random_state,
     random_tangent, random_trajectory, soft_arm,
@@ -9,11 +10,11 @@ use common::{
 use nalgebra::{DMatrix, Vector3};
 use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
-use softarm::mechanics::linearization::{
-    Motion, RightHandSide, StateTangent, StepLinearization, adjoint_sweep, defects, form_values,
-    forward_sweep,
-};
+use softarm::mechanics::linearization::{Motion, RightHandSide, StateTangent};
 use softarm::mechanics::rotation::{exp, hat, log};
+use softarm::mechanics::sensitivity::{
+    LinearizedStep, adjoint, carried, defects, direction, linearized_steps,
+};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
     BaseCondition, ControlSignal, Energy, NodeWrenches, Rod, RodParameters, State, StateForm,
@@ -184,7 +185,7 @@ fn integrate(
 }
 
 /// A change of a linearized step, for tests that must see it.
-type Spoil<'a> = &'a dyn Fn(&mut StepLinearization);
+type Spoil<'a> = &'a dyn Fn(&mut LinearizedStep);
 
 /// Two unforced, undamped steps as a matrix over `(x, η, p, π)` of the free nodes: exact columns from the sweep, whose steps are `spoiled`.
 fn steps_matrix(rod: &Rod, state: &State, h: f64, spoil: Spoil) -> (DMatrix<f64>, State) {
@@ -204,20 +205,17 @@ fn steps_matrix(rod: &Rod, state: &State, h: f64, spoil: Spoil) -> (DMatrix<f64>
         initial: state,
         control: None,
     };
-    let steps = [0, 1, 2].map(|k| {
-        let mut step = StepLinearization::at(&motion, &trajectory, k).unwrap();
-        spoil(&mut step);
-        step
-    });
-    // Columns of the map by the adjoint: row i of A is the pull-back of the i-th covector. The covector of the
-    // initial (x, η) comes with the force change at k = 0, the one of (p, π) is the row multiplier times the decay 1.
+    let mut steps = linearized_steps(&motion, &trajectory).unwrap();
+    steps.iter_mut().for_each(spoil);
     let mut a = DMatrix::zeros(size, size);
-    for i in 0..size {
-        let mut covector = StateTangent::zeros(n);
-        *component(&mut covector, first, i) = 1.0;
-        let mut pulled = pull_back(rod, &steps, covector);
-        for j in 0..size {
-            a[(i, j)] = *component(&mut pulled, first, j);
+    for j in 0..size {
+        let mut unit = StateTangent::zeros(n);
+        *component(&mut unit, first, j) = 1.0;
+        let start = RightHandSide::at_start(unit, grid.n_steps);
+        let still = ControlSignal::default();
+        let mut end = carried(&motion, &trajectory, &steps, &start, &still);
+        for i in 0..size {
+            a[(i, j)] = *component(&mut end, first, i);
         }
     }
     (a, after)
@@ -231,27 +229,6 @@ fn component(tangent: &mut StateTangent, first: usize, i: usize) -> &mut f64 {
         2 => &mut tangent.linear[node][axis],
         _ => &mut tangent.angular[node][axis],
     }
-}
-
-/// The pull-back of a covector through two whole steps, from the public pieces: terminal kick, drift, kick, drift,
-/// initial kick.
-fn pull_back(rod: &Rod, steps: &[StepLinearization], mut c: StateTangent) -> StateTangent {
-    let n = rod.n_nodes();
-    for (k, step) in steps.iter().enumerate().rev() {
-        let mut force = vec![Vector3::zeros(); n];
-        let mut moment = force.clone();
-        if k + 1 < steps.len() {
-            step.drift_transposed(&mut c);
-        }
-        for q in rod.first_free_node()..n {
-            force[q] = step.kick.weight * c.linear[q];
-            moment[q] = step.kick.weight * c.angular[q];
-            c.linear[q] *= step.kick.decay;
-            c.angular[q] *= step.kick.decay;
-        }
-        step.force_change_transposed(&force, &moment, &mut c.positions, &mut c.rotations);
-    }
-    c
 }
 
 /// `AᵀΩ(π⁺)A - Ω(π)` of two unforced, undamped steps, relative to the largest terms of the product: entries of A differ by the mass scale.
@@ -285,6 +262,12 @@ fn linearized_step_is_symplectic() {
     }
 }
 
+fn spoilt(matrix: &mut [[f64; 3]; 3]) {
+    for entry in matrix.as_flattened_mut() {
+        *entry *= 1.0 + 1e-6;
+    }
+}
+
 /// A relative error of 1e-6 in the momenta or rotations of a linearized step, or in one entry of the stiffness of one element, breaks the
 /// identity. (A stiffness that is wrong altogether still is that of some energy, and a step with another mass is symplectic.)
 #[test]
@@ -292,16 +275,19 @@ fn wrong_linearizations_are_not_symplectic() {
     let spoil: [(&str, Spoil); 3] = [
         ("momentum", &|step| {
             for drift in &mut step.drifts {
-                drift.momentum *= 1.0 + 1e-6;
+                spoilt(&mut drift.momentum);
+            }
+            for node in &mut step.solve.nodes {
+                spoilt(&mut node.spin);
             }
         }),
         ("theta", &|step| {
             for drift in &mut step.drifts {
-                drift.theta *= 1.0 + 1e-6;
+                spoilt(&mut drift.theta);
             }
         }),
         ("stiffness", &|step| {
-            step.elements[1][(0, 4)] *= 1.0 + 1e-6;
+            step.elements[1][0][4] *= 1.0 + 1e-6;
         }),
     ];
     for method in methods().filter(Method::is_variational) {
@@ -428,13 +414,8 @@ fn linearization_passes_the_taylor_test() {
         let control = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
         let change = random_signal(&rod, 12, [2.0, 0.2], &mut dice);
         let base = defects(&motion, &trajectory, &control).unwrap();
-        let (direction, end) = forward_sweep(
-            &motion,
-            &trajectory,
-            Some(&RightHandSide::against(&base)),
-            &change,
-        )
-        .unwrap();
+        let against = RightHandSide::against(&base);
+        let (direction, end) = direction(&motion, &trajectory, Some(&against), &change, 1).unwrap();
         let remainder = |alpha: f64| -> [f64; 4] {
             let moved = trajectory.retract(&direction, alpha);
             let mut u = control.clone();
@@ -490,7 +471,7 @@ fn linearization_passes_the_taylor_test() {
     }
 }
 
-/// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the two sweeps written separately: forms of all components at time nodes from the first to the
+/// `⟨λ, A δu⟩ = ⟨Aᵀλ, δu⟩` with the plain sweep forward and that of the kernels backward: forms of all components at time nodes from the first to the
 /// last, wrenches on several nodes, right-hand sides, loads and damping included.
 #[test]
 fn adjoint_is_the_transpose() {
@@ -521,13 +502,11 @@ fn adjoint_is_the_transpose() {
             let sources = random_sources(&rod, grid.n_steps, 1e-3, &mut dice);
             let times = [0, 1, 13, 14, 29, 30];
             let forms = times.map(|k| StateForm::of_covector(k, &random_tangent(&rod, &mut dice)));
+            let plain = Plain::along(&motion, &trajectory);
             let forward = |sources: Option<&RightHandSide>, change: &ControlSignal| -> f64 {
-                form_values(&motion, &trajectory, sources, change, &forms)
-                    .unwrap()
-                    .iter()
-                    .sum()
+                plain.form_values(sources, change, &forms).iter().sum()
             };
-            let back = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+            let back = adjoint(&motion, &trajectory, &forms, 1).unwrap();
             let by_control: f64 = (0..=grid.n_steps)
                 .flat_map(|k| change.at(k).iter().map(move |(node, u)| (k, node, u)))
                 .map(|(k, node, u)| {
@@ -586,8 +565,8 @@ fn forward_sweep_is_linear() {
         wrench.moment *= 2.0;
     }
     let (once, _): (TrajectoryTangent, _) =
-        forward_sweep(&motion, &trajectory, None, &change).unwrap();
-    let (double, _) = forward_sweep(&motion, &trajectory, None, &twice).unwrap();
+        direction(&motion, &trajectory, None, &change, 1).unwrap();
+    let (double, _) = direction(&motion, &trajectory, None, &twice, 1).unwrap();
     for (a, b) in once.positions.iter().zip(&double.positions) {
         assert!((a * 2.0 - b).norm() <= 1e-15 * b.norm());
     }

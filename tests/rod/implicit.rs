@@ -2,13 +2,15 @@
 
 use crate::common;
 
+use common::plain::force_slope;
 use common::{Dice, RULES, busy_arm, methods, random_state, soft_arm};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::angular_momentum;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
-use softarm::mechanics::linearization::{Motion, StateTangent, StepLinearization};
+use softarm::mechanics::linearization::{Motion, StateTangent};
 use softarm::mechanics::rotation::{exp, log};
+use softarm::mechanics::sensitivity::{Transition, transition};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
     BaseCondition, Energy, LaneIntegrator, Material, NodeWrenches, Rod, RodModel, RodParameters,
@@ -35,7 +37,6 @@ fn modes(rod: &Rod) -> Vec<(f64, DVector<f64>)> {
     };
     let (first, n) = (rod.first_free_node(), rod.n_nodes());
     let size = 6 * (n - first);
-    let step = at_rest(&explicit, 1.0);
     let mut inverse_root = DVector::zeros(size);
     for q in first..n {
         for i in 0..3 {
@@ -43,27 +44,12 @@ fn modes(rod: &Rod) -> Vec<(f64, DVector<f64>)> {
             inverse_root[6 * (q - first) + 3 + i] = 1.0 / rod.nodes[q].rotary[i].sqrt();
         }
     }
-    let mut scaled = DMatrix::zeros(size, size);
-    for j in 0..size {
-        let mut unit = DVector::zeros(size);
-        unit[j] = inverse_root[j];
-        let column = tangent(rod, &unit);
-        let mut force = vec![Vector3::zeros(); n];
-        let mut moment = force.clone();
-        step.force_change(
-            &column.positions,
-            &column.rotations,
-            &mut force,
-            &mut moment,
-        );
-        for q in first..n {
-            for i in 0..3 {
-                let row = 6 * (q - first) + i;
-                scaled[(row, j)] = -force[q][i] * inverse_root[row];
-                scaled[(row + 3, j)] = -moment[q][i] * inverse_root[row + 3];
-            }
-        }
-    }
+    let slope = at_rest(&explicit, 1.0, |motion, trajectory| {
+        force_slope(motion, trajectory, 1)
+    });
+    let scaled = DMatrix::from_fn(size, size, |i, j| {
+        -slope[(6 * first + i, 6 * first + j)] * inverse_root[i] * inverse_root[j]
+    });
     let scaled = 0.5 * (&scaled + scaled.transpose());
     let eigen = scaled.symmetric_eigen();
     let mut order: Vec<usize> = (0..size).collect();
@@ -88,19 +74,8 @@ fn tangent(rod: &Rod, shape: &DVector<f64>) -> StateTangent {
     out
 }
 
-fn shape(rod: &Rod, tangent: &StateTangent) -> DVector<f64> {
-    let first = rod.first_free_node();
-    DVector::from_fn(6 * (rod.n_nodes() - first), |i, _| {
-        let q = first + i / 6;
-        match i % 6 {
-            axis @ 0..3 => tangent.positions[q][axis],
-            axis => tangent.rotations[q][axis - 3],
-        }
-    })
-}
-
-/// The linearized step in the middle of a motion that stays at rest.
-fn at_rest(rod: &Rod, h: f64) -> StepLinearization {
+/// What is asked of a motion that stays at rest for two steps.
+fn at_rest<T>(rod: &Rod, h: f64, of: impl FnOnce(&Motion, &Trajectory) -> T) -> T {
     let initial = State::at_rest(rod.rest.clone());
     let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), 3);
     for _ in 0..3 {
@@ -117,7 +92,14 @@ fn at_rest(rod: &Rod, h: f64) -> StepLinearization {
         },
         initial: &initial,
     };
-    StepLinearization::at(&motion, &trajectory, 1).unwrap()
+    of(&motion, &trajectory)
+}
+
+/// The linearized step of a rod at rest.
+fn step_at_rest(rod: &Rod, h: f64) -> Transition {
+    at_rest(rod, h, |motion, trajectory| {
+        transition(motion, trajectory, 0..1, &[], 1).unwrap()
+    })
 }
 
 /// About rest every vibration mode obeys the recurrence of its own oscillator, with `w = hω` and `z = τhω²/2`:
@@ -137,19 +119,24 @@ fn every_mode_is_the_oscillator_of_the_scheme() {
                 })
                 .unwrap();
                 let h = fraction * stable_step(&rod);
-                let step = at_rest(&rod, h);
+                let step = step_at_rest(&rod, h).state;
                 for (square, mode) in modes(&rod) {
                     let (w, z) = (h * h * square, 0.5 * tau * h * square);
                     let quarter = match scheme {
                         TimeScheme::Explicit => 0.0,
                         TimeScheme::Implicit => 0.25 * w,
                     };
-                    let mut column = tangent(&rod, &mode);
+                    let components = tangent(&rod, &mode);
+                    let components = components.components_from(rod.first_free_node());
+                    let mut state: Vec<f64> = components.collect();
                     let mut q = vec![mode];
                     for _ in 0..2 {
-                        step.kick_unforced(&mut column);
-                        step.drift(&mut column);
-                        q.push(shape(&rod, &column));
+                        let row =
+                            |i: usize| (0..state.len()).map(|j| step[(i, j)] * state[j]).sum();
+                        state = (0..state.len()).map(row).collect();
+                        // Six of configuration, then six of momentum, node by node.
+                        let shape = state.chunks(12).flat_map(|node| node[..6].iter().copied());
+                        q.push(DVector::from_iterator(state.len() / 2, shape));
                     }
                     let terms = [
                         &q[2] * (1.0 + z + quarter),

@@ -6,7 +6,8 @@ use crate::common;
 use common::{Dice, RULES, busy_arm, methods, random_state, soft_arm};
 use nalgebra::Vector3;
 use softarm::mechanics::energy::linear_momentum;
-use softarm::mechanics::linearization::{Motion, defects};
+use softarm::mechanics::linearization::Motion;
+use softarm::mechanics::sensitivity::defects;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, ControlSignal, LaneIntegrator, Load, LoadFrame, MomentumBalance,
     MotionCurve, NodeWrenches, Oscillation, Rod, RodParameters, State, Stepper, StrainRule,

@@ -243,7 +243,7 @@ impl Element {
         }
     }
 
-    fn gradient_by<R: TangentRule>(&self, pose: &ElementPose) -> ElementGradient {
+    pub(crate) fn gradient_by<R: TangentRule>(&self, pose: &ElementPose) -> ElementGradient {
         let pose = posed::<R>(pose);
         let stress = self.stress_of(&strain_of::<R>(self.length, &pose));
         gradient_of::<R>(&pose, &scaled::<R>(&stress.linear, &stress.angular))

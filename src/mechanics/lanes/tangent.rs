@@ -1,6 +1,11 @@
 //! The linearized drift of nodes, several time nodes at a time; [`element`](crate::mechanics::element) has that of elements.
 //!
-//! The [`NodeDrift`](crate::mechanics::linearization::NodeDrift) is its plain counterpart and test oracle, and has the same notation.
+//! With the Cayley vector `f` of a node's turn `F` over the step, `α = 1 + |f|²/4`, `g` the angular momentum of the interval (body frame
+//! before the step, kg m²/s) and `G_f = ∂g/∂f`, a drift takes the rotation `ζ` (body frame) and `δg` after the kick to
+//!
+//! ```text
+//! ζ⁺ = Fᵀ ζ + Θ δg,    δ(Fᵀ g) = M δg,    Θ = (1/α)(I - f̂/2) G_f⁻¹,    M = Fᵀ + (Fᵀg)^ Θ
+//! ```
 
 use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
@@ -87,8 +92,11 @@ pub fn inertia_curvature<S: Simd>(
 /// The linearized drift of a node, and its regularity.
 #[derive(Clone, Copy)]
 pub struct Drift<S: Simd> {
+    /// `Fᵀ`
     pub turn_transposed: Mat3<S>,
+    /// `Θ`, rotation per angular momentum, s/(kg m²).
     pub theta: Mat3<S>,
+    /// `M`
     pub momentum: Mat3<S>,
     /// Angular momentum, body frame before the drift, and after it.
     pub leaving: Vec3<S>,
@@ -194,5 +202,30 @@ pub fn drift<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat
         arriving,
         level: f.dot(f) * 0.25,
         margin,
+    }
+}
+
+/// The [`drift`] of a node whose inertia is another one, `arriving`, when the step ends: there, angular momentum is
+/// `π = (J f - ½ f × J f)/(α h)` with that inertia, and `M = ∂π/∂f G_f⁻¹`.
+pub fn drift_to<S: Simd>(
+    arriving: &Vector3<f64>,
+    leaving: &Vector3<f64>,
+    h: f64,
+    before: Mat3<S>,
+    after: Mat3<S>,
+) -> Drift<S> {
+    let Turn {
+        f,
+        inverse_alpha,
+        slope,
+        ..
+    } = Turn::of(leaving, h, before, after);
+    let rate = Vec3::splat(inverse_alpha.simd, &(arriving / h));
+    let arriving = momentum(rate, f, inverse_alpha, -1.0);
+    let along = momentum_slope(rate, f, inverse_alpha, arriving, -1.0);
+    Drift {
+        momentum: along.product(slope.inverse()),
+        arriving,
+        ..drift(leaving, h, before, after)
     }
 }

@@ -1,5 +1,5 @@
-//! The discrete equations of motion along a given trajectory: their defects, their linearization, the forward sweep of
-//! one direction, and the adjoint sweep.
+//! The discrete equations of motion along a given trajectory, and the quantities of their linearization. What is evaluated of them, defects,
+//! linearized steps and the sweeps through these, is in [`sensitivity`](super::sensitivity).
 //!
 //! A trajectory of configurations defines the half-step momenta `p^{k+½} = m (x^{k+1} - x^k)/h` and
 //! `g^{k+½} = (1/h) vee(F J_d - J_d Fᵀ)`, `F = R^{k,T} R^{k+1}`. The rows are, for `k = 0..N-1` and every free node
@@ -19,24 +19,21 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::configuration::{State, Trajectory};
-use crate::mechanics::element::IntervalStress;
-use crate::mechanics::implicit::{IntervalWeights, scatter};
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::time::TimeGrid;
 use crate::stop::StopSignal;
 
+mod adjoint;
 mod defects;
-mod step;
-mod sweeps;
+mod loads;
 mod tangent;
 
-use self::step::stack;
-
-pub use self::defects::{Defects, RightHandSide, defects};
-pub use self::step::*;
-pub use self::sweeps::{AdjointSweep, adjoint_sweep, form_values, forward_sweep, tangent_sweep};
+pub use self::adjoint::AdjointSweep;
+pub use self::defects::{Defects, RightHandSide};
+pub use self::loads::LoadDerivative;
+pub(in crate::mechanics) use self::loads::{acting_derivatives, load_derivatives};
 pub use self::tangent::StateTangent;
 
 /// A rod on a time grid, from a given state on.
@@ -108,42 +105,6 @@ impl Motion<'_> {
     fn undamped(&self) -> f64 {
         let left = 1.0 - 0.5 * self.rod.viscous_damping * self.grid.step;
         if left == 0.0 { f64::EPSILON } else { left }
-    }
-
-    /// `σ` of every element over the interval from `k` to `k + 1`; `None` where stresses are those of the time nodes.
-    fn interval_stresses(&self, trajectory: &Trajectory, k: usize) -> Option<Vec<IntervalStress>> {
-        let rod = self.rod;
-        let weights = IntervalWeights::of(rod, self.grid.step)?;
-        let strain = |k: usize, q: usize| {
-            let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-            let pose = Rod::element_pose(q, positions, rotations);
-            rod.strain_rule.strain(rod.elements[q].length, &pose)
-        };
-        let stress = |q| weights.stress(&rod.elements[q], &strain(k, q), &strain(k + 1, q));
-        Some((0..rod.n_elements()).map(stress).collect())
-    }
-
-    /// Adds the impulses `-weight B_kᵀ σ` of the given stresses at time node `k`.
-    fn add_stress_impulses(
-        &self,
-        trajectory: &Trajectory,
-        k: usize,
-        stresses: &[IntervalStress],
-        weight: f64,
-        p: &mut [Vector3<f64>],
-        pi: &mut [Vector3<f64>],
-    ) {
-        let rod = self.rod;
-        let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-        for (q, stress) in stresses.iter().enumerate() {
-            let pose = Rod::element_pose(q, positions, rotations);
-            let pull = rod.elements[q].gradient_under(rod.strain_rule, &pose, stress);
-            let pull = stack(&pull.force, &pull.moment_a, &pull.moment_b);
-            scatter(rod.first_free_node(), q, &pull, |node, linear, angular| {
-                p[node] -= linear * weight;
-                pi[node] -= angular * weight;
-            });
-        }
     }
 
     /// Inertia of every node over the interval from `k` to `k + 1`: where it leaves, and where it arrives.

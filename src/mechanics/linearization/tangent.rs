@@ -77,13 +77,6 @@ impl StateTangent {
         }
     }
 
-    /// Nodes before `first` do not move.
-    pub(super) fn hold(&mut self, first: usize) {
-        for part in 0..4 {
-            self.part_mut(part)[..first].fill(Vector3::zeros());
-        }
-    }
-
     /// Euclidean inner product of the components.
     #[must_use]
     pub fn dot(&self, other: &Self) -> f64 {

@@ -4,9 +4,12 @@
 //! of such a momentum has it among the configurations.
 
 use super::Task;
+use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::element::ElementStiffness;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::implicit::IntervalWeights;
-use crate::mechanics::linearization::arriving_stiffness;
+use crate::mechanics::linearization::Motion;
+use crate::mechanics::rod::Rod;
 
 /// Components of the configuration with their coefficients: twelve of either element beside a node.
 pub(super) type Terms = [(usize, f64); 24];
@@ -50,4 +53,25 @@ pub(super) fn arriving_terms(
         }
     }
     Some(terms)
+}
+
+/// `∂(B_{k+1}ᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)` of an element and the interval from `k` to `k + 1`, with
+/// the weight of the impulse. Zero where no stress depends on both ends.
+fn arriving_stiffness(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+    q: usize,
+) -> ElementStiffness {
+    let Motion { rod, grid, .. } = *motion;
+    let Some(weights) = IntervalWeights::of(rod, grid.step) else {
+        return ElementStiffness::zeros();
+    };
+    let element = &rod.elements[q];
+    let poses = [k, k + 1]
+        .map(|k| Rod::element_pose(q, trajectory.positions_at(k), trajectory.rotations_at(k)));
+    let [start, end] = (poses.each_ref()).map(|pose| rod.strain_rule.strain(element.length, pose));
+    let stress = weights.stress(element, &start, &end);
+    let arriving = 0.5 * grid.step * motion.arriving_impulse();
+    element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end) * arriving
 }

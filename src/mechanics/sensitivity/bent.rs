@@ -2,7 +2,7 @@
 
 use pulp::Simd;
 
-use super::linearize::{Group, MULTIPLIER_ROWS, store_block};
+use super::linearize::{Group, MULTIPLIER_ROWS, Reach, store_block};
 use super::solved::element_at;
 use crate::mechanics::curvature::StressCurvature;
 use crate::mechanics::element::ElementStiffness;
@@ -17,9 +17,12 @@ type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
 impl Group<'_> {
     /// Curvatures of the stress and of the inertia over the intervals; counts what is irregular, lane by lane.
     #[inline(always)]
-    pub(super) fn bent_intervals<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+    pub(super) fn bent_intervals<S: Simd, R: TangentRule, P: Reach<S>>(
+        &mut self,
+        simd: S,
+    ) -> Lanes<S> {
         let mut irregular = Lanes::splat(simd, 0.0);
-        let (rod, h) = (self.motion.rod, self.motion.grid.step);
+        let (rod, h) = (self.along.motion.rod, self.along.motion.grid.step);
         let Some(weights) = IntervalWeights::of(rod, h) else {
             return irregular;
         };
@@ -27,14 +30,14 @@ impl Group<'_> {
             self.inertia_curvatures(simd, node);
         }
         // The same for all intervals.
-        let leaving = 0.5 * h * self.motion.kick(0).impulse;
-        let arriving = 0.5 * h * self.motion.arriving_impulse();
+        let leaving = 0.5 * h * self.along.motion.kick(0).impulse;
+        let arriving = 0.5 * h * self.along.motion.arriving_impulse();
         let workspace = &mut *self.workspace;
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
         let multipliers = rows::<S>(&workspace.multipliers);
         for (q, element) in rod.elements.iter().enumerate() {
-            let (_, folded_here) = element_at::<S, R>(simd, poses, q);
-            let (_, folded_there) = element_at::<S, R>(simd, next, q);
+            let (_, folded_here) = element_at::<S, R, P>(simd, poses, q);
+            let (_, folded_there) = element_at::<S, R, P>(simd, next, q);
             irregular = irregular + folded_here + folded_there;
             let end = |poses: &[Row<S>], [linear, angular]: [usize; 2], weight: f64| {
                 let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
@@ -55,7 +58,7 @@ impl Group<'_> {
             };
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
             let law = Law::of::<R>(simd, element);
-            let pose = R::pose::<S>;
+            let pose = P::pose::<R>;
             let found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
             let parts: [(Blocks<S>, Part); 3] = [
                 (found.start, |stress| &mut stress.start),

@@ -4,7 +4,7 @@
 use pulp::Simd;
 
 use super::INCREMENT_ROWS;
-use super::packed::PackedStep;
+use super::step::LinearizedStep;
 use crate::mechanics::forms::NODE_COMPONENTS;
 
 /// `V` vectors of columns beside each other.
@@ -35,7 +35,7 @@ pub(super) use for_all_vectors;
 /// The columns of a tile, in the vectors from `at` on.
 pub(super) struct Columns<'a, S: Simd> {
     pub simd: S,
-    pub step: &'a PackedStep,
+    pub step: &'a LinearizedStep,
     pub data: &'a mut [S::f64s],
     pub increments: &'a mut [S::f64s],
     pub width: usize,

@@ -2,18 +2,15 @@
 //! linearized in memory as a whole.
 
 use std::cell::RefCell;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard};
 
 use pulp::Arch;
 
-use super::linearize::linearize;
-use super::packed::PackedStep;
+use super::linearize::{Along, Memory};
+use super::step::LinearizedStep;
 use super::team::{lock, read, rounds, write};
-use crate::mechanics::configuration::Trajectory;
-use crate::mechanics::curvature::Multipliers;
-use crate::mechanics::linearization::Motion;
 use crate::mechanics::step_error::StepError;
 use crate::stop::StopSignal;
 
@@ -30,7 +27,7 @@ pub(super) enum Sense {
 }
 
 /// The steps of a group in pieces, for the two groups that take turns.
-type Pieces = Vec<RwLock<Vec<PackedStep>>>;
+type Pieces = Vec<RwLock<Vec<LinearizedStep>>>;
 
 thread_local! {
     /// Those of the last sweep on this thread: the next one finds their memory in place, and writes all of it anew.
@@ -39,25 +36,21 @@ thread_local! {
 
 /// The steps that are linearized, and their order.
 pub(super) struct Conveyor<'a> {
-    pub motion: &'a Motion<'a>,
-    pub trajectory: &'a Trajectory,
-    pub multipliers: Option<&'a Multipliers<'a>>,
+    pub along: Along<'a>,
     /// Time nodes.
     pub range: Range<usize>,
-    /// Half a kick is taken at either end of it, and nothing is known of what is before and after.
-    pub stretch: RangeInclusive<usize>,
     pub sense: Sense,
     pub n_threads: usize,
 }
 
 /// The linearized steps of a group, in pieces.
 pub(super) struct Group<'a> {
-    pieces: Vec<(usize, RwLockReadGuard<'a, Vec<PackedStep>>)>,
+    pieces: Vec<(usize, RwLockReadGuard<'a, Vec<LinearizedStep>>)>,
 }
 
 impl Group<'_> {
     /// Every time node with its step.
-    pub fn steps(&self) -> impl DoubleEndedIterator<Item = (usize, &PackedStep)> {
+    pub fn steps(&self) -> impl DoubleEndedIterator<Item = (usize, &LinearizedStep)> {
         (self.pieces.iter()).flat_map(|(first, steps)| {
             steps
                 .iter()
@@ -67,7 +60,7 @@ impl Group<'_> {
     }
 
     /// The steps of the `index`th part of `length` time nodes, with the first of these; a piece holds a whole number of parts.
-    pub fn part(&self, index: usize, length: usize) -> Option<(usize, &[PackedStep])> {
+    pub fn part(&self, index: usize, length: usize) -> Option<(usize, &[LinearizedStep])> {
         let start = index * length;
         let (first, steps) = self.pieces.get(start / PIECE)?;
         let from = start % PIECE;
@@ -123,7 +116,7 @@ impl Conveyor<'_> {
                 if round > last_round.load(Ordering::Relaxed) {
                     return;
                 }
-                if let Some(stop) = self.motion.stop.and_then(StopSignal::raised) {
+                if let Some(stop) = self.along.motion.stop.and_then(StopSignal::raised) {
                     lock(&failure).get_or_insert((usize::MAX, stop.into()));
                     last_round.store(round, Ordering::Relaxed);
                     return;
@@ -134,17 +127,10 @@ impl Conveyor<'_> {
                         return;
                     };
                     let mut steps = write(place(group, piece));
-                    steps.resize_with(range.len(), PackedStep::default);
-                    let (first, multipliers) = (range.start, self.multipliers);
-                    let made = linearize(
-                        arch,
-                        self.motion,
-                        self.trajectory,
-                        multipliers,
-                        &self.stretch,
-                        first,
-                        &mut steps,
-                    );
+                    steps.resize_with(range.len(), LinearizedStep::default);
+                    let (first, along) = (range.start, &self.along);
+                    let mut memory = Memory::of(arch, along.motion);
+                    let made = memory.linearize(arch, along, first, &mut steps);
                     if let Err(error) = made {
                         let mut failure = lock(&failure);
                         if failure.as_ref().is_none_or(|(before, _)| first < *before) {

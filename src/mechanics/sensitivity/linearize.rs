@@ -1,143 +1,218 @@
-//! The linearization of consecutive time nodes in the packed layout: one time node in each lane of a vector if the kernel applies, and the
-//! [plain linearization](StepLinearization) for the other nodes.
+//! The linearization of consecutive time nodes: the standard model in vector instructions, one time node in each lane, and a time node by
+//! itself where the section thins or an element is bent by more than vectors take.
 
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 
-use nalgebra::Vector3;
-use pulp::{Arch, Simd, WithSimd};
+use nalgebra::{SVector, Vector3};
+use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use super::packed::{PackedCurvature, PackedDrift, PackedStep, pack_acting, pack_loads};
+use super::dilated::element_drifts;
 use super::solved::SolveRows;
+use super::step::{LinearizedStep, NodeDrift, add_reordered, pack_acting, pack_loads, square};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
-    InertiaCurvature, IntervalCurvature, Multipliers, StepCurvature, StressCurvature,
+    InertiaCurvature, IntervalCurvature, Multipliers, StressCurvature, element_curvature,
     load_curvatures,
 };
-use crate::mechanics::element::RodModel;
-use crate::mechanics::element::{Blocks, Displacement, Helical, TangentRule, Trapezoidal};
-use crate::mechanics::element::{ElementStiffness, StrainRule};
-use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::element::{
+    Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, RodModel, StrainRule,
+    TangentRule, Trapezoidal, pose_of_any_turn,
+};
+use crate::mechanics::guards::not_finite;
+use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::lanes::tangent::{
-    LEAST_MARGIN, NodePose, POSE_ROWS, drift, inertia_curvature, put_pose,
+    LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to, inertia_curvature, put_pose,
 };
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
-use crate::mechanics::linearization::{
-    Kick, Motion, StepLinearization, acting_derivatives, arriving_stiffness, load_derivatives,
-};
+use crate::mechanics::linearization::{Kick, Motion, acting_derivatives, load_derivatives};
+use crate::mechanics::rod::Rod;
+use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
-/// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
-/// on the instruction set nor on what is linearized in one call.
-///
-/// # Errors
-/// [`StepError`] of the first time node that cannot be linearized.
-pub(super) fn linearize(
-    arch: Arch,
-    motion: &Motion,
-    trajectory: &Trajectory,
-    multipliers: Option<&Multipliers>,
-    stretch: &RangeInclusive<usize>,
-    first: usize,
-    steps: &mut [PackedStep],
-) -> Result<(), StepError> {
-    let mut lanes = Workspace::of(arch, motion);
-    linearize_in(
-        &mut lanes,
-        arch,
-        motion,
-        trajectory,
-        multipliers,
-        stretch,
-        first,
-        steps,
-    )
+/// What is linearized.
+#[derive(Clone)]
+pub(super) struct Along<'a> {
+    pub motion: &'a Motion<'a>,
+    pub trajectory: &'a Trajectory,
+    /// Where the second derivatives are asked for as well.
+    pub multipliers: Option<&'a Multipliers<'a>>,
+    /// Half a kick is taken at either end of it, and what is before and after does not matter.
+    pub stretch: RangeInclusive<usize>,
 }
 
-/// The same with memory of the caller's, made [for such a motion](Workspace::of).
-#[expect(
-    clippy::too_many_arguments,
-    reason = "what a sweep is about, and its memory"
-)]
-pub(super) fn linearize_in(
-    lanes: &mut Option<Workspace>,
-    arch: Arch,
-    motion: &Motion,
-    trajectory: &Trajectory,
-    multipliers: Option<&Multipliers>,
-    stretch: &RangeInclusive<usize>,
-    first: usize,
-    steps: &mut [PackedStep],
-) -> Result<(), StepError> {
-    let n_lanes = dispatch(arch, CountLanes);
-    let run = |first: usize, steps: &mut [PackedStep], workspace: &mut Workspace, scope| {
-        let group = Group {
-            motion,
-            trajectory,
-            multipliers,
-            stretch,
-            first,
-            steps,
-            workspace,
-            scope,
-        };
-        match motion.rod.strain_rule {
-            StrainRule::Helical => dispatch(arch, Ruled::<Helical>::new(group)),
-            StrainRule::Trapezoidal => dispatch(arch, Ruled::<Trapezoidal>::new(group)),
-        }
-    };
-    // The interval before a time node is that after the one before.
-    let mut before = IntervalCurvature::default();
-    if let (Some(k), Some(multipliers)) = (first.checked_sub(1), multipliers) {
-        before = IntervalCurvature::at(motion, trajectory, multipliers, k);
-        if let Some(workspace) = lanes.as_mut() {
-            let mut step = [PackedStep::default()];
-            if run(k, &mut step, workspace, Scope::Drifts).drifts & 1 == 1 {
-                before = workspace.intervals[0].clone();
-            }
+/// Memory of a linearization, for motions of one rod.
+#[derive(Debug)]
+pub(super) struct Memory {
+    /// For one time node in each lane, if the [vectors know](is_possible) the rod.
+    many: Option<Workspace>,
+    /// For one time node; made when it is needed first.
+    single: Option<Workspace>,
+}
+
+impl Memory {
+    pub fn of(arch: Arch, motion: &Motion) -> Self {
+        let n_lanes = dispatch(arch, CountLanes);
+        let possible = is_possible(motion);
+        Self {
+            many: possible.then(|| Workspace::new(motion, n_lanes)),
+            single: (!possible).then(|| Workspace::new(motion, 1)),
         }
     }
-    for (steps, first) in steps.chunks_mut(n_lanes).zip((first..).step_by(n_lanes)) {
-        let done = (lanes.as_mut()).map_or(Regular::default(), |workspace| {
-            run(first, steps, workspace, Scope::All)
-        });
-        for (lane, (step, k)) in steps.iter_mut().zip(first..).enumerate() {
-            let has = |bits: u64| bits >> lane & 1 == 1;
-            let interval = (lanes.as_mut()).filter(|_| has(done.drifts));
-            let interval = interval.map(|workspace| &mut workspace.intervals[lane]);
-            if let (Some(next), true) = (interval, has(done.elements)) {
-                if let (Some(multipliers), Some(curvature)) = (multipliers, &mut step.curvature) {
-                    let loads = load_curvatures(motion, trajectory, multipliers, k);
-                    curvature.add_neighbors(motion.rod, &before, &loads, next);
+
+    /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
+    /// on the instruction set nor on what is linearized in one call.
+    ///
+    /// # Errors
+    /// [`StepError`] of the first time node that cannot be linearized.
+    pub fn linearize(
+        &mut self,
+        arch: Arch,
+        along: &Along,
+        first: usize,
+        steps: &mut [LinearizedStep],
+    ) -> Result<(), StepError> {
+        let n_lanes = dispatch(arch, CountLanes);
+        // The interval before a time node is that after the one before.
+        let mut before = IntervalCurvature::default();
+        if let (Some(k), Some(_)) = (first.checked_sub(1), along.multipliers) {
+            before = self.interval(arch, along, k)?;
+        }
+        for (steps, first) in steps.chunks_mut(n_lanes).zip((first..).step_by(n_lanes)) {
+            let regular = (self.many.as_mut()).map_or(Regular::default(), |workspace| {
+                many(arch, along, first, steps, workspace, Scope::All)
+            });
+            for (lane, (step, k)) in steps.iter_mut().zip(first..).enumerate() {
+                let is_done = regular.both() >> lane & 1 == 1;
+                let next = match &mut self.many {
+                    Some(workspace) if is_done => &mut workspace.intervals[lane],
+                    _ => {
+                        let single = self.single(along.motion);
+                        linearize_one(along, k, step, single, Scope::All)?;
+                        &mut single.intervals[0]
+                    }
+                };
+                if let (Some(multipliers), Some(curvature)) =
+                    (along.multipliers, &mut step.curvature)
+                {
+                    let loads = load_curvatures(along.motion, along.trajectory, multipliers, k);
+                    curvature.add_neighbors(along.motion.rod, &before, &loads, next);
                     std::mem::swap(&mut before, next);
                 }
-                continue;
             }
-            let linearization = clear_step(motion, trajectory, stretch, k)?;
-            let curvature = multipliers.map(|multipliers| {
-                let mut here =
-                    StepCurvature::at(motion, trajectory, &linearization, multipliers, k);
-                if let Some(workspace) = (lanes.as_ref()).filter(|_| has(done.drifts)) {
-                    here.interval = workspace.intervals[lane].clone();
-                }
-                let packed = PackedCurvature::new(motion.rod, &before, &here);
-                before = here.interval;
-                packed
-            });
-            let arriving: Vec<_> = if arrives(motion, stretch, k) {
-                (0..motion.rod.n_elements())
-                    .map(|q| arriving_stiffness(motion, trajectory, k - 1, q))
-                    .collect()
-            } else {
-                Vec::new()
-            };
-            *step = PackedStep::new(&linearization, &arriving, curvature);
         }
+        Ok(())
     }
-    Ok(())
+
+    /// The curvature of the interval after a time node.
+    fn interval(
+        &mut self,
+        arch: Arch,
+        along: &Along,
+        k: usize,
+    ) -> Result<IntervalCurvature, StepError> {
+        let mut step = [LinearizedStep::default()];
+        if let Some(workspace) = &mut self.many
+            && many(arch, along, k, &mut step, workspace, Scope::Drifts).drifts & 1 == 1
+        {
+            return Ok(workspace.intervals[0].clone());
+        }
+        let single = self.single(along.motion);
+        linearize_one(along, k, &mut step[0], single, Scope::Drifts)?;
+        Ok(single.intervals[0].clone())
+    }
+
+    fn single(&mut self, motion: &Motion) -> &mut Workspace {
+        self.single.get_or_insert_with(|| Workspace::new(motion, 1))
+    }
+}
+
+/// Linearizes time nodes from `first` on, one in each lane.
+fn many(
+    arch: Arch,
+    along: &Along,
+    first: usize,
+    steps: &mut [LinearizedStep],
+    workspace: &mut Workspace,
+    scope: Scope,
+) -> Regular {
+    let group = Group {
+        along,
+        first,
+        steps,
+        workspace,
+        scope,
+    };
+    match along.motion.rod.strain_rule {
+        StrainRule::Helical => dispatch(arch, Ruled::<Helical>::new(group)),
+        StrainRule::Trapezoidal => dispatch(arch, Ruled::<Trapezoidal>::new(group)),
+    }
+}
+
+/// Linearizes one time node of any motion.
+fn linearize_one(
+    along: &Along,
+    k: usize,
+    step: &mut LinearizedStep,
+    workspace: &mut Workspace,
+    scope: Scope,
+) -> Result<(), StepError> {
+    let motion = along.motion;
+    let leaves = k < *along.stretch.end();
+    workspace.rotary = (leaves && motion.rod.model != RodModel::Standard)
+        .then(|| motion.inertia(along.trajectory, k));
+    let group = Group {
+        along,
+        first: k,
+        steps: std::slice::from_mut(step),
+        workspace,
+        scope,
+    };
+    let regular = match motion.rod.strain_rule {
+        StrainRule::Helical => group.run::<Scalar, Helical, AnyTurn>(Scalar),
+        StrainRule::Trapezoidal => group.run::<Scalar, Trapezoidal, AnyTurn>(Scalar),
+    };
+    if regular.drifts & 1 == 1 || !leaves {
+        return Ok(());
+    }
+    let pivots = || {
+        let first = motion.rod.first_free_node();
+        let time = motion.grid.time(k);
+        not_finite(first, k, time, "the inverse of the implicit step")
+    };
+    Err(turn_error(motion, along.trajectory, k).unwrap_or_else(pivots))
+}
+
+/// The error of the first node that turns by a quarter turn or more, where the discrete momentum folds over, from time node `k` to the
+/// next, or that is no number.
+pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> Option<StepError> {
+    let (before, after) = (trajectory.rotations_at(k), trajectory.rotations_at(k + 1));
+    let time = motion.grid.time(k);
+    before
+        .iter()
+        .zip(after)
+        .enumerate()
+        .find_map(|(node, (before, after))| {
+            let turn = before.tr_mul(after);
+            let ratio = 0.5 * cay_inverse(&turn).norm();
+            if ratio < 1.0 - ROUNDING && turn.trace() > 1.0 + ROUNDING {
+                return None;
+            }
+            let what = "the rotation between two time nodes";
+            Some(if ratio.is_finite() {
+                StepError::RotationTooLarge {
+                    node,
+                    step: k,
+                    time,
+                    ratio: ratio.max(1.0),
+                }
+            } else {
+                not_finite(node, k, time, what)
+            })
+        })
 }
 
 /// The kick of a time node: half of it at either end of the stretch.
@@ -151,31 +226,77 @@ fn kick(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> Kick {
     }
 }
 
-/// Whether the stress of the interval before acts at a time node.
-fn arrives(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> bool {
-    k > *stretch.start() && IntervalWeights::of(motion.rod, motion.grid.step).is_some()
-}
-
-/// The plain linearization of a time node of the stretch.
-fn clear_step(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    stretch: &RangeInclusive<usize>,
-    k: usize,
-) -> Result<StepLinearization, StepError> {
-    let mut step = StepLinearization::at(motion, trajectory, k)?;
-    step.kick = kick(motion, stretch, k);
-    if k == *stretch.end() {
-        step.drifts.clear();
-        step.element_drifts.clear();
-        step.stress_drift = None;
-    }
-    Ok(step)
-}
-
-/// The lanes know the standard model.
+/// The vectors know the standard model.
 pub(super) fn is_possible(motion: &Motion) -> bool {
     motion.rod.model == RodModel::Standard
+}
+
+/// Elements that a linearization takes apart.
+pub(super) trait Reach<S: Simd> {
+    /// Whether these are all: bent by any angle, of sections that thin.
+    const ALL: bool;
+    /// Margin of the quarter turn of a node: what is within it is left to a time node by itself.
+    const MARGIN: f64;
+
+    /// What the rule needs of a pose.
+    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S>;
+
+    /// The gradient `(F, M_a, M_b)` of an element's energy.
+    fn gradient<R: TangentRule>(
+        element: &Element,
+        dx: Vec3<S>,
+        a: Mat3<S>,
+        b: Mat3<S>,
+    ) -> [Vec3<S>; 3];
+}
+
+/// Elements of the standard model whose ends are turned against each other by less than [`LEAST_MARGIN`] says.
+pub(super) struct MildTurn;
+
+/// All elements, one time node at a time.
+pub(super) struct AnyTurn;
+
+impl<S: Simd> Reach<S> for MildTurn {
+    const ALL: bool = false;
+    const MARGIN: f64 = ROUNDING;
+
+    #[inline(always)]
+    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S> {
+        R::pose(dx, a, b)
+    }
+
+    #[inline(always)]
+    fn gradient<R: TangentRule>(
+        element: &Element,
+        dx: Vec3<S>,
+        a: Mat3<S>,
+        b: Mat3<S>,
+    ) -> [Vec3<S>; 3] {
+        R::gradient(element, dx, a, b)
+    }
+}
+
+impl Reach<Scalar> for AnyTurn {
+    const ALL: bool = true;
+    const MARGIN: f64 = 0.0;
+
+    fn pose<R: TangentRule>(dx: Vec3<Scalar>, a: Mat3<Scalar>, b: Mat3<Scalar>) -> R::Pose<Scalar> {
+        pose_of_any_turn::<R>(dx, a, b)
+    }
+
+    fn gradient<R: TangentRule>(
+        element: &Element,
+        dx: Vec3<Scalar>,
+        a: Mat3<Scalar>,
+        b: Mat3<Scalar>,
+    ) -> [Vec3<Scalar>; 3] {
+        let gradient = element.gradient_by::<R>(&ElementPose {
+            dx: dx.vector(),
+            rotation_a: &a.matrix(),
+            rotation_b: &b.matrix(),
+        });
+        [gradient.force, gradient.moment_a, gradient.moment_b].map(|v| Vec3::splat(Scalar, &v))
+    }
 }
 
 /// What a group of time nodes needs, a number in each lane.
@@ -196,6 +317,8 @@ pub(super) struct Workspace {
     pub out: Buffer,
     /// Curvature of the interval after each of the time nodes.
     pub intervals: Vec<IntervalCurvature>,
+    /// Inertia of every node where the interval after the one time node starts and where it ends, if it is not that at rest.
+    pub rotary: Option<[Vec<Vector3<f64>>; 2]>,
 }
 
 /// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
@@ -204,12 +327,6 @@ pub(super) const MULTIPLIER_ROWS: usize = 18;
 const OUT_ROWS: usize = 108;
 
 impl Workspace {
-    /// Where the lanes can linearize the motion.
-    pub fn of(arch: Arch, motion: &Motion) -> Option<Self> {
-        let n_lanes = dispatch(arch, CountLanes);
-        is_possible(motion).then(|| Self::new(motion, n_lanes))
-    }
-
     pub fn new(motion: &Motion, n_lanes: usize) -> Self {
         let n_nodes = motion.rod.n_nodes();
         let solve = SolveRows::of(motion, n_lanes);
@@ -227,6 +344,15 @@ impl Workspace {
             weights: Buffer::zeros(n_lanes),
             out: Buffer::zeros(OUT_ROWS * n_lanes),
             intervals: vec![IntervalCurvature::default(); n_lanes],
+            rotary: None,
+        }
+    }
+
+    /// Inertia of a node where the interval starts and where it ends, kg m².
+    pub fn rotary<'a>(&'a self, rod: &'a Rod, node: usize) -> [&'a Vector3<f64>; 2] {
+        match &self.rotary {
+            Some([leaving, arriving]) => [&leaving[node], &arriving[node]],
+            None => [&rod.nodes[node].rotary; 2],
         }
     }
 
@@ -286,12 +412,9 @@ fn put_time_node(
 
 /// Time nodes that are linearized together, one in each lane; the last one also fills lanes that are left.
 pub(super) struct Group<'a> {
-    pub motion: &'a Motion<'a>,
-    trajectory: &'a Trajectory,
-    multipliers: Option<&'a Multipliers<'a>>,
-    stretch: &'a RangeInclusive<usize>,
+    pub along: &'a Along<'a>,
     pub first: usize,
-    pub steps: &'a mut [PackedStep],
+    pub steps: &'a mut [LinearizedStep],
     pub workspace: &'a mut Workspace,
     scope: Scope,
 }
@@ -308,6 +431,12 @@ struct Regular {
     drifts: u64,
     /// Zero where they were not asked for.
     elements: u64,
+}
+
+impl Regular {
+    fn both(self) -> u64 {
+        self.drifts & self.elements
+    }
 }
 
 /// A [`Group`] under a strain rule.
@@ -330,33 +459,41 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Regular {
-        let mut group = self.group;
-        group.gather(S::F64_LANES);
-        group.prepare();
-        if group.workspace.solve.is_some() {
-            group.prepare_solve(S::F64_LANES);
-            let mut irregular = group.spins(simd);
-            if group.multipliers.is_some() {
-                irregular = irregular + group.bent_intervals::<S, R>(simd);
+        self.group.run::<S, R, MildTurn>(simd)
+    }
+}
+
+impl Group<'_> {
+    #[inline(always)]
+    fn run<S: Simd, R: TangentRule, P: Reach<S>>(mut self, simd: S) -> Regular {
+        self.gather(S::F64_LANES);
+        self.prepare();
+        let is_curved = self.along.multipliers.is_some();
+        let explicit = self.along.motion.rod.scheme == TimeScheme::Explicit;
+        if self.workspace.solve.is_some() {
+            self.prepare_solve(S::F64_LANES);
+            let mut irregular = self.spins::<S, P>(simd);
+            if is_curved {
+                irregular = irregular + self.bent_intervals::<S, R, P>(simd);
             }
-            if group.scope == Scope::All {
-                if group.multipliers.is_some() && group.motion.rod.scheme == TimeScheme::Explicit {
-                    irregular = irregular + group.elements::<S, R>(simd);
+            if self.scope == Scope::All {
+                if is_curved && explicit {
+                    irregular = irregular + self.elements::<S, R, P>(simd);
                 }
-                irregular = irregular + group.solved_elements::<S, R>(simd) + group.factors(simd);
+                irregular = irregular + self.solved_elements::<S, R, P>(simd) + self.factors(simd);
             }
-            let both = group.zeros(irregular);
+            let both = self.zeros(irregular);
             return Regular {
                 drifts: both,
                 elements: both,
             };
         }
-        let irregular = group.drifts(simd);
-        let drifts = group.zeros(irregular);
+        let irregular = self.drifts::<S, P>(simd);
+        let drifts = self.zeros(irregular);
         let mut elements = 0;
-        if group.scope == Scope::All {
-            let irregular = group.elements::<S, R>(simd);
-            elements = group.zeros(irregular);
+        if self.scope == Scope::All {
+            let irregular = self.elements::<S, R, P>(simd);
+            elements = self.zeros(irregular);
         }
         Regular { drifts, elements }
     }
@@ -369,35 +506,35 @@ impl Group<'_> {
     }
 
     pub fn kick(&self, k: usize) -> Kick {
-        kick(self.motion, self.stretch, k)
+        kick(self.along.motion, &self.along.stretch, k)
     }
 
     /// Whether an interval of the stretch begins at a time node.
     pub fn leaves(&self, k: usize) -> bool {
-        k < *self.stretch.end()
+        k < *self.along.stretch.end()
     }
 
     /// Whether one ends there.
     pub fn arrives(&self, k: usize) -> bool {
-        k > *self.stretch.start()
+        k > *self.along.stretch.start()
     }
 
     fn gather(&mut self, n_lanes: usize) {
-        let n_nodes = self.motion.rod.n_nodes();
-        let n_steps = self.motion.grid.n_steps;
+        let n_nodes = self.along.motion.rod.n_nodes();
+        let n_steps = self.along.motion.grid.n_steps;
         let last = self.time_node(n_lanes);
-        (self.workspace).put_poses(self.trajectory, self.first, last, n_lanes);
+        (self.workspace).put_poses(self.along.trajectory, self.first, last, n_lanes);
         for lane in 0..n_lanes {
             let k = self.time_node(lane);
             self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
-            let Some(multipliers) = self.multipliers else {
+            let Some(multipliers) = self.along.multipliers else {
                 continue;
             };
             for node in 0..n_nodes {
-                let (linear, angular) = multipliers.at(self.motion, k, node);
+                let (linear, angular) = multipliers.at(self.along.motion, k, node);
                 let (arriving_linear, arriving) =
-                    multipliers.arriving(self.motion, (k + 1).min(n_steps), node);
+                    multipliers.arriving(self.along.motion, (k + 1).min(n_steps), node);
                 let weight = workspace.weights[lane];
                 let vectors = [
                     linear * weight,
@@ -417,8 +554,8 @@ impl Group<'_> {
 
     /// All but drifts and elements, which the lanes fill in.
     fn prepare(&mut self) {
-        let rod = self.motion.rod;
-        let (motion, stretch) = (self.motion, self.stretch);
+        let rod = self.along.motion.rod;
+        let (motion, stretch) = (self.along.motion, &self.along.stretch);
         let solved = self.workspace.solve.is_some();
         let n_drifts = |k: usize| if k < *stretch.end() { rod.n_nodes() } else { 0 };
         for (step, k) in self.steps.iter_mut().zip(self.first..) {
@@ -426,11 +563,11 @@ impl Group<'_> {
             step.decay = kick.decay;
             step.weight = kick.weight;
             step.loads = pack_loads(
-                &load_derivatives(self.motion, self.trajectory, k),
+                &load_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
             step.acting = pack_acting(
-                &acting_derivatives(self.motion, self.trajectory, k),
+                &acting_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
             step.first_free_node = rod.first_free_node();
@@ -439,10 +576,10 @@ impl Group<'_> {
                 step.drifts.clear();
             } else {
                 step.solve.clear();
-                step.drifts.resize(n_drifts(k), PackedDrift::default());
+                step.drifts.resize(n_drifts(k), NodeDrift::default());
             }
             step.elements.resize(rod.n_elements(), [[0.0; 9]; 9]);
-            if self.multipliers.is_some() {
+            if self.along.multipliers.is_some() {
                 let curvature = step.curvature.get_or_insert_default();
                 // The terms of the elements themselves, where they have any, come next.
                 curvature.elements.clear();
@@ -487,26 +624,38 @@ impl Group<'_> {
 
     /// Counts what is irregular, lane by lane.
     #[inline(always)]
-    fn drifts<S: Simd>(&mut self, simd: S) -> Lanes<S> {
-        let Motion { rod, grid, .. } = *self.motion;
+    fn drifts<S: Simd, P: Reach<S>>(&mut self, simd: S) -> Lanes<S> {
+        let Motion { rod, grid, .. } = *self.along.motion;
+        let inertia = InertiaRule::of(rod.model, self.first);
         let Workspace {
-            poses, next, out, ..
+            poses,
+            next,
+            out,
+            rotary,
+            ..
         } = &mut *self.workspace;
         let (poses, next) = (rows::<S>(poses), rows::<S>(next));
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         let mut irregular = zero;
-        for (node, inertia) in rod.nodes.iter().enumerate() {
+        for (node, at_rest) in rod.nodes.iter().enumerate() {
             let before = NodePose::<S>::load(simd, &poses[node * POSE_ROWS..]).rotation;
             let after = NodePose::<S>::load(simd, &next[node * POSE_ROWS..]).rotation;
-            let drift = drift(&inertia.rotary, grid.step, before, after);
+            let h = grid.step;
+            let drift = match rotary {
+                Some([leaving, arriving]) if P::ALL && inertia == InertiaRule::Both => {
+                    drift_to(&arriving[node], &leaving[node], h, before, after)
+                }
+                Some([leaving, _]) if P::ALL => drift(&leaving[node], h, before, after),
+                _ => drift(&at_rest.rotary, h, before, after),
+            };
             // Also where it is no number.
             irregular = irregular
-                + drift.level.select_below(1.0 - ROUNDING, zero, one)
-                + (-drift.margin).select_below(-2.0 - ROUNDING, zero, one);
+                + drift.level.select_below(1.0 - P::MARGIN, zero, one)
+                + (-drift.margin).select_below(-2.0 - P::MARGIN, zero, one);
             store(out, 0, drift.turn_transposed);
             store(out, 9, drift.theta);
             store(out, 18, drift.momentum);
-            let mobility = grid.step / inertia.mass;
+            let mobility = grid.step / at_rest.mass;
             for (lane, step) in self.steps.iter_mut().enumerate() {
                 if let Some(packed) = step.drifts.get_mut(node) {
                     packed.mobility = mobility;
@@ -516,7 +665,10 @@ impl Group<'_> {
                 }
             }
         }
-        if self.multipliers.is_some() {
+        if P::ALL && rotary.is_some() && inertia != InertiaRule::Constant {
+            self.dilated_drifts();
+        }
+        if self.along.multipliers.is_some() {
             for node in 0..rod.n_nodes() {
                 self.inertia_curvatures(simd, node);
             }
@@ -527,6 +679,8 @@ impl Group<'_> {
     /// Curvatures of the inertia of a node over the intervals.
     #[inline(always)]
     pub fn inertia_curvatures<S: Simd>(&mut self, simd: S, node: usize) {
+        let rod = self.along.motion.rod;
+        let rotary = self.workspace.rotary(rod, node).map(|rotary| *rotary);
         let Workspace {
             poses,
             next,
@@ -542,10 +696,9 @@ impl Group<'_> {
             Vec3::load(simd, multipliers, 6),
             Vec3::load(simd, multipliers, 9),
         );
-        let rotary = &self.motion.rod.nodes[node].rotary;
         let turn = before.transposed_product(after);
-        let h = self.motion.grid.step;
-        let [own, mixed, far] = inertia_curvature([rotary; 2], h, turn, leaving, arriving);
+        let h = self.along.motion.grid.step;
+        let [own, mixed, far] = inertia_curvature(rotary.each_ref(), h, turn, leaving, arriving);
         store(out, 0, own);
         store(out, 9, mixed);
         store(out, 18, far);
@@ -565,9 +718,52 @@ impl Group<'_> {
         }
     }
 
+    /// The parts of all drifts that the dilatation of the elements has, of one time node.
+    fn dilated_drifts(&mut self) {
+        let Along {
+            motion, trajectory, ..
+        } = self.along;
+        if let Some([leaving, _]) = &self.workspace.rotary {
+            let step = &mut self.steps[0];
+            element_drifts(motion, trajectory, self.first, leaving, step);
+        }
+    }
+
+    /// Stiffnesses and curvatures of all elements, by whatever law and bent by whatever angle, at one time node.
+    fn all_elements(&mut self) {
+        let Along {
+            motion,
+            trajectory,
+            multipliers,
+            ..
+        } = self.along;
+        let (rod, k) = (motion.rod, self.first);
+        let weight = self.kick(k).weight;
+        let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        let step = &mut self.steps[0];
+        for (q, element) in rod.elements.iter().enumerate() {
+            let pose = Rod::element_pose(q, positions, rotations);
+            let (_, stiffness) = element.stiffness(rod.strain_rule, &pose);
+            step.elements[q] = square(&(stiffness * weight));
+            if let (Some(multipliers), Some(packed)) = (multipliers, &mut step.curvature) {
+                let [a, b] = [q, q + 1].map(|node| multipliers.at(motion, k, node));
+                // The element pulls a with +F and b with -F, and turns them with -M.
+                let parts = [a.0 - b.0, -a.1, -b.1].map(|part| part * weight);
+                let covector = SVector::from_iterator(parts.iter().flatten().copied());
+                let curvature =
+                    element_curvature(element, rod.strain_rule, &pose, &stiffness, &covector);
+                add_reordered(&mut packed.elements[q], &curvature);
+            }
+        }
+    }
+
     /// Counts what is irregular, lane by lane.
     #[inline(always)]
-    fn elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+    fn elements<S: Simd, R: TangentRule, P: Reach<S>>(&mut self, simd: S) -> Lanes<S> {
+        if P::ALL {
+            self.all_elements();
+            return Lanes::splat(simd, 0.0);
+        }
         let Workspace {
             poses,
             multipliers,
@@ -583,9 +779,9 @@ impl Group<'_> {
         };
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         let mut irregular = zero;
-        let curved = self.multipliers.is_some();
+        let curved = self.along.multipliers.is_some();
         let mut found = [[[Mat3::zero(simd); 3]; 3]; 3];
-        for (q, element) in self.motion.rod.elements.iter().enumerate() {
+        for (q, element) in self.along.motion.rod.elements.iter().enumerate() {
             let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
             let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
             let dx = b.position - a.position;

@@ -2,8 +2,7 @@
 //!
 //! All columns share the linearization of every step, so it is computed once and applied to tiles of [`TILE`] columns
 //! that lie next to each other in memory (column index fastest). The kernels are written once over [`pulp`]'s vectors and
-//! dispatched at run time; [`form_values`](super::linearization::form_values) and
-//! [`adjoint_sweep`](super::linearization::adjoint_sweep) are their clear counterparts and test oracles.
+//! dispatched at run time; the tests have plain counterparts.
 //!
 //! Two routes lead to the same table of forms and columns ([`Route`]): the columns go forward and are read where a form is,
 //! skipped as long as their control has not begun to act; or the forms go backward, and their covectors are read where a
@@ -11,19 +10,20 @@
 //!
 //! On request the forward sweep reduces the second derivative of the Lagrangian to the columns as well, `H = Σ_k Z_kᵀ Q_k Z`:
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
-//! `H` over a batch of time nodes. [`lagrangian_curvature`](super::curvature::lagrangian_curvature) is the oracle.
+//! `H` over a batch of time nodes.
 
 mod arriving;
 mod bent;
 mod columns;
 mod conveyor;
+mod dilated;
 mod linearize;
-mod packed;
 mod reduction;
 mod repeated;
 mod residual;
 mod reverse;
 mod solved;
+mod step;
 mod team;
 mod tile;
 
@@ -34,7 +34,7 @@ use faer::Mat;
 use pulp::Arch;
 
 use self::conveyor::{Conveyor, PIECE, Sense, parts_of};
-use self::packed::PackedStep;
+use self::linearize::{Along, Memory};
 use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
 use self::team::{lock, read, write};
@@ -50,6 +50,9 @@ use super::step_error::StepError;
 
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
+pub use self::step::{
+    ElementDrift, LinearizedStep, NodeDrift, NodeSpin, ReactionDrift, SolvedDrift,
+};
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.
 pub const TILE: usize = 16;
@@ -145,7 +148,9 @@ pub fn sensitivities(
     }
 }
 
-/// [`adjoint_sweep`](super::linearization::adjoint_sweep) by the kernels: the same to rounding.
+/// Pulls the sum of `forms` (in ascending order of time, weights multiplied in) back through the linearized equations of motion:
+/// their value on the answer to a control and [`RightHandSide`] is the sum of [wrenches](AdjointSweep::wrench) times control, of
+/// the rows times sources, and of the covector of the start times the deviation there.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -186,7 +191,8 @@ pub fn adjoint(
     Ok(sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0)))
 }
 
-/// [`forward_sweep`](super::linearization::forward_sweep) by the kernels: the same to rounding.
+/// Solves the linearized equations of motion forward for one change of the control and of their right-hand side, the state at
+/// the start included. Returns the direction at every time node and `(δp, δπ)` at the end.
 ///
 /// # Errors
 /// [`StepError`] where the trajectory cannot be linearized.
@@ -227,14 +233,53 @@ pub fn direction(
         },
     )?;
     let (tile, direction) = sweep.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let part = |part: usize| (0..n_nodes).map(|node| tile.sum(node, part)).collect();
-    let end = StateTangent {
-        positions: part(0),
-        rotations: part(3),
-        linear: part(6),
-        angular: part(9),
+    Ok((direction, tile.sums(n_nodes)))
+}
+
+/// Linearizes a motion at all time nodes.
+///
+/// # Errors
+/// [`StepError`] where the trajectory cannot be linearized.
+pub fn linearized_steps(
+    motion: &Motion,
+    trajectory: &Trajectory,
+) -> Result<Vec<LinearizedStep>, StepError> {
+    let mut steps = Vec::new();
+    steps.resize_with(motion.grid.n_steps + 1, LinearizedStep::default);
+    let along = Along {
+        motion,
+        trajectory,
+        multipliers: None,
+        stretch: 0..=motion.grid.n_steps,
     };
-    Ok((direction, end))
+    let arch = Arch::new();
+    Memory::of(arch, motion).linearize(arch, &along, 0, &mut steps)?;
+    Ok(steps)
+}
+
+/// The state at the end of a motion of the given [linearized steps](linearized_steps), as [`direction`] returns it.
+#[must_use]
+pub fn carried(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    steps: &[LinearizedStep],
+    sources: &RightHandSide,
+    control_change: &ControlSignal,
+) -> StateTangent {
+    let task = Task {
+        motion,
+        trajectory,
+        sources: &[sources],
+        columns: &OneColumn(control_change),
+        forms: &[],
+        n_threads: 1,
+    };
+    let arch = Arch::new();
+    let mut tile = Tile::new(&task, 0, None);
+    for (k, step) in steps.iter().enumerate() {
+        tile.advance(arch, step, k, &task);
+    }
+    tile.sums(motion.rod.n_nodes())
 }
 
 /// The linearized motion over a stretch of time nodes.
@@ -316,7 +361,7 @@ pub fn transition_by(
     let arch = Arch::new();
     let last = range.end;
     let mut conveyor = task.conveyor(None, range.start..last + 1, Sense::Forward);
-    conveyor.stretch = range.start..=last;
+    conveyor.along.stretch = range.start..=last;
     conveyor.run(
         1,
         |_| n_tiles,
@@ -445,11 +490,13 @@ impl Task<'_> {
         sense: Sense,
     ) -> Conveyor<'a> {
         Conveyor {
-            motion: self.motion,
-            trajectory: self.trajectory,
-            multipliers,
+            along: Along {
+                motion: self.motion,
+                trajectory: self.trajectory,
+                multipliers,
+                stretch: 0..=self.motion.grid.n_steps,
+            },
             range,
-            stretch: 0..=self.motion.grid.n_steps,
             sense,
             n_threads: self.n_threads,
         }
@@ -571,7 +618,7 @@ impl Task<'_> {
 /// Floating-point operations of one time node on the columns of a tile that reach so many nodes: 9×9 per element (multiply and add) with its
 /// scatter, four 3×3 products and the translation per node; the former once more and three 6×6 products per node where a step is
 /// solved for.
-fn step_flops(step: &PackedStep, n_nodes: usize) -> u64 {
+fn step_flops(step: &LinearizedStep, n_nodes: usize) -> u64 {
     let n_elements = step.elements.len().min(n_nodes);
     let mut flops = n_elements * (162 + 15) + n_nodes * (72 + 12);
     if !step.solve.is_empty() {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use faer::Mat;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::packed::PackedCurvature;
+use super::step::StepCurvature;
 use super::tile::Tile;
 use super::{BATCH, TILE};
 use crate::mechanics::buffer::Buffer;
@@ -94,7 +94,7 @@ impl<'a> Record<'a> {
     }
 
     /// `Q z` of a slot whose two neighbors are filled; returns the number of operations.
-    pub fn multiply(&mut self, arch: Arch, curvature: &PackedCurvature, slot: usize) -> u64 {
+    pub fn multiply(&mut self, arch: Arch, curvature: &StepCurvature, slot: usize) -> u64 {
         let size = self.n_rows * TILE;
         arch.dispatch(Multiply {
             curvature,
@@ -146,7 +146,7 @@ impl WithSimd for Keep<'_> {
 
 /// `Q z` at one time node, for all columns of a tile.
 struct Multiply<'a> {
-    curvature: &'a PackedCurvature,
+    curvature: &'a StepCurvature,
     /// Three slots: the time node before, this one, the next.
     rows: &'a [f64],
     product: &'a mut [f64],
@@ -402,7 +402,7 @@ mod tests {
         let coefficients = numbers(6 * 81 + 3 * 18, 2);
         let mut next = coefficients.into_iter().cycle();
         let mut take = || next.next().unwrap_or_default();
-        let curvature = PackedCurvature {
+        let curvature = StepCurvature {
             elements: (0..n_nodes - 1)
                 .map(|_| std::array::from_fn(|_| std::array::from_fn(|_| take())))
                 .collect(),

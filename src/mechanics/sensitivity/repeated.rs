@@ -5,9 +5,9 @@ use faer::Mat;
 use pulp::Arch;
 
 use super::conveyor::PIECE;
-use super::linearize::{Workspace, linearize_in};
-use super::packed::PackedStep;
+use super::linearize::{Along, Memory};
 use super::reverse::ReverseTile;
+use super::step::LinearizedStep;
 use super::tile::Tile;
 use super::{ConstantColumns, ControlColumns, InputVisitor, TILE, Task};
 use crate::mechanics::configuration::Trajectory;
@@ -19,8 +19,8 @@ use crate::mechanics::step_error::StepError;
 /// [`sensitivities`](super::sensitivities) to the bit.
 #[derive(Debug)]
 pub struct RepeatedReverse {
-    lanes: Option<Workspace>,
-    steps: Vec<PackedStep>,
+    memory: Memory,
+    steps: Vec<LinearizedStep>,
     tiles: Vec<ReverseTile>,
     first_row: usize,
 }
@@ -37,9 +37,9 @@ impl RepeatedReverse {
         let task = task(motion, trajectory, columns, forms);
         let n_tiles = forms.len().div_ceil(TILE);
         let mut steps = Vec::new();
-        steps.resize_with(PIECE, PackedStep::default);
+        steps.resize_with(PIECE, LinearizedStep::default);
         Self {
-            lanes: Workspace::of(Arch::new(), motion),
+            memory: Memory::of(Arch::new(), motion),
             steps,
             tiles: (0..n_tiles)
                 .map(|index| ReverseTile::new(&task, index * TILE))
@@ -65,17 +65,14 @@ impl RepeatedReverse {
             tile.restart(forms);
         }
         let n_times = task.n_times();
+        let along = whole(motion, trajectory);
         for piece in (0..n_times.div_ceil(PIECE)).rev() {
             let range = piece * PIECE..n_times.min((piece + 1) * PIECE);
             if let Some(stop) = motion.stop {
                 stop.check_at(range.start)?;
             }
             let steps = &mut self.steps[..range.len()];
-            let (lanes, first) = (&mut self.lanes, range.start);
-            let stretch = 0..=motion.grid.n_steps;
-            linearize_in(
-                lanes, arch, motion, trajectory, None, &stretch, first, steps,
-            )?;
+            self.memory.linearize(arch, &along, range.start, steps)?;
             for tile in &mut self.tiles {
                 for (step, k) in steps.iter().zip(range.clone()).rev() {
                     tile.advance(arch, step, k, &task);
@@ -100,8 +97,8 @@ impl RepeatedReverse {
 
 /// The linearized motion over a whole grid, as [`transition_by`](super::transition_by) gives it, on one thread.
 pub struct RepeatedForward {
-    lanes: Option<Workspace>,
-    steps: Vec<PackedStep>,
+    memory: Memory,
+    steps: Vec<LinearizedStep>,
     tiles: Vec<Tile<'static>>,
     n_inputs: usize,
     first_row: usize,
@@ -122,9 +119,9 @@ impl RepeatedForward {
         };
         let task = task(motion, trajectory, &columns, &[]);
         let mut steps = Vec::new();
-        steps.resize_with(PIECE, PackedStep::default);
+        steps.resize_with(PIECE, LinearizedStep::default);
         Self {
-            lanes: Workspace::of(Arch::new(), motion),
+            memory: Memory::of(Arch::new(), motion),
             steps,
             tiles: (0..(size + n_inputs).div_ceil(TILE))
                 .map(|index| Tile::new(&task, index * TILE, None))
@@ -159,23 +156,14 @@ impl RepeatedForward {
             }
         }
         let n_times = motion.grid.n_steps + 1;
-        let stretch = 0..=motion.grid.n_steps;
+        let along = whole(motion, trajectory);
         for start in (0..n_times).step_by(PIECE) {
             if let Some(stop) = motion.stop {
                 stop.check_at(start)?;
             }
             let range = start..n_times.min(start + PIECE);
             let steps = &mut self.steps[..range.len()];
-            linearize_in(
-                &mut self.lanes,
-                arch,
-                motion,
-                trajectory,
-                None,
-                &stretch,
-                start,
-                steps,
-            )?;
+            self.memory.linearize(arch, &along, start, steps)?;
             for tile in &mut self.tiles {
                 for (step, k) in steps.iter().zip(range.clone()) {
                     tile.advance(arch, step, k, &task);
@@ -197,6 +185,16 @@ impl RepeatedForward {
                 *out = tile.component(self.first_row + row, column % TILE);
             }
         }
+    }
+}
+
+/// A motion over its whole grid.
+fn whole<'a>(motion: &'a Motion<'a>, trajectory: &'a Trajectory) -> Along<'a> {
+    Along {
+        motion,
+        trajectory,
+        multipliers: None,
+        stretch: 0..=motion.grid.n_steps,
     }
 }
 

@@ -1,29 +1,31 @@
-//! The defects of (77) and (81) along a trajectory, one time node in each lane of a vector.
+//! The defects of (77) and (81) along a trajectory, one time node in each lane of a vector where [vectors](super::linearize) know the rod.
 
 use std::marker::PhantomData;
 
 use nalgebra::Vector3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use super::linearize::{ROUNDING, Workspace, is_possible};
+use super::linearize::{AnyTurn, MildTurn, Reach, Workspace, is_possible, turn_error};
 use super::solved::{Weights, element_at};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::StrainRule;
 use crate::mechanics::element::{Helical, Law, TangentRule, Trapezoidal};
-use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift};
+use crate::mechanics::guards::not_finite;
+use crate::mechanics::inertia::InertiaRule;
+use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
-use crate::mechanics::linearization::{self, Defects, Kick, Motion};
+use crate::mechanics::linearization::{Defects, Kick, Motion};
 use crate::mechanics::rod::Rod;
+use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::step_error::StepError;
 
-/// [`linearization::defects`] in lanes: the same to rounding, on every instruction set to the bit. What lanes do not know is left
-/// to it.
+/// Evaluates the defects of a trajectory under a control; on every instruction set the same to the bit.
 ///
 /// # Errors
-/// As [`linearization::defects`].
+/// [`StepError`] where a node turns a quarter turn or more within a step, or where something is not finite.
 pub fn defects(
     motion: &Motion,
     trajectory: &Trajectory,
@@ -36,32 +38,29 @@ pub fn defects(
         along = control.along(motion.rod, &motion.grid, trajectory);
         &along
     };
-    let found = is_possible(motion).then(|| in_lanes(Arch::new(), motion, trajectory, control));
-    match found.flatten() {
-        Some(found) => Ok(found),
-        None => linearization::defects(motion, trajectory, control),
-    }
+    let in_lanes = is_possible(motion);
+    defects_on(Arch::new(), in_lanes, motion, trajectory, control)
 }
 
 /// Of a node: elastic force and moment, angular momentum that leaves and that arrives.
 const OUT_ROWS: usize = 12;
 
-/// `None` where a node turns too far, an element's ends are near half a turn, or something is not finite.
-pub(super) fn in_lanes(
+/// [`defects`] on an instruction set, under a control without actuators of one's own; one time node in each lane, or each by itself.
+pub(super) fn defects_on(
     arch: Arch,
+    in_lanes: bool,
     motion: &Motion,
     trajectory: &Trajectory,
     control: &ControlSignal,
-) -> Option<Defects> {
+) -> Result<Defects, StepError> {
     let Motion {
         rod, grid, initial, ..
     } = *motion;
     let (n, h) = (rod.n_nodes(), grid.step);
     let first = rod.first_free_node();
-    let n_lanes = dispatch(arch, CountLanes);
-    let mut workspace = Workspace::new(motion, n_lanes);
-    let solved = workspace.solve.is_some();
-    let mut out = Buffer::zeros(n * OUT_ROWS * n_lanes);
+    let mut many = in_lanes.then(|| Memory::new(motion, dispatch(arch, CountLanes)));
+    let mut single = None;
+    let n_lanes = many.as_ref().map_or(1, |memory| memory.n_lanes);
     let zeros = vec![Vector3::zeros(); n * grid.n_steps];
     let mut defects = Defects {
         linear: zeros.clone(),
@@ -75,40 +74,35 @@ pub(super) fn in_lanes(
     let mut moments = forces.clone();
     let mut probe = 0.0;
     for start in (0..=grid.n_steps).step_by(n_lanes) {
-        let last = (start + n_lanes - 1).min(grid.n_steps);
-        workspace.put_poses(trajectory, start, last, n_lanes);
-        if let Some(solve) = &mut workspace.solve {
-            for lane in 0..n_lanes {
-                let k = (start + lane).min(grid.n_steps);
-                let ends = [k < grid.n_steps, k > 0];
-                solve.put_weights(motion, (lane, n_lanes), &motion.kick(k), ends);
-            }
-        }
-        let group = Group {
-            rod,
-            h,
-            workspace: &workspace,
-            out: &mut out,
-        };
-        let regular = match rod.strain_rule {
-            StrainRule::Helical => dispatch(arch, Ruled(group, PhantomData::<Helical>)),
-            StrainRule::Trapezoidal => dispatch(arch, Ruled(group, PhantomData::<Trapezoidal>)),
-        };
-        if !regular {
-            return None;
-        }
-        for (lane, k) in (start..=grid.n_steps).take(n_lanes).enumerate() {
-            let of = |q: usize, part: usize| {
-                Vector3::from_fn(|axis, _| out[(q * OUT_ROWS + part + axis) * n_lanes + lane])
+        let end = (start + n_lanes - 1).min(grid.n_steps);
+        let regular = (many.as_mut())
+            .is_some_and(|memory| memory.evaluate_many(arch, motion, trajectory, start, end));
+        for (lane, k) in (start..=end).enumerate() {
+            let (memory, lane) = match &many {
+                Some(memory) if regular => (memory, lane),
+                _ => {
+                    let memory = single.get_or_insert_with(|| Memory::new(motion, 1));
+                    memory.evaluate_one(motion, trajectory, k)?;
+                    (&*memory, 0)
+                }
             };
-            let Kick { decay, weight, .. } = motion.kick(k);
+            let of = |q: usize, part: usize| memory.of(q, part, lane);
+            let Kick {
+                decay,
+                weight,
+                impulse,
+            } = motion.kick(k);
             // Of the elements: forces, or impulses where steps are solved for.
-            let kick = if solved { 1.0 } else { weight };
+            let kick = if memory.workspace.solve.is_some() {
+                1.0
+            } else {
+                weight
+            };
             for (q, node) in rod.nodes.iter().enumerate() {
                 forces[q] = rod.gravity * node.mass;
                 moments[q] = Vector3::zeros();
             }
-            let rotations = trajectory.rotations_at(k);
+            let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
             for load in &rod.loads {
                 let wrench = load.wrench_at_node(&grid.node(k), &rotations[load.node]);
                 forces[load.node] += wrench.force;
@@ -118,32 +112,145 @@ pub(super) fn in_lanes(
                 forces[node] += wrench.force;
                 moments[node] += wrench.moment;
             }
-            let (positions, last) = (trajectory.positions_at(k), k == grid.n_steps);
             for q in first..n {
-                let kicked = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
-                let turned = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
-                if last {
-                    (p[q], pi[q]) = (kicked, turned);
-                    continue;
+                p[q] = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
+                pi[q] = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
+            }
+            if k == grid.n_steps {
+                break;
+            }
+            let rule = InertiaRule::of(rod.model, k);
+            let react = |at: InertiaRule, factor: f64, p: &mut [Vector3<f64>]| {
+                if rule == at {
+                    let turn = |q: usize| &memory.turns[q];
+                    let there = trajectory.positions_at(k + usize::from(at == InertiaRule::End));
+                    rod.add_kinetic_reaction(there, turn, factor, h, p);
                 }
-                let step = trajectory.positions_at(k + 1)[q] - positions[q];
-                let moving = step * (rod.nodes[q].mass / h);
+            };
+            react(InertiaRule::Start, impulse, p);
+            let next = trajectory.positions_at(k + 1);
+            for q in first..n {
+                let moving = (next[q] - positions[q]) * (rod.nodes[q].mass / h);
                 let row = k * n + q;
-                defects.linear[row] = moving - kicked;
-                defects.angular[row] = of(q, 6) - turned;
+                defects.linear[row] = moving - p[q];
+                defects.angular[row] = of(q, 6) - pi[q];
                 probe += (defects.linear[row] + defects.angular[row]).sum();
                 p[q] = moving;
                 pi[q] = of(q, 9);
             }
+            react(InertiaRule::End, motion.arriving_impulse(), p);
         }
     }
-    f64::is_finite(probe).then_some(defects)
+    if f64::is_finite(probe) {
+        return Ok(defects);
+    }
+    let rows = defects.linear.iter().zip(&defects.angular);
+    let row = rows.map(|(linear, angular)| (linear + angular).sum());
+    let row = row
+        .enumerate()
+        .find_map(|(row, sum)| (!f64::is_finite(sum)).then_some(row));
+    let row = row.unwrap_or_default();
+    let what = "the residual of the equations of motion";
+    Err(not_finite(row % n, row / n, grid.time(row / n), what))
+}
+
+/// Time nodes, one in each lane, and what is found of them.
+struct Memory {
+    workspace: Workspace,
+    out: Buffer,
+    n_lanes: usize,
+    /// Cayley vectors of the nodes over the step from the one time node on, if the inertia reacts to them.
+    turns: Vec<Vector3<f64>>,
+}
+
+impl Memory {
+    fn new(motion: &Motion, n_lanes: usize) -> Self {
+        Self {
+            workspace: Workspace::new(motion, n_lanes),
+            out: Buffer::zeros(motion.rod.n_nodes() * OUT_ROWS * n_lanes),
+            n_lanes,
+            turns: Vec::new(),
+        }
+    }
+
+    /// Three of the [`OUT_ROWS`] of node `q`.
+    fn of(&self, q: usize, part: usize, lane: usize) -> Vector3<f64> {
+        let row = q * OUT_ROWS + part;
+        Vector3::from_fn(|axis, _| self.out[(row + axis) * self.n_lanes + lane])
+    }
+
+    fn gather(&mut self, motion: &Motion, trajectory: &Trajectory, start: usize, end: usize) {
+        let (n_lanes, n_steps) = (self.n_lanes, motion.grid.n_steps);
+        self.workspace.put_poses(trajectory, start, end, n_lanes);
+        if let Some(solve) = &mut self.workspace.solve {
+            for lane in 0..n_lanes {
+                let k = (start + lane).min(n_steps);
+                let ends = [k < n_steps, k > 0];
+                solve.put_weights(motion, (lane, n_lanes), &motion.kick(k), ends);
+            }
+        }
+    }
+
+    /// Time nodes from `start` to `end`; false where one of them is to be evaluated by itself.
+    fn evaluate_many(
+        &mut self,
+        arch: Arch,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        start: usize,
+        end: usize,
+    ) -> bool {
+        self.gather(motion, trajectory, start, end);
+        let group = self.group(motion, start);
+        match motion.rod.strain_rule {
+            StrainRule::Helical => dispatch(arch, Ruled(group, PhantomData::<Helical>)),
+            StrainRule::Trapezoidal => dispatch(arch, Ruled(group, PhantomData::<Trapezoidal>)),
+        }
+    }
+
+    /// One time node of any motion.
+    fn evaluate_one(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        k: usize,
+    ) -> Result<(), StepError> {
+        let rod = motion.rod;
+        let moves = k < motion.grid.n_steps;
+        let rule = InertiaRule::of(rod.model, k);
+        self.workspace.rotary =
+            (moves && rule != InertiaRule::Constant).then(|| motion.inertia(trajectory, k));
+        self.turns.clear();
+        if moves && matches!(rule, InertiaRule::Start | InertiaRule::End) {
+            let ends = (trajectory.rotations_at(k).iter()).zip(trajectory.rotations_at(k + 1));
+            (self.turns).extend(ends.map(|(before, after)| cay_inverse(&before.tr_mul(after))));
+        }
+        self.gather(motion, trajectory, k, k);
+        let group = self.group(motion, k);
+        let regular = match rod.strain_rule {
+            StrainRule::Helical => group.run::<Scalar, Helical, AnyTurn>(Scalar),
+            StrainRule::Trapezoidal => group.run::<Scalar, Trapezoidal, AnyTurn>(Scalar),
+        };
+        let error = (!regular && moves).then(|| turn_error(motion, trajectory, k));
+        error.flatten().map_or(Ok(()), Err)
+    }
+
+    fn group<'a>(&'a mut self, motion: &'a Motion<'a>, first: usize) -> Group<'a> {
+        Group {
+            rod: motion.rod,
+            h: motion.grid.step,
+            inertia: InertiaRule::of(motion.rod.model, first),
+            workspace: &self.workspace,
+            out: &mut self.out,
+        }
+    }
 }
 
 /// Time nodes whose forces and momenta are found together.
 struct Group<'a> {
     rod: &'a Rod,
     h: f64,
+    inertia: InertiaRule,
     workspace: &'a Workspace,
     out: &'a mut [f64],
 }
@@ -156,12 +263,20 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> bool {
+        self.0.run::<S, R, MildTurn>(simd)
+    }
+}
+
+impl Group<'_> {
+    #[inline(always)]
+    fn run<S: Simd, R: TangentRule, P: Reach<S>>(self, simd: S) -> bool {
         let Group {
             rod,
             h,
+            inertia,
             workspace,
             out,
-        } = self.0;
+        } = self;
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
         let before = rows::<S>(&workspace.before);
         let weights: Option<Weights<S>> =
@@ -173,15 +288,21 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
         let (mut pull, mut twist) = (Vec3::zero(simd), Vec3::zero(simd));
         for (q, node) in rod.nodes.iter().enumerate() {
             let after = NodePose::<S>::load(simd, &next[q * POSE_ROWS..]).rotation;
-            let drift = drift(&node.rotary, h, a.rotation, after);
+            let drift = match &workspace.rotary {
+                Some([leaving, arriving]) if P::ALL && inertia == InertiaRule::Both => {
+                    drift_to(&arriving[q], &leaving[q], h, a.rotation, after)
+                }
+                Some([leaving, _]) if P::ALL => drift(&leaving[q], h, a.rotation, after),
+                _ => drift(&node.rotary, h, a.rotation, after),
+            };
             irregular = irregular
-                + drift.level.select_below(1.0 - ROUNDING, zero, one)
-                + (-drift.margin).select_below(-2.0 - ROUNDING, zero, one);
+                + drift.level.select_below(1.0 - P::MARGIN, zero, one)
+                + (-drift.margin).select_below(-2.0 - P::MARGIN, zero, one);
             let (mut force, mut moment) = (-pull, -twist);
             if let (Some(element), Some(weights)) = (rod.elements.get(q), &weights) {
-                let (here, folded_here) = element_at::<S, R>(simd, poses, q);
-                let (there, folded_there) = element_at::<S, R>(simd, next, q);
-                let (last, folded_last) = element_at::<S, R>(simd, before, q);
+                let (here, folded_here) = element_at::<S, R, P>(simd, poses, q);
+                let (there, folded_there) = element_at::<S, R, P>(simd, next, q);
+                let (last, folded_last) = element_at::<S, R, P>(simd, before, q);
                 irregular = irregular + folded_here + folded_there + folded_last;
                 let law = Law::of::<R>(simd, element);
                 let strain = weights.strain::<R>(&law, &here, &there, &last);
@@ -192,10 +313,12 @@ impl<R: TangentRule> WithSimd for Ruled<'_, R> {
                 a = NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]);
             } else if let Some(element) = rod.elements.get(q) {
                 let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
-                let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
-                irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
+                if !P::ALL {
+                    let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
+                    irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
+                }
                 let dx = b.position - a.position;
-                let [f, m_a, m_b] = R::gradient(element, dx, a.rotation, b.rotation);
+                let [f, m_a, m_b] = P::gradient::<R>(element, dx, a.rotation, b.rotation);
                 force = force + f;
                 moment = moment - m_a;
                 (pull, twist) = (f, m_b);

@@ -5,7 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
-use super::packed::{PackedSolve, PackedStep};
+use super::step::{LinearizedStep, SolvedDrift};
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
@@ -67,7 +67,7 @@ impl ReverseTile {
 
     /// One time node: the drift to the next, what acts after the kick, the kick, and the forms before it; at the end the
     /// forms come first.
-    pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
+    pub fn advance(&mut self, arch: Arch, step: &LinearizedStep, k: usize, task: &Task) {
         if k > self.last {
             return;
         }
@@ -119,7 +119,7 @@ impl ReverseTile {
     }
 
     /// The forms of this time node; held nodes have no tangent.
-    fn join(&mut self, step: &PackedStep, k: usize, task: &Task) {
+    fn join(&mut self, step: &LinearizedStep, k: usize, task: &Task) {
         for index in forms_at(task.forms, k) {
             let place = match self.sum {
                 Some(_) => Some(0),
@@ -182,7 +182,7 @@ impl ReverseTile {
     }
 
     /// Values of the forms along sources and control columns.
-    fn read(&mut self, step: &PackedStep, k: usize, task: &Task) {
+    fn read(&mut self, step: &LinearizedStep, k: usize, task: &Task) {
         let n_nodes = task.motion.rod.n_nodes();
         let (data, values) = (&self.data, &mut self.values);
         let mut add = |column: usize, node: usize, component: usize, factor: f64| {
@@ -217,7 +217,7 @@ fn first_places(data: &[f64], part: usize, vectors: &mut [Vector3<f64>]) {
 
 /// `(x, ζ) += Kᵀ λ`, then `λ ← decay λ`, for all forms of a tile.
 struct KickTransposed<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
 }
@@ -303,7 +303,7 @@ fn pull_element<S: Simd, const V: usize>(
 
 /// `p += (h/m) x`, `π ← Mᵀ π + Θᵀ ζ`, `ζ ← F ζ`, for all forms of a tile.
 struct DriftTransposed<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
 }
@@ -351,7 +351,7 @@ impl WithSimd for DriftTransposed<'_> {
 
 /// The transpose of the drift with elements that couple the drifts of their ends, or that is solved for.
 struct CoupledDriftTransposed<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
     increments: &'a mut [f64],
@@ -463,7 +463,7 @@ impl<S: Simd> Columns<'_, S> {
 
     /// The increments are the covectors of the arriving momenta. All vectors of the tile, one after the other at every node.
     #[inline(always)]
-    fn drift_solved_transposed(&mut self, solve: &PackedSolve) {
+    fn drift_solved_transposed(&mut self, solve: &SolvedDrift) {
         for node in 0..solve.nodes.len() {
             for_all_vectors!(self.at, self.used, V => self.solve_upper_transposed::<V>(solve, node));
         }
@@ -475,7 +475,7 @@ impl<S: Simd> Columns<'_, S> {
     /// From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration that is
     /// carried.
     #[inline(always)]
-    fn solve_upper_transposed<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+    fn solve_upper_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         let spin = &solve.nodes[node];
         let (linear, angular): ([Wide<S, V>; 3], _) = (self.get(node, 6), self.get(node, 9));
         self.set_increment(node, 0, linear);
@@ -505,7 +505,7 @@ impl<S: Simd> Columns<'_, S> {
 
     /// And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
     #[inline(always)]
-    fn solve_lower_transposed<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+    fn solve_lower_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         if let Some(i) = node.checked_sub(self.step.first_free_node) {
             let mut right: [Wide<S, V>; 6] = self.get(node, 6);
             if let Some(below) = solve.below.get(i) {

@@ -11,11 +11,11 @@
 //!
 //! and the weights of both impulses add up to that of the kick: either scheme has the elastic stress of the time node with the kick's
 //! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is the only
-//! other matrix of an element; see [`PackedSolve`](super::packed::PackedSolve).
+//! other matrix of an element; see [`SolvedDrift`](super::step::SolvedDrift).
 
 use pulp::Simd;
 
-use super::linearize::{Group, ROUNDING, matrix, scatter, store, store_block};
+use super::linearize::{Group, Reach, matrix, scatter, store, store_block};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{Blocks, Law, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
@@ -131,15 +131,15 @@ type Square<S> = [[Mat3<S>; 2]; 2];
 impl Group<'_> {
     /// Weights and memory of the time nodes.
     pub(super) fn prepare_solve(&mut self, n_lanes: usize) {
-        let n_nodes = self.motion.rod.n_nodes();
-        let n_elements = self.motion.rod.n_elements();
-        let n_free = n_nodes - self.motion.rod.first_free_node();
+        let n_nodes = self.along.motion.rod.n_nodes();
+        let n_elements = self.along.motion.rod.n_elements();
+        let n_free = n_nodes - self.along.motion.rod.first_free_node();
         for lane in 0..n_lanes {
             let k = self.time_node(lane);
             let kick = self.kick(k);
             let ends = [self.leaves(k), self.arrives(k)];
             if let Some(solve) = &mut self.workspace.solve {
-                solve.put_weights(self.motion, (lane, n_lanes), &kick, ends);
+                solve.put_weights(self.along.motion, (lane, n_lanes), &kick, ends);
             }
         }
         let ratio = self.workspace.solve.as_ref().map_or(0.0, |s| s.ratio);
@@ -158,16 +158,16 @@ impl Group<'_> {
 
     /// Spins of the nodes; counts what is irregular, lane by lane.
     #[inline(always)]
-    pub(super) fn spins<S: Simd>(&mut self, simd: S) -> Lanes<S> {
+    pub(super) fn spins<S: Simd, P: Reach<S>>(&mut self, simd: S) -> Lanes<S> {
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         let mut irregular = zero;
-        let h = self.motion.grid.step;
+        let h = self.along.motion.grid.step;
         let workspace = &mut *self.workspace;
         let Some(solve) = &mut workspace.solve else {
             return irregular;
         };
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
-        for (q, node) in self.motion.rod.nodes.iter().enumerate() {
+        for (q, node) in self.along.motion.rod.nodes.iter().enumerate() {
             let before = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]).rotation;
             let after = NodePose::<S>::load(simd, &next[q * POSE_ROWS..]).rotation;
             let Spin {
@@ -178,8 +178,8 @@ impl Group<'_> {
                 margin,
             } = spin(&node.rotary, h, before, after);
             irregular = irregular
-                + level.select_below(1.0 - ROUNDING, zero, one)
-                + (-margin).select_below(-2.0 - ROUNDING, zero, one);
+                + level.select_below(1.0 - P::MARGIN, zero, one)
+                + (-margin).select_below(-2.0 - P::MARGIN, zero, one);
             store::<S>(&mut solve.spins, q * SPIN_ROWS, turn_transposed);
             store::<S>(&mut solve.spins, q * SPIN_ROWS + 9, inertia);
             store::<S>(&mut workspace.out, 0, arriving);
@@ -197,7 +197,10 @@ impl Group<'_> {
 
     /// Stiffnesses and couplings of the elements; counts what is irregular.
     #[inline(always)]
-    pub(super) fn solved_elements<S: Simd, R: TangentRule>(&mut self, simd: S) -> Lanes<S> {
+    pub(super) fn solved_elements<S: Simd, R: TangentRule, P: Reach<S>>(
+        &mut self,
+        simd: S,
+    ) -> Lanes<S> {
         let mut irregular = Lanes::splat(simd, 0.0);
         let workspace = &mut *self.workspace;
         let Some(solve) = &mut workspace.solve else {
@@ -206,10 +209,10 @@ impl Group<'_> {
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
         let before = rows::<S>(&workspace.before);
         let weights = solve.weights(simd);
-        for (q, element) in self.motion.rod.elements.iter().enumerate() {
-            let (here, folded_here) = element_at::<S, R>(simd, poses, q);
-            let (there, folded_there) = element_at::<S, R>(simd, next, q);
-            let (last, folded_last) = element_at::<S, R>(simd, before, q);
+        for (q, element) in self.along.motion.rod.elements.iter().enumerate() {
+            let (here, folded_here) = element_at::<S, R, P>(simd, poses, q);
+            let (there, folded_there) = element_at::<S, R, P>(simd, next, q);
+            let (last, folded_last) = element_at::<S, R, P>(simd, before, q);
             irregular = irregular + folded_here + folded_there + folded_last;
             let law = Law::of::<R>(simd, element);
             let strain = weights.strain::<R>(&law, &here, &there, &last);
@@ -253,8 +256,8 @@ impl Group<'_> {
         let Some(solve) = &mut workspace.solve else {
             return zero;
         };
-        let rod = self.motion.rod;
-        let h = self.motion.grid.step;
+        let rod = self.along.motion.rod;
+        let h = self.along.motion.grid.step;
         let first = rod.first_free_node();
         let (spins, couplings) = (rows::<S>(&solve.spins), rows::<S>(&solve.couplings));
         let none = Mat3::zero(simd);
@@ -306,22 +309,22 @@ impl Group<'_> {
     }
 }
 
-/// The pose of element `q`, and one where its ends are near half a turn, or no numbers.
+/// The pose of element `q`, and one where its ends are farther apart than the reach, or no numbers.
 #[inline(always)]
-pub(super) fn element_at<S: Simd, R: TangentRule>(
+pub(super) fn element_at<S: Simd, R: TangentRule, P: Reach<S>>(
     simd: S,
     poses: &[Row<S>],
     q: usize,
 ) -> (R::Pose<S>, Lanes<S>) {
     let a = NodePose::load(simd, &poses[q * POSE_ROWS..]);
     let b = NodePose::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+    let pose = P::pose::<R>(b.position - a.position, a.rotation, b.rotation);
+    let zero = Lanes::splat(simd, 0.0);
+    if P::ALL {
+        return (pose, zero);
+    }
     let margin = a.rotation.transposed_product(b.rotation).trace() + 1.0;
-    let is_folded = (-margin).select_below(
-        -LEAST_MARGIN,
-        Lanes::splat(simd, 0.0),
-        Lanes::splat(simd, 1.0),
-    );
-    let pose = R::pose(b.position - a.position, a.rotation, b.rotation);
+    let is_folded = (-margin).select_below(-LEAST_MARGIN, zero, Lanes::splat(simd, 1.0));
     (pose, is_folded)
 }
 

@@ -7,8 +7,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
-use super::packed::{PackedSolve, PackedStep};
 use super::reduction::Record;
+use super::step::{LinearizedStep, SolvedDrift};
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
@@ -73,7 +73,7 @@ impl<'a> Tile<'a> {
     }
 
     /// A run of time nodes from `first` on, with the record of its rows.
-    pub fn advance_all(&mut self, arch: Arch, steps: &[PackedStep], first: usize, task: &Task) {
+    pub fn advance_all(&mut self, arch: Arch, steps: &[LinearizedStep], first: usize, task: &Task) {
         let started = |k| self.first_column < task.n_started(k);
         let started: Vec<bool> = (first..first + steps.len()).map(started).collect();
         let any = started.contains(&true);
@@ -122,8 +122,19 @@ impl<'a> Tile<'a> {
         })
     }
 
+    /// That of all nodes.
+    pub fn sums(&self, n_nodes: usize) -> StateTangent {
+        let part = |part: usize| (0..n_nodes).map(|node| self.sum(node, part)).collect();
+        StateTangent {
+            positions: part(0),
+            rotations: part(3),
+            linear: part(6),
+            angular: part(9),
+        }
+    }
+
     /// Forms, kick, sources, drift: one time node.
-    pub fn advance(&mut self, arch: Arch, step: &PackedStep, k: usize, task: &Task) {
+    pub fn advance(&mut self, arch: Arch, step: &LinearizedStep, k: usize, task: &Task) {
         let last = step.is_last();
         if !last {
             self.read_forms(k, task);
@@ -170,7 +181,7 @@ impl<'a> Tile<'a> {
     }
 
     /// Changes of the momenta after the kick: right-hand sides, and the control.
-    fn add_sources(&mut self, step: &PackedStep, k: usize, task: &Task) {
+    fn add_sources(&mut self, step: &LinearizedStep, k: usize, task: &Task) {
         let n_nodes = task.motion.rod.n_nodes();
         let (first, n_sources) = (self.first_column, task.sources.len());
         let data = &mut self.data;
@@ -232,7 +243,7 @@ fn joined(range: &Range<usize>, node: usize) -> Range<usize> {
 
 /// `p ← decay p + weight δf` for all columns of a tile.
 struct Kick<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
     reach: Range<usize>,
@@ -329,7 +340,7 @@ fn kick_element<S: Simd, const V: usize>(
 
 /// `x ← x + (h/m) p`, `ζ ← Fᵀ ζ + Θ g`, `π ← M g` for all columns of a tile; fixed nodes are kept at zero.
 struct Drift<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
     reach: Range<usize>,
@@ -401,10 +412,10 @@ impl WithSimd for Drift<'_> {
     }
 }
 
-/// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) with elements that couple the drifts of
-/// their ends, or that is solved for, for all columns of a tile.
+/// The drift with elements that couple the drifts of their ends, or that is solved for, for all columns of a tile: of a dilatation `δe` at
+/// the start, then of the translations, then of `δe` at the end.
 struct CoupledDrift<'a> {
-    step: &'a PackedStep,
+    step: &'a LinearizedStep,
     data: &'a mut [f64],
     n_used: usize,
     increments: &'a mut [f64],
@@ -501,10 +512,10 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// [`StepLinearization::drift`](crate::mechanics::linearization::StepLinearization::drift) that is solved for, in all vectors of the tile: one
-    /// after the other at every node, whose matrices are then at hand.
+    /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With `u`
+    /// what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
     #[inline(always)]
-    fn drift_solved(&mut self, solve: &PackedSolve) {
+    fn drift_solved(&mut self, solve: &SolvedDrift) {
         let first = self.step.first_free_node;
         let zero = self.simd.splat_f64s(0.0);
         self.data[..first * NODE_COMPONENTS * self.width].fill(zero);
@@ -520,7 +531,7 @@ impl<S: Simd> Columns<'_, S> {
 
     /// From the base to the tip: what the start of the interval does to the momenta that arrive, and the solution's first half.
     #[inline(always)]
-    fn solve_first_half<const V: usize>(&mut self, solve: &PackedSolve, node: usize) {
+    fn solve_first_half<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         if let Some(coupling) = solve.coupling.get(node) {
             self.arrive_from::<V>(node, solve.ratio, coupling);
         }
@@ -539,7 +550,7 @@ impl<S: Simd> Columns<'_, S> {
     #[inline(always)]
     fn solve_second_half<const V: usize>(
         &mut self,
-        solve: &PackedSolve,
+        solve: &SolvedDrift,
         node: usize,
         added: &mut [[S::f64s; 6]; TILE],
     ) {

@@ -1,8 +1,10 @@
 //! Tests of the module above.
 
-use super::super::residual::in_lanes;
+use super::super::adjoint;
+use super::super::residual::defects_on;
+use super::super::step::StepCurvature;
 use super::*;
-use crate::mechanics::linearization::adjoint_sweep;
+use crate::mechanics::linearization::Defects;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{
     ControlSignal, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
@@ -27,12 +29,12 @@ fn distance<'a>(a: impl Iterator<Item = &'a f64>, b: impl Iterator<Item = &'a f6
     a.zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / size
 }
 
-/// The lanes' linearization is the clear one, along motions with elements bent by up to 2 rad and a time node at which one is
-/// bent beyond what lanes take: matrices to rounding, curvatures to what a difference of stiffnesses leaves, 1e-10 of the
-/// stiffness that is differenced and here a thousandth of that of the largest curvature; factors of what steps are solved for, up
-/// to a condition of a hundred. Instruction sets and the runs that the time nodes are taken in change no bit.
+/// Time nodes in lanes are linearized as by themselves, which takes elements apart by another way, along motions with elements bent by up to 2
+/// rad and a time node at which one is bent beyond what lanes take: matrices to rounding, curvatures to what a difference of stiffnesses
+/// leaves, 1e-10 of the stiffness that is differenced and here a thousandth of that of the largest curvature; factors of what steps are solved
+/// for, up to a condition of a hundred. Instruction sets and the runs that the time nodes are taken in change no bit.
 #[test]
-fn lanes_equal_the_clear_linearization() {
+fn lanes_equal_single_time_nodes() {
     let material = Material::isotropic(1e6, 0.5, 1000.0);
     let laws = [StrainRule::Trapezoidal, StrainRule::Helical]
         .into_iter()
@@ -101,28 +103,23 @@ fn lanes_equal_the_clear_linearization() {
         covector.positions[n] = Vector3::new(1.0, -2.0, 0.5);
         covector.angular[n] = Vector3::new(300.0, 200.0, -100.0);
         let forms = [StateForm::of_covector(grid.n_steps, &covector)];
-        let adjoint = adjoint_sweep(&motion, &trajectory, &forms).unwrap();
+        let adjoint = adjoint(&motion, &trajectory, &forms, 1).unwrap();
         let multipliers = Multipliers {
             adjoint: &adjoint,
             own: &[],
         };
+        let along = Along {
+            motion: &motion,
+            trajectory: &trajectory,
+            multipliers: Some(&multipliers),
+            stretch: 0..=grid.n_steps,
+        };
         let run = |arch: Arch, share: usize| {
-            let mut steps: Vec<PackedStep> = Vec::new();
-            steps.resize_with(grid.n_steps + 1, PackedStep::default);
+            let mut steps: Vec<LinearizedStep> = Vec::new();
+            steps.resize_with(grid.n_steps + 1, LinearizedStep::default);
             for (i, steps) in steps.chunks_mut(share).enumerate() {
-                let first = i * share;
-                let stretch = 0..=grid.n_steps;
-                let multipliers = Some(&multipliers);
-                linearize(
-                    arch,
-                    &motion,
-                    &trajectory,
-                    multipliers,
-                    &stretch,
-                    first,
-                    steps,
-                )
-                .unwrap();
+                let mut memory = Memory::of(arch, &motion);
+                memory.linearize(arch, &along, i * share, steps).unwrap();
             }
             steps
         };
@@ -133,25 +130,35 @@ fn lanes_equal_the_clear_linearization() {
             }
         }
         let control = ControlSignal::default();
-        assert!(in_lanes(Arch::Scalar, &motion, &trajectory, &control).is_none());
-        let mild = bent(false);
-        let reference_defects = in_lanes(Arch::Scalar, &motion, &mild, &control);
-        assert!(reference_defects.is_some());
-        for arch in levels() {
-            assert!(in_lanes(arch, &motion, &mild, &control) == reference_defects);
+        for trajectory in [&trajectory, &bent(false)] {
+            let [reference, single] = [1, 0].map(|n_lanes| {
+                defects_on(Arch::Scalar, n_lanes > 0, &motion, trajectory, &control).unwrap()
+            });
+            for arch in levels() {
+                assert!(
+                    defects_on(arch, true, &motion, trajectory, &control).unwrap() == reference
+                );
+            }
+            let rows = |defects: &Defects| -> Vec<f64> {
+                let rows = defects.linear.iter().chain(&defects.angular);
+                rows.flatten().copied().collect()
+            };
+            let (found, single) = (rows(&reference), rows(&single));
+            let error = distance(found.iter(), single.iter());
+            assert!(error < 1e-13, "{strain_rule:?} {scheme:?}: {error:e}");
         }
-        let mut before = IntervalCurvature::default();
-        for (k, step) in reference.iter().enumerate() {
-            let clear = StepLinearization::at(&motion, &trajectory, k).unwrap();
-            let here = StepCurvature::at(&motion, &trajectory, &clear, &multipliers, k);
-            let curvature = PackedCurvature::new(&rod, &before, &here);
-            before = here.interval;
-            let arriving: Vec<_> = (0..if k > 0 { n } else { 0 })
-                .map(|q| arriving_stiffness(&motion, &trajectory, k - 1, q))
-                .collect();
-            let clear = PackedStep::new(&clear, &arriving, Some(curvature));
-            let flat = |step: &PackedStep| -> [Vec<f64>; 7] {
-                let drifts = |part: fn(&PackedDrift) -> [[f64; 3]; 3]| {
+        let mut alone = Memory {
+            many: None,
+            single: None,
+        };
+        let mut singles = Vec::new();
+        singles.resize_with(grid.n_steps + 1, LinearizedStep::default);
+        alone
+            .linearize(Arch::Scalar, &along, 0, &mut singles)
+            .unwrap();
+        for (k, (step, clear)) in reference.iter().zip(&singles).enumerate() {
+            let flat = |step: &LinearizedStep| -> [Vec<f64>; 7] {
+                let drifts = |part: fn(&NodeDrift) -> [[f64; 3]; 3]| {
                     (step.drifts.iter())
                         .flat_map(|d| part(d).into_iter().flatten())
                         .collect()
@@ -173,17 +180,17 @@ fn lanes_equal_the_clear_linearization() {
                 ]
             };
             assert_eq!(step.loads, clear.loads);
-            for (found, clear) in flat(step).iter().zip(&flat(&clear)) {
+            for (found, clear) in flat(step).iter().zip(&flat(clear)) {
                 assert_eq!(found.len(), clear.len());
                 let error = distance(found.iter(), clear.iter());
                 assert!(error < 1e-13, "{strain_rule:?} {scheme:?} {k}: {error:e}");
             }
-            let factors = |step: &PackedStep| {
+            let factors = |step: &LinearizedStep| {
                 let solve = &step.solve;
                 [&solve.pivots, &solve.below, &solve.above]
                     .map(|blocks| blocks.as_flattened().as_flattened().to_vec())
             };
-            for (found, clear) in factors(step).iter().zip(&factors(&clear)) {
+            for (found, clear) in factors(step).iter().zip(&factors(clear)) {
                 assert_eq!(found.len(), clear.len());
                 let error = distance(found.iter(), clear.iter());
                 assert!(error < 1e-11, "{strain_rule:?} {k}: {error:e}");
@@ -191,16 +198,16 @@ fn lanes_equal_the_clear_linearization() {
             let (Some(found), Some(clear)) = (&step.curvature, &clear.curvature) else {
                 panic!("no curvature");
             };
-            let flat = |c: &PackedCurvature| c.elements.as_flattened().as_flattened().to_vec();
+            let flat = |c: &StepCurvature| c.elements.as_flattened().as_flattened().to_vec();
             let error = distance(flat(found).iter(), flat(clear).iter());
             assert!(error < 1e-8, "{strain_rule:?} {k}: {error:e}");
-            let flat = |c: &PackedCurvature| -> Vec<f64> {
+            let flat = |c: &StepCurvature| -> Vec<f64> {
                 let couplings = c.couplings.as_flattened().as_flattened();
                 couplings.as_flattened().to_vec()
             };
             let error = distance(flat(found).iter(), flat(clear).iter());
             assert!(error < 1e-13, "{strain_rule:?} {k}: {error:e}");
-            let flat = |c: &PackedCurvature| -> Vec<f64> {
+            let flat = |c: &StepCurvature| -> Vec<f64> {
                 let stresses = c.stresses.as_flattened().as_flattened();
                 stresses.as_flattened().to_vec()
             };

@@ -1,99 +1,106 @@
-//! Linearized steps in the memory layout of the vectorized kernels.
+//! Linearized steps, in the memory layout of the sweeps.
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix};
 
 use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
-use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature, StepCurvature};
-use crate::mechanics::element::ElementStiffness;
+use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::linearization::{
-    ElementDrift, Kick, LoadDerivative, StepLinearization, StressDrift,
-};
+use crate::mechanics::linearization::LoadDerivative;
 use crate::mechanics::rod::Rod;
 
-/// A [`StepLinearization`] with the kick's weight multiplied in, laid out for the kernel.
-#[derive(Debug, Default, PartialEq)]
-pub(super) struct PackedStep {
+/// The linearized equations of motion of one time node, laid out for the sweeps: a kick with the stiffness at `k`, whose weight is multiplied
+/// in, then the drift to `k + 1`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinearizedStep {
+    /// Decay of the momenta by the kick.
     pub decay: f64,
+    /// Weight of forces in it, s.
     pub weight: f64,
     /// What the momenta after the kick lose by the configuration: `weight` times the stiffness, row by row, and what stresses of
-    /// [intervals](PackedSolve) add.
+    /// [intervals](SolvedDrift) add.
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
     pub loads: Vec<(usize, [[f64; 3]; 6])>,
     /// Nodes, and what actuators of one's own add.
-    pub acting: Vec<PackedActing>,
-    pub drifts: Vec<PackedDrift>,
-    pub element_drifts: Vec<PackedElementDrift>,
+    pub(super) acting: Vec<ActingKick>,
+    /// Drift of every node; absent at the last time node, and where a step is solved for.
+    pub drifts: Vec<NodeDrift>,
+    /// How the dilatation of every element enters the drift; absent where it does not.
+    pub element_drifts: Vec<ElementDrift>,
+    /// First node that moves.
     pub first_free_node: usize,
-    pub solve: PackedSolve,
-    pub curvature: Option<PackedCurvature>,
+    /// The drift of a step that is solved for.
+    pub solve: SolvedDrift,
+    pub(super) curvature: Option<StepCurvature>,
 }
 
+/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see [`Drift`](crate::mechanics::lanes::tangent::Drift).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct PackedDrift {
+pub struct NodeDrift {
+    /// `h/m`, s/kg.
     pub mobility: f64,
+    /// `Fᵀ`
     pub turn_transposed: [[f64; 3]; 3],
+    /// `Θ`, rotation per angular momentum, s/(kg m²).
     pub theta: [[f64; 3]; 3],
+    /// `M`
     pub momentum: [[f64; 3]; 3],
 }
 
-/// An [`ElementDrift`](super::linearization::ElementDrift), laid out for the kernel.
-#[derive(Debug, PartialEq)]
-pub(super) struct PackedElementDrift {
+/// What a change `δe` of one element's dilatation adds to the drift of its two ends, and the kinetic reaction; for the
+/// dilatation at the start (0) and at the end (1) of the interval.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ElementDrift {
+    /// `∂e/∂dx`, 1/m.
     pub stretch: [[f64; 3]; 2],
+    /// `ζ⁺` of node a and node b per `δe`.
     pub turn: [[[f64; 3]; 2]; 2],
+    /// Arriving angular momentum of node a and node b per `δe`, kg m²/s.
     pub spin: [[[f64; 3]; 2]; 2],
-    pub reaction: Option<PackedReaction>,
+    /// The kinetic reaction, absent under the paper's model.
+    pub reaction: Option<ReactionDrift>,
 }
 
-#[derive(Debug, PartialEq)]
-pub(super) struct PackedReaction {
+/// The kinetic reaction of an element, linearized: `δr = stiffness δdx + along Σ_ends spin·ω`, where `ω = ζ⁺ - Fᵀζ` is what the
+/// step adds to the rotation of an end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReactionDrift {
+    /// 0 where it acts at the start of the interval, with the `δdx` there; 1 at its end.
     pub at: usize,
+    /// `∂r/∂dx` times the factor of the impulse, kg/s.
     pub stiffness: [[f64; 3]; 3],
+    /// `∂r/∂T` times the factor of the impulse, s/m.
     pub along: [f64; 3],
+    /// `∂T/∂ω` of node a and node b, J.
     pub spin: [[f64; 3]; 2],
 }
 
-impl PackedElementDrift {
-    pub fn new(drift: &ElementDrift) -> Self {
-        let ends = |ends: &[Vector3<f64>; 2]| ends.map(Into::into);
-        Self {
-            stretch: ends(&drift.stretch),
-            turn: [ends(&drift.turn[0]), ends(&drift.turn[1])],
-            spin: [ends(&drift.spin[0]), ends(&drift.spin[1])],
-            reaction: drift.reaction.map(|reaction| PackedReaction {
-                at: reaction.at,
-                stiffness: rows(&reaction.stiffness, 1.0),
-                along: reaction.along.into(),
-                spin: ends(&reaction.spin),
-            }),
-        }
-    }
-}
-
-/// What is solved for in a step with a [`StressDrift`], laid out for the kernel; empty in other steps.
+/// What is solved for in a step whose stress depends on both ends of its interval; empty in other steps.
 ///
 /// With `z` the configuration at the start and `u` what the step adds to what it carries to the end, `(D + X) u` are the momenta
-/// after the kick, whose [`elements`](PackedStep::elements) have the rest of what the stress does there. The momenta that arrive
+/// after the kick, whose [`elements`](LinearizedStep::elements) have the rest of what the stress does there. The momenta that arrive
 /// are `D_p u - ratio Xᵀ z`, up to a stiffness at the end of the interval, which is a part of the next kick and of the forms of
 /// momenta; see [`arriving`](super::arriving).
-#[derive(Debug, Default, PartialEq)]
-pub(super) struct PackedSolve {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SolvedDrift {
     /// `X = ∂(B_kᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)`, with the weight of the impulse.
     pub coupling: Vec<[[f64; 9]; 9]>,
+    /// Momenta that arrive at the end of the interval per those that leave at its start, by the same stress.
     pub ratio: f64,
-    pub nodes: Vec<PackedSpin>,
-    /// Inverses of the pivots, the blocks of `L` below them, and those of `U` above its unit diagonal.
+    /// Every node.
+    pub nodes: Vec<NodeSpin>,
+    /// Inverses of the pivots of `D + X`, block by block.
     pub pivots: Vec<[[f64; 6]; 6]>,
+    /// Blocks of `L` below them.
     pub below: Vec<[[f64; 6]; 6]>,
+    /// Blocks of `U` above its unit diagonal.
     pub above: Vec<[[f64; 6]; 6]>,
 }
 
 /// A node in a step that is solved for.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct PackedSpin {
+pub struct NodeSpin {
     /// Momentum per motion, `m/h`.
     pub mass_rate: f64,
     /// `Fᵀ`
@@ -102,82 +109,25 @@ pub(super) struct PackedSpin {
     pub spin: [[f64; 3]; 3],
 }
 
-impl PackedSolve {
+impl SolvedDrift {
+    /// Tells whether nothing is solved for.
+    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
 
     /// Forgets all; the memory stays.
-    pub fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.coupling.clear();
         self.nodes.clear();
         self.pivots.clear();
         self.below.clear();
         self.above.clear();
     }
-
-    fn new(step: &StepLinearization, stress: &StressDrift) -> Self {
-        let factors = stress.step.factors();
-        let nodes = step.drifts.iter().zip(&stress.spin_inertia);
-        Self {
-            coupling: stress.start_end.iter().map(square).collect(),
-            ratio: stress.ratio,
-            nodes: nodes
-                .map(|(drift, spin)| PackedSpin {
-                    mass_rate: 1.0 / drift.mobility,
-                    turn_transposed: rows(&drift.turn_transposed, 1.0),
-                    spin: square(&(drift.momentum * spin)),
-                })
-                .collect(),
-            pivots: factors.diagonal.iter().map(square).collect(),
-            below: factors.below.iter().map(square).collect(),
-            above: factors.above.iter().map(square).collect(),
-        }
-    }
-}
-
-/// What the momenta after the kick lose by the configuration of every element: the elastic stiffness, the stress of the interval
-/// before, and that of the interval after but for what is [solved](PackedSolve) for.
-fn kicked(step: &StepLinearization, arriving: &[ElementStiffness]) -> Vec<[[f64; 9]; 9]> {
-    let Kick { decay, weight, .. } = step.kick;
-    let n = [step.elements.len(), arriving.len()]
-        .into_iter()
-        .chain(
-            step.stress_drift
-                .as_ref()
-                .map(|stress| stress.start_start.len()),
-        )
-        .max();
-    (0..n.unwrap_or_default())
-        .map(|q| {
-            let mut sum = ElementStiffness::zeros();
-            if let Some(elastic) = step.elements.get(q) {
-                sum += elastic * weight;
-            }
-            if let Some(arriving) = arriving.get(q) {
-                sum += arriving * decay;
-            }
-            if let Some(stress) = &step.stress_drift {
-                sum += stress.start_start[q];
-                let coupling = &stress.start_end[q];
-                for (at, column) in [(0, None), (3, Some(q)), (6, Some(q + 1))] {
-                    let mut target = sum.fixed_columns_mut::<3>(at);
-                    match column {
-                        None => target += coupling.fixed_columns::<3>(at),
-                        Some(node) => {
-                            target +=
-                                coupling.fixed_columns::<3>(at) * step.drifts[node].turn_transposed;
-                        }
-                    }
-                }
-            }
-            square(&sum)
-        })
-        .collect()
 }
 
 /// Row by row.
-fn square<const N: usize>(m: &SMatrix<f64, N, N>) -> [[f64; N]; N] {
+pub(super) fn square<const N: usize>(m: &SMatrix<f64, N, N>) -> [[f64; N]; N] {
     std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
 }
 
@@ -200,13 +150,13 @@ pub(super) fn pack_loads(loads: &[LoadDerivative], weight: f64) -> Vec<(usize, [
 /// An [`ActingDerivative`] with the kick's weight multiplied in: the terms `(momentum row, configuration row, coefficient)` of a
 /// tile that are not zero.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct PackedActing {
+pub(super) struct ActingKick {
     /// The nodes.
     pub nodes: Vec<usize>,
     terms: Vec<(usize, usize, f64)>,
 }
 
-impl PackedActing {
+impl ActingKick {
     fn new(acting: &ActingDerivative, weight: f64) -> Self {
         let mut terms = Vec::new();
         for (i, node) in acting.nodes.iter().enumerate() {
@@ -252,59 +202,24 @@ fn add_row(data: &mut [f64], to: usize, from: usize, factor: f64) {
     }
 }
 
-pub(super) fn pack_acting(acting: &[ActingDerivative], weight: f64) -> Vec<PackedActing> {
+pub(super) fn pack_acting(acting: &[ActingDerivative], weight: f64) -> Vec<ActingKick> {
     (acting.iter())
-        .map(|acting| PackedActing::new(acting, weight))
+        .map(|acting| ActingKick::new(acting, weight))
         .collect()
 }
 
-impl PackedStep {
-    /// `arriving` is the stiffness of the stress of the interval before, where there is any.
-    /// Whether it is the last of its stretch, which has a kick and no drift.
-    pub fn is_last(&self) -> bool {
+impl LinearizedStep {
+    /// Tells whether it is the last of its stretch, which has a kick and no drift.
+    pub(super) fn is_last(&self) -> bool {
         self.drifts.is_empty() && self.solve.is_empty()
-    }
-
-    pub fn new(
-        step: &StepLinearization,
-        arriving: &[ElementStiffness],
-        curvature: Option<PackedCurvature>,
-    ) -> Self {
-        let weight = step.kick.weight;
-        Self {
-            decay: step.kick.decay,
-            weight,
-            elements: kicked(step, arriving),
-            loads: pack_loads(&step.loads, weight),
-            acting: pack_acting(&step.acting, weight),
-            drifts: (step.drifts.iter())
-                .filter(|_| step.stress_drift.is_none())
-                .map(|drift| PackedDrift {
-                    mobility: drift.mobility,
-                    turn_transposed: rows(&drift.turn_transposed, 1.0),
-                    theta: rows(&drift.theta, 1.0),
-                    momentum: rows(&drift.momentum, 1.0),
-                })
-                .collect(),
-            element_drifts: step
-                .element_drifts
-                .iter()
-                .map(PackedElementDrift::new)
-                .collect(),
-            first_free_node: step.first_free_node,
-            solve: (step.stress_drift.as_ref())
-                .map(|stress| PackedSolve::new(step, stress))
-                .unwrap_or_default(),
-            curvature,
-        }
     }
 }
 
 /// The second derivative `Q` at one time node, laid out for the kernel: `(Q z)_k = elements z_k + next ζ_{k+1} + last
 /// ζ_{k-1}`, and where a stress depends on both ends of an interval, the same with whole elements. The parts of loads and
 /// inertia at `k` itself are added to those of an element.
-#[derive(Debug, Default, PartialEq)]
-pub(super) struct PackedCurvature {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct StepCurvature {
     /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
@@ -314,7 +229,7 @@ pub(super) struct PackedCurvature {
 }
 
 /// A matrix over `(dx, ζ_a, ζ_b)` added to one in the order `ζ_a, dx, ζ_b`.
-fn add_reordered(target: &mut [[f64; 9]; 9], matrix: &SMatrix<f64, 9, 9>) {
+pub(super) fn add_reordered(target: &mut [[f64; 9]; 9], matrix: &SMatrix<f64, 9, 9>) {
     const ORDER: [usize; 9] = [3, 4, 5, 0, 1, 2, 6, 7, 8];
     for (row, i) in target.iter_mut().zip(ORDER) {
         for (entry, j) in row.iter_mut().zip(ORDER) {
@@ -323,20 +238,7 @@ fn add_reordered(target: &mut [[f64; 9]; 9], matrix: &SMatrix<f64, 9, 9>) {
     }
 }
 
-impl PackedCurvature {
-    /// From the interval before a time node, and the terms of the time node.
-    pub fn new(rod: &Rod, last: &IntervalCurvature, step: &StepCurvature) -> Self {
-        let mut packed = Self {
-            elements: vec![[[0.0; 9]; 9]; rod.n_elements()],
-            ..Self::default()
-        };
-        for (packed, element) in packed.elements.iter_mut().zip(&step.elements) {
-            add_reordered(packed, element);
-        }
-        packed.add_neighbors(rod, last, &step.loads, &step.interval);
-        packed
-    }
-
+impl StepCurvature {
     /// All but the elements' own terms: loads, and the intervals before and after the time node.
     pub fn add_neighbors(
         &mut self,

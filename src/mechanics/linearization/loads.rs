@@ -1,0 +1,61 @@
+//! How the wrenches of loads and of actuators of one's own follow the configuration.
+
+use nalgebra::Matrix3;
+
+use super::Motion;
+use crate::mechanics::actuator::{ActingDerivative, StateView};
+use crate::mechanics::configuration::Trajectory;
+
+/// The derivative of a load's wrench along the rotation of its node.
+#[derive(Clone, Copy, Debug)]
+pub struct LoadDerivative {
+    /// The node.
+    pub node: usize,
+    /// `∂f/∂ζ`, N.
+    pub force: Matrix3<f64>,
+    /// `∂τ/∂ζ`, N m.
+    pub moment: Matrix3<f64>,
+}
+
+/// Of all loads that turn with their node.
+pub(in crate::mechanics) fn load_derivatives(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+) -> Vec<LoadDerivative> {
+    let Motion { rod, grid, .. } = *motion;
+    let rotations = trajectory.rotations_at(k);
+    let node = grid.node(k);
+    (rod.loads.iter().filter(|load| load.turns()))
+        .map(|load| {
+            let rotation = &rotations[load.node];
+            let (force, moment) = load.wrench_derivative_at_node(&node, rotation);
+            LoadDerivative {
+                node: load.node,
+                force,
+                moment,
+            }
+        })
+        .collect()
+}
+
+/// Of all actuators of one's own.
+pub(in crate::mechanics) fn acting_derivatives(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    k: usize,
+) -> Vec<ActingDerivative> {
+    let Some(control) = motion.control.filter(|control| !control.acting.is_empty()) else {
+        return Vec::new();
+    };
+    let at = StateView::of(motion.rod, &motion.grid, trajectory, k);
+    (control.acting.iter())
+        .map(|acting| {
+            let u = acting.controls(control.at(k).wrenches);
+            ActingDerivative {
+                nodes: acting.actuator.nodes(motion.rod),
+                matrix: acting.actuator.configuration_jacobian(&at, &u),
+            }
+        })
+        .collect()
+}
